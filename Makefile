@@ -1,0 +1,67 @@
+# Everything a contributor or CI does, one target each. `make help` lists them.
+.DEFAULT_GOAL := help
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check -q
+LOCK := pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
+	--no-annotate --no-header --no-emit-index-url --extra build -q
+
+.PHONY: help setup demo serve test check lint types arch format bench image lock clean
+
+help:  ## list the targets
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  %-10s %s\n", $$1, $$2}'
+
+setup: $(VENV)/.installed  ## make .venv and install what the program runs with
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "wrenchbook needs Python 3.11 or newer; name one with: make PYTHON=python3.12 ...")'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: $(BIN)/python requirements.lock pyproject.toml
+	$(PIP) install --require-hashes -r requirements.lock
+	$(PIP) install --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.installed requirements-dev.lock
+	$(PIP) install --require-hashes -r requirements-dev.lock
+	@touch $@
+
+demo: setup  ## the main job, end to end, on real finite elements
+	$(BIN)/wrenchbook demo
+
+serve: setup  ## the API and the embedded solver on 127.0.0.1:8000
+	$(BIN)/wrenchbook serve
+
+test: $(VENV)/.installed-dev  ## the test suite
+	$(BIN)/python -m pytest
+
+check: lint types arch test  ## all that CI asks: lint, types, import rules, tests
+
+lint: $(VENV)/.installed-dev  ## ruff: rules and format
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.installed-dev  ## pyright
+	$(BIN)/pyright
+
+arch: $(VENV)/.installed-dev  ## import-linter: who may import what
+	$(BIN)/lint-imports
+
+format: $(VENV)/.installed-dev  ## let ruff lay out the code
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/.installed-dev  ## timings as ratios, side by side in one run
+	$(BIN)/python -m pytest tests/benchmarks -s -p no:cacheprovider
+
+image:  ## the container image
+	docker build -t wrenchbook .
+
+lock: $(VENV)/.installed-dev  ## write both lock files anew from pyproject.toml
+	$(BIN)/uv $(LOCK) -o requirements.lock
+	$(BIN)/uv $(LOCK) --extra dev -c requirements.lock -o requirements-dev.lock
+
+clean:  ## remove .venv and caches
+	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .import_linter_cache build dist
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

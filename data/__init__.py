@@ -1,0 +1,1 @@
+"""The shipped library of components, tables and scenes."""

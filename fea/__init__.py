@@ -1,0 +1,1 @@
+"""A component and a wrench in, a displacement out: finite elements."""

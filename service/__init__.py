@@ -1,0 +1,1 @@
+"""HTTP, ledger, engines and command line."""

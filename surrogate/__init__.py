@@ -1,0 +1,1 @@
+"""Rows in; displacement, error bar and coverage out."""
