@@ -1,0 +1,122 @@
+"""The mesh as plain arrays: what generators and mesh files give and what the solver takes.
+
+All lengths are metres. Nodes within a cell or facet follow the VTK order, which is meshio's as well: corners
+first, then the midside nodes in the order of the edges, then (``quad9``, ``hex27``) face centres and the body centre.
+The arrays are not copied; treat them as read-only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+Array = np.ndarray
+
+NODES_PER_CELL: dict[str, int] = {
+    "hex8": 8,
+    "hex20": 20,
+    "hex27": 27,
+    "tet4": 4,
+    "tet10": 10,
+    "wedge6": 6,
+    "wedge15": 15,
+}
+"""Nodes of each kind of cell."""
+
+NODES_PER_FACET: dict[str, int] = {"quad4": 4, "quad8": 8, "quad9": 9, "tri3": 3, "tri6": 6}
+"""Nodes of each kind of facet."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellBlock:
+    """Cells of one kind.
+
+    Attributes
+    ----------
+    kind
+        A key of `NODES_PER_CELL`.
+    nodes
+        Shape (m, k), int64: the nodes of each cell in VTK order.
+    """
+
+    kind: str
+    nodes: Array
+
+    def __post_init__(self) -> None:
+        _require_columns(self.kind, self.nodes, NODES_PER_CELL)
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+
+class FacetBlock(NamedTuple):
+    """Facets of one kind: `kind` is a key of `NODES_PER_FACET`, `nodes` has shape (f, k), int64, VTK order."""
+
+    kind: str
+    nodes: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FacetGroup:
+    """A named part of the surface, each facet given by its own nodes, so that nothing has to look up its cell."""
+
+    blocks: tuple[FacetBlock, ...]
+
+    def __post_init__(self) -> None:
+        for kind, nodes in self.blocks:
+            _require_columns(kind, nodes, NODES_PER_FACET)
+
+    @property
+    def node_ids(self) -> Array:
+        """Sorted nodes of the group, each once, shape (k,), int64."""
+        return np.unique(np.concatenate([nodes.ravel() for _, nodes in self.blocks]))
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Points, cells and the named groups of both.
+
+    Attributes
+    ----------
+    points
+        Shape (n, 3), metres.
+    blocks
+        The cells, one block for each kind.
+    regions
+        For each cell group one array of cell numbers per block of `blocks` (empty where the block has none of its
+        cells). Regions may overlap; a cell may be in none.
+    facet_groups
+        Named parts of the surface.
+    node_groups
+        Named sets of nodes, each of shape (k,), int64.
+    """
+
+    points: Array
+    blocks: tuple[CellBlock, ...]
+    regions: Mapping[str, tuple[Array, ...]] = field(default_factory=dict)
+    facet_groups: Mapping[str, FacetGroup] = field(default_factory=dict)
+    node_groups: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def unknowns(self) -> int:
+        """Degrees of freedom before supports and couplings take theirs: three for each node of a cell."""
+        return 3 * int(
+            np.unique(np.concatenate([block.nodes.ravel() for block in self.blocks])).size
+        )
+
+    @property
+    def cell_counts(self) -> dict[str, int]:
+        """Number of cells of each kind."""
+        return {block.kind: len(block) for block in self.blocks}
+
+
+def _require_columns(kind: str, nodes: Array, columns: dict[str, int]) -> None:
+    if kind not in columns:
+        raise ValueError(f"unknown kind {kind!r}; one of {', '.join(columns)}")
+    if nodes.ndim != 2 or nodes.shape[1] != columns[kind]:
+        raise ValueError(
+            f"{kind} needs {columns[kind]} nodes each, got an array of shape {nodes.shape}"
+        )
