@@ -1,0 +1,113 @@
+"""SQL of the jobs. Each function takes a connection inside the caller's transaction."""
+
+import json
+import time
+from collections.abc import Iterable
+
+from service.ledger import states
+from service.ledger.errors import UnknownJobError
+from service.ledger.records import STATUSES, Job, unpack6
+from service.ledger.schema import Connection
+
+_COLUMNS = (
+    "id, component, fingerprint, wrench, status, priority, attempt, lost, owner, "
+    "created, started, finished, error, row"
+)
+
+
+def accept(
+    db: Connection, same: tuple[str, str, bytes], priority: int, reopen_cancelled: bool
+) -> tuple[Job, bool]:
+    """Return the one job of (component, fingerprint, wrench), and whether it is new."""
+    job = find_same(db, *same)
+    if job is not None:
+        return save(db, states.asked_again(job, priority, reopen_cancelled)), False
+    added = db.execute(
+        "INSERT INTO jobs (component, fingerprint, wrench, status, priority, attempt, lost,"
+        " created) VALUES (?, ?, ?, 'waiting', ?, 0, 0, ?)",
+        (*same, priority, time.time()),
+    )
+    assert added.lastrowid is not None
+    return get(db, added.lastrowid), True
+
+
+def save(db: Connection, job: Job) -> Job:
+    """Write all of a job that can change."""
+    error = None if job.error is None else json.dumps(job.error)
+    now = (job.status, job.priority, job.attempt, job.lost, job.owner)
+    times = (job.started, job.finished)
+    db.execute(
+        "UPDATE jobs SET status = ?, priority = ?, attempt = ?, lost = ?, owner = ?,"
+        " started = ?, finished = ?, error = ?, row = ? WHERE id = ?",
+        (*now, *times, error, job.row, job.id),
+    )
+    return job
+
+
+def get(db: Connection, job_id: int) -> Job:
+    """Return a job by its number; raises UnknownJobError."""
+    found = _select(db, "WHERE id = ?", (job_id,))
+    if not found:
+        raise UnknownJobError(f"there is no job {job_id}")
+    return found[0]
+
+
+def find_same(db: Connection, component: str, fingerprint: str, wrench: bytes) -> Job | None:
+    """Return the one job there can be for this wrench, whatever its status."""
+    where = "WHERE component = ? AND fingerprint = ? AND wrench = ?"
+    found = _select(db, where, (component, fingerprint, wrench))
+    return found[0] if found else None
+
+
+def next_waiting(db: Connection) -> Job | None:
+    """Return the waiting job that is to start next."""
+    where = "WHERE status = 'waiting' ORDER BY priority DESC, id LIMIT 1"
+    found = _select(db, where, ())
+    return found[0] if found else None
+
+
+def listed(db: Connection, component: str | None, status: str | None, limit: int) -> list[Job]:
+    """Return jobs, newest first."""
+    conditions = {"component": component, "status": status}
+    used = {name: value for name, value in conditions.items() if value is not None}
+    where = " AND ".join(f"{name} = ?" for name in used)
+    tail = f"{'WHERE ' + where if where else ''} ORDER BY id DESC LIMIT ?"
+    return _select(db, tail, (*used.values(), limit))
+
+
+def running(db: Connection) -> list[Job]:
+    """Return all running jobs, oldest first."""
+    return _select(db, "WHERE status = 'running' ORDER BY id", ())
+
+
+def counts(db: Connection, component: str | None) -> dict[str, int]:
+    """Return the number of jobs of each status."""
+    where = "" if component is None else "WHERE component = ?"
+    found = db.execute(
+        f"SELECT status, count(*) FROM jobs {where} GROUP BY status",
+        () if component is None else (component,),
+    )
+    return dict.fromkeys(STATUSES, 0) | dict(found.fetchall())
+
+
+def ahead(db: Connection, job: Job) -> int:
+    """Return the number of waiting jobs that start before this one."""
+    return db.execute(
+        "SELECT count(*) FROM jobs WHERE status = 'waiting'"
+        " AND (priority > ? OR (priority = ? AND id < ?))",
+        (job.priority, job.priority, job.id),
+    ).fetchone()[0]
+
+
+def _select(db: Connection, tail: str, values: Iterable[object]) -> list[Job]:
+    found = db.execute(f"SELECT {_COLUMNS} FROM jobs {tail}", tuple(values))
+    return [_job(*record) for record in found]
+
+
+def _job(*record: object) -> Job:
+    fields = list(record)
+    wrench, error = fields[3], fields[12]
+    assert isinstance(wrench, bytes)
+    fields[3] = unpack6(wrench)
+    fields[12] = json.loads(error) if isinstance(error, str) else None
+    return Job(*fields)  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,292 @@
+"""The durable record of jobs and rows: what `Ledger` says happened has happened."""
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from service.ledger import jobs, rows, states
+from service.ledger.listeners import Listener, Listeners
+from service.ledger.records import Change, Job, LedgerRow, NewRow, Status, pack6
+from service.ledger.schema import Connections
+
+FOLLOW_SECONDS = 0.02  # how late `wait` sees what another process wrote
+
+
+class Ledger:
+    """Jobs and rows in one SQLite file, for many threads and several processes at once.
+
+    A method that returned has committed to disk; one that raised changed nothing.
+
+    Parameters
+    ----------
+    path : path
+        The file; it and its folder are made if there are none.
+
+    Raises
+    ------
+    LedgerFileError
+        If the file is foreign, damaged or of a newer schema.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path).absolute()
+        self._db = Connections(self.path)
+        self._listeners = Listeners()
+
+    # -- the life of a job ------------------------------------------------------------------
+
+    def accept(
+        self,
+        component: str,
+        fingerprint: str,
+        wrench: Sequence[float],
+        *,
+        priority: int = 0,
+        reopen_cancelled: bool = True,
+    ) -> tuple[Job, bool]:
+        """Return the job for this wrench, and whether it is new.
+
+        There is one job for one (component, fingerprint, wrench), whatever its status: a
+        waiting, running, done or failed one is returned as it is (a waiting one with the
+        higher of both priorities), a cancelled one goes back to waiting.
+
+        Raises
+        ------
+        ValueError
+            If the wrench is not six finite numbers.
+        LedgerUnavailableError
+            If the job could not be written; it is then not accepted.
+        """
+        key = pack6(wrench)
+        with self._db.reading() as db:
+            found = jobs.find_same(db, component, fingerprint, key)
+        if found and states.asked_again(found, priority, reopen_cancelled) == found:
+            return found, False
+        with self._db.writing() as db:
+            same = (component, fingerprint, key)
+            job, created = jobs.accept(db, same, priority, reopen_cancelled)
+        self._tell(job)
+        return job, created
+
+    def accept_many(
+        self,
+        component: str,
+        fingerprint: str,
+        wrenches: Iterable[Sequence[float]],
+        *,
+        priority: int = 0,
+        reopen_cancelled: bool = True,
+    ) -> list[Job]:
+        """Accept jobs in one transaction, all or none; one job a wrench, in their order."""
+        keys = [(component, fingerprint, pack6(wrench)) for wrench in wrenches]
+        with self._db.writing() as db:
+            accepted = [jobs.accept(db, key, priority, reopen_cancelled)[0] for key in keys]
+        self._tell(*accepted)
+        return accepted
+
+    def claim(self, owner: str) -> Job | None:
+        """Start the next waiting job's next attempt under `owner`; None if none waits."""
+        with self._db.reading() as db:
+            if jobs.next_waiting(db) is None:
+                return None
+        with self._db.writing() as db:
+            waiting = jobs.next_waiting(db)
+            if waiting is None:
+                return None
+            job = jobs.save(db, states.claimed(waiting, owner, time.time()))
+        self._tell(job)
+        return job
+
+    def adopt(self, job_id: int, attempt: int, previous: str, owner: str) -> Job | None:
+        """Take a running attempt over from a dead owner; None if another one was faster."""
+        with self._db.writing() as db:
+            job = jobs.get(db, job_id)
+            if (job.status, job.attempt, job.owner) != ("running", attempt, previous):
+                return None
+            job = jobs.save(db, states.adopted(job, owner))
+        self._tell(job)
+        return job
+
+    def commit(
+        self,
+        job_id: int,
+        attempt: int,
+        displacement: Sequence[float],
+        *,
+        compliance: Sequence[Sequence[float]] | None = None,
+        uncertainty: Sequence[float] | None = None,
+        source: str = "fea",
+        origin: str = "",
+    ) -> LedgerRow:
+        """Write the row of a job and the job's end in one transaction, exactly once.
+
+        A job that is done already keeps the row it has, and that one is returned.
+
+        Raises
+        ------
+        StaleAttemptError
+            If the attempt is not the running one.
+        ValueError
+            If a number is not finite or a length is wrong.
+        """
+        with self._db.writing() as db:
+            job = jobs.get(db, job_id)
+            if job.row is not None:
+                return rows.get(db, job.row)
+            states.check_attempt(job, attempt)
+            new = NewRow(job.wrench, displacement, source, compliance, uncertainty, origin)
+            now = time.time()
+            row = rows.add(db, job.component, job.fingerprint, new, job.id, now)
+            jobs.save(db, states.committed(job, row.seq, now))
+        self._tell(job, rows=1)
+        return row
+
+    def fail(self, job_id: int, attempt: int, error: dict[str, str]) -> Job:
+        """End a running attempt as failed; `error` holds kind, message and remedy."""
+        return self._end(job_id, attempt, lambda job: states.failed(job, error, time.time()))
+
+    def lose(self, job_id: int, attempt: int) -> Job:
+        """Record that an attempt's solver died: waiting again, failed the third time."""
+        return self._end(job_id, attempt, lambda job: states.lost(job, time.time()))
+
+    def release(self, job_id: int, attempt: int) -> Job:
+        """Give an attempt back that did not die by itself; it does not count as lost."""
+        return self._end(job_id, attempt, states.released)
+
+    def cancel(self, job_id: int) -> Job:
+        """Cancel a waiting or running job; its dispatcher then stops the solver."""
+        return self._move(job_id, lambda job: states.cancelled(job, time.time()))
+
+    def retry(self, job_id: int) -> Job:
+        """Let a failed or cancelled job wait again."""
+        return self._move(job_id, states.retried)
+
+    # -- reading jobs -----------------------------------------------------------------------
+
+    def job(self, job_id: int) -> Job:
+        """Return a job; raises UnknownJobError."""
+        with self._db.reading() as db:
+            return jobs.get(db, job_id)
+
+    def jobs(
+        self, component: str | None = None, status: Status | None = None, limit: int = 100
+    ) -> list[Job]:
+        """Return jobs, newest first."""
+        with self._db.reading() as db:
+            return jobs.listed(db, component, status, limit)
+
+    def running(self) -> list[Job]:
+        """Return all running jobs, oldest first."""
+        with self._db.reading() as db:
+            return jobs.running(db)
+
+    def counts(self, component: str | None = None) -> dict[str, int]:
+        """Return the number of jobs of each of the five statuses."""
+        with self._db.reading() as db:
+            return jobs.counts(db, component)
+
+    def ahead(self, job_id: int) -> int:
+        """Return how many waiting jobs start before this one."""
+        with self._db.reading() as db:
+            return jobs.ahead(db, jobs.get(db, job_id))
+
+    def wait(self, job_id: int, timeout: float) -> Job:
+        """Block until a job is done, failed or cancelled, at most `timeout` seconds.
+
+        Returns the job as it then is. Sees the ends that other processes write as well.
+        """
+        deadline = time.monotonic() + timeout
+        while True:
+            seen = self._listeners.count
+            job = self.job(job_id)
+            left = deadline - time.monotonic()
+            if job.is_final or left <= 0:
+                return job
+            self._listeners.wait_beyond(seen, min(left, FOLLOW_SECONDS))
+
+    # -- rows -------------------------------------------------------------------------------
+
+    def insert_rows(
+        self, component: str, fingerprint: str, new: Iterable[NewRow]
+    ) -> tuple[int, int]:
+        """Insert rows, all or none, and return how many were new and how many known.
+
+        A row of the same component, fingerprint, source, wrench, displacement and uncertainty
+        is known, so inserting a table twice changes nothing the second time.
+
+        Raises
+        ------
+        ValueError
+            If a number is not finite or a length is wrong; then nothing was inserted.
+        """
+        wanted = list(new)
+        with self._db.writing() as db:
+            inserted = rows.add_many(db, component, fingerprint, wanted, time.time())
+        if inserted:
+            self._listeners.tell(Change(component, rows=inserted))
+        return inserted, len(wanted) - inserted
+
+    def rows(
+        self, component: str, fingerprint: str | None = None, after: int = 0
+    ) -> list[LedgerRow]:
+        """Return the rows of a component with a seq above `after`, by seq."""
+        with self._db.reading() as db:
+            return rows.listed(db, component, fingerprint, after)
+
+    def row(self, seq: int) -> LedgerRow:
+        """Return a row by its seq; raises UnknownRowError."""
+        with self._db.reading() as db:
+            return rows.get(db, seq)
+
+    def last_seq(self, component: str | None = None) -> int:
+        """Return the highest seq (of one component), 0 if there is none."""
+        with self._db.reading() as db:
+            return rows.last_seq(db, component)
+
+    def start_after(self, seq: int) -> None:
+        """Give new rows a seq above this one.
+
+        For a fresh ledger beside table files of an older one: a reader that goes on after
+        a table's ``last_seq`` would otherwise never see the first new rows.
+        """
+        with self._db.writing() as db:
+            rows.start_after(db, seq)
+
+    # -- following --------------------------------------------------------------------------
+
+    def version(self) -> int:
+        """Return a number that differs after any commit of this or another process.
+
+        Takes microseconds. Only equality of two numbers from the same Ledger means anything.
+        """
+        return self._db.version()
+
+    def on_change(self, listener: Listener) -> Callable[[], None]:
+        """Call `listener` after each commit of this Ledger, in the thread that committed.
+
+        It must be quick. Returns a function that ends the subscription. Commits of other
+        processes are seen by polling `version`.
+        """
+        return self._listeners.add(listener)
+
+    def close(self) -> None:
+        """Close the file; idempotent."""
+        self._db.close()
+
+    def _end(self, job_id: int, attempt: int, step: Callable[[Job], Job]) -> Job:
+        def checked(job: Job) -> Job:
+            states.check_attempt(job, attempt)
+            return step(job)
+
+        return self._move(job_id, checked)
+
+    def _move(self, job_id: int, step: Callable[[Job], Job]) -> Job:
+        with self._db.writing() as db:
+            job = jobs.save(db, step(jobs.get(db, job_id)))
+        self._tell(job)
+        return job
+
+    def _tell(self, *touched: Job, rows: int = 0) -> None:
+        if touched:
+            numbers = tuple(dict.fromkeys(job.id for job in touched))
+            self._listeners.tell(Change(touched[0].component, numbers, rows))

@@ -1,0 +1,167 @@
+"""What the ledger hands out: jobs, rows and changes, as plain immutable values."""
+
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from hashlib import blake2b
+from typing import Literal
+
+Status = Literal["waiting", "running", "done", "failed", "cancelled"]
+STATUSES: tuple[Status, ...] = ("waiting", "running", "done", "failed", "cancelled")
+FINAL: frozenset[Status] = frozenset({"done", "failed", "cancelled"})
+
+Vector6 = tuple[float, ...]
+Matrix6 = tuple[Vector6, ...]
+
+_SIX = struct.Struct("<6d")
+_THIRTY_SIX = struct.Struct("<36d")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A queued solve of one wrench on one component.
+
+    Attributes
+    ----------
+    id : int
+        Number of the job, increasing with the order of acceptance.
+    component, fingerprint : str
+        What is solved, and the state of the component the job was accepted for.
+    wrench : tuple of 6 floats
+        Force in N, then moment in N·m.
+    status : str
+        ``waiting``, ``running``, ``done``, ``failed`` or ``cancelled``.
+    priority : int
+        Waiting jobs of a higher priority start first; of equal ones the oldest.
+    attempt : int
+        Attempts started so far; the number of the current one while running.
+    lost : int
+        Attempts whose solver died since the job was accepted, reopened or retried.
+    owner : str or None
+        The dispatcher that looks after the running attempt.
+    created, started, finished : float or None
+        Seconds since the epoch; ``started`` is that of the latest attempt.
+    error : dict or None
+        ``{"kind", "message", "remedy"}`` of a failed job.
+    row : int or None
+        ``seq`` of the row a done job gave.
+    """
+
+    id: int
+    component: str
+    fingerprint: str
+    wrench: Vector6
+    status: Status
+    priority: int
+    attempt: int
+    lost: int
+    owner: str | None
+    created: float
+    started: float | None
+    finished: float | None
+    error: dict[str, str] | None
+    row: int | None
+
+    @property
+    def is_final(self) -> bool:
+        """True if nothing more happens to the job by itself."""
+        return self.status in FINAL
+
+
+@dataclass(frozen=True)
+class NewRow:
+    """A row on its way into the ledger.
+
+    Attributes
+    ----------
+    wrench, displacement : sequence of 6 floats
+        N and N·m; m and rad (rotation vector).
+    source : str
+        Where it comes from: ``"measured"``, ``"fea"`` ...
+    compliance : 6 sequences of 6 floats, or None
+        Tangent d(displacement)/d(wrench) at the wrench.
+    uncertainty : sequence of 6 floats, or None
+        95 % half-width of the displacement, m and rad.
+    origin : str
+        Free note, such as the file name and line.
+    """
+
+    wrench: Sequence[float]
+    displacement: Sequence[float]
+    source: str = "measured"
+    compliance: Sequence[Sequence[float]] | None = None
+    uncertainty: Sequence[float] | None = None
+    origin: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LedgerRow:
+    """A row of the ledger; ``seq`` is its id everywhere. Units as in `NewRow`."""
+
+    seq: int
+    component: str
+    fingerprint: str
+    source: str
+    wrench: Vector6
+    displacement: Vector6
+    compliance: Matrix6 | None
+    uncertainty: Vector6 | None
+    job: int | None
+    created: float
+    origin: str
+
+
+@dataclass(frozen=True)
+class Change:
+    """What one committed transaction of this process changed; listeners receive it.
+
+    ``jobs`` are the numbers of the jobs it touched and ``rows`` counts the rows it added.
+    """
+
+    component: str
+    jobs: tuple[int, ...] = ()
+    rows: int = 0
+
+
+def pack6(values: Sequence[float], name: str = "wrench") -> bytes:
+    """Return the canonical bytes of six finite floats: little-endian float64, no minus zero.
+
+    Raises
+    ------
+    ValueError
+        If there are not six numbers or one is not finite.
+    """
+    if len(values) != 6:
+        raise ValueError(f"{name} needs 6 numbers, got {len(values)}")
+    floats = [float(value) + 0.0 for value in values]
+    if not all(map(math.isfinite, floats)):
+        raise ValueError(f"{name} must be finite, got {floats}")
+    return _SIX.pack(*floats)
+
+
+def unpack6(packed: bytes) -> Vector6:
+    """Return the six floats of `pack6`."""
+    return _SIX.unpack(packed)
+
+
+def pack36(matrix: Sequence[Sequence[float]]) -> bytes:
+    """Return the bytes of a 6x6 matrix by rows; raises ValueError as `pack6` does."""
+    if len(matrix) != 6:
+        raise ValueError(f"compliance needs 6 rows, got {len(matrix)}")
+    return b"".join(pack6(line, "compliance row") for line in matrix)
+
+
+def unpack36(packed: bytes) -> Matrix6:
+    """Return the six rows of `pack36`."""
+    flat = _THIRTY_SIX.unpack(packed)
+    return tuple(flat[start : start + 6] for start in range(0, 36, 6))
+
+
+def content_key(*parts: bytes) -> bytes:
+    """Return 16 bytes that are the same only for the same parts."""
+    digest = blake2b(digest_size=16)
+    for part in parts:
+        digest.update(len(part).to_bytes(4, "little"))
+        digest.update(part)
+    return digest.digest()

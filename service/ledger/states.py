@@ -1,0 +1,116 @@
+"""The life of a job: every change of status there is, in one table.
+
+Pure functions from a job to the job after an event; nothing here reads or writes the ledger.
+"""
+
+from dataclasses import replace
+
+from service.ledger.errors import InvalidTransitionError, StaleAttemptError
+from service.ledger.records import Job, Status
+
+MAX_LOST_ATTEMPTS = 3
+
+TRANSITIONS: dict[tuple[Status, str], Status] = {
+    ("waiting", "claim"): "running",
+    ("waiting", "cancel"): "cancelled",
+    ("running", "adopt"): "running",
+    ("running", "commit"): "done",
+    ("running", "fail"): "failed",
+    ("running", "lose"): "waiting",
+    ("running", "give up"): "failed",
+    ("running", "release"): "waiting",
+    ("running", "cancel"): "cancelled",
+    ("failed", "retry"): "waiting",
+    ("cancelled", "retry"): "waiting",
+    ("cancelled", "reopen"): "waiting",
+    ("cancelled", "cancel"): "cancelled",
+}
+
+SOLVER_DIED = {
+    "kind": "solver_died",
+    "message": f"the solver ended without an answer {MAX_LOST_ATTEMPTS} times",
+    "remedy": "read log.txt in the attempt's folder; often memory ran out: "
+    "use fewer solvers at a time or a coarser mesh, then retry the job",
+}
+
+
+def claimed(job: Job, owner: str, now: float) -> Job:
+    """Return the job with a new attempt running under `owner`."""
+    attempt = job.attempt + 1
+    return _moved(job, "claim", owner=owner, attempt=attempt, started=now, finished=None)
+
+
+def adopted(job: Job, owner: str) -> Job:
+    """Return the running job under another dispatcher; the attempt goes on."""
+    return _moved(job, "adopt", owner=owner)
+
+
+def committed(job: Job, row: int, now: float) -> Job:
+    """Return the job done, with the row it gave."""
+    return _moved(job, "commit", owner=None, row=row, finished=now)
+
+
+def failed(job: Job, error: dict[str, str], now: float) -> Job:
+    """Return the job failed, with the solver's reason."""
+    return _moved(job, "fail", owner=None, error=error, finished=now)
+
+
+def lost(job: Job, now: float) -> Job:
+    """Return the job waiting again, or failed if its solver died too often."""
+    count = job.lost + 1
+    if count < MAX_LOST_ATTEMPTS:
+        return _moved(job, "lose", owner=None, lost=count, started=None)
+    return _moved(job, "give up", owner=None, lost=count, error=SOLVER_DIED, finished=now)
+
+
+def released(job: Job) -> Job:
+    """Return the job waiting again after an attempt that was given back, not lost."""
+    return _moved(job, "release", owner=None, started=None)
+
+
+def cancelled(job: Job, now: float) -> Job:
+    """Return the job cancelled."""
+    finished = job.finished if job.status == "cancelled" else now
+    return _moved(job, "cancel", owner=None, finished=finished)
+
+
+def retried(job: Job) -> Job:
+    """Return a failed or cancelled job waiting again, as somebody asked for it."""
+    return _moved(job, "retry", **_FRESH)
+
+
+def reopened(job: Job) -> Job:
+    """Return a cancelled job waiting again, as the same wrench was asked for."""
+    return _moved(job, "reopen", **_FRESH)
+
+
+def asked_again(job: Job, priority: int, reopen_cancelled: bool) -> Job:
+    """Return the job there is, after its wrench was asked for once more."""
+    if job.status == "cancelled" and reopen_cancelled:
+        job = reopened(job)
+    if job.status == "waiting" and priority > job.priority:
+        job = replace(job, priority=priority)
+    return job
+
+
+def check_attempt(job: Job, attempt: int) -> None:
+    """Raise StaleAttemptError unless `attempt` is the job's running one."""
+    if job.status != "running" or job.attempt != attempt:
+        raise StaleAttemptError(
+            f"job {job.id} is {job.status} at attempt {job.attempt}; "
+            f"what attempt {attempt} says no longer counts"
+        )
+
+
+_FRESH: dict[str, object] = {"lost": 0, "started": None, "finished": None, "error": None}
+
+
+def _moved(job: Job, event: str, **changes: object) -> Job:
+    status = TRANSITIONS.get((job.status, event))
+    if status is None:
+        allowed = sorted(name for before, name in TRANSITIONS if before == job.status)
+        raise InvalidTransitionError(
+            f"job {job.id} is {job.status}: cannot {event} it"
+            + (f"; possible now: {', '.join(allowed)}" if allowed else "; that is final")
+        )
+    return replace(job, status=status, **changes)  # pyright: ignore[reportArgumentType]
