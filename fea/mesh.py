@@ -1,8 +1,8 @@
 """The mesh as plain arrays: what generators and mesh files give and what the solver takes.
 
-All lengths are metres. Nodes within a cell or facet follow the VTK order, which is meshio's as well: corners
-first, then the midside nodes in the order of the edges, then (``quad9``, ``hex27``) face centres and the body centre.
-The arrays are not copied; treat them as read-only.
+All lengths are metres. Nodes within a cell or facet follow the VTK order, which is meshio's as
+well: corners first, then the midside nodes in the order of the edges, then (``quad9``, ``hex27``)
+face centres and the body centre. The arrays are not copied; treat them as read-only.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class CellBlock:
 
 
 class FacetBlock(NamedTuple):
-    """Facets of one kind: `kind` is a key of `NODES_PER_FACET`, `nodes` has shape (f, k), int64, VTK order."""
+    """Facets of one kind: `nodes` has shape (f, k), int64, in VTK order."""
 
     kind: str
     nodes: Array
@@ -61,7 +61,7 @@ class FacetBlock(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FacetGroup:
-    """A named part of the surface, each facet given by its own nodes, so that nothing has to look up its cell."""
+    """A named part of the surface; each facet has its own nodes, so nothing looks up its cell."""
 
     blocks: tuple[FacetBlock, ...]
 
@@ -86,8 +86,8 @@ class Mesh:
     blocks
         The cells, one block for each kind.
     regions
-        For each cell group one array of cell numbers per block of `blocks` (empty where the block has none of its
-        cells). Regions may overlap; a cell may be in none.
+        For each cell group one array of cell numbers per block of `blocks` (empty where the block
+        has none of its cells). Regions may overlap; a cell may be in none.
     facet_groups
         Named parts of the surface.
     node_groups
@@ -102,7 +102,7 @@ class Mesh:
 
     @property
     def unknowns(self) -> int:
-        """Degrees of freedom before supports and couplings take theirs: three for each node of a cell."""
+        """Degrees of freedom before supports and couplings take theirs: three a used node."""
         return 3 * int(
             np.unique(np.concatenate([block.nodes.ravel() for block in self.blocks])).size
         )

@@ -1,0 +1,137 @@
+"""Reading a component bundle: a folder with ``component.toml`` and the files it names.
+
+Every key is checked and every mistake reported, all at once. Nothing here builds a mesh, so the
+web process can read bundles too.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fea.fingerprint import fingerprint
+from fea.keys import Keys
+from fea.parts import (
+    Analysis,
+    Bundle,
+    Deck,
+    Interface,
+    LoadRange,
+    Material,
+    MeshSource,
+    Supports,
+    Tolerance,
+)
+from fea.problems import BundleError, Problem
+from fea.read_parts import (
+    read_analysis,
+    read_deck,
+    read_interface,
+    read_material,
+    read_mesh,
+    read_name,
+    read_range,
+    read_supports,
+    read_tolerance,
+)
+
+__all__ = [
+    "Analysis",
+    "Bundle",
+    "BundleError",
+    "Deck",
+    "Interface",
+    "LoadRange",
+    "Material",
+    "MeshSource",
+    "Problem",
+    "Supports",
+    "Tolerance",
+    "bundle_of",
+    "read_bundle",
+]
+
+FILE_NAME = "component.toml"
+
+_LINE = re.compile(r"\(at line (\d+), column (\d+)\)")
+_SOLVER_TABLES = ("material", "supports", "interface", "analysis")
+
+
+def read_bundle(folder: str | Path) -> Bundle:
+    """Read the bundle in `folder`.
+
+    Raises
+    ------
+    BundleError
+        If the folder has no ``component.toml`` or anything in it will not do; its `problems` name
+        every mistake by key or line.
+    """
+    folder = Path(folder)
+    path = folder / FILE_NAME
+    try:
+        table = tomllib.loads(path.read_bytes().decode("utf-8"))
+    except OSError as error:
+        message = f"cannot be read ({error.strerror}); a bundle is a folder with this file"
+        raise BundleError([Problem(FILE_NAME, message)]) from None
+    except UnicodeDecodeError as error:
+        line = path.read_bytes()[: error.start].count(b"\n") + 1
+        message = "is not UTF-8 text; save the file as UTF-8"
+        raise BundleError([Problem(f"line {line}", message)]) from None
+    except (ValueError, RecursionError) as error:
+        raise BundleError([_syntax_problem(error)]) from None
+    return bundle_of(table, folder)
+
+
+def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
+    """Check a parsed ``component.toml``; `folder` holds the files it names.
+
+    Raises
+    ------
+    BundleError
+        As `read_bundle` does.
+    """
+    folder = Path(folder)
+    top = Keys(table, [])
+    parts = {
+        "name": read_name(top),
+        "title": top.text("title"),
+        "mesh": read_mesh(top.table("mesh", required=False), folder),
+        "materials": tuple(read_material(keys) for keys in top.tables("material", required=False)),
+        "supports": read_supports(top.table("supports", required=False)),
+        "interface": read_interface(top.table("interface", required=False)),
+        "analysis": read_analysis(top.table("analysis", required=False)),
+        "range": read_range(top.table("range")),
+        "tolerance": read_tolerance(top.table("tolerance", required=False)),
+        "deck": read_deck(top.table("deck", required=False), folder),
+    }
+    _check_whole(top)
+    top.close()
+    if top.problems:
+        raise BundleError(top.problems)
+    return Bundle(folder=folder, fingerprint=fingerprint(parts), **parts)
+
+
+def _syntax_problem(error: Exception) -> Problem:
+    found = _LINE.search(str(error))
+    if found is None:
+        return Problem(FILE_NAME, f"is not valid TOML: {error}")
+    message = f"not valid TOML: {_LINE.sub('', str(error)).strip()} (column {found[2]})"
+    return Problem(f"line {found[1]}", message)
+
+
+def _check_whole(top: Keys) -> None:
+    """Note tables that need each other."""
+    if "deck" in top:
+        return
+    if "mesh" in top:
+        for key in _SOLVER_TABLES:
+            if key not in top:
+                brackets = "[[material]]" if key == "material" else f"[{key}]"
+                top.wrong(key, f"missing; a component with a [mesh] needs {brackets}")
+    else:
+        for key in _SOLVER_TABLES:
+            if key in top:
+                top.wrong(key, "needs a [mesh] as well; without one a component is a table only")

@@ -1,0 +1,84 @@
+"""The fingerprint of a component: a hash of all that can change an answer.
+
+Rows of a table carry it, so that rows of an older set-up are never mixed in. The title, the load
+range and the tolerance are left out because they change no solve; so is every version number.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fea.parts import Analysis, Deck, Interface, Material, MeshSource, Supports
+
+DIGITS = 16
+
+
+def fingerprint(parts: Mapping[str, Any]) -> str:
+    """Return 16 hexadecimal digits for the parts of a bundle.
+
+    Parameters
+    ----------
+    parts
+        The fields of `fea.parts.Bundle` that can change an answer; others are not looked at.
+    """
+    materials = sorted((_material(each) for each in parts["materials"]), key=json.dumps)
+    told = {
+        "mesh": _mesh(parts["mesh"]),
+        "materials": materials,
+        "supports": _supports(parts["supports"]),
+        "interface": _interface(parts["interface"]),
+        "analysis": _analysis(parts["analysis"]),
+        "deck": _deck(parts["deck"]),
+    }
+    # json writes floats by repr, so equal numbers give equal text and different ones do not.
+    text = json.dumps(told, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
+
+
+def _mesh(source: MeshSource | None) -> object:
+    if source is None:
+        return None
+    if source.file is not None:
+        # The ending chooses the reader; the rest of the name changes nothing.
+        return {"file": _bytes(source.file), "ending": source.file.suffix, "unit": source.unit}
+    return {"generator": source.generator, "parameters": dict(source.parameters or {})}
+
+
+def _material(material: Material) -> list[object]:
+    return [material.region, material.youngs_modulus, material.poisson_ratio]
+
+
+def _supports(supports: Supports | None) -> object:
+    return None if supports is None else sorted(supports.fixed)
+
+
+def _interface(interface: Interface | None) -> object:
+    if interface is None:
+        return None
+    point = None if interface.point is None else interface.point.tolist()
+    return {
+        "section": interface.section,
+        "point": point,
+        "axes": interface.axes.tolist(),
+        "coupling": interface.coupling,
+        "locked": list(interface.locked),
+    }
+
+
+def _analysis(analysis: Analysis) -> object:
+    return {"nonlinear": analysis.nonlinear, "integration": analysis.integration}
+
+
+def _deck(deck: Deck | None) -> object:
+    if deck is None:
+        return None
+    file = _bytes(deck.file)
+    return {"file": file, "command": list(deck.command), "output": dict(deck.output)}
+
+
+def _bytes(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

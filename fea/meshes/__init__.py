@@ -1,0 +1,30 @@
+"""Mesh generators, each a frozen dataclass of parameters with `mistakes` and `mesh`."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from fea.mesh import Mesh
+from fea.meshes.bar import Bar
+from fea.meshes.plate import Plate
+from fea.meshes.spring import Spring
+
+
+class Generator(Protocol):
+    """What a generator offers besides its parameters."""
+
+    def mistakes(self) -> list[tuple[str, str]]:
+        """Return (key, message) for parameters that do not fit together."""
+        ...
+
+    def mesh(self) -> Mesh:
+        """Return the mesh, metres."""
+        ...
+
+
+GENERATORS: dict[str, type[Bar] | type[Plate] | type[Spring]] = {
+    "bar": Bar,
+    "plate": Plate,
+    "spring": Spring,
+}
+"""The generators a bundle can name."""

@@ -1,0 +1,52 @@
+"""A straight bar of rectangular section along x."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fea.mesh import Mesh
+from fea.meshes.parameters import count, metres
+from fea.meshes.plane import rectangle
+from fea.meshes.sweep import sweep
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Bar:
+    """Parameters of generator "bar"; lengths in metres.
+
+    The bar lies along x from 0 to `length`, centred on the axis. Facet groups: ``start``
+    (x = 0), ``end`` (x = `length`), ``side``.
+
+    Attributes
+    ----------
+    length, width, height
+        Along x, y, z.
+    cells_along, cells_across
+        Number of cells along x, and along each of y and z.
+    """
+
+    length: float = metres()
+    width: float = metres()
+    height: float = metres()
+    cells_along: int = count(40)
+    cells_across: int = count(2)
+
+    def mistakes(self) -> list[tuple[str, str]]:
+        """Return (key, message) for what does not fit together: nothing can."""
+        return []
+
+    def mesh(self) -> Mesh:
+        """Return the mesh, of 20-node hexahedra."""
+        half = np.linspace(-0.5, 0.5, self.cells_across + 1)
+        section = rectangle(self.width * half, self.height * half)
+
+        def place(flat: Array, fraction: Array) -> Array:
+            return np.column_stack([self.length * fraction, flat])
+
+        bar = sweep(section, self.cells_along, place)
+        groups = {"start": bar.start(), "end": bar.end(), "side": bar.side()}
+        return Mesh(bar.points, (bar.cells,), facet_groups=groups)

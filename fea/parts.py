@@ -1,0 +1,170 @@
+"""The parts of a component bundle, as read and checked; SI units throughout."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray
+
+FREEDOMS = ("ux", "uy", "uz", "rx", "ry", "rz")
+"""The interface's six degrees of freedom, in the order of the wrench contract."""
+
+COUPLINGS = ("rigid", "distributed")
+INTEGRATIONS = ("reduced", "full")
+
+UNITS: Mapping[str, float] = {
+    "m": 1.0,
+    "dm": 0.1,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "um": 1e-6,
+    "in": 0.0254,
+    "ft": 0.3048,
+}
+"""Length units a mesh file may be in, each in metres."""
+
+
+@dataclass(frozen=True)
+class MeshSource:
+    """Where the mesh comes from: a file, or a generator with its parameters.
+
+    Attributes
+    ----------
+    file, unit
+        The mesh file (a path within the bundle) and its length unit, a key of `UNITS`.
+    generator, parameters
+        The name of a generator of `fea.meshes` and all its parameters, defaults filled in.
+    """
+
+    file: Path | None = None
+    unit: str = "m"
+    generator: str | None = None
+    parameters: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class Material:
+    """An isotropic elastic material.
+
+    Attributes
+    ----------
+    region
+        The cell group it fills; "all" fills every cell that no other material names.
+    youngs_modulus
+        Pa.
+    poisson_ratio
+        Between -1 and 0.5, both excluded.
+    """
+
+    region: str
+    youngs_modulus: float
+    poisson_ratio: float
+
+
+@dataclass(frozen=True)
+class Supports:
+    """The facet or node groups whose nodes do not move."""
+
+    fixed: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Interface:
+    """The section where the rigid side is attached.
+
+    Attributes
+    ----------
+    section
+        A facet group or node group.
+    point
+        The reference point, shape (3,), m, in the mesh's coordinates; None for the area centre.
+    axes
+        Shape (3, 3): row i is the direction of the frame's axis i, orthonormal and right-handed.
+    coupling
+        "rigid" or "distributed".
+    locked
+        Freedoms held by a guide, of `FREEDOMS` and in their order.
+    """
+
+    section: str
+    point: Array | None
+    axes: Array
+    coupling: str
+    locked: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """How to solve: geometrically nonlinear or not, and the integration of hex20 cells."""
+
+    nonlinear: bool = True
+    integration: str = "reduced"
+
+
+@dataclass(frozen=True, eq=False)
+class LoadRange:
+    """The loads expected: `low` and `high`, each of shape (6,), N and N·m."""
+
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """The error a component's users accept: `translation` in m, `rotation` in rad."""
+
+    translation: float
+    rotation: float
+
+
+@dataclass(frozen=True)
+class Deck:
+    """An expert's input deck for an outside solver.
+
+    Attributes
+    ----------
+    file
+        The deck, with $FX $FY $FZ $MX $MY $MZ where the wrench goes.
+    command
+        The program and its arguments; ``{job}`` stands for the deck's name without its ending.
+    output
+        The reader of the solver's output and what that reader is told.
+    """
+
+    file: Path
+    command: tuple[str, ...]
+    output: Mapping[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """A component as its folder describes it; see `fea.bundle.read_bundle`.
+
+    Attributes
+    ----------
+    fingerprint
+        16 hexadecimal digits over everything that can change an answer.
+    """
+
+    folder: Path
+    name: str
+    title: str
+    mesh: MeshSource | None
+    materials: tuple[Material, ...]
+    supports: Supports | None
+    interface: Interface | None
+    analysis: Analysis
+    range: LoadRange
+    tolerance: Tolerance | None
+    deck: Deck | None
+    fingerprint: str
+
+    @property
+    def has_fea(self) -> bool:
+        """Whether the component can be solved; a table-only component cannot."""
+        return self.mesh is not None or self.deck is not None

@@ -1,0 +1,44 @@
+"""The mistakes of a component bundle, gathered so that all are told at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One mistake.
+
+    Attributes
+    ----------
+    where
+        The key (``material[0].youngs_modulus``), the line (``line 4``) or the file it is in.
+    message
+        What is wrong and what to do about it.
+    """
+
+    where: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.message}"
+
+
+class BundleError(ValueError):
+    """A component bundle cannot be used; `problems` holds every mistake that was found."""
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        self.problems: list[Problem] = list(problems)
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+    def __reduce__(self) -> tuple[type[BundleError], tuple[list[Problem]]]:
+        # The default would rebuild it from the joined text and lose the list.
+        return BundleError, (self.problems,)
+
+
+def suggest(word: str, known: Iterable[str]) -> str:
+    """Return ``'; did you mean "..."?'`` for the nearest of `known`, or an empty string."""
+    near = get_close_matches(word, list(known), n=1, cutoff=0.6)
+    return f'; did you mean "{near[0]}"?' if near else ""

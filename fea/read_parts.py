@@ -1,0 +1,252 @@
+"""Reading the tables of ``component.toml``, each into its part of the bundle.
+
+Each reader notes its mistakes on the `Keys` it is given and returns None, or what could be read,
+when there are any; `fea.bundle` raises them all together.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import MISSING, fields
+from pathlib import Path
+
+import numpy as np
+
+from fea.keys import Keys
+from fea.meshes import GENERATORS
+from fea.parts import (
+    COUPLINGS,
+    FREEDOMS,
+    INTEGRATIONS,
+    UNITS,
+    Analysis,
+    Deck,
+    Interface,
+    LoadRange,
+    Material,
+    MeshSource,
+    Supports,
+    Tolerance,
+)
+
+_SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
+
+
+def read_name(top: Keys) -> str | None:
+    """Return the name, which serves as a folder and in a URL."""
+    name = top.text("name")
+    if name is not None and not _SLUG.fullmatch(name):
+        top.wrong(
+            "name",
+            f'"{name}" will not do as a folder and in a URL; use 1 to 64 of a-z, 0-9, _ and -, '
+            "beginning with a letter or digit",
+        )
+        return None
+    return name
+
+
+def read_mesh(keys: Keys | None, folder: Path) -> MeshSource | None:
+    """Return ``[mesh]``: a file and its unit, or a generator and its parameters."""
+    if keys is None:
+        return None
+    if "generator" in keys and "file" in keys:
+        keys.wrong("generator", 'name a "file" or a "generator", not both')
+    source = _generated(keys) if "generator" in keys else _from_file(keys, folder)
+    keys.close()
+    return source
+
+
+def _from_file(keys: Keys, folder: Path) -> MeshSource | None:
+    if "file" not in keys:
+        keys.wrong("file", 'missing; name a mesh "file" or a "generator"')
+    file = _file(keys, "file", folder, required="file" in keys)
+    unit = keys.choice("unit", tuple(UNITS), required="file" in keys)
+    return MeshSource(file=file, unit=unit) if file is not None and unit is not None else None
+
+
+def _generated(keys: Keys) -> MeshSource | None:
+    keys.raw("file", str, required=False)
+    name = keys.choice("generator", tuple(GENERATORS))
+    if name is None:
+        return None
+    generator = GENERATORS[name]
+    before = len(keys.problems)
+    parameters = {}
+    for entry in fields(generator):
+        required = entry.default is MISSING
+        if "least" in entry.metadata:
+            value = keys.whole(entry.name, entry.metadata["least"], required)
+        else:
+            value = keys.number(entry.name, entry.metadata["unit"], above=0.0, required=required)
+        parameters[entry.name] = entry.default if value is None else value
+    if len(keys.problems) > before:
+        return None
+    for key, message in generator(**parameters).mistakes():
+        keys.wrong(key, message)
+    return MeshSource(generator=name, parameters=parameters)
+
+
+def _file(keys: Keys, key: str, folder: Path, required: bool = True) -> Path | None:
+    """Return the path of a file of the bundle that exists and lies within its folder."""
+    name = keys.text(key, required)
+    if name is None:
+        return None
+    if "\0" in name:
+        keys.wrong(key, "must not hold a null character")
+        return None
+    path = folder / name
+    # Resolved, so that a symbolic link out of the folder is refused too.
+    if Path(name).is_absolute() or not path.resolve().is_relative_to(folder.resolve()):
+        keys.wrong(key, f'"{name}" is outside the bundle; put the file into its folder')
+    elif not path.is_file():
+        there = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
+        keys.wrong(key, f'there is no file "{name}" in the bundle (it has {", ".join(there)})')
+    else:
+        return path
+    return None
+
+
+def read_material(keys: Keys) -> Material | None:
+    """Return one ``[[material]]``."""
+    region = keys.text("region")
+    modulus = keys.number("youngs_modulus", "Pa", above=0.0)
+    ratio = keys.number("poisson_ratio", "no unit", above=-1.0, below=0.5)
+    keys.close()
+    if region is None or modulus is None or ratio is None:
+        return None
+    return Material(region, modulus, ratio)
+
+
+def read_supports(keys: Keys | None) -> Supports | None:
+    """Return ``[supports]``."""
+    if keys is None:
+        return None
+    fixed = keys.texts("fixed", least=1)
+    keys.close()
+    return None if fixed is None else Supports(fixed)
+
+
+def read_interface(keys: Keys | None) -> Interface | None:
+    """Return ``[interface]``."""
+    if keys is None:
+        return None
+    section = keys.text("section")
+    point = keys.numbers("point", 3, "m", required=False)
+    axes = _axes(keys)
+    coupling = keys.choice("coupling", COUPLINGS)
+    locked = _locked(keys)
+    keys.close()
+    if section is None or axes is None or coupling is None:
+        return None
+    at = None if point is None else np.array(point)
+    return Interface(section, at, axes, coupling, locked)
+
+
+def _axes(keys: Keys) -> np.ndarray | None:
+    """Return the frame, exactly orthonormal; the mesh's own axes where none is given."""
+    rows = keys.raw("axes", list, required=False)
+    if rows is None:
+        return np.eye(3)
+    if len(rows) != 3:
+        keys.wrong("axes", "must be three directions, the frame's x, y and z")
+        return None
+    read = [keys.as_numbers(f"axes[{i}]", row, 3, "no unit") for i, row in enumerate(rows)]
+    if None in read:
+        return None
+    axes = np.array(read)
+    if np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6:
+        keys.wrong("axes", "must be three unit directions square to each other (to 1e-6)")
+    elif np.linalg.det(axes) < 0.0:
+        keys.wrong("axes", "must be right-handed; turn one direction round")
+    else:
+        # Written to a few digits, so the nearest rotation is what was meant.
+        left, _, right = np.linalg.svd(axes)
+        return left @ right
+    return None
+
+
+def _locked(keys: Keys) -> tuple[str, ...]:
+    locked = keys.texts("locked", required=False) or ()
+    for freedom in locked:
+        if freedom not in FREEDOMS:
+            keys.wrong("locked", f'"{freedom}" is none of {", ".join(FREEDOMS)}')
+    if len(locked) == len(FREEDOMS):
+        keys.wrong("locked", "holds every freedom; nothing is left to move")
+    return tuple(freedom for freedom in FREEDOMS if freedom in locked)
+
+
+def read_analysis(keys: Keys | None) -> Analysis:
+    """Return ``[analysis]``; a component without one claims nothing, so: nonlinear."""
+    if keys is None:
+        return Analysis()
+    nonlinear = keys.flag("nonlinear")
+    integration = keys.choice("integration", INTEGRATIONS, required=False)
+    keys.close()
+    return Analysis(nonlinear is not False, integration or "reduced")
+
+
+def read_range(keys: Keys | None) -> LoadRange | None:
+    """Return ``[range]``, the loads expected in N and N·m."""
+    if keys is None:
+        return None
+    bounds = _bounds(keys, "force", "N") + _bounds(keys, "moment", "N·m")
+    keys.close()
+    if len(bounds) != 6:
+        return None
+    low, high = np.array(bounds).T
+    return LoadRange(low, high)
+
+
+def _bounds(keys: Keys, key: str, unit: str) -> list[tuple[float, float]]:
+    """Return (low, high) of three loads, each given as a number or as [low, high]."""
+    loads = keys.raw(key, list)
+    if loads is None:
+        return []
+    if len(loads) != 3:
+        keys.wrong(key, f"must be three loads in {unit}, each a number or [low, high]")
+        return []
+    found = [_bound(keys, f"{key}[{i}]", load, unit) for i, load in enumerate(loads)]
+    return [pair for pair in found if pair is not None]
+
+
+def _bound(keys: Keys, key: str, load: object, unit: str) -> tuple[float, float] | None:
+    if type(load) is not list:
+        most = keys.as_number(key, load, unit, above=0.0)
+        return None if most is None else (-most, most)
+    pair = keys.as_numbers(key, load, 2, unit)
+    if pair is None:
+        return None
+    if pair[0] >= pair[1]:
+        keys.wrong(key, f"must rise from low to high, not [{pair[0]:g}, {pair[1]:g}]")
+        return None
+    return pair[0], pair[1]
+
+
+def read_tolerance(keys: Keys | None) -> Tolerance | None:
+    """Return ``[tolerance]`` in m and rad."""
+    if keys is None:
+        return None
+    translation = keys.number("translation", "m", above=0.0)
+    rotation = keys.number("rotation", "rad", above=0.0)
+    keys.close()
+    if translation is None or rotation is None:
+        return None
+    return Tolerance(translation, rotation)
+
+
+def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
+    """Return ``[deck]``."""
+    if keys is None:
+        return None
+    file = _file(keys, "file", folder)
+    command = keys.texts("command", least=1)
+    output = keys.table("output")
+    told = {} if output is None else _output(output)
+    keys.close()
+    return None if file is None or command is None else Deck(file, command, told)
+
+
+def _output(keys: Keys) -> dict[str, str]:
+    read = {key: keys.text(key) for key in ("reader", "point", "rotation")}
+    keys.close()
+    return {key: value for key, value in read.items() if value is not None}
