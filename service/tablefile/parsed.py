@@ -1,0 +1,125 @@
+"""What reading a table file gives: SI arrays of the good rows, and an error for each bad field."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+ROTATION_LIMIT = math.radians(20.0)
+"""Longest rotation vector a table may hold, rad: beyond it the small-deformation contract ends."""
+
+MOST_ERRORS = 1000
+"""Errors listed at most; one more line then says that there are more."""
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, order=True)
+class RowError:
+    """One mistake in a table file.
+
+    Parameters
+    ----------
+    row : int
+        CSV: the line of the file, from 1, as an editor counts. JSON: the place in ``rows``, from 1.
+        0: the file as a whole.
+    field : str
+        The column as the header writes it, or the JSON key with its index.
+    message : str
+        What is wrong and what to write.
+    """
+
+    row: int
+    field: str
+    message: str
+
+    def as_dict(self) -> dict[str, int | str]:
+        """Return the error as the HTTP reply carries it."""
+        return {"row": self.row, "field": self.field, "message": self.message}
+
+
+@dataclass(frozen=True)
+class ParsedTable:
+    """The rows of a table file, in SI.
+
+    Only rows without a mistake are in the arrays; whether to load them while `errors` is not
+    empty is the caller's decision.
+
+    Parameters
+    ----------
+    wrench : numpy.ndarray
+        Shape (n, 6), N and N·m.
+    displacement : numpy.ndarray
+        Shape (n, 6), m and rad.
+    uncertainty : numpy.ndarray
+        Shape (n, 6), m and rad; NaN where the file gives none.
+    source, note : tuple of str
+        One a row; empty where the file gives none.
+    row : numpy.ndarray
+        Shape (n,), where each row stood: see `RowError.row`.
+    errors : tuple of RowError
+        Sorted by row.
+    """
+
+    wrench: Array
+    displacement: Array
+    uncertainty: Array
+    source: tuple[str, ...]
+    note: tuple[str, ...]
+    row: Array
+    errors: tuple[RowError, ...]
+
+    def __len__(self) -> int:
+        return len(self.wrench)
+
+
+def refused(errors: list[RowError]) -> ParsedTable:
+    """Return a table without rows: the file as a whole could not be read."""
+    none = np.empty((0, 6))
+    return ParsedTable(none, none, none, (), (), np.empty(0, dtype=np.int64), listed(errors))
+
+
+def listed(errors: list[RowError]) -> tuple[RowError, ...]:
+    """Sort the errors by row and cut a list that nobody would read."""
+    ordered = sorted(errors, key=lambda error: error.row)
+    if len(ordered) > MOST_ERRORS:
+        more = len(ordered) - MOST_ERRORS
+        message = f"{more} more errors are not listed; correct these first"
+        ordered[MOST_ERRORS:] = [RowError(ordered[MOST_ERRORS].row, "", message)]
+    return tuple(ordered)
+
+
+def turned_too_far(displacement: Array) -> Array:
+    """Return the indices of rows whose rotation vector is longer than `ROTATION_LIMIT`.
+
+    Parameters
+    ----------
+    displacement : numpy.ndarray
+        Shape (n, 6), m and rad; NaN counts as not too far.
+    """
+    # The last bits of a conversion from degrees must not refuse exactly 20 degrees.
+    with np.errstate(over="ignore"):
+        angle = np.sqrt(np.sum(displacement[:, 3:] ** 2, axis=1))
+    return np.flatnonzero(angle > ROTATION_LIMIT * (1.0 + 1e-12))
+
+
+def rotation_message(rotation: Array) -> str:
+    """Say that a rotation vector, shape (3,), rad, is too long."""
+    with np.errstate(over="ignore"):
+        degrees = math.degrees(float(np.sqrt(np.sum(rotation**2))))
+    return (
+        f"the rotation is {degrees:.4g} degrees; a table ends at 20 (check the unit: rad or deg?)"
+    )
+
+
+def text_problem(text: str) -> str | None:
+    """Say why a text could not be kept by the ledger and the table store, or return None."""
+    if "\0" in text:
+        return "holds a zero byte; remove it"
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return "holds half a character (a lone surrogate); remove it"
+    return None
