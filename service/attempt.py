@@ -1,0 +1,147 @@
+"""The folder of one attempt: the only thing dispatcher, engine and solver share.
+
+``spec.json`` says what to solve, ``lock`` is held by the solver as long as it lives, ``log.txt``
+is what it printed, ``progress.json`` how far it is, ``result.json`` how it ended. Both JSON
+files of the solver appear whole or not at all.
+"""
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+SPEC, LOCK, LOG = "spec.json", "lock", "log.txt"
+PROGRESS, OUTCOME = "progress.json", "result.json"
+_KEPT = {SPEC, LOCK, LOG, OUTCOME}
+
+
+class BadOutcomeError(Exception):
+    """The result.json cannot be read, or answers another question than this attempt's."""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What one attempt solves: a wrench (N, N·m) on the component in the folder `bundle`."""
+
+    job: int
+    attempt: int
+    component: str
+    bundle: str
+    fingerprint: str
+    wrench: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a solver is: a fraction 0..1 and what it is at."""
+
+    fraction: float
+    message: str
+
+
+def attempt_folder(jobs_folder: Path, job: int, attempt: int) -> Path:
+    """Return where an attempt's folder is."""
+    return jobs_folder / str(job) / str(attempt)
+
+
+def prepare(folder: Path, spec: Spec) -> None:
+    """Make the attempt's folder with its spec.json.
+
+    A folder of that number can only be left over from a ledger that is gone; it is moved aside.
+    """
+    if folder.exists():
+        folder.rename(folder.with_name(f"{folder.name}.old-{time.time_ns()}"))
+    folder.mkdir(parents=True)
+    write_whole(folder / SPEC, asdict(spec))
+
+
+def read_spec(folder: Path) -> Spec:
+    """Return the spec of an attempt."""
+    fields = json.loads((folder / SPEC).read_bytes())
+    fields["wrench"] = tuple(fields["wrench"])
+    return Spec(**fields)
+
+
+def read_progress(folder: Path) -> Progress | None:
+    """Return how far the attempt's solver is; None if it has not said anything yet."""
+    try:
+        fields = json.loads((folder / PROGRESS).read_bytes())
+        return Progress(fields["fraction"], fields["message"])
+    except (OSError, ValueError, KeyError):
+        return None
+
+
+def write_outcome(folder: Path, spec: Spec, outcome: Mapping[str, Any]) -> None:
+    """Write result.json to disk for good; its appearance means that the solver has ended.
+
+    It repeats what was asked, so that nobody can take it for the answer to another wrench.
+    """
+    asked = {"asked": _question(spec)}
+    write_whole(folder / OUTCOME, {**outcome, **asked}, durable=True)
+
+
+def read_outcome(folder: Path, spec: Spec) -> dict[str, Any] | None:
+    """Return how the attempt of this spec ended; None if it has not.
+
+    Raises
+    ------
+    BadOutcomeError
+        If the file is not what `write_outcome` writes, or answers another spec.
+    """
+    try:
+        outcome = json.loads((folder / OUTCOME).read_bytes())
+        asked = outcome.pop("asked")
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, AttributeError, TypeError) as error:
+        raise BadOutcomeError(f"{folder / OUTCOME} cannot be read: {error!r}") from error
+    if asked != _question(spec):
+        raise BadOutcomeError(f"{folder / OUTCOME} answers {asked}, not {_question(spec)}")
+    return outcome
+
+
+def tidy(folder: Path) -> None:
+    """Leave of a done attempt only its spec, log and outcome."""
+    for entry in folder.iterdir():
+        if entry.name in _KEPT:
+            continue
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry, ignore_errors=True)
+        else:
+            entry.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, content: Mapping[str, Any], *, durable: bool = False) -> None:
+    """Write JSON such that readers see all of it or the file before; never NaN.
+
+    With `durable` it also survives a power cut.
+    """
+    text = json.dumps(content, allow_nan=False)
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    with partial.open("w", encoding="utf-8") as file:
+        file.write(text)
+        if durable:
+            file.flush()
+            os.fsync(file.fileno())
+    partial.replace(path)
+    if durable:
+        _sync_folder(path.parent)
+
+
+def _question(spec: Spec) -> dict[str, Any]:
+    """Return what makes an answer another one: all but where the component's files are."""
+    fields = asdict(spec) | {"wrench": list(spec.wrench)}
+    del fields["bundle"]
+    return fields
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

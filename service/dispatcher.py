@@ -1,0 +1,310 @@
+"""The dispatcher: brings waiting jobs to an engine and their answers to the ledger."""
+
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from service.attempt import (
+    LOCK,
+    BadOutcomeError,
+    Progress,
+    Spec,
+    attempt_folder,
+    prepare,
+    read_outcome,
+    read_progress,
+    tidy,
+)
+from service.engines import Engine
+from service.ledger import Change, Job, Ledger, StaleAttemptError
+from service.owner import Owner
+
+_log = logging.getLogger(__name__)
+
+LOOK_SECONDS = 0.01  # between looks at solvers and, for other processes' jobs, at the ledger
+RECOVER_SECONDS = 1.0  # between looks for jobs whose dispatcher has died
+TROUBLE_SECONDS = 1.0  # before trying again what failed: a full disk, no more processes
+ORPHANS = 200  # cancelled jobs looked at, at start-up, for solvers nobody has stopped
+
+
+STOP_SECONDS = 15.0  # how long `stop` waits for solvers to end
+
+
+@dataclass
+class _Run:
+    """An attempt this dispatcher looks after; `leaving` once nobody wants its answer."""
+
+    job: Job
+    folder: Path
+    leaving: bool = False
+
+    def spec(self, bundle: Path | str = "") -> Spec:
+        """Return what the attempt solves, with the component's files in `bundle`."""
+        job = self.job
+        place = str(Path(bundle).absolute())
+        return Spec(job.id, job.attempt, job.component, place, job.fingerprint, job.wrench)
+
+
+class Dispatcher:
+    """Runs the jobs of a ledger on an engine, in one thread of its own.
+
+    Several dispatchers, in one process or many, may share a ledger and its jobs folder on
+    one machine: each looks after the jobs it claimed, and takes over those of one that died,
+    whose solvers may well be still running.
+
+    Parameters
+    ----------
+    ledger : Ledger
+        Where jobs come from and rows go to.
+    engine : Engine
+        Where solvers run; `stop` does not close it.
+    bundles : callable
+        Gives the folder of a component by its name; what it raises fails the job.
+    jobs_folder : path
+        Holds the attempts' folders, ``<job>/<attempt>``, and ``owners``.
+
+    Attributes
+    ----------
+    trouble : str or None
+        What keeps jobs from running at present, such as a full disk.
+    """
+
+    def __init__(
+        self,
+        ledger: Ledger,
+        engine: Engine,
+        bundles: Callable[[str], Path],
+        jobs_folder: str | Path,
+    ) -> None:
+        self.trouble: str | None = None
+        self._ledger = ledger
+        self._engine = engine
+        self._bundles = bundles
+        self._jobs_folder = Path(jobs_folder).absolute()
+        self._runs: dict[tuple[int, int], _Run] = {}
+        self._wake = threading.Event()
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._seen: int | None = None
+        self._may_claim = True
+        self._next_recovery = 0.0
+
+    # -- from other threads -----------------------------------------------------------------
+
+    def start(self) -> None:
+        """Take over what a dead dispatcher left, then run jobs until `stop`."""
+        if self._thread is not None:
+            raise RuntimeError("the dispatcher runs already")
+        self._owner = Owner(self._jobs_folder / "owners")
+        self._stopping.clear()
+        self._seen, self._may_claim, self._next_recovery = None, True, 0.0
+        self._unsubscribe = self._ledger.on_change(self._on_change)
+        self._thread = threading.Thread(target=self._loop, name="dispatcher", daemon=True)
+        self._thread.start()
+
+    def stop(self, *, keep_solvers: bool = False) -> None:
+        """End; every job is then done, failed, cancelled or waiting again.
+
+        Parameters
+        ----------
+        keep_solvers : bool
+            Leave the solvers running and their jobs with them: the next dispatcher on this
+            jobs folder goes on with them. Otherwise they are ended, which may take the
+            engine's grace.
+        """
+        if self._thread is None:
+            return
+        self._unsubscribe()
+        self._stopping.set()
+        self._wake.set()
+        self._thread.join()
+        self._thread = None
+        try:
+            if not keep_solvers:
+                self._end_runs()
+        finally:
+            # What could not be settled is left to the next dispatcher.
+            self._runs.clear()
+            self._owner.close()
+
+    def notify(self) -> None:
+        """Look at the ledger now; called by itself for changes of the same Ledger object."""
+        self._wake.set()
+
+    def progress(self, job_id: int) -> Progress | None:
+        """Return how far a job's latest attempt is; None if it has not said anything."""
+        job = self._ledger.job(job_id)
+        return read_progress(self._folder(job))
+
+    # -- the loop ---------------------------------------------------------------------------
+
+    def _on_change(self, change: Change) -> None:
+        self._wake.set()
+
+    def _loop(self) -> None:
+        while not self._stopping.is_set():
+            self._wake.clear()
+            try:
+                self._step()
+                self.trouble = None
+            except Exception as error:
+                if str(error) != self.trouble:
+                    _log.exception("the dispatcher tries again every %s s", TROUBLE_SECONDS)
+                self.trouble = str(error) or repr(error)
+                self._may_claim = True
+                self._stopping.wait(TROUBLE_SECONDS)
+            else:
+                self._wake.wait(LOOK_SECONDS)
+
+    def _step(self) -> None:
+        if time.monotonic() >= self._next_recovery:
+            self._recover()
+        version = self._ledger.version()
+        if version != self._seen:
+            self._leave_unwanted()
+            self._seen, self._may_claim = version, True
+        for run in list(self._runs.values()):
+            self._look(run)
+        while self._may_claim and len(self._runs) < self._engine.slots:
+            self._claim()
+
+    def _recover(self) -> None:
+        if self._next_recovery == 0.0:
+            self._stop_orphans()
+        for job in self._ledger.running():
+            dead = job.owner
+            if dead is None or dead == self._owner.name or self._owner.is_alive(dead):
+                continue
+            if self._ledger.adopt(job.id, job.attempt, dead, self._owner.name):
+                _log.info("job %d attempt %d taken over from %s", job.id, job.attempt, dead)
+                self._engine.attach(self._folder(job))
+                self._runs[job.id, job.attempt] = _Run(job, self._folder(job))
+            self._owner.bury(dead)
+        self._next_recovery = time.monotonic() + RECOVER_SECONDS
+
+    def _stop_orphans(self) -> None:
+        # Cancelled while no dispatcher lived: the solver has not heard of it.
+        for job in self._ledger.jobs(status="cancelled", limit=ORPHANS):
+            folder = self._folder(job)
+            if job.attempt and self._engine.poll(folder) == "running":
+                self._engine.attach(folder)
+                self._engine.cancel(folder)
+                self._runs[job.id, job.attempt] = _Run(job, folder, leaving=True)
+
+    def _leave_unwanted(self) -> None:
+        mine = {
+            (job.id, job.attempt) for job in self._ledger.running() if job.owner == self._owner.name
+        }
+        for key, run in self._runs.items():
+            if key not in mine and not run.leaving:
+                run.leaving = True
+                self._engine.cancel(run.folder)
+
+    def _look(self, run: _Run) -> None:
+        state = self._engine.poll(run.folder)
+        if state == "running":
+            return
+        if not run.leaving:
+            with contextlib.suppress(StaleAttemptError):
+                self._record(run, died=self._ledger.lose)
+        del self._runs[run.job.id, run.job.attempt]
+        self._may_claim = True
+
+    def _claim(self) -> None:
+        job = self._ledger.claim(self._owner.name)
+        if job is None:
+            self._may_claim = False
+            return
+        # Known from here on: whatever fails below, the next look finds an attempt without a
+        # solver and gives it back.
+        run = self._runs[job.id, job.attempt] = _Run(job, self._folder(job))
+        try:
+            bundle = self._bundles(job.component)
+        except Exception as error:
+            self._ledger.fail(job.id, job.attempt, _component_missing(job, error))
+            del self._runs[job.id, job.attempt]
+            return
+        prepare(run.folder, run.spec(bundle))
+        self._engine.submit(run.folder)
+
+    # -- how attempts end -------------------------------------------------------------------
+
+    def _record(self, run: _Run, died: Callable[[int, int], Job]) -> None:
+        """Tell the ledger how an attempt ended; `died` says it of one without an outcome."""
+        job = run.job
+        outcome = _outcome(run)
+        status = None if outcome is None else outcome.get("status")
+        if outcome is None:
+            # Without a lock there never was a solver: that is nobody's death.
+            started = (run.folder / LOCK).exists()
+            (died if started else self._ledger.release)(job.id, job.attempt)
+        elif status == "done":
+            self._commit(run, outcome)
+        elif status == "failed":
+            self._ledger.fail(job.id, job.attempt, _error(outcome))
+        else:
+            self._ledger.release(job.id, job.attempt)
+
+    def _commit(self, run: _Run, outcome: dict[str, Any]) -> None:
+        job = run.job
+        try:
+            displacement, compliance = outcome["displacement"], outcome.get("compliance")
+            origin = f"job {job.id}"
+            self._ledger.commit(
+                job.id, job.attempt, displacement, compliance=compliance, origin=origin
+            )
+        except (ValueError, TypeError, KeyError) as error:
+            self._ledger.fail(job.id, job.attempt, _bad_answer(error))
+            return
+        with contextlib.suppress(OSError):
+            tidy(run.folder)
+
+    def _end_runs(self) -> None:
+        deadline = time.monotonic() + STOP_SECONDS
+        for run in self._runs.values():
+            self._engine.cancel(run.folder)
+        for run in self._runs.values():
+            while self._engine.poll(run.folder) == "running" and time.monotonic() < deadline:
+                time.sleep(LOOK_SECONDS)
+            if not run.leaving and self._engine.poll(run.folder) != "running":
+                with contextlib.suppress(StaleAttemptError):
+                    self._record(run, died=self._ledger.release)
+
+    def _folder(self, job: Job) -> Path:
+        return attempt_folder(self._jobs_folder, job.id, job.attempt)
+
+
+def _outcome(run: _Run) -> dict[str, Any] | None:
+    try:
+        return read_outcome(run.folder, run.spec())
+    except BadOutcomeError as error:
+        _log.warning("taken for a lost attempt: %s", error)
+        return None
+
+
+def _error(outcome: dict[str, Any]) -> dict[str, str]:
+    error = outcome.get("error")
+    if isinstance(error, dict) and {"kind", "message", "remedy"} <= error.keys():
+        return {name: str(error[name]) for name in ("kind", "message", "remedy")}
+    return _bad_answer(ValueError(f"failed without a reason: {error!r}"))
+
+
+def _component_missing(job: Job, error: Exception) -> dict[str, str]:
+    return {
+        "kind": "component_missing",
+        "message": f"there is no component {job.component} to solve any more: {error}",
+        "remedy": "add the component again and retry the job, or leave it",
+    }
+
+
+def _bad_answer(error: Exception) -> dict[str, str]:
+    return {
+        "kind": "bad_answer",
+        "message": f"the solver's answer is not usable: {error!r}",
+        "remedy": "see result.json and log.txt in the attempt's folder",
+    }

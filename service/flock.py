@@ -1,0 +1,43 @@
+"""Locks that the kernel drops when their holder dies, whatever killed it.
+
+A lock belongs to an open file, not to a pid: it passes to a child that inherits the file and
+is gone when the last holder is, so a reused pid can never look alive.
+"""
+
+import fcntl
+import os
+import time
+from pathlib import Path
+
+# How long `take` puts up with the short shared lock that `is_held` looks with.
+_PATIENCE_SECONDS = 0.5
+
+
+def take(path: Path) -> int | None:
+    """Lock the file (made if there is none) and return its descriptor; None if it is held."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    deadline = time.monotonic() + _PATIENCE_SECONDS
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return descriptor
+        except BlockingIOError:
+            if time.monotonic() > deadline:
+                os.close(descriptor)
+                return None
+        time.sleep(0.01)
+
+
+def is_held(path: Path) -> bool:
+    """Return whether anybody holds the lock; a file that is not there is not held."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False

@@ -1,0 +1,203 @@
+"""Solve what an attempt's folder asks for: ``python -m service.runjob FOLDER``.
+
+Every engine runs this, and it is where a component and the service meet. However the solve
+ends, ``result.json`` says so: ``done`` with the numbers, ``failed`` with kind, message and
+remedy, or ``cancelled``. Only a solver that was killed leaves none.
+
+``WRENCHBOOK_SOLVE="package.module:function"`` names another solver than the embedded one: a
+function of a `Spec` and a progress callback that returns a mapping with at least
+``displacement`` (6 numbers, m and rad), or raises. An exception with the attributes ``kind``
+and ``remedy`` is reported with them.
+"""
+
+import argparse
+import importlib
+import math
+import os
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from service import flock
+from service.attempt import LOCK, PROGRESS, Progress, Spec, read_spec, write_outcome, write_whole
+
+SOLVE_VARIABLE = "WRENCHBOOK_SOLVE"
+DONE, FAILED, IN_USE, CANCELLED = 0, 1, 75, 143  # exit codes
+
+Report = Callable[[float, str], None]
+Solve = Callable[[Spec, Report], Mapping[str, Any]]
+
+
+class SolveRefusedError(Exception):
+    """The attempt cannot be solved, for a reason that is not the solver's."""
+
+    def __init__(self, kind: str, message: str, remedy: str) -> None:
+        super().__init__(message)
+        self.kind = kind
+        self.remedy = remedy
+
+
+class Cancelled(BaseException):
+    """Somebody asked the solver to end."""
+
+
+def main(folder: str | Path, solve: Solve | None = None) -> int:
+    """Solve the attempt in `folder`, write its result.json, return the exit code.
+
+    Parameters
+    ----------
+    folder : path
+        The attempt's folder with its spec.json.
+    solve : callable, optional
+        Solver to use; by default the one that ``WRENCHBOOK_SOLVE`` names, or the embedded one.
+    """
+    folder = Path(folder)
+    spec = read_spec(folder)
+    try:
+        numbers = (solve or _chosen_solve())(spec, _Reporter(folder))
+        write_outcome(folder, spec, {"status": "done", **_checked(numbers)})
+        return DONE
+    except Cancelled:
+        write_outcome(folder, spec, {"status": "cancelled"})
+        return CANCELLED
+    except Exception as error:
+        traceback.print_exc()
+        write_outcome(folder, spec, {"status": "failed", "error": _named(error)})
+        return FAILED
+
+
+def solve_embedded(spec: Spec, report: Report) -> Mapping[str, Any]:
+    """Solve with the finite elements of this project."""
+    from fea.bundle import read_bundle
+    from fea.solve import solve
+
+    bundle = read_bundle(Path(spec.bundle))
+    if bundle.fingerprint != spec.fingerprint:
+        raise SolveRefusedError(
+            "component_changed",
+            f"component {spec.component} has changed since the job was accepted "
+            f"(fingerprint {spec.fingerprint} then, {bundle.fingerprint} now)",
+            "ask for the wrench again: that makes a job for the component as it is now",
+        )
+    solution = solve(bundle, spec.wrench, progress=report)
+    names = ("displacement", "compliance", "strain_energy", "work")
+    return {name: getattr(solution, name) for name in (*names, "seconds", "unknowns", "history")}
+
+
+class _Reporter:
+    """Writes progress.json, at most five times a second."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / PROGRESS
+        self._next = 0.0
+
+    def __call__(self, fraction: float, message: str) -> None:
+        now = time.monotonic()
+        if now < self._next:
+            return
+        self._next = now + 0.2
+        fraction = min(max(float(fraction), 0.0), 1.0) if math.isfinite(fraction) else 0.0
+        try:
+            write_whole(self._path, asdict(Progress(fraction, str(message))))
+        except OSError as error:
+            print(f"progress not written: {error}", file=sys.stderr)
+
+
+def _chosen_solve() -> Solve:
+    name = os.environ.get(SOLVE_VARIABLE)
+    if not name:
+        return solve_embedded
+    try:
+        module, function = name.split(":")
+        return getattr(importlib.import_module(module), function)
+    except (ValueError, ImportError, AttributeError) as error:
+        raise SolveRefusedError(
+            "no_solver",
+            f"{SOLVE_VARIABLE}={name!r} names no function: {error}",
+            "set it to package.module:function, importable by the solvers, or unset it",
+        ) from error
+
+
+def _checked(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    outcome = {name: _plain(value) for name, value in numbers.items()}
+    displacement = outcome.get("displacement")
+    if not isinstance(displacement, list) or len(displacement) != 6 or None in displacement:
+        raise SolveRefusedError(
+            "bad_answer",
+            f"the solver gave no 6 finite numbers but {numbers.get('displacement')!r}",
+            "look at the component's mesh and supports; see log.txt",
+        )
+    compliance = outcome.get("compliance")
+    if compliance is not None and any(None in line for line in compliance):
+        outcome["compliance"] = None
+    return outcome
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON has it: arrays as lists, numbers that are not finite as null."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {str(name): _plain(entry) for name, entry in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(entry) for entry in value]
+    return value
+
+
+def _named(error: Exception) -> dict[str, str]:
+    kind = getattr(error, "kind", None)
+    remedy = getattr(error, "remedy", None)
+    if kind is None and hasattr(error, "problems"):
+        kind, remedy = "bad_component", "correct the component's bundle and ask again"
+    if isinstance(error, MemoryError):
+        kind, remedy = "out_of_memory", "use fewer solvers at a time or a coarser mesh"
+    message = str(error) or type(error).__name__
+    return {
+        "kind": str(kind or "internal_error"),
+        "message": message if kind else f"{type(error).__name__}: {message}",
+        "remedy": str(remedy or "see log.txt in the attempt's folder"),
+    }
+
+
+def _raise_cancelled(signum: int, frame: object) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise Cancelled
+
+
+def _hold_lock(folder: Path, inherited: int | None) -> int | None:
+    """Return the descriptor of the attempt's lock, held and with our pid in it."""
+    if inherited is None:
+        lock = flock.take(folder / LOCK)
+    else:
+        lock = inherited
+        # Programs that the solver starts must not keep the lock when the solver is gone.
+        os.set_inheritable(lock, False)
+    if lock is not None:
+        os.pwrite(lock, str(os.getpid()).encode(), 0)
+    return lock
+
+
+def command_line(arguments: Sequence[str] | None = None) -> int:
+    """Run as the program: hold the lock, lower the priority, end on SIGTERM."""
+    parser = argparse.ArgumentParser(prog="python -m service.runjob", description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--lock-descriptor", type=int, help="open file of the lock, held")
+    parser.add_argument("--niceness", type=int, default=0)
+    options = parser.parse_args(arguments)
+    signal.signal(signal.SIGTERM, _raise_cancelled)
+    if _hold_lock(options.folder, options.lock_descriptor) is None:
+        print(f"a solver is at work in {options.folder} already", file=sys.stderr)
+        return IN_USE
+    os.nice(options.niceness)
+    return main(options.folder)
+
+
+if __name__ == "__main__":
+    sys.exit(command_line())
