@@ -40,5 +40,6 @@ class BundleError(ValueError):
 
 def suggest(word: str, known: Iterable[str]) -> str:
     """Return ``'; did you mean "..."?'`` for the nearest of `known`, or an empty string."""
-    near = get_close_matches(word, list(known), n=1, cutoff=0.6)
-    return f'; did you mean "{near[0]}"?' if near else ""
+    lower = {name.lower(): name for name in known}  # RIM and rim are near
+    near = get_close_matches(word.lower(), list(lower), n=1, cutoff=0.6)
+    return f'; did you mean "{lower[near[0]]}"?' if near else ""

@@ -1,0 +1,208 @@
+"""From a bundle to what the solver takes: the mesh built and every group it names found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fea.faces import facets_within, outer_surface
+from fea.mesh import Mesh
+from fea.meshes import GENERATORS
+from fea.meshfile import read_mesh
+from fea.parts import Analysis, Bundle, Interface, Material, MeshSource
+from fea.problems import BundleError, Problem, suggest
+from fea.quality import cell_problems
+from fea.section import Section, section_of_facets, section_of_nodes
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """A deformable part, ready to be solved; all in metres and pascals.
+
+    Attributes
+    ----------
+    bundle
+        What it was built from; its analysis, coupling and locked freedoms are below as well.
+    mesh
+        Every point belongs to a cell.
+    materials, material_of_cells
+        The materials, and for each block of the mesh an array of shape (m,) with the number of
+        each cell's material.
+    fixed_nodes
+        Sorted nodes that do not move, shape (k,), int64.
+    section
+        The interface's nodes with their area weights.
+    point
+        The interface's reference point, shape (3,), m.
+    axes
+        Shape (3, 3), row i is the direction of the interface frame's axis i.
+    """
+
+    bundle: Bundle
+    mesh: Mesh
+    materials: tuple[Material, ...]
+    material_of_cells: tuple[Array, ...]
+    fixed_nodes: Array
+    section: Section
+    point: Array
+    axes: Array
+    coupling: str
+    locked: tuple[str, ...]
+    analysis: Analysis
+
+
+def build(bundle: Bundle) -> Component:
+    """Build the mesh of `bundle` and resolve the groups it names.
+
+    Raises
+    ------
+    BundleError
+        If the bundle has nothing to solve, its mesh cannot be read, a group is not in the mesh, a
+        cell has no material or two, or supports or interface cannot hold a body.
+    """
+    if bundle.mesh is None or bundle.interface is None or bundle.supports is None:
+        message = "missing; a component without a [mesh] is a table and cannot be solved"
+        raise BundleError([Problem("mesh", message)])
+    mesh = mesh_of(bundle.mesh)
+    problems = cell_problems(mesh)
+    material_of_cells = _materials(mesh, bundle.materials, problems)
+    fixed = _fixed_nodes(mesh, bundle.supports.fixed, problems)
+    section = _section(mesh, bundle.interface, problems)
+    _check_apart(mesh, fixed, section, problems)
+    if problems or section is None:
+        raise BundleError(problems)
+    interface = bundle.interface
+    return Component(
+        bundle=bundle,
+        mesh=mesh,
+        materials=bundle.materials,
+        material_of_cells=material_of_cells,
+        fixed_nodes=fixed,
+        section=section,
+        point=section.centre if interface.point is None else interface.point,
+        axes=interface.axes,
+        coupling=interface.coupling,
+        locked=interface.locked,
+        analysis=bundle.analysis,
+    )
+
+
+def mesh_of(source: MeshSource) -> Mesh:
+    """Return the mesh of a bundle, each point used by a cell.
+
+    Raises
+    ------
+    BundleError
+        If the mesh file cannot be read.
+    """
+    if source.file is not None:
+        return read_mesh(source.file, source.unit)
+    if source.generator is None or source.parameters is None:
+        raise ValueError("a mesh source needs a file or a generator with its parameters")
+    return GENERATORS[source.generator](**source.parameters).mesh()
+
+
+def _materials(
+    mesh: Mesh, materials: tuple[Material, ...], problems: list[Problem]
+) -> tuple[Array, ...]:
+    """Return each cell's material; "all" fills what no other material names."""
+    numbers = tuple(np.full(len(block), -1) for block in mesh.blocks)
+    named = [(i, m) for i, m in enumerate(materials) if m.region != "all"]
+    for i, material in named:
+        key = f"material[{i}].region"
+        if material.region not in mesh.regions:
+            groups = ["all", *mesh.regions]
+            problems.append(_missing(key, material.region, "cell group", groups))
+            continue
+        cells = mesh.regions[material.region]
+        if any((block[chosen] >= 0).any() for block, chosen in zip(numbers, cells, strict=True)):
+            message = f'"{material.region}" shares cells with another material\'s region'
+            problems.append(Problem(key, message))
+        for block, chosen in zip(numbers, cells, strict=True):
+            block[chosen] = i
+    _fill_the_rest(numbers, materials, problems)
+    return numbers
+
+
+def _fill_the_rest(
+    numbers: tuple[Array, ...], materials: tuple[Material, ...], problems: list[Problem]
+) -> None:
+    general = [i for i, material in enumerate(materials) if material.region == "all"]
+    if len(general) > 1:
+        problems.append(Problem(f"material[{general[1]}].region", '"all" is there twice'))
+    left = sum(int((block < 0).sum()) for block in numbers)
+    if left and not general:
+        message = f'{left} cells have no material; name their region or add one for "all"'
+        problems.append(Problem("material", message))
+    for block in numbers:
+        block[block < 0] = general[0] if general else 0
+
+
+def _fixed_nodes(mesh: Mesh, names: Iterable[str], problems: list[Problem]) -> Array:
+    found = [_group_nodes(mesh, f"supports.fixed[{i}]", n, problems) for i, n in enumerate(names)]
+    nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *found]))
+    if all(len(ids) for ids in found) and not _spans_a_plane(mesh.points[nodes]):
+        message = "its nodes lie on one line, about which the component can turn; fix more"
+        problems.append(Problem("supports.fixed", message))
+    return nodes
+
+
+def _section(mesh: Mesh, interface: Interface, problems: list[Problem]) -> Section | None:
+    key = "interface.section"
+    nodes = _group_nodes(mesh, key, interface.section, problems)
+    if not len(nodes):
+        return None
+    if not _spans_a_plane(mesh.points[nodes]):
+        message = f'"{interface.section}" lies on one line, so it has no rotation; take a face'
+        problems.append(Problem(key, message))
+    if interface.section in mesh.facet_groups:
+        return section_of_facets(mesh.points, mesh.facet_groups[interface.section])
+    facets = facets_within(outer_surface(mesh.blocks), nodes)
+    if facets.blocks:
+        return section_of_facets(mesh.points, facets, nodes)
+    return section_of_nodes(mesh.points, nodes)
+
+
+def _group_nodes(mesh: Mesh, key: str, name: str, problems: list[Problem]) -> Array:
+    """Return the nodes of a facet group or node group; none, and a problem, if there is none."""
+    if name in mesh.facet_groups:
+        return mesh.facet_groups[name].node_ids
+    if name in mesh.node_groups:
+        return np.unique(mesh.node_groups[name])
+    groups = [*mesh.facet_groups, *mesh.node_groups]
+    if name in mesh.regions:
+        message = f'"{name}" is a group of cells; name a group of facets or nodes{_listed(groups)}'
+        problems.append(Problem(key, message))
+    else:
+        problems.append(_missing(key, name, "facet or node group", groups))
+    return np.empty(0, dtype=np.int64)
+
+
+def _missing(key: str, name: str, kind: str, groups: list[str]) -> Problem:
+    message = f'the mesh has no {kind} "{name}"{suggest(name, groups)}{_listed(groups)}'
+    return Problem(key, message)
+
+
+def _listed(groups: list[str]) -> str:
+    return f" (it has {', '.join(groups)})" if groups else " (it has none at all)"
+
+
+def _check_apart(
+    mesh: Mesh, fixed: Array, section: Section | None, problems: list[Problem]
+) -> None:
+    shared = 0 if section is None else len(np.intersect1d(fixed, section.node_ids))
+    if shared:
+        message = f"{shared} of its nodes are fixed by [supports]; the two must not touch"
+        problems.append(Problem("interface.section", message))
+
+
+def _spans_a_plane(points: Array) -> bool:
+    """Return whether points do not all lie on one line."""
+    if len(points) < 3:
+        return False
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[1] > 1e-9 * spread[0])

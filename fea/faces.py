@@ -1,0 +1,134 @@
+"""The faces of each kind of cell, and the outer surface of a mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fea.mesh import CellBlock, FacetBlock, FacetGroup
+
+Array = np.ndarray
+
+_HEX_FACES = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
+_HEX_EDGES = (
+    *((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4)),
+    *((0, 4), (1, 5), (2, 6), (3, 7)),
+)
+# VTK numbers the face middles of hex27 x-, x+, y-, y+, z-, z+; in the order of _HEX_FACES:
+_HEX_MIDDLES = (24, 25, 22, 21, 23, 20)
+_TET_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
+_TET_EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
+_WEDGE_FACES = ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5))
+_WEDGE_EDGES = ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5))
+
+_KIND_OF_FACET = {3: "tri3", 4: "quad4", 6: "tri6", 8: "quad8", 9: "quad9"}
+
+
+def _with_midsides(
+    faces: tuple[tuple[int, ...], ...], edges: tuple[tuple[int, int], ...], corners: int
+) -> tuple[tuple[int, ...], ...]:
+    """Append to each face the midside nodes of its edges, in their order round the face."""
+    middle = {frozenset(edge): corners + i for i, edge in enumerate(edges)}
+    return tuple(
+        (
+            *face,
+            *(middle[frozenset((a, b))] for a, b in zip(face, face[1:] + face[:1], strict=True)),
+        )
+        for face in faces
+    )
+
+
+_HEX20_FACES = _with_midsides(_HEX_FACES, _HEX_EDGES, 8)
+
+FACES: dict[str, tuple[tuple[int, ...], ...]] = {
+    "hex8": _HEX_FACES,
+    "hex20": _HEX20_FACES,
+    "hex27": tuple((*f, m) for f, m in zip(_HEX20_FACES, _HEX_MIDDLES, strict=True)),
+    "tet4": _TET_FACES,
+    "tet10": _with_midsides(_TET_FACES, _TET_EDGES, 4),
+    "wedge6": _WEDGE_FACES,
+    "wedge15": _with_midsides(_WEDGE_FACES, _WEDGE_EDGES, 6),
+}
+"""Local nodes of each face of each kind of cell, in VTK facet order, seen from outside."""
+
+
+def faces_of(blocks: tuple[CellBlock, ...]) -> dict[str, Array]:
+    """Return every face of every cell by facet kind, each of shape (f, k), int64."""
+    found: dict[str, list[Array]] = {}
+    for block in blocks:
+        for face in FACES[block.kind]:
+            found.setdefault(_KIND_OF_FACET[len(face)], []).append(block.nodes[:, face])
+    return {kind: np.concatenate(parts) for kind, parts in found.items()}
+
+
+def outer_surface(blocks: tuple[CellBlock, ...]) -> FacetGroup:
+    """Return the faces that only one cell has."""
+    outer = []
+    for kind, nodes in faces_of(blocks).items():
+        _, index, times = np.unique(
+            np.sort(nodes, axis=1), axis=0, return_index=True, return_counts=True
+        )
+        outer.append(FacetBlock(kind, nodes[np.sort(index[times == 1])]))
+    return FacetGroup(tuple(outer))
+
+
+def facets_within(surface: FacetGroup, node_ids: Array) -> FacetGroup:
+    """Return the facets of `surface` all of whose nodes are among `node_ids`."""
+    kept = []
+    for kind, nodes in surface.blocks:
+        inside = np.isin(nodes, node_ids).all(axis=1)
+        if inside.any():
+            kept.append(FacetBlock(kind, nodes[inside]))
+    return FacetGroup(tuple(kept))
+
+
+class FaceFinder:
+    """Finds the face of a cell that has given corners.
+
+    So a group may be drawn with 4-node facets, or 9-node ones, on 20-node hexahedra: it gets the
+    faces of the cells it lies on.
+
+    Parameters
+    ----------
+    blocks
+        The solid cells.
+    """
+
+    def __init__(self, blocks: tuple[CellBlock, ...]) -> None:
+        self._by_corners: dict[int, list[FacetBlock]] = {3: [], 4: []}
+        for kind, nodes in faces_of(blocks).items():
+            self._by_corners[corners_of(kind)].append(FacetBlock(kind, nodes))
+
+    def find(self, kind: str, nodes: Array) -> tuple[list[FacetBlock], int]:
+        """Return the faces with the corners of the facets `nodes`, and how many have none.
+
+        Parameters
+        ----------
+        kind
+            Kind of the facets asked for.
+        nodes
+            Shape (f, k), corners first.
+        """
+        count = corners_of(kind)
+        wanted = np.unique(np.sort(nodes[:, :count], axis=1), axis=0)
+        missing = len(wanted)
+        found = []
+        for face_kind, faces in self._by_corners[count]:
+            corners = np.sort(faces[:, :count], axis=1)
+            keys, first = np.unique(corners, axis=0, return_index=True)
+            chosen = first[_rows_in(keys, wanted)]
+            missing -= len(chosen)
+            if len(chosen):
+                found.append(FacetBlock(face_kind, faces[np.sort(chosen)]))
+        return found, missing
+
+
+def corners_of(kind: str) -> int:
+    """Return how many corners a kind of facet has."""
+    return 3 if kind.startswith("tri") else 4
+
+
+def _rows_in(rows: Array, among: Array) -> Array:
+    """Return which of `rows` are also rows of `among`; each has no row twice."""
+    both = np.concatenate([among, rows])
+    _, inverse, times = np.unique(both, axis=0, return_inverse=True, return_counts=True)
+    return times[inverse.ravel()[len(among) :]] == 2

@@ -1,0 +1,145 @@
+"""Reading mesh files: gmsh, VTK and what else meshio knows, and Abaqus/CalculiX decks."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from fea.inpfile import read_inp
+from fea.mesh import Mesh
+from fea.parts import UNITS
+from fea.problems import BundleError, Problem
+from fea.rawmesh import Block, MeshFileError, RawMesh, to_mesh
+
+Array = np.ndarray
+
+_KINDS = {
+    "hexahedron": "hex8",
+    "hexahedron20": "hex20",
+    "hexahedron27": "hex27",
+    "tetra": "tet4",
+    "tetra10": "tet10",
+    "wedge": "wedge6",
+    "wedge15": "wedge15",
+    "quad": "quad4",
+    "quad8": "quad8",
+    "quad9": "quad9",
+    "triangle": "tri3",
+    "triangle6": "tri6",
+    "vertex": "point1",
+    "line": "line2",
+    "line3": "line3",
+}
+# An integer array with more values than this numbers things instead of grouping them.
+_MOST_GROUPS = 1000
+
+
+def read_mesh(path: Path, unit: str) -> Mesh:
+    """Read the mesh file of a bundle.
+
+    Groups are gmsh's physical groups (by their number where they have no name), the sets and
+    surfaces of a deck, and the integer arrays of a VTK file: one that is only 0 and 1 is a group
+    of its own name, another one makes the group ``<array>_<value>`` for each of its values.
+    Groups of surface cells become facet groups, groups of lines and points node groups.
+
+    Parameters
+    ----------
+    path
+        The file; its ending says what it is.
+    unit
+        Its length unit, a key of `fea.parts.UNITS`.
+
+    Raises
+    ------
+    BundleError
+        If it cannot be read, has no solid cells, or some that the solver does not know.
+    """
+    try:
+        raw = read_inp(path) if path.suffix.lower() == ".inp" else _read_meshio(path)
+        return to_mesh(raw, UNITS[unit])
+    except MeshFileError as error:
+        raise BundleError([Problem("mesh.file", f'"{path.name}" {error}')]) from None
+
+
+def _read_meshio(path: Path) -> RawMesh:
+    read = _quietly(path)
+    blocks: list[Block] = [
+        (_KINDS.get(str(block.type), str(block.type)), np.asarray(block.data, dtype=np.int64))
+        for block in read.cells
+    ]
+    sets = {**_physical_groups(read), **_array_groups(read)}
+    sets |= {name: s for name, s in read.cell_sets.items() if not name.startswith("gmsh:")}
+    element_sets = {name: [_as_numbers(part) for part in parts] for name, parts in sets.items()}
+    node_sets = {**_point_groups(read), **read.point_sets}
+    points = np.asarray(read.points, dtype=float)
+    if points.shape[1] != 3:
+        raise MeshFileError("is flat; the solver takes solid meshes in space")
+    nodes = {name: _as_numbers(ids) for name, ids in node_sets.items()}
+    return RawMesh(points, blocks, element_sets, nodes)
+
+
+def _quietly(path: Path) -> meshio.Mesh:
+    """Let meshio read, which prints what it dislikes and may end the interpreter."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            return meshio.read(path)
+    except (Exception, SystemExit) as error:
+        told = " ".join(f"{said.getvalue()} {error}".split())
+        message = f"cannot be read as a {path.suffix or 'mesh'} file ({told[:200]})"
+        raise MeshFileError(message) from None
+
+
+def _as_numbers(part: object) -> Array:
+    return np.asarray([] if part is None else part, dtype=np.int64).ravel()
+
+
+def _physical_groups(read: meshio.Mesh) -> dict[str, list[Array]]:
+    """Return gmsh's physical groups; the 2.2 format has them only as numbers of cells."""
+    tags = read.cell_data.get("gmsh:physical", [])
+    names = {(int(tag), int(dim)): name for name, (tag, dim) in read.field_data.items()}
+    groups: dict[str, list[Array]] = {}
+    for i, (block, part) in enumerate(zip(read.cells, tags, strict=False)):
+        numbers = _as_numbers(part)
+        for tag in np.unique(numbers[numbers > 0]).tolist():
+            name = names.get((tag, block.dim), str(tag))
+            parts = groups.setdefault(name, [_as_numbers(None) for _ in read.cells])
+            parts[i] = np.flatnonzero(numbers == tag)
+    return groups
+
+
+def _array_groups(read: meshio.Mesh) -> dict[str, list[Array]]:
+    """Return the groups that integer cell arrays make."""
+    groups = {}
+    for array, parts in read.cell_data.items():
+        if array.startswith("gmsh:"):
+            continue
+        for name, value in _group_values(array, np.concatenate([np.asarray(p) for p in parts])):
+            groups[name] = [np.flatnonzero(np.asarray(part) == value) for part in parts]
+    return groups
+
+
+def _point_groups(read: meshio.Mesh) -> dict[str, Array]:
+    """Return the groups that integer point arrays make."""
+    groups = {}
+    for array, values in read.point_data.items():
+        if array.startswith("gmsh:"):
+            continue
+        for name, value in _group_values(array, np.asarray(values)):
+            groups[name] = np.flatnonzero(values == value)
+    return groups
+
+
+def _group_values(array: str, values: Array) -> list[tuple[str, int]]:
+    if values.ndim != 1 or values.dtype.kind not in "iu":
+        return []
+    distinct = np.unique(values).tolist()
+    if distinct in ([0, 1], [1]):
+        return [(array, 1)]
+    if len(distinct) > _MOST_GROUPS:
+        return []
+    return [(f"{array}_{value}", value) for value in distinct]

@@ -1,0 +1,165 @@
+"""What a mesh file holds, before it becomes a `fea.mesh.Mesh`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fea.faces import FaceFinder
+from fea.mesh import (
+    NODES_PER_CELL,
+    NODES_PER_FACET,
+    CellBlock,
+    FacetBlock,
+    FacetGroup,
+    Mesh,
+)
+from fea.quality import right_way_round
+
+Array = np.ndarray
+Block = tuple[str, Array]
+
+NODES_PER_LINE = {"point1": 1, "line2": 2, "line3": 3}
+"""Kinds that give node groups only: a group on an edge or a point of the part."""
+
+
+class MeshFileError(ValueError):
+    """A mesh file cannot be used; the message says why and what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class RawMesh:
+    """Everything in a mesh file, in the file's length unit.
+
+    Attributes
+    ----------
+    points
+        Shape (n, 3); some may belong to no cell.
+    blocks
+        (kind, nodes) of cells, facets and lines, in the order of the file.
+    element_sets
+        For each name, one array of element numbers per block.
+    node_sets
+        For each name, the nodes' numbers.
+    facet_sets
+        Facet groups that the file defines as faces of cells.
+    """
+
+    points: Array
+    blocks: list[Block]
+    element_sets: Mapping[str, list[Array]] = field(default_factory=dict)
+    node_sets: Mapping[str, Array] = field(default_factory=dict)
+    facet_sets: Mapping[str, list[Block]] = field(default_factory=dict)
+
+
+def to_mesh(raw: RawMesh, metres: float) -> Mesh:
+    """Return the mesh: scaled, one block for each kind, without points that no cell uses.
+
+    Parameters
+    ----------
+    raw
+        As read.
+    metres
+        The file's length unit in metres.
+
+    Raises
+    ------
+    MeshFileError
+        If there are no solid cells, some of a kind that cannot be solved, or facets in a group
+        that are not faces of a cell.
+    """
+    _require_solids(raw)
+    solids = [i for i, (kind, _) in enumerate(raw.blocks) if kind in NODES_PER_CELL]
+    used = np.unique(np.concatenate([raw.blocks[i][1].ravel() for i in solids]))
+    number = np.full(len(raw.points), -1, dtype=np.int64)
+    number[used] = np.arange(len(used))
+    if not np.isfinite(raw.points[used]).all():
+        raise MeshFileError("has coordinates that are not finite numbers")
+    kinds = list(dict.fromkeys(raw.blocks[i][0] for i in solids))
+    cells = {k: np.concatenate([b for kind, b in raw.blocks if kind == k]) for k in kinds}
+    points = raw.points[used] * metres
+    blocks = tuple(
+        right_way_round(points, CellBlock(k, number[nodes])) for k, nodes in cells.items()
+    )
+    groups = _facet_groups(raw, number, blocks)
+    return Mesh(points, blocks, _regions(raw, kinds), groups, _node_groups(raw, number))
+
+
+def _require_solids(raw: RawMesh) -> None:
+    kinds = [kind for kind, nodes in raw.blocks if len(nodes)]
+    known = {*NODES_PER_CELL, *NODES_PER_FACET, *NODES_PER_LINE}
+    unknown = sorted({kind for kind in kinds if kind not in known})
+    if unknown:
+        raise MeshFileError(
+            f"has cells of kind {', '.join(unknown)}, which the solver does not know; "
+            f"it knows {', '.join(NODES_PER_CELL)}"
+        )
+    if not any(kind in NODES_PER_CELL for kind in kinds):
+        there = ", ".join(dict.fromkeys(kinds)) or "no cells at all"
+        raise MeshFileError(f"has no solid cells (it has {there}); export the volume mesh too")
+
+
+def _regions(raw: RawMesh, kinds: list[str]) -> dict[str, tuple[Array, ...]]:
+    """Return each element set as numbers of cells within the joined block of their kind."""
+    first: list[int] = []
+    count = dict.fromkeys(kinds, 0)
+    for kind, nodes in raw.blocks:
+        first.append(count.get(kind, 0))
+        if kind in count:
+            count[kind] += len(nodes)
+    regions = {}
+    for name, numbers in raw.element_sets.items():
+        parts: dict[str, list[Array]] = {kind: [np.empty(0, np.int64)] for kind in kinds}
+        for (kind, _), start, chosen in zip(raw.blocks, first, numbers, strict=True):
+            if kind in parts:
+                parts[kind].append(chosen + start)
+        region = tuple(np.unique(np.concatenate(parts[kind])) for kind in kinds)
+        if any(len(cells) for cells in region):
+            regions[name] = region
+    return regions
+
+
+def _facet_groups(
+    raw: RawMesh, number: Array, blocks: tuple[CellBlock, ...]
+) -> dict[str, FacetGroup]:
+    """Return the groups of surface elements (gmsh, VTK) and of faces of cells (Abaqus)."""
+    chosen = {name: list(parts) for name, parts in raw.facet_sets.items()}
+    for name, numbers in raw.element_sets.items():
+        pairs = zip(raw.blocks, numbers, strict=True)
+        parts = [(k, nodes[c]) for (k, nodes), c in pairs if k in NODES_PER_FACET and len(c)]
+        if parts:
+            chosen.setdefault(name, []).extend(parts)
+    finder = FaceFinder(blocks)
+    return {name: _on_cells(name, parts, number, finder) for name, parts in chosen.items()}
+
+
+def _on_cells(name: str, parts: list[Block], number: Array, finder: FaceFinder) -> FacetGroup:
+    """Return the faces of cells that a group's facets lie on."""
+    found: dict[str, list[Array]] = {}
+    lost = 0
+    for kind, nodes in parts:
+        faces, missing = finder.find(kind, number[nodes])
+        lost += missing
+        for face_kind, face_nodes in faces:
+            found.setdefault(face_kind, []).append(face_nodes)
+    if lost:
+        raise MeshFileError(
+            f'has a group "{name}" with {lost} facets that are not faces of a solid cell; '
+            "mesh the surface and the solid together, or leave the group out"
+        )
+    return FacetGroup(tuple(FacetBlock(kind, np.concatenate(n)) for kind, n in found.items()))
+
+
+def _node_groups(raw: RawMesh, number: Array) -> dict[str, Array]:
+    groups = {}
+    for name, numbers in raw.element_sets.items():
+        pairs = zip(raw.blocks, numbers, strict=True)
+        on_lines = [nodes[c].ravel() for (kind, nodes), c in pairs if kind in NODES_PER_LINE]
+        groups[name] = np.concatenate([np.empty(0, dtype=np.int64), *on_lines])
+    for name, nodes in raw.node_sets.items():
+        groups[name] = np.concatenate([groups.get(name, np.empty(0, dtype=np.int64)), nodes])
+    kept = {name: np.unique(number[nodes]) for name, nodes in groups.items()}
+    kept = {name: nodes[nodes >= 0] for name, nodes in kept.items()}
+    return {name: nodes for name, nodes in kept.items() if len(nodes)}

@@ -1,0 +1,68 @@
+"""The nodes of a section and the area each of them stands for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fea.gradients import area_weights
+from fea.mesh import FacetGroup
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """The interface's nodes with area weights.
+
+    Attributes
+    ----------
+    node_ids
+        Sorted, shape (s,), int64.
+    weights
+        Shape (s,), m^2: the integral of each node's shape function over the section. Those of the
+        corners of quad8 facets are negative, as they must be for a constant traction.
+    area
+        The sum of the weights, m^2.
+    centre
+        The area centre, shape (3,), m.
+    by_area
+        False where a bare node group left nothing to integrate over: then every node has the same
+        weight, their sum is 1, and `area` says nothing.
+    """
+
+    node_ids: Array
+    weights: Array
+    area: float
+    centre: Array
+    by_area: bool
+
+
+def section_of_facets(points: Array, group: FacetGroup, node_ids: Array | None = None) -> Section:
+    """Return the section that the facets of `group` make.
+
+    Parameters
+    ----------
+    points
+        Shape (n, 3), m.
+    group
+        At least one facet.
+    node_ids
+        The section's nodes if it has more than the facets do; the others get no weight.
+    """
+    covered, areas = area_weights(points, group)
+    ids = covered if node_ids is None else np.unique(node_ids)
+    weights = np.zeros(len(ids))
+    weights[np.searchsorted(ids, covered)] = areas
+    area = float(areas.sum())
+    # Isoparametric facets: the integral of x is the weighted sum of the nodes' places.
+    centre = areas @ points[covered] / area
+    return Section(ids, weights, area, centre, by_area=True)
+
+
+def section_of_nodes(points: Array, node_ids: Array) -> Section:
+    """Return the section of nodes that bound no facet: each counts the same."""
+    ids = np.unique(node_ids)
+    weights = np.full(len(ids), 1.0 / len(ids))
+    return Section(ids, weights, 1.0, points[ids].mean(axis=0), by_area=False)
