@@ -11,6 +11,7 @@ from service.tablefile.parsed import (
     ROTATION_LIMIT,
     ParsedTable,
     RowError,
+    TableRows,
 )
 from service.tablefile.units import UnitError, si_factor
 
@@ -18,6 +19,7 @@ __all__ = [
     "ROTATION_LIMIT",
     "ParsedTable",
     "RowError",
+    "TableRows",
     "UnitError",
     "read_csv",
     "read_json",

@@ -18,17 +18,17 @@ from service.tablefile.parsed import (
     Array,
     ParsedTable,
     RowError,
+    TableRows,
     listed,
     refused,
     rotation_message,
     text_problem,
+    texts_of,
     turned_too_far,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike
 
 _KEYS = ("wrench", "displacement", "uncertainty", *TEXTS)
 _UNKNOWN = (math.nan,) * 6
@@ -71,39 +71,27 @@ def read_json(text: str | bytes) -> ParsedTable:
     return _table(rows)
 
 
-def write_json(
-    wrench: ArrayLike,
-    displacement: ArrayLike,
-    *,
-    uncertainty: ArrayLike | None = None,
-    source: Sequence[str] | None = None,
-    note: Sequence[str] | None = None,
-) -> str:
+def write_json(table: TableRows) -> str:
     """Write rows as JSON, in SI, with the digits that give back the same floats.
 
     Parameters
     ----------
-    wrench, displacement : array_like
-        Shape (n, 6): N and N·m; m and rad.
-    uncertainty : array_like, optional
-        Shape (n, 6), m and rad; NaN becomes null.
-    source, note : sequence of str, optional
-        One a row; an empty one is left out.
+    table : TableRows
+        Rows in SI. An unknown uncertainty (NaN) becomes null, six of them and an empty text are
+        left out.
     """
-    loads = np.asarray(wrench, dtype=float).tolist()
-    motions = np.asarray(displacement, dtype=float).tolist()
+    loads, motions = table.wrench.tolist(), table.displacement.tolist()
     rows: list[dict[str, Any]] = [
         {"wrench": load, "displacement": motion}
         for load, motion in zip(loads, motions, strict=True)
     ]
-    if uncertainty is not None:
-        for row, bounds in zip(rows, np.asarray(uncertainty, dtype=float).tolist(), strict=True):
-            if not all(map(math.isnan, bounds)):
-                row["uncertainty"] = [None if math.isnan(bound) else bound for bound in bounds]
-    for name, texts in (("source", source), ("note", note)):
-        for row, words in zip(rows, texts or [""] * len(rows), strict=True):
-            if words:
-                row[name] = words
+    for row, bounds in zip(rows, table.uncertainty.tolist(), strict=True):
+        if not all(map(math.isnan, bounds)):
+            row["uncertainty"] = [None if math.isnan(bound) else bound for bound in bounds]
+    for name, texts in texts_of(table).items():
+        for row, text in zip(rows, texts, strict=True):
+            if text:
+                row[name] = text
     return json.dumps({"units": "SI", "rows": rows}, allow_nan=False)
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -14,6 +16,40 @@ MOST_ERRORS = 1000
 """Errors listed at most; one more line then says that there are more."""
 
 Array = np.ndarray
+
+
+class TableRows(Protocol):
+    """Rows that can be written: a `ParsedTable`, a surrogate's rows, anything of this form.
+
+    A ``note``, one text a row, may be there as well.
+    """
+
+    @property
+    def wrench(self) -> Array:
+        """Shape (n, 6), N and N·m."""
+        ...
+
+    @property
+    def displacement(self) -> Array:
+        """Shape (n, 6), m and rad."""
+        ...
+
+    @property
+    def uncertainty(self) -> Array:
+        """Shape (n, 6), m and rad; NaN where unknown."""
+        ...
+
+    @property
+    def source(self) -> Iterable[str]:
+        """Where each row came from."""
+        ...
+
+
+def texts_of(table: TableRows) -> dict[str, list[str]]:
+    """Return ``source`` and ``note`` as lists of plain texts, those that say anything."""
+    given = {"source": table.source, "note": getattr(table, "note", ())}
+    texts = {name: [str(text) for text in column] for name, column in given.items()}
+    return {name: column for name, column in texts.items() if any(column)}
 
 
 @dataclass(frozen=True, order=True)

@@ -1,0 +1,205 @@
+"""Keep-alive HTTP on the standard library: a small pool of connections, used by any thread."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+from typing import Any, Self
+from urllib.parse import urlencode, urlsplit
+
+from service.client.errors import ProblemError, ServerTimeout, ServerUnreachable
+
+_JSON = {"Content-Type": "application/json", "Accept": "application/json"}
+# What an http.client call raises when the other side has closed a kept connection.
+_CLOSED = (http.client.RemoteDisconnected, ConnectionError, http.client.BadStatusLine)
+
+
+class Reply:
+    """Status, content type and body of an answer that is no problem."""
+
+    __slots__ = ("content", "kind", "status")
+
+    def __init__(self, status: int, kind: str, content: bytes) -> None:
+        self.status = status
+        self.kind = kind
+        self.content = content
+
+    def json(self) -> Any:
+        """Return the body as JSON."""
+        return json.loads(self.content)
+
+
+class Connection:
+    """Connections to one server.
+
+    Each call takes an idle connection or opens one, and puts it back: threads never share one, and
+    a loop of calls stays on one socket. A forked child opens its own.
+
+    Parameters
+    ----------
+    url : str
+        Address of the server, with a path if it is served below one.
+    timeout : float
+        Seconds without an answer before `ServerTimeout`; the time a call asks the server to wait
+        is added to it.
+    """
+
+    def __init__(self, url: str = "http://127.0.0.1:8000", timeout: float = 30.0) -> None:
+        parts = urlsplit(url if "://" in url else f"http://{url}")
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise ValueError(f"{url!r} is no address of a server; write http://127.0.0.1:8000")
+        self.url = f"{parts.scheme}://{parts.netloc}{parts.path.rstrip('/')}"
+        self.timeout = timeout
+        self._path = parts.path.rstrip("/")
+        self._host, self._port = parts.hostname, parts.port
+        https = parts.scheme == "https"
+        self._kind = http.client.HTTPSConnection if https else http.client.HTTPConnection
+        self._idle: list[http.client.HTTPConnection] = []
+        self._process_id = os.getpid()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the idle connections; a later call opens a new one."""
+        while self._idle:
+            self._idle.pop().close()
+
+    def call(
+        self,
+        method: str,
+        path: str,
+        content: bytes | None = None,
+        *,
+        kind: str | None = None,
+        query: dict[str, Any] | None = None,
+        wait_s: float | None = None,
+        repeatable: bool = True,
+    ) -> Reply:
+        """Send one request and return its answer.
+
+        Parameters
+        ----------
+        method, path : str
+            HTTP method and the path below `url`, quoted.
+        content : bytes, optional
+            Body; JSON unless `kind` names another content type.
+        query : dict, optional
+            Query parameters; those that are None are left out.
+        wait_s : float, optional
+            Seconds the server was asked to hold the answer back.
+        repeatable : bool
+            Whether sending the request twice does no more than once. A request that is not never
+            goes to a kept connection, which may have been closed, so it is sent once.
+
+        Raises
+        ------
+        ProblemError
+            If the server refuses.
+        ServerUnreachable
+            If nothing answers at the address, or the server closed the connection without a reply.
+        ServerTimeout
+            If the answer does not come in time.
+        """
+        target = self._path + path + _query(query)
+        headers = _JSON if kind is None else {"Content-Type": kind}
+        timeout = self.timeout + (wait_s or 0.0)
+        kept = self._take() if repeatable else None
+        if kept is not None:
+            try:
+                return self._exchange(kept, method, target, content, headers, timeout)
+            except _CLOSED:
+                self.close()  # the server has ended what was kept: once more on a new connection
+        connection = self._kind(self._host, self._port, timeout=timeout)
+        try:
+            return self._exchange(connection, method, target, content, headers, timeout)
+        except ServerTimeout:
+            raise
+        except (http.client.HTTPException, OSError) as error:
+            raise ServerUnreachable(
+                f"no answer from {self.url} ({error or type(error).__name__}); "
+                "start a server with: wrenchbook serve"
+            ) from error
+
+    def call_json(self, method: str, path: str, body: Any = None, **options: Any) -> Any:
+        """Send `body` as JSON and return the answer's JSON; options as in `call`."""
+        content = None if body is None else json.dumps(body, allow_nan=False).encode()
+        return self.call(method, path, content, **options).json()
+
+    def _take(self) -> http.client.HTTPConnection | None:
+        if self._process_id != os.getpid():
+            # Forked: the sockets belong to the parent. Let go of them without a word on the wire.
+            self._idle, self._process_id = [], os.getpid()
+        try:
+            return self._idle.pop()
+        except IndexError:
+            return None
+
+    def _exchange(
+        self,
+        connection: http.client.HTTPConnection,
+        method: str,
+        target: str,
+        content: bytes | None,
+        headers: dict[str, str],
+        timeout: float,
+    ) -> Reply:
+        """Send and receive on one connection, then keep it, or close it when anything failed."""
+        try:
+            connection.timeout = timeout
+            if connection.sock is not None:
+                connection.sock.settimeout(timeout)
+            connection.request(method, target, body=content, headers=headers)
+            response = connection.getresponse()
+            received = response.read()
+        except TimeoutError as error:
+            connection.close()
+            raise ServerTimeout(
+                f"{self.url} has not answered within {timeout:g} s; what it has accepted it goes "
+                "on with: ask again, or make the client with a longer timeout"
+            ) from error
+        except BaseException:
+            connection.close()
+            raise
+        if not response.will_close:
+            self._idle.append(connection)
+        kind = response.headers.get_content_type()
+        if response.status >= 400:
+            raise _problem(response.status, response.reason, kind, received)
+        return Reply(response.status, kind, received)
+
+
+def _query(query: dict[str, Any] | None) -> str:
+    """Lay out the query parameters that are given."""
+    if not query:
+        return ""
+    given = {
+        key: str(value).lower() if isinstance(value, bool) else value
+        for key, value in query.items()
+        if value is not None
+    }
+    return f"?{urlencode(given)}" if given else ""
+
+
+def _problem(status: int, reason: str, kind: str, content: bytes) -> ProblemError:
+    """Read an answer of status 400 or more, whoever on the way wrote it."""
+    body: Any = None
+    if kind.endswith("json"):
+        try:
+            body = json.loads(content)
+        except ValueError:
+            body = None
+    if not isinstance(body, dict):
+        return ProblemError(status, reason, content[:200].decode(errors="replace").strip())
+    errors = body.get("errors")
+    return ProblemError(
+        status,
+        str(body.get("title") or reason),
+        str(body.get("detail") or ""),
+        [one for one in errors if isinstance(one, dict)] if isinstance(errors, list) else [],
+        body,
+    )

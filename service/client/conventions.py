@@ -1,0 +1,202 @@
+"""Wrenches and poses of other programs, to and from the wrench contract, in this one place.
+
+Here: force then moment, N and N·m, acting ON the deformable component, about its interface point,
+in the undeformed interface frame. Three things differ elsewhere, and each converter says which:
+
+* order: Drake puts torque first;
+* sign: joint sensors of MuJoCo, PyBullet and Drake report what the *parent* does to the *child*. A
+  component that is the parent (a robot stands on a plate) feels the opposite: name its side;
+* point and frame: a sensor's point or axes are seldom the interface's; see `moved`.
+
+Sources, and how the signs were checked: a 2 kg arm standing on a fixed parent under 10 m/s^2, its
+centre of mass 0.1 m along x. MuJoCo 4.0.0 reads force (0, 0, 20), torque (0, -2, 0); PyBullet 3.2.7
+the same with JOINT_FEEDBACK_IN_JOINT_FRAME. Both are the parent holding the child up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from service.client.rotation import quaternion
+from service.client.wrenches import one_wrench
+
+Vector = NDArray[np.float64]
+Side = Literal["parent", "child"]
+
+
+def moved(
+    wrench: ArrayLike,
+    *,
+    rotation: ArrayLike | None = None,
+    point: ArrayLike | None = None,
+) -> Vector:
+    """Express a wrench in another frame and about another point.
+
+    Parameters
+    ----------
+    wrench : array_like
+        Shape (6,), N and N·m, about the sensor's point, in the sensor's axes.
+    rotation : array_like, optional
+        Shape (3, 3): the sensor's axes, as columns, in the interface frame; the same if not given.
+    point : array_like, optional
+        Shape (3,), m: the sensor's point as seen from the interface point, in the interface frame.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (6,): F = R f and M = R m + p x F.
+    """
+    checked = one_wrench(wrench)
+    force, moment = checked[:3], checked[3:]
+    if rotation is not None:
+        axes = np.asarray(rotation, dtype=float)
+        if axes.shape != (3, 3) or not np.allclose(axes @ axes.T, np.eye(3), atol=1e-6):
+            raise ValueError("rotation must be an orthogonal matrix of shape (3, 3)")
+        force, moment = axes @ force, axes @ moment
+    if point is not None:
+        moment = moment + np.cross(np.asarray(point, dtype=float), force)
+    return np.concatenate([force, moment])
+
+
+def from_ros(message: Any) -> Vector:
+    """Return the wrench of a ROS ``geometry_msgs/Wrench`` or ``WrenchStamped``.
+
+    Parameters
+    ----------
+    message : object or mapping
+        With ``force`` and ``torque``, each with ``x``, ``y``, ``z``. ROS fixes the order, not who
+        acts on whom, nor the point: it must act on the component, at the interface point.
+        (docs.ros.org, geometry_msgs/Wrench: force and torque "separated into its linear and
+        angular parts"; the frame is that of the stamped header.)
+    """
+    inner = _member(message, "wrench", None)
+    message = message if inner is None else inner
+    parts = [
+        float(_member(_member(message, name), axis))
+        for name in ("force", "torque")
+        for axis in "xyz"
+    ]
+    return one_wrench(parts)
+
+
+def to_ros(wrench: ArrayLike) -> dict[str, dict[str, float]]:
+    """Return a wrench as the fields of a ROS ``geometry_msgs/Wrench``."""
+    numbers = one_wrench(wrench).tolist()
+    return {
+        "force": dict(zip("xyz", numbers[:3], strict=True)),
+        "torque": dict(zip("xyz", numbers[3:], strict=True)),
+    }
+
+
+def from_drake(spatial_force: Any, component: Side | None = None) -> Vector:
+    """Return the wrench of a Drake ``SpatialForce``.
+
+    Parameters
+    ----------
+    spatial_force : object or array_like
+        With ``rotational()`` and ``translational()``, or its six numbers, torque first
+        (drake/multibody/math/spatial_force.h: "a torque on top of a force").
+    component : {"parent", "child"}, optional
+        For a joint's reaction (``MultibodyPlant.get_reaction_forces_output_port``: applied on the
+        joint's child body, at the joint's child frame Jc, expressed in Jc), which side of the joint
+        the component is. Not given for a spatial force that acts on the component already.
+    """
+    if hasattr(spatial_force, "rotational"):
+        spatial_force = np.concatenate(
+            [np.ravel(spatial_force.rotational()), np.ravel(spatial_force.translational())]
+        )
+    swapped = one_wrench(np.ravel(spatial_force))
+    wrench = np.concatenate([swapped[3:], swapped[:3]])
+    return wrench if component is None else _on(component, wrench)
+
+
+def to_drake(wrench: ArrayLike) -> Vector:
+    """Return a wrench in Drake's order, shape (6,): torque, then force."""
+    checked = one_wrench(wrench)
+    return np.concatenate([checked[3:], checked[:3]])
+
+
+def from_mujoco(force: ArrayLike, torque: ArrayLike, component: Side) -> Vector:
+    """Return the wrench on the component from MuJoCo's ``force`` and ``torque`` sensors.
+
+    Parameters
+    ----------
+    force, torque : array_like
+        Shape (3,), N and N·m: the readings of two sensors at one site, about the site, in its axes.
+    component : {"parent", "child"}
+        Which of the site's body (the child) and its parent is the deformable component.
+
+    Notes
+    -----
+    The MuJoCo XML reference (sensor/force) puts the site on the child and calls the force one that
+    "points from the child towards the parent"; what is measured is the parent holding the child
+    (see the head of this file).
+    """
+    return _on(component, one_wrench(force, torque))
+
+
+def to_mujoco(wrench: ArrayLike, component: Side) -> tuple[Vector, Vector]:
+    """Return the readings of MuJoCo's ``force`` and ``torque`` sensors for a wrench."""
+    reading = _on(component, one_wrench(wrench))
+    return reading[:3], reading[3:]
+
+
+def from_pybullet(reaction: ArrayLike, component: Side) -> Vector:
+    """Return the wrench on the component from PyBullet's joint reaction.
+
+    Parameters
+    ----------
+    reaction : array_like
+        Shape (6,), N and N·m: ``getJointState(...)[2]``, force then moment, of a joint with
+        ``enableJointForceTorqueSensor``.
+    component : {"parent", "child"}
+        Which side of the joint the deformable component is.
+
+    Notes
+    -----
+    With ``jointFeedbackMode=JOINT_FEEDBACK_IN_JOINT_FRAME`` moments are about the joint. In the
+    default mode and in JOINT_FEEDBACK_IN_WORLD_SPACE alone they are about the child's centre of mass
+    (measured: zero for the arm above): give that point to `moved`. Axes are the child's, or the
+    world's with JOINT_FEEDBACK_IN_WORLD_SPACE.
+    """
+    return _on(component, one_wrench(reaction))
+
+
+def to_pybullet(wrench: ArrayLike, component: Side) -> Vector:
+    """Return PyBullet's joint reaction, shape (6,), for a wrench."""
+    return _on(component, one_wrench(wrench))
+
+
+def quaternion_wxyz(rotation: ArrayLike) -> Vector:
+    """Return a rotation vector as MuJoCo and Drake write it: (w, x, y, z)."""
+    return quaternion(rotation)
+
+
+def quaternion_xyzw(rotation: ArrayLike) -> Vector:
+    """Return a rotation vector as ROS and PyBullet write it: (x, y, z, w)."""
+    return np.roll(quaternion(rotation), -1)
+
+
+def _on(component: Side, parent_to_child: Vector) -> Vector:
+    """Turn what the parent does to the child into what acts on the component, and back."""
+    if component not in ("parent", "child"):
+        raise ValueError(f"component must be 'parent' or 'child', not {component!r}")
+    # Adding zero turns the -0.0 of an unloaded direction into 0.0.
+    return (-parent_to_child if component == "parent" else parent_to_child) + 0.0
+
+
+_REQUIRED: Any = object()
+
+
+def _member(whole: Any, name: str, default: Any = _REQUIRED) -> Any:
+    """Return a message's member, be it an attribute or a key."""
+    found = (
+        whole.get(name, default) if isinstance(whole, Mapping) else getattr(whole, name, default)
+    )
+    if found is _REQUIRED:
+        raise ValueError(f"the message has no {name!r}; a wrench has force and torque with x, y, z")
+    return found

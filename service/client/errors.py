@@ -1,0 +1,62 @@
+"""What can go wrong between a simulator and the server."""
+
+from __future__ import annotations
+
+from typing import Any
+
+_SHOWN = 5
+
+
+class ProblemError(Exception):
+    """The server refused a call; the text says what to do.
+
+    Parameters
+    ----------
+    status : int
+        HTTP status.
+    title, detail : str
+        What is wrong in a few words; what exactly, and what to do.
+    errors : list of dict
+        The mistakes one by one: ``{loc, msg}`` of a body, ``{row, field, message}`` of a table.
+    body : dict, optional
+        The whole ``application/problem+json`` answer, with members such as ``job``.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        title: str,
+        detail: str = "",
+        errors: list[dict[str, Any]] | None = None,
+        body: dict[str, Any] | None = None,
+    ) -> None:
+        super().__init__(status, title, detail)
+        self.status = status
+        self.title = title
+        self.detail = detail
+        self.errors = errors or []
+        self.body = body or {}
+
+    def __str__(self) -> str:
+        lines = [f"{self.status} {self.title}"]
+        if self.detail:
+            lines[0] += f": {self.detail}"
+        lines += [f"  {_line(error)}" for error in self.errors[:_SHOWN]]
+        if len(self.errors) > _SHOWN:
+            lines.append(f"  and {len(self.errors) - _SHOWN} more")
+        return "\n".join(lines)
+
+
+class ServerUnreachable(ConnectionError):  # noqa: N818 (a state of the world, and the public name)
+    """Nothing answers at the address; the text says how to start a server."""
+
+
+class ServerTimeout(TimeoutError):  # noqa: N818 (as above)
+    """The server, or a job, took longer than the caller would wait."""
+
+
+def _line(error: dict[str, Any]) -> str:
+    """Lay out one mistake of a body or of a table."""
+    if "row" in error:
+        return f"row {error['row']}, {error.get('field', '')}: {error.get('message', '')}"
+    return f"{error.get('loc', '')}: {error.get('msg', '')}"

@@ -1,0 +1,206 @@
+"""Components and their tables: list, add, import, export."""
+
+from __future__ import annotations
+
+import io
+import json
+import secrets
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from service.client.connection import Connection
+from service.client.errors import ProblemError, ServerTimeout, ServerUnreachable
+from service.client.questions import component_path
+
+_KINDS = {
+    "csv": "text/csv; charset=utf-8",
+    "json": "application/json",
+    "parquet": "application/vnd.apache.parquet",
+    "hdf5": "application/x-hdf5",
+}
+_SUFFIXES = {".csv": "csv", ".txt": "csv", ".tsv": "csv", ".json": "json"} | {
+    ".parquet": "parquet",
+    ".h5": "hdf5",
+    ".hdf5": "hdf5",
+}
+
+
+class Library(Connection):
+    """List and add components; carry tables in and out."""
+
+    def components(self) -> list[dict[str, Any]]:
+        """Return the library: per component its name, title, range, rows, table version."""
+        return self.call_json("GET", "/v1/components")["components"]
+
+    def component(self, name: str) -> dict[str, Any]:
+        """Return all there is to say about one component, with its wrench contract.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such component (404).
+        """
+        return self.call_json("GET", component_path(name))
+
+    def add_component(self, component: str | Path | Mapping[str, Any]) -> dict[str, Any]:
+        """Add a component.
+
+        Parameters
+        ----------
+        component : path or mapping
+            A bundle, as its folder or a zip of it; or, for a component that is a table only,
+            ``{"name", "title", "range": {"force": [3], "moment": [3]}}``, N and N·m.
+
+        Returns
+        -------
+        dict
+            As from `component`.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the path does not exist.
+        ProblemError
+            If the name is taken (409) or the bundle has mistakes (422, all of them listed).
+        """
+        path = "/v1/components"
+        if isinstance(component, Mapping):
+            return self.call_json("POST", path, dict(component), repeatable=False)
+        bundle = Path(component)
+        archive = _zipped(bundle) if bundle.is_dir() else bundle.read_bytes()
+        kind, content = _form(f"{bundle.stem}.zip", archive)
+        return self.call("POST", path, content, kind=kind, repeatable=False).json()
+
+    def import_table(
+        self,
+        name: str,
+        table: str | bytes | Path,
+        format: str | None = None,  # noqa: A002 (the contract's word)
+        dry_run: bool = False,
+    ) -> dict[str, Any]:
+        """Load a table from outside: all its rows, or none.
+
+        Parameters
+        ----------
+        name : str
+            The component.
+        table : path, str or bytes
+            A file as a `pathlib.Path`, or as a text its content; a text of one line is taken for a
+            path.
+        format : {"csv", "json", "parquet", "hdf5"}, optional
+            By the file's suffix if not given; csv without one.
+        dry_run : bool
+            Only check: mistakes come back in ``errors`` instead of as a ProblemError.
+
+        Returns
+        -------
+        dict
+            ``inserted``, ``existing`` and ``errors``, a list of ``{row, field, message}``.
+
+        Raises
+        ------
+        ProblemError
+            If rows have mistakes (422): ``errors`` names each by row, field and reason; nothing is
+            loaded then.
+        """
+        if isinstance(table, str) and "\n" not in table and "\r" not in table:
+            table = Path(table)
+        if isinstance(table, Path):
+            format = format or _SUFFIXES.get(table.suffix.lower())  # noqa: A001
+            table = table.read_bytes()
+        content = table.encode() if isinstance(table, str) else table
+        chosen = _known(format or "csv")
+        reply = self.call(
+            "POST",
+            component_path(name, "table"),
+            content,
+            kind=_KINDS[chosen],
+            query={"format": chosen, "dry_run": True if dry_run else None},
+        )
+        return reply.json()
+
+    def export_table(
+        self,
+        name: str,
+        format: str = "csv",  # noqa: A002 (the contract's word)
+        units: Mapping[str, str] | None = None,
+    ) -> Any:
+        """Return a component's table.
+
+        Parameters
+        ----------
+        name : str
+            The component.
+        format : {"csv", "json", "parquet", "hdf5"}
+            Text of the first two, bytes of the others.
+        units : mapping, optional
+            For csv, any of ``force``, ``moment``, ``translation``, ``rotation`` to a unit, such as
+            ``{"force": "lbf", "translation": "mm"}``; SI otherwise.
+
+        Returns
+        -------
+        str or bytes
+            What `import_table` loads again.
+        """
+        chosen = _known(format)
+        query = {"format": chosen, **(units or {})}
+        content = self.call("GET", component_path(name, "table"), query=query).content
+        return content.decode() if chosen in ("csv", "json") else content
+
+    def health(self) -> dict[str, Any]:
+        """Return the server's readiness: ``status`` and, if it is not ready, its ``faults``.
+
+        Raises
+        ------
+        ServerUnreachable, ServerTimeout
+            If nothing answers.
+        """
+        try:
+            return self.call_json("GET", "/health/ready")
+        except ProblemError as error:
+            if error.status == 503 and error.body:
+                return error.body
+            raise
+
+    def is_ready(self) -> bool:
+        """Tell whether a server answers and is ready to."""
+        try:
+            self.call("GET", "/health/ready")
+        except (ServerUnreachable, ServerTimeout, ProblemError):
+            return False
+        return True
+
+
+def _known(format_: str) -> str:
+    if format_ not in _KINDS:
+        raise ValueError(f"{format_!r} is no form of a table; there are {', '.join(_KINDS)}")
+    return format_
+
+
+def _zipped(folder: Path) -> bytes:
+    """Return a zip of a bundle's folder; hidden files stay behind."""
+    if not (folder / "component.toml").is_file():
+        raise FileNotFoundError(f"{folder} has no component.toml: it is no component bundle")
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(folder.rglob("*")):
+            inside = path.relative_to(folder)
+            if path.is_file() and not any(part.startswith(".") for part in inside.parts):
+                archive.write(path, inside.as_posix())
+    return buffer.getvalue()
+
+
+def _form(filename: str, archive: bytes) -> tuple[str, bytes]:
+    """Return content type and body of a form with the one file ``bundle`` (RFC 7578)."""
+    boundary = secrets.token_hex(16)
+    quoted = json.dumps(filename, ensure_ascii=True)
+    head = (
+        f"--{boundary}\r\n"
+        f'Content-Disposition: form-data; name="bundle"; filename={quoted}\r\n'
+        "Content-Type: application/zip\r\n\r\n"
+    )
+    tail = f"\r\n--{boundary}--\r\n"
+    content = head.encode() + archive + tail.encode()
+    return f"multipart/form-data; boundary={boundary}", content

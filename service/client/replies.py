@@ -1,0 +1,220 @@
+"""What the server answers, as a simulator likes to have it: frozen, with numpy arrays, in SI."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from service.client.rotation import rotation_matrix
+from service.client.solves import Job, joined
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Displacement:
+    """The answer to one wrench, in the undeformed interface frame.
+
+    Parameters
+    ----------
+    component : str
+        Who was asked.
+    wrench : numpy.ndarray
+        Shape (6,), N and N·m, as asked.
+    translation, rotation : numpy.ndarray or None
+        Shape (3,), m; rotation vector, shape (3,), rad. None when nothing can be said yet.
+    error_translation, error_rotation : numpy.ndarray or None
+        Estimated 95 % error bars, shape (3,), m and rad.
+    coverage : str
+        ``covered``, ``thin`` or ``outside``.
+    source : str or None
+        ``table``, or where the row that answers came from: ``fea``, ``measured``.
+    method : str or None
+        ``griddata``, ``linear``, ``row``, ...
+    table_version : int or None
+        Version of the table that answered.
+    elapsed_us : float or None
+        Time the answer took in the server, µs.
+    job : Job or None
+        The solve that will make it better.
+    reason : str
+        Why it is not covered; may be empty.
+    raw : dict
+        The reply as it came; with ``detail`` it has ``axes``.
+    """
+
+    component: str
+    wrench: Vector
+    translation: Vector | None
+    rotation: Vector | None
+    error_translation: Vector | None
+    error_rotation: Vector | None
+    coverage: str
+    source: str | None
+    method: str | None
+    table_version: int | None
+    elapsed_us: float | None
+    job: Job | None
+    reason: str
+    raw: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def read(cls, component: str, wrench: Vector, body: Mapping[str, Any]) -> Self:
+        """Make one from the reply to `wrench`."""
+        error = body.get("error") or {}
+        job = body.get("job")
+        return cls(
+            component=body.get("component") or component,
+            wrench=wrench,
+            translation=_array(body.get("translation")),
+            rotation=_array(body.get("rotation")),
+            error_translation=_array(error.get("translation")),
+            error_rotation=_array(error.get("rotation")),
+            coverage=body["coverage"],
+            source=body.get("source"),
+            method=body.get("method"),
+            table_version=body.get("table_version"),
+            elapsed_us=body.get("elapsed_us"),
+            job=Job.read(job) if job else None,
+            reason=body.get("reason") or "",
+            raw=dict(body),
+        )
+
+    @property
+    def covered(self) -> bool:
+        """Whether the table is thick enough here, or a solve of this wrench has answered."""
+        return self.coverage == "covered"
+
+    @property
+    def vector(self) -> Vector | None:
+        """Translation then rotation, shape (6,), m and rad; None when nothing can be said."""
+        return joined(self.translation, self.rotation)
+
+    @property
+    def error_vector(self) -> Vector | None:
+        """Error bars in the order of `vector`, shape (6,), m and rad."""
+        return joined(self.error_translation, self.error_rotation)
+
+    @property
+    def matrix(self) -> Vector:
+        """The displacement as a homogeneous matrix, shape (4, 4), in the interface frame.
+
+        Raises
+        ------
+        ValueError
+            If nothing is known yet.
+        """
+        rotation, position = self.apply(np.eye(3), np.zeros(3))
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = rotation, position
+        return matrix
+
+    def apply(self, R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
+        """Move the pose of the undeformed interface to the deformed one.
+
+        Parameters
+        ----------
+        R0 : array_like
+            Shape (3, 3): the undeformed interface frame's axes, as columns, in the world.
+        p0 : array_like
+            Shape (3,), m: the undeformed interface point in the world.
+
+        Returns
+        -------
+        R, p : numpy.ndarray
+            R0 exp(r), shape (3, 3), and p0 + R0 u, shape (3,), m.
+
+        Raises
+        ------
+        ValueError
+            If nothing is known yet, or a shape is wrong.
+        """
+        if self.translation is None or self.rotation is None:
+            hope = f"wait for job {self.job.id}" if self.job else self.reason or "no job is queued"
+            raise ValueError(
+                f"the displacement of {self.component} under this wrench is not known ({hope})"
+            )
+        orientation, point = np.asarray(R0, dtype=float), np.asarray(p0, dtype=float)
+        if orientation.shape != (3, 3) or point.shape != (3,):
+            raise ValueError(
+                f"R0 must have shape (3, 3) and p0 (3,), not {orientation.shape} and {point.shape}"
+            )
+        turned = orientation @ rotation_matrix(self.rotation)
+        return turned, point + orientation @ self.translation
+
+
+@dataclass(frozen=True, eq=False)
+class Displacements:
+    """The answers to a batch of wrenches.
+
+    Parameters
+    ----------
+    component : str
+        Who was asked.
+    wrenches : numpy.ndarray
+        Shape (n, 6), N and N·m, as asked.
+    displacements, errors : numpy.ndarray
+        Shape (n, 6), m and rad; NaN where nothing can be said.
+    coverage : numpy.ndarray
+        Shape (n,), of ``covered``, ``thin``, ``outside``.
+    jobs : dict of int to Job
+        The solves that are queued, by the number of the wrench, from 0.
+    table_version : int or None
+        Version of the table that answered.
+    elapsed_us : float or None
+        Time all answers took in the server, µs.
+    """
+
+    component: str
+    wrenches: Vector
+    displacements: Vector
+    errors: Vector
+    coverage: NDArray[np.str_]
+    jobs: dict[int, Job]
+    table_version: int | None
+    elapsed_us: float | None
+    raw: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def read(cls, component: str, wrenches: Vector, body: Mapping[str, Any]) -> Self:
+        """Make one from the reply to `wrenches`."""
+        count = len(wrenches)
+        return cls(
+            component=body.get("component") or component,
+            wrenches=wrenches,
+            displacements=_block(body["displacements"], count),
+            errors=_block(body["errors"], count),
+            coverage=np.array(body["coverage"], dtype=np.str_),
+            jobs={job["index"]: Job.read(job) for job in body.get("jobs") or ()},
+            table_version=body.get("table_version"),
+            elapsed_us=body.get("elapsed_us"),
+            raw=dict(body),
+        )
+
+    def __len__(self) -> int:
+        return len(self.wrenches)
+
+    @property
+    def covered(self) -> NDArray[np.bool_]:
+        """Shape (n,): where the table is thick enough."""
+        return self.coverage == "covered"
+
+
+def _array(values: Any) -> Vector | None:
+    """Return three floats as an array that is not written to by mistake, or None."""
+    if values is None:
+        return None
+    array = np.array(values, dtype=float)
+    array.flags.writeable = False
+    return array
+
+
+def _block(rows: Any, count: int) -> Vector:
+    """Return shape (n, 6); a row, or a number, that is null becomes NaN."""
+    unknown = (np.nan,) * 6
+    block = np.array([unknown if row is None else row for row in rows], dtype=float)
+    return block.reshape(count, 6)

@@ -1,0 +1,144 @@
+"""Jobs and filling: what the server does in the background."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from service.client.connection import Connection
+from service.client.errors import ServerTimeout
+from service.client.questions import component_path
+from service.client.solves import Job, Round
+from service.client.wrenches import options
+
+LONGEST_POLL_S = 20.0
+ROUND = 24
+
+
+class Working(Connection):
+    """Follow, cancel and retry jobs; fill tables."""
+
+    def job(self, job: Job | int, wait_s: float | None = None) -> Job:
+        """Return a job as it is now, or, with `wait_s`, once it has ended or the time is up.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such job (404).
+        """
+        query = {"wait_s": wait_s} if wait_s else None
+        return Job.read(self.call_json("GET", _path(job), query=query, wait_s=wait_s))
+
+    def wait(self, job: Job | int, timeout: float = 600.0) -> Job:
+        """Wait until a job has ended, and return it: look at its `Job.status`.
+
+        Parameters
+        ----------
+        job : Job or int
+            The job, or its number.
+        timeout : float
+            Seconds to wait at most.
+
+        Raises
+        ------
+        ServerTimeout
+            If it has not ended by then; it goes on in the server.
+        """
+        deadline = time.monotonic() + timeout
+        while True:
+            left = deadline - time.monotonic()
+            asked = time.monotonic()
+            now = self.job(job, wait_s=max(0.0, min(left, LONGEST_POLL_S)))
+            if now.ended:
+                return now
+            if time.monotonic() >= deadline:
+                raise ServerTimeout(
+                    f"job {now.id} is still {now.status} after {timeout:g} s; it goes on in the "
+                    "server"
+                )
+            # A server that answers at once instead of holding the call must not be hammered.
+            if time.monotonic() - asked < 0.05:
+                time.sleep(0.05)
+
+    def jobs(
+        self, component: str | None = None, status: str | None = None, limit: int | None = None
+    ) -> list[Job]:
+        """Return the jobs, newest first, of one component or status if given."""
+        query = {"component": component, "status": status, "limit": limit}
+        return [Job.read(one) for one in self.call_json("GET", "/v1/jobs", query=query)["jobs"]]
+
+    def cancel(self, job: Job | int) -> Job:
+        """Cancel a job that has not ended, and return it."""
+        return Job.read(self.call_json("DELETE", _path(job), repeatable=False))
+
+    def retry(self, job: Job | int) -> Job:
+        """Queue a failed or cancelled job again, and return it."""
+        return Job.read(self.call_json("POST", f"{_path(job)}/retry", {}, repeatable=False))
+
+    def fill(self, name: str, tolerance: Any = None, budget: int | None = None) -> Round:
+        """Queue one round of the solves that lower a table's error most.
+
+        Parameters
+        ----------
+        name : str
+            The component.
+        tolerance : mapping or pair, optional
+            ``{"translation": m, "rotation": rad}`` to reach; the component's own otherwise.
+        budget : int, optional
+            Solves to queue at most.
+
+        Raises
+        ------
+        ProblemError
+            If the component is a table only and cannot be solved (409).
+        """
+        body = options(tolerance=tolerance, budget=budget)
+        reply = self.call_json("POST", component_path(name, "fill"), body, repeatable=False)
+        return Round.read(reply)
+
+    def fill_until(
+        self,
+        name: str,
+        tolerance: Any = None,
+        budget: int = 100,
+        *,
+        round_size: int = ROUND,
+        timeout: float = 3600.0,
+    ) -> Iterator[Round]:
+        """Fill a table round by round, each designed on what the one before has found.
+
+        Parameters
+        ----------
+        name, tolerance
+            As in `fill`.
+        budget : int
+            Solves to spend at most, over all rounds.
+        round_size : int
+            Solves of one round at most.
+        timeout : float
+            Seconds to wait for the jobs of one round.
+
+        Yields
+        ------
+        Round
+            Each round once its jobs have ended; the last one may be without jobs, with the reason.
+            It ends when the tolerance is met, the budget is spent, or no job of a round was done.
+
+        Raises
+        ------
+        ServerTimeout
+            If a round does not end in time; its jobs go on in the server.
+        """
+        while budget > 0:
+            order = self.fill(name, tolerance, min(round_size, budget))
+            deadline = time.monotonic() + timeout
+            ended = tuple(self.wait(job, deadline - time.monotonic()) for job in order.jobs)
+            yield Round(ended, order.stage, order.reason)
+            budget -= len(ended)
+            if not any(job.status == "done" for job in ended):
+                return
+
+
+def _path(job: Job | int) -> str:
+    return f"/v1/jobs/{job.id if isinstance(job, Job) else int(job)}"

@@ -1,0 +1,126 @@
+"""Checks of wrenches before they are sent: what is wrong is said here, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+NAMES = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
+ON_THIN = ("queue", "wait", "estimate", "reject")
+
+Vector = NDArray[np.float64]
+
+
+def one_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
+    """Return a checked wrench, shape (6,), N and N·m.
+
+    Parameters
+    ----------
+    force : array_like
+        Shape (3,), N; or the whole wrench, shape (6,), when no moment is given.
+    moment : array_like, optional
+        Shape (3,), N·m; zero if not given.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, or a number is NaN or infinite; the text names it.
+    """
+    first = _numbers(force, "force")
+    if moment is None and first.shape == (6,):
+        wrench = first
+    else:
+        second = np.zeros(3) if moment is None else _numbers(moment, "moment")
+        for name, part in (("force", first), ("moment", second)):
+            if part.shape != (3,):
+                raise ValueError(
+                    f"{name} must be three numbers, it has shape {part.shape}; a whole wrench of "
+                    "six goes in as the force alone"
+                )
+        wrench = np.concatenate([first, second])
+    _require_finite(wrench[None, :], "")
+    return wrench
+
+
+def many_wrenches(wrenches: ArrayLike) -> Vector:
+    """Return checked wrenches, shape (n, 6), N and N·m.
+
+    Raises
+    ------
+    ValueError
+        If the shape is wrong, or a number is NaN or infinite; the text names the first.
+    """
+    block = _numbers(wrenches, "wrenches")
+    if block.size == 0 and block.ndim <= 2:
+        return np.empty((0, 6))
+    if block.ndim != 2 or block.shape[1] != 6:
+        raise ValueError(f"wrenches must have shape (n, 6), not {block.shape}")
+    _require_finite(block, "wrench {}: ")
+    return block
+
+
+def options(**given: Any) -> dict[str, Any]:
+    """Return the options of a call that are given, checked where a slip is likely.
+
+    Raises
+    ------
+    ValueError
+        If ``on_thin`` is not one of the four words.
+    """
+    on_thin = given.get("on_thin")
+    if on_thin is not None and on_thin not in ON_THIN:
+        raise ValueError(f"on_thin must be one of {', '.join(ON_THIN)}, not {on_thin!r}")
+    if given.get("tolerance") is not None:
+        given["tolerance"] = tolerance_body(given["tolerance"])
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def tolerance_body(tolerance: Any) -> dict[str, float]:
+    """Return a tolerance as the wire has it, from a mapping, an object or a pair.
+
+    Parameters
+    ----------
+    tolerance : mapping, pair or object
+        ``translation`` in m and ``rotation`` in rad, as keys, as attributes or in this order.
+
+    Raises
+    ------
+    ValueError
+        If it is none of these, or a number is not positive and finite.
+    """
+    try:
+        if isinstance(tolerance, Mapping):
+            pair = (tolerance["translation"], tolerance["rotation"])
+        elif hasattr(tolerance, "translation"):
+            pair = (tolerance.translation, tolerance.rotation)
+        else:
+            pair = tuple(tolerance)
+        translation, rotation = (float(part) for part in pair)
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise ValueError(
+            f"a tolerance is {{'translation': m, 'rotation': rad}}, not {tolerance!r}"
+        ) from None
+    if not (0.0 < translation < np.inf and 0.0 < rotation < np.inf):
+        raise ValueError(f"a tolerance is positive and finite, not {tolerance!r}")
+    return {"translation": translation, "rotation": rotation}
+
+
+def _numbers(values: ArrayLike, name: str) -> Vector:
+    """Return floats from numbers only: a text that looks like one is a slip."""
+    try:
+        block = np.asarray(values)
+    except ValueError:
+        raise ValueError(f"{name} must be a regular array of numbers") from None
+    if block.dtype.kind not in "fiu" and block.size:
+        raise ValueError(f"{name} must be numbers, not {block.dtype}")
+    return block.astype(float)
+
+
+def _require_finite(block: Vector, where: str) -> None:
+    bad = np.argwhere(~np.isfinite(block))
+    if len(bad):
+        row, column = bad[0].tolist()
+        raise ValueError(f"{where.format(row)}{NAMES[column]} is {block[row, column]}, not finite")
