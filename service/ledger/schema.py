@@ -154,8 +154,12 @@ def _connect(path: Path) -> Connection:
     connection = sqlite3.connect(
         path, timeout=BUSY_SECONDS, isolation_level=None, check_same_thread=False
     )
-    connection.execute("PRAGMA synchronous = FULL")
-    connection.execute("PRAGMA foreign_keys = ON")
+    try:
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("PRAGMA foreign_keys = ON")
+    except BaseException:
+        connection.close()
+        raise
     return connection
 
 
@@ -163,21 +167,23 @@ def _open(path: Path) -> Connection:
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         connection = _connect(path)
-    except sqlite3.Error as error:
-        raise LedgerFileError(f"cannot open the ledger {path}: {error}") from error
-    try:
-        _check_file(connection, path)
-        _use_wal(connection)
-        _upgrade(connection)
+        try:
+            _check_file(connection, path)
+            _use_wal(connection)
+            _upgrade(connection)
+        except BaseException:
+            connection.close()
+            raise
+    except sqlite3.OperationalError as error:
+        raise LedgerFileError(
+            f"cannot open the ledger {path}: {error}. See that its folder is writable, "
+            "its disk has space and no program keeps it locked"
+        ) from error
     except sqlite3.DatabaseError as error:
-        connection.close()
         raise LedgerFileError(
             f"cannot read {path} as a ledger: {error}. Move it away to start an empty one, "
             "or put back a copy"
         ) from error
-    except LedgerError:
-        connection.close()
-        raise
     _sync_folder(path.parent)
     return connection
 

@@ -1,0 +1,72 @@
+"""Several processes on one ledger file."""
+
+import subprocess
+import sys
+
+from service.ledger import Ledger, NewRow
+
+WORK = """
+import sys
+from service.ledger import Ledger
+ledger = Ledger(sys.argv[1])
+for load in range(30):
+    ledger.accept("bar", "f", (load, 0, 0, 0, 0, 0))
+while job := ledger.claim(sys.argv[2]):
+    ledger.commit(job.id, job.attempt, [load * 1e-6 for load in job.wrench])
+    print(job.id)
+ledger.close()
+"""
+
+
+def start(code, *arguments):
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+
+def test_processes_that_open_accept_and_claim_at_once_share_each_job_once(tmp_path):
+    path = tmp_path / "ledger.sqlite"
+    workers = [start(WORK, path, f"worker {i}") for i in range(3)]
+    printed = [worker.communicate(timeout=60)[0] for worker in workers]
+    assert [worker.returncode for worker in workers] == [0, 0, 0]
+    claimed = sorted(int(line) for text in printed for line in text.split())
+    ledger = Ledger(path)
+    assert claimed == sorted(job.id for job in ledger.jobs(status="done"))
+    assert sorted(row.wrench[0] for row in ledger.rows("bar")) == list(range(30))
+    ledger.close()
+
+
+def test_what_another_process_commits_changes_the_version_and_ends_a_wait(tmp_path):
+    path = tmp_path / "ledger.sqlite"
+    ledger = Ledger(path)
+    ledger.insert_rows("bar", "f", [NewRow((1, 0, 0, 0, 0, 0), (0,) * 6)])
+    job, _ = ledger.accept("bar", "f", (5, 0, 0, 0, 0, 0))
+    seen = ledger.version()
+    worker = start(WORK, path, "worker")
+    assert ledger.wait(job.id, 30).status == "done"
+    worker.communicate(timeout=60)
+    assert ledger.version() != seen
+    assert len(ledger.rows("bar", after=1)) == 30
+    ledger.close()
+
+
+def test_a_process_killed_in_the_middle_of_its_writing_leaves_a_ledger_that_opens(tmp_path):
+    path = tmp_path / "ledger.sqlite"
+    endless = """
+import sys
+from service.ledger import Ledger
+ledger = Ledger(sys.argv[1])
+load = 0
+while True:
+    load += 1
+    ledger.accept("bar", "f", (load, 0, 0, 0, 0, 0))
+    print(load, flush=True)
+"""
+    worker = start(endless, path)
+    acknowledged = [int(worker.stdout.readline()) for _ in range(50)]
+    worker.kill()
+    acknowledged += [int(line) for line in worker.communicate()[0].splitlines()]
+    ledger = Ledger(path)
+    there = {job.wrench[0] for job in ledger.jobs(limit=10**6)}
+    assert set(acknowledged) <= there
+    assert len(there) <= len(acknowledged) + 1
+    ledger.close()
