@@ -8,6 +8,7 @@ from pathlib import Path
 
 import meshio
 import numpy as np
+from meshio import _mesh
 
 from fea.inpfile import read_inp
 from fea.mesh import Mesh
@@ -34,6 +35,9 @@ _KINDS = {
     "line": "line2",
     "line3": "line3",
 }
+# meshio knows this kind in every table but the one of dimensions, and fails on its files.
+_mesh.topological_dimension.setdefault("wedge15", 3)
+
 # An integer array with more values than this numbers things instead of grouping them.
 _MOST_GROUPS = 1000
 

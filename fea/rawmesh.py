@@ -78,13 +78,29 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     if not np.isfinite(raw.points[used]).all():
         raise MeshFileError("has coordinates that are not finite numbers")
     kinds = list(dict.fromkeys(raw.blocks[i][0] for i in solids))
-    cells = {k: np.concatenate([b for kind, b in raw.blocks if kind == k]) for k in kinds}
+    cells = {k: number[np.concatenate([b for kind, b in raw.blocks if kind == k])] for k in kinds}
+    once = {kind: _without_twins(nodes) for kind, nodes in cells.items()}
     points = raw.points[used] * metres
     blocks = tuple(
-        right_way_round(points, CellBlock(k, number[nodes])) for k, nodes in cells.items()
+        right_way_round(points, CellBlock(kind, cells[kind][kept]))
+        for kind, (kept, _) in once.items()
     )
+    regions = _regions(raw, {kind: new for kind, (_, new) in once.items()})
     groups = _facet_groups(raw, number, blocks)
-    return Mesh(points, blocks, _regions(raw, kinds), groups, _node_groups(raw, number))
+    return Mesh(points, blocks, regions, groups, _node_groups(raw, number))
+
+
+def _without_twins(nodes: Array) -> tuple[Array, Array]:
+    """Return the rows to keep of cells that may come twice, and each row's number among these.
+
+    gmsh's 2.2 format writes a cell once for each group it is in; kept twice, it would be twice as
+    stiff.
+    """
+    _, first, twin_of = np.unique(
+        np.sort(nodes, axis=1), axis=0, return_index=True, return_inverse=True
+    )
+    kept = np.sort(first)
+    return kept, np.searchsorted(kept, first[twin_of.ravel()])
 
 
 def _require_solids(raw: RawMesh) -> None:
@@ -101,21 +117,25 @@ def _require_solids(raw: RawMesh) -> None:
         raise MeshFileError(f"has no solid cells (it has {there}); export the volume mesh too")
 
 
-def _regions(raw: RawMesh, kinds: list[str]) -> dict[str, tuple[Array, ...]]:
-    """Return each element set as numbers of cells within the joined block of their kind."""
-    first: list[int] = []
-    count = dict.fromkeys(kinds, 0)
-    for kind, nodes in raw.blocks:
-        first.append(count.get(kind, 0))
-        if kind in count:
-            count[kind] += len(nodes)
+def _regions(raw: RawMesh, renumbered: dict[str, Array]) -> dict[str, tuple[Array, ...]]:
+    """Return each element set as numbers of cells within the joined block of their kind.
+
+    Parameters
+    ----------
+    raw
+        As read.
+    renumbered
+        For each kind the final number of each cell, in the order of the file.
+    """
     regions = {}
     for name, numbers in raw.element_sets.items():
-        parts: dict[str, list[Array]] = {kind: [np.empty(0, np.int64)] for kind in kinds}
-        for (kind, _), start, chosen in zip(raw.blocks, first, numbers, strict=True):
-            if kind in parts:
-                parts[kind].append(chosen + start)
-        region = tuple(np.unique(np.concatenate(parts[kind])) for kind in kinds)
+        chosen: dict[str, list[Array]] = {kind: [] for kind in renumbered}
+        passed = dict.fromkeys(renumbered, 0)
+        for (kind, nodes), rows in zip(raw.blocks, numbers, strict=True):
+            if kind in renumbered:
+                chosen[kind].append(renumbered[kind][rows + passed[kind]])
+                passed[kind] += len(nodes)
+        region = tuple(np.unique(np.concatenate(parts)) for parts in chosen.values())
         if any(len(cells) for cells in region):
             regions[name] = region
     return regions
