@@ -2,7 +2,9 @@
 
 import os
 import signal
+import subprocess
 import time
+from pathlib import Path
 
 
 def displacement(wrench):
@@ -52,3 +54,22 @@ class NotConvergedError(Exception):
 
 def diverges(spec, report):
     raise NotConvergedError("no equilibrium at load factor 0.5")
+
+
+def describe(spec, report):
+    """Tells in what surroundings solvers run."""
+    seen = {
+        "threads": os.environ["OPENBLAS_NUM_THREADS"],
+        "niceness": os.getpriority(os.PRIO_PROCESS, 0),
+        "session": os.getsid(0),
+        "pid": os.getpid(),
+        "folder": str(Path.cwd()),
+    }
+    return {"displacement": displacement(spec.wrench), "seen": seen}
+
+
+def leaves_a_child(spec, report):
+    """Starts another program, as a deck's solver is, and writes down its pid."""
+    child = subprocess.Popen(["sleep", "60"])
+    Path("child").write_text(str(child.pid))
+    endless(spec, report)

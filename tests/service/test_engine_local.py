@@ -1,0 +1,165 @@
+"""The local engine with real subprocesses, and the locks it stands on."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from service import flock
+from service.attempt import Spec, prepare, read_outcome, read_progress
+from service.engines import EngineError, open_engine
+from service.engines.local import LocalEngine
+
+HERE = Path(__file__).parent
+SPEC = Spec(1, 1, "bar", "/nowhere", "f1", (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
+
+
+def engine_with(solver, **options):
+    environment = {"WRENCHBOOK_SOLVE": f"stand_in:{solver}", "PYTHONPATH": str(HERE)}
+    return LocalEngine(2, environment=environment, **options)
+
+
+def attempt(tmp_path):
+    folder = tmp_path / "jobs" / "1" / "1"
+    prepare(folder, SPEC)
+    return folder
+
+
+def until(condition, seconds=20):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "did not come about"
+        time.sleep(0.005)
+
+
+def solver_pid(folder):
+    until(lambda: (folder / "lock").read_text().isdigit())
+    return int((folder / "lock").read_text())
+
+
+def test_a_submitted_attempt_is_running_at_once_and_then_finished(tmp_path):
+    folder, engine = attempt(tmp_path), engine_with("slow")
+    engine.submit(folder)
+    assert engine.poll(folder) == "running"
+    until(lambda: read_progress(folder))
+    assert 0 <= read_progress(folder).fraction < 1
+    until(lambda: engine.poll(folder) != "running")
+    assert engine.poll(folder) == "finished"
+    outcome = read_outcome(folder, SPEC)
+    assert outcome["displacement"] == [1e-6, 2e-6, 3e-6, 0, 0, 0]
+
+
+def test_a_solver_that_is_killed_is_lost(tmp_path):
+    folder, engine = attempt(tmp_path), engine_with("endless")
+    engine.submit(folder)
+    os.kill(solver_pid(folder), signal.SIGKILL)
+    until(lambda: engine.poll(folder) == "lost")
+
+
+def test_a_folder_without_a_solver_is_lost(tmp_path):
+    assert LocalEngine(1).poll(attempt(tmp_path)) == "lost"
+    assert LocalEngine(1).poll(tmp_path / "never" / "made") == "lost"
+
+
+def test_another_engine_can_look_after_a_solver_it_did_not_start(tmp_path):
+    folder = attempt(tmp_path)
+    engine_with("endless").submit(folder)
+    other = LocalEngine(1)
+    other.attach(folder)
+    assert other.poll(folder) == "running"
+    solver_pid(folder)
+    other.cancel(folder)
+    until(lambda: other.poll(folder) != "running")
+    assert read_outcome(folder, SPEC) == {"status": "cancelled"}
+
+
+def test_cancelling_before_the_solver_has_begun_ends_it_as_well(tmp_path):
+    folder, engine = attempt(tmp_path), engine_with("endless")
+    engine.submit(folder)
+    engine.cancel(folder)
+    until(lambda: engine.poll(folder) != "running")
+
+
+def test_a_solver_that_does_not_hear_is_killed_after_the_grace(tmp_path):
+    folder, engine = attempt(tmp_path), engine_with("deaf", grace=0.3)
+    engine.submit(folder)
+    until(lambda: read_progress(folder))
+    started = time.monotonic()
+    engine.cancel(folder)
+    until(lambda: engine.poll(folder) != "running")
+    assert engine.poll(folder) == "lost"
+    assert time.monotonic() - started >= 0.3
+
+
+def test_a_second_solver_in_the_same_folder_is_refused(tmp_path):
+    folder, engine = attempt(tmp_path), engine_with("endless")
+    engine.submit(folder)
+    with pytest.raises(EngineError, match="at work"):
+        engine.submit(folder)
+    command = [sys.executable, "-m", "service.runjob", str(folder)]
+    second = subprocess.run(command, capture_output=True, text=True, timeout=30)
+    assert (second.returncode, "at work" in second.stderr) == (75, True)
+    engine.cancel(folder)
+    until(lambda: engine.poll(folder) != "running")
+
+
+def test_solvers_use_one_thread_each_low_priority_and_a_session_of_their_own(tmp_path):
+    folder, engine = attempt(tmp_path), engine_with("describe")
+    engine.submit(folder)
+    until(lambda: engine.poll(folder) != "running")
+    seen = read_outcome(folder, SPEC)["seen"]
+    assert seen["threads"] == os.environ.get("OPENBLAS_NUM_THREADS", "1")
+    assert seen["niceness"] > os.getpriority(os.PRIO_PROCESS, 0)
+    assert seen["session"] == seen["pid"] != os.getsid(0)
+    assert seen["folder"] == str(folder)
+
+
+def test_what_the_solver_prints_is_in_its_log(tmp_path):
+    folder, engine = attempt(tmp_path), engine_with("diverges")
+    engine.submit(folder)
+    until(lambda: engine.poll(folder) != "running")
+    assert "NotConvergedError: no equilibrium" in (folder / "log.txt").read_text()
+
+
+def test_a_program_the_solver_started_does_not_keep_the_attempt_alive(tmp_path):
+    folder, engine = attempt(tmp_path), engine_with("leaves_a_child")
+    engine.submit(folder)
+    child = None
+    try:
+        until(lambda: (folder / "child").exists() and (folder / "child").read_text())
+        child = int((folder / "child").read_text())
+        os.kill(solver_pid(folder), signal.SIGKILL)
+        until(lambda: engine.poll(folder) == "lost")
+        os.kill(child, 0)  # it does live
+    finally:
+        if child:
+            os.kill(child, signal.SIGKILL)
+
+
+def test_ended_solvers_leave_no_zombies(tmp_path):
+    folder, engine = attempt(tmp_path), engine_with("endless")
+    engine.submit(folder)
+    pid = solver_pid(folder)
+    os.kill(pid, signal.SIGKILL)
+    until(lambda: not Path(f"/proc/{pid}").exists())
+
+
+def test_an_engine_is_opened_by_name():
+    assert open_engine("local", 3).slots == 3
+    assert open_engine().slots >= 1
+    with pytest.raises(ValueError, match="there are: local"):
+        open_engine("cloud")
+
+
+def test_a_lock_is_held_until_its_holder_lets_go(tmp_path):
+    path = tmp_path / "lock"
+    assert not flock.is_held(path)
+    held = flock.take(path)
+    assert flock.is_held(path)
+    assert flock.take(path) is None
+    os.close(held)
+    assert not flock.is_held(path)

@@ -1,0 +1,197 @@
+"""How runjob ends an attempt, whatever the solver does."""
+
+import json
+import sys
+import types
+
+import numpy as np
+import pytest
+
+from service import runjob
+from service.attempt import (
+    BadOutcomeError,
+    Progress,
+    Spec,
+    prepare,
+    read_outcome,
+    read_progress,
+    read_spec,
+    tidy,
+)
+
+SPEC = Spec(4, 2, "bar", "/bundles/bar", "f1", (1.0, -2.5, 0.1, 0.0, 0.0, 1e-300))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    prepare(tmp_path / "4" / "2", SPEC)
+    return tmp_path / "4" / "2"
+
+
+def error_of(folder):
+    outcome = read_outcome(folder, SPEC)
+    assert outcome["status"] == "failed"
+    return outcome["error"]
+
+
+def test_the_spec_is_read_as_it_was_written(folder):
+    assert read_spec(folder) == SPEC
+
+
+def test_a_solve_that_succeeds_leaves_its_numbers_bit_for_bit(folder):
+    displacement = np.array([1 / 3, -2e-9, 0.1, np.pi, 5e-324, 0])
+    answer = {"displacement": displacement, "compliance": np.eye(6) / 3, "unknowns": np.int64(7)}
+    assert runjob.main(folder, lambda spec, report: answer) == 0
+    outcome = read_outcome(folder, SPEC)
+    assert outcome["status"] == "done"
+    assert outcome["displacement"] == displacement.tolist()
+    assert outcome["compliance"] == (np.eye(6) / 3).tolist()
+    assert outcome["unknowns"] == 7
+    assert not list(folder.glob(".*"))
+
+
+def test_a_named_failure_keeps_kind_message_and_remedy(folder, capsys):
+    class MechanismError(Exception):
+        kind, remedy = "mechanism", "add supports"
+
+    def solve(spec, report):
+        raise MechanismError("three rigid motions are free")
+
+    assert runjob.main(folder, solve) == 1
+    assert error_of(folder) == {
+        "kind": "mechanism",
+        "message": "three rigid motions are free",
+        "remedy": "add supports",
+    }
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "message"),
+    [
+        (ZeroDivisionError("by zero"), "internal_error", "ZeroDivisionError: by zero"),
+        (KeyError(), "internal_error", "KeyError: KeyError"),
+        (MemoryError(), "out_of_memory", "MemoryError"),
+    ],
+)
+def test_any_other_exception_is_a_failure_too(folder, error, kind, message):
+    def solve(spec, report):
+        raise error
+
+    assert runjob.main(folder, solve) == 1
+    assert (error_of(folder)["kind"], error_of(folder)["message"]) == (kind, message)
+    assert error_of(folder)["remedy"]
+
+
+@pytest.mark.parametrize(
+    "displacement", [[0.0, 0, 0, 0, 0, float("nan")], np.full(6, np.inf), [1, 2, 3], None, 3.0]
+)
+def test_an_answer_that_is_not_six_finite_numbers_is_a_failure(folder, displacement):
+    assert runjob.main(folder, lambda spec, report: {"displacement": displacement}) == 1
+    assert error_of(folder)["kind"] == "bad_answer"
+
+
+def test_numbers_that_are_not_finite_never_reach_the_file(folder):
+    answer = {
+        "displacement": [0.0] * 6,
+        "compliance": np.full((6, 6), np.nan),
+        "work": float("inf"),
+        "history": ((0.5, 1, float("nan")), (1.0, 2, 1e-9)),
+    }
+    assert runjob.main(folder, lambda spec, report: answer) == 0
+    outcome = read_outcome(folder, SPEC)
+    assert (outcome["compliance"], outcome["work"]) == (None, None)
+    assert outcome["history"] == [[0.5, 1, None], [1.0, 2, 1e-9]]
+
+
+def test_progress_is_written_at_most_five_times_a_second(folder):
+    written = []
+
+    def solve(spec, report):
+        for step in range(1000):
+            report(step / 1000, f"step {step}")
+            written.append(read_progress(folder))
+        return {"displacement": [0.0] * 6}
+
+    assert read_progress(folder) is None
+    runjob.main(folder, solve)
+    assert written[0] == Progress(0.0, "step 0")
+    assert len(set(written)) <= 3
+
+
+def test_a_cancelled_solve_says_so(folder):
+    def solve(spec, report):
+        raise runjob.Cancelled
+
+    assert runjob.main(folder, solve) == runjob.CANCELLED
+    assert read_outcome(folder, SPEC) == {"status": "cancelled"}
+
+
+@pytest.mark.parametrize("name", ["no_colon", "no.such.module:solve", "json:no_such_function"])
+def test_a_solver_that_cannot_be_found_is_named(folder, monkeypatch, name):
+    monkeypatch.setenv("WRENCHBOOK_SOLVE", name)
+    assert runjob.main(folder) == 1
+    assert error_of(folder)["kind"] == "no_solver"
+    assert name in error_of(folder)["message"]
+
+
+def embedded(monkeypatch, fingerprint):
+    """Put stand-ins in the place of the finite-element room."""
+    solution = types.SimpleNamespace(
+        displacement=np.arange(6.0), compliance=np.eye(6), strain_energy=1.0, work=2.0,
+        seconds=0.1, unknowns=30, history=(),
+    )  # fmt: skip
+    bundle = types.SimpleNamespace(fingerprint=fingerprint)
+    reading = types.SimpleNamespace(read_bundle=lambda folder: bundle)
+    solving = types.SimpleNamespace(solve=lambda bundle, wrench, progress: solution)
+    monkeypatch.setitem(sys.modules, "fea.bundle", reading)
+    monkeypatch.setitem(sys.modules, "fea.solve", solving)
+    monkeypatch.delenv("WRENCHBOOK_SOLVE", raising=False)
+
+
+def test_the_embedded_solver_gives_all_numbers_of_its_solution(folder, monkeypatch):
+    embedded(monkeypatch, "f1")
+    assert runjob.main(folder) == 0
+    outcome = read_outcome(folder, SPEC)
+    assert outcome["displacement"] == [0, 1, 2, 3, 4, 5]
+    assert (outcome["work"], outcome["unknowns"], outcome["history"]) == (2.0, 30, [])
+
+
+def test_a_component_that_changed_since_the_job_was_accepted_is_not_solved(folder, monkeypatch):
+    embedded(monkeypatch, "f2")
+    assert runjob.main(folder) == 1
+    assert error_of(folder)["kind"] == "component_changed"
+    assert "ask for the wrench again" in error_of(folder)["remedy"]
+
+
+def test_an_outcome_of_another_attempt_or_a_torn_one_is_not_taken(folder):
+    runjob.main(folder, lambda spec, report: {"displacement": [0.0] * 6})
+    with pytest.raises(BadOutcomeError, match="answers"):
+        read_outcome(folder, Spec(4, 3, "bar", "/bundles/bar", "f1", SPEC.wrench))
+    (folder / "result.json").write_text('{"status": "done", "displ')
+    with pytest.raises(BadOutcomeError, match="cannot be read"):
+        read_outcome(folder, SPEC)
+
+
+def test_an_outcome_does_not_depend_on_where_the_component_is(folder):
+    runjob.main(folder, lambda spec, report: {"displacement": [0.0] * 6})
+    moved = Spec(4, 2, "bar", "/elsewhere/bar", "f1", SPEC.wrench)
+    assert read_outcome(folder, moved)["status"] == "done"
+
+
+def test_a_folder_left_by_a_ledger_that_is_gone_is_moved_aside(folder):
+    runjob.main(folder, lambda spec, report: {"displacement": [0.0] * 6})
+    prepare(folder, SPEC)
+    assert read_outcome(folder, SPEC) is None
+    assert len(list(folder.parent.glob("2.old-*/result.json"))) == 1
+
+
+def test_a_done_attempt_is_left_with_spec_log_and_outcome(folder):
+    (folder / "log.txt").write_text("all well")
+    (folder / "progress.json").write_text("{}")
+    (folder / "mesh").mkdir()
+    (folder / "mesh" / "big.vtu").write_text("...")
+    runjob.main(folder, lambda spec, report: {"displacement": [0.0] * 6})
+    tidy(folder)
+    assert {entry.name for entry in folder.iterdir()} == {"spec.json", "log.txt", "result.json"}
+    assert json.loads((folder / "spec.json").read_text())["component"] == "bar"

@@ -1,0 +1,138 @@
+"""kill -9 of dispatchers and solvers: every accepted job is done, each row is there once.
+
+WRENCHBOOK_KILLS=200 makes a long run of it.
+"""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from service.ledger import Ledger
+
+HERE = Path(__file__).parent
+KILLS = int(os.environ.get("WRENCHBOOK_KILLS", "6"))
+JOBS = 8
+
+
+class Site:
+    """A data directory, and the dispatcher process that works on it at present."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.ledger = Ledger(folder / "ledger.sqlite")
+        self.dispatcher = None
+
+    def start(self, solver="slow"):
+        environment = dict(os.environ, WRENCHBOOK_SOLVE=f"stand_in:{solver}", PYTHONPATH=str(HERE))
+        command = [sys.executable, str(HERE / "run_dispatcher.py"), str(self.folder)]
+        self.dispatcher = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE)
+        assert self.dispatcher.stdout.readline() == b"started\n"
+
+    def kill_dispatcher(self):
+        self.dispatcher.kill()
+        self.dispatcher.communicate()
+
+    def kill_a_solver(self, chance):
+        """Kill the solver of a running job that can bear one more lost attempt."""
+        candidates = [job for job in self.ledger.running() if job.lost < 2]
+        if not candidates:
+            return False
+        job = chance.choice(candidates)
+        try:
+            lock = self.folder / "jobs" / str(job.id) / str(job.attempt) / "lock"
+            os.kill(int(lock.read_text()), signal.SIGKILL)
+        except (FileNotFoundError, ValueError, ProcessLookupError):
+            return False
+        return True
+
+    def wait_until_all_done(self, seconds):
+        deadline = time.monotonic() + seconds
+        while self.ledger.counts()["waiting"] + self.ledger.counts()["running"]:
+            assert time.monotonic() < deadline, self.ledger.counts()
+            time.sleep(0.02)
+
+    def assert_each_job_is_done_with_one_row(self, wrenches):
+        jobs = self.ledger.jobs(limit=10**6)
+        rows = self.ledger.rows("bar")
+        assert sorted(job.wrench for job in jobs) == sorted(wrenches)
+        assert {job.status for job in jobs} == {"done"}, [job.error for job in jobs if job.error]
+        assert sorted(row.wrench for row in rows) == sorted(wrenches)
+        assert sorted(row.job for row in rows) == sorted(job.id for job in jobs)
+        for row in rows:
+            assert row.displacement == tuple(load * 1e-6 for load in row.wrench)
+
+
+@pytest.fixture
+def site(tmp_path):
+    site = Site(tmp_path)
+    yield site
+    site.kill_dispatcher()
+    site.ledger.close()
+
+
+def wrenches_of(count):
+    return [(float(load), 0.0, 0.0, 0.0, 0.0, 0.5) for load in range(1, count + 1)]
+
+
+def test_a_dispatcher_killed_in_the_middle_is_replaced_and_its_solvers_go_on(site):
+    wrenches = wrenches_of(2)
+    jobs = site.ledger.accept_many("bar", "f1", wrenches)
+    site.start()
+    while site.ledger.counts()["running"] < 2:
+        time.sleep(0.005)
+    site.kill_dispatcher()
+    site.start()
+    site.wait_until_all_done(30)
+    site.assert_each_job_is_done_with_one_row(wrenches)
+    assert [site.ledger.job(job.id).attempt for job in jobs] == [1, 1]
+
+
+def test_a_solver_killed_in_the_middle_is_replaced(site):
+    wrenches = wrenches_of(2)
+    site.ledger.accept_many("bar", "f1", wrenches)
+    site.start()
+    while not site.kill_a_solver(random.Random(1)):
+        time.sleep(0.005)
+    site.wait_until_all_done(30)
+    site.assert_each_job_is_done_with_one_row(wrenches)
+    assert sorted(job.attempt for job in site.ledger.jobs()) == [1, 2]
+
+
+def test_both_killed_at_once_lose_no_job(site):
+    wrenches = wrenches_of(3)
+    site.ledger.accept_many("bar", "f1", wrenches)
+    site.start()
+    while not site.kill_a_solver(random.Random(1)):
+        time.sleep(0.005)
+    site.kill_dispatcher()
+    site.start()
+    site.wait_until_all_done(30)
+    site.assert_each_job_is_done_with_one_row(wrenches)
+
+
+@pytest.mark.timeout(60 + 5 * KILLS)
+def test_any_series_of_kills_leaves_each_accepted_job_done_with_its_row_once(site):
+    chance = random.Random(20171)
+    wrenches, killed = wrenches_of(JOBS), 0
+    site.ledger.accept_many("bar", "f1", wrenches)
+    site.start()
+    while killed < KILLS:
+        time.sleep(chance.uniform(0, 0.25))
+        if chance.random() < 0.5:
+            site.kill_dispatcher()
+            killed += 1
+            site.start()
+        else:
+            killed += site.kill_a_solver(chance)
+        if site.ledger.counts()["waiting"] == 0:
+            more = wrenches_of(len(wrenches) + JOBS)[len(wrenches) :]
+            site.ledger.accept_many("bar", "f1", more)
+            wrenches += more
+    site.wait_until_all_done(60)
+    site.assert_each_job_is_done_with_one_row(wrenches)
