@@ -6,6 +6,7 @@ when there are any; `fea.bundle` raises them all together.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import MISSING, fields
 from pathlib import Path
@@ -159,10 +160,28 @@ def _axes(keys: Keys) -> np.ndarray | None:
     elif np.linalg.det(axes) < 0.0:
         keys.wrong("axes", "must be right-handed; turn one direction round")
     else:
-        # Written to a few digits, so the nearest rotation is what was meant.
-        left, _, right = np.linalg.svd(axes)
-        return left @ right
+        return _orthonormal(axes.tolist())
     return None
+
+
+def _orthonormal(axes: list[list[float]]) -> np.ndarray:
+    """Return directions written to a few digits as an exact frame with the same x.
+
+    In plain floats: the digits go into the fingerprint, so they must not depend on a machine's
+    linear algebra library.
+    """
+    x = _unit(axes[0])
+    z = _unit(_cross(x, axes[1]))
+    return np.array([x, _unit(_cross(z, x)), z])
+
+
+def _unit(v: list[float]) -> list[float]:
+    length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    return [each / length for each in v]
+
+
+def _cross(a: list[float], b: list[float]) -> list[float]:
+    return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
 
 
 def _locked(keys: Keys) -> tuple[str, ...]:

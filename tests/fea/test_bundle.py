@@ -1,0 +1,251 @@
+"""component.toml: every key checked, every mistake told at once."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fea.bundle import BundleError, bundle_of, read_bundle
+
+SHIPPED = Path(__file__).parents[2] / "data" / "components"
+
+PLATE = """
+name = "plate"
+title = "A plate"
+[mesh]
+generator = "plate"
+length = 0.4
+width = 0.4
+thickness = 0.01
+patch = 0.12
+[[material]]
+region = "all"
+youngs_modulus = 70e9
+poisson_ratio = 0.33
+[supports]
+fixed = ["rim"]
+[interface]
+section = "patch"
+point = [0, 0, 0.01]
+axes = [[1,0,0],[0,1,0],[0,0,1]]
+coupling = "distributed"
+locked = ["rz", "ux"]
+[analysis]
+nonlinear = true
+integration = "full"
+[range]
+force = [1000, 1000, [-5000, 100]]
+moment = [500, 500, 200]
+[tolerance]
+translation = 1e-5
+rotation = 1e-4
+"""
+
+
+def write(folder, text):
+    (folder / "component.toml").write_text(text, encoding="utf-8")
+    return folder
+
+
+def mistakes(folder, text):
+    with pytest.raises(BundleError) as caught:
+        read_bundle(write(folder, text))
+    return {problem.where: problem.message for problem in caught.value.problems}
+
+
+def changed(old, new, text=PLATE):
+    assert text.count(old) == 1, old
+    return text.replace(old, new)
+
+
+def test_every_key_of_a_full_bundle_is_read(tmp_path):
+    bundle = read_bundle(write(tmp_path, PLATE))
+    assert (bundle.name, bundle.title, bundle.folder) == ("plate", "A plate", tmp_path)
+    assert bundle.mesh.generator == "plate"
+    assert bundle.mesh.parameters["cell_size"] == 0.025
+    assert bundle.materials[0].youngs_modulus == 70e9
+    assert bundle.supports.fixed == ("rim",)
+    assert bundle.interface.coupling == "distributed"
+    assert bundle.interface.locked == ("ux", "rz")
+    np.testing.assert_array_equal(bundle.interface.point, [0, 0, 0.01])
+    np.testing.assert_array_equal(bundle.interface.axes, np.eye(3))
+    assert bundle.analysis.nonlinear
+    assert bundle.analysis.integration == "full"
+    np.testing.assert_array_equal(bundle.range.low, [-1000, -1000, -5000, -500, -500, -200])
+    np.testing.assert_array_equal(bundle.range.high, [1000, 1000, 100, 500, 500, 200])
+    assert (bundle.tolerance.translation, bundle.tolerance.rotation) == (1e-5, 1e-4)
+    assert bundle.has_fea
+
+
+@pytest.mark.parametrize("name", ["bar", "plate", "plate_thin", "spring"])
+def test_the_shipped_bundles_can_be_read_and_are_named_as_their_folder(name):
+    bundle = read_bundle(SHIPPED / name)
+    assert bundle.name == name
+    assert bundle.has_fea
+
+
+def test_a_table_only_bundle_needs_a_name_a_title_and_a_range(tmp_path):
+    table = {"name": "measured", "title": "M", "range": {"force": [1, 1, 1], "moment": [1, 1, 1]}}
+    bundle = bundle_of(table, tmp_path)
+    assert not bundle.has_fea
+    assert bundle.tolerance is None
+    assert set(mistakes(tmp_path, "")) == {"name", "title", "range"}
+
+
+def test_solver_tables_without_a_mesh_are_mistakes(tmp_path):
+    text = PLATE.replace("[mesh]", "[msh]")
+    found = mistakes(tmp_path, text)
+    assert 'did you mean "mesh"' in found["msh"]
+    assert {"material", "supports", "interface", "analysis"} <= set(found)
+
+
+def test_a_mesh_without_solver_tables_is_a_mistake(tmp_path):
+    text = PLATE[: PLATE.index("[[material]]")] + PLATE[PLATE.index("[range]") :]
+    found = mistakes(tmp_path, text)
+    assert set(found) == {"material", "supports", "interface", "analysis"}
+
+
+ONE_MISTAKE = [
+    ('name = "plate"', 'name = "../plate"', "name", "folder"),
+    ('name = "plate"', 'name = "Plate"', "name", "a-z"),
+    ('name = "plate"', "name = 3", "name", "a text"),
+    ('title = "A plate"', 'title = " "', "title", "empty"),
+    ("youngs_modulus = 70e9", "youngs_modulus = -70e9", "material[0].youngs_modulus", "above 0"),
+    ("youngs_modulus = 70e9", "youngs_modulus = inf", "material[0].youngs_modulus", "finite"),
+    ("youngs_modulus = 70e9", "youngs_modulus = nan", "material[0].youngs_modulus", "finite"),
+    ("youngs_modulus = 70e9", "youngs_modulus = true", "material[0].youngs_modulus", "finite"),
+    ("youngs_modulus = 70e9", 'youngs_modulus = "70"', "material[0].youngs_modulus", "finite"),
+    ("youngs_modulus = 70e9", "youngs_modulus = 1" + 400 * "0", "material[0].youngs_modulus", ""),
+    ("youngs_modulus = 70e9", "", "material[0].youngs_modulus", "missing"),
+    ("poisson_ratio = 0.33", "poisson_ratio = 0.5", "material[0].poisson_ratio", "below 0.5"),
+    ("poisson_ratio = 0.33", "poisson_ratio = -1", "material[0].poisson_ratio", "above -1"),
+    ("poisson_ratio = 0.33", "poisson_ratio = 0.3\nrho = 1", "material[0].rho", "unknown key"),
+    ("[[material]]", "[material]", "material", "a list"),
+    ('fixed = ["rim"]', "fixed = []", "supports.fixed", "at least 1"),
+    ('fixed = ["rim"]', 'fixed = ["rim", "rim"]', "supports.fixed", "twice"),
+    ('fixed = ["rim"]', 'fixed = "rim"', "supports.fixed", "a list"),
+    ('coupling = "distributed"', 'coupling = "distributd"', "interface.coupling", "did you mean"),
+    ('coupling = "distributed"', "", "interface.coupling", "missing"),
+    ('locked = ["rz", "ux"]', 'locked = ["rw"]', "interface.locked", "ux, uy"),
+    ("point = [0, 0, 0.01]", "point = [0, 0]", "interface.point", "3 numbers"),
+    ("point = [0, 0, 0.01]", "point = [0, 0, nan]", "interface.point[2]", "finite"),
+    ("[[1,0,0],[0,1,0],[0,0,1]]", "[[1,0,0],[0,1,0]]", "interface.axes", "three"),
+    ("[[1,0,0],[0,1,0],[0,0,1]]", "[[1,0,0],[0,1,0],[0,1,1]]", "interface.axes", "square"),
+    ("[[1,0,0],[0,1,0],[0,0,1]]", "[[1,0,0],[0,1,0],[0,0,-1]]", "interface.axes", "right-handed"),
+    ("nonlinear = true", "nonlinear = 1", "analysis.nonlinear", "true or false"),
+    ("nonlinear = true", "nonlinaer = true", "analysis.nonlinaer", 'did you mean "nonlinear"'),
+    ('integration = "full"', 'integration = "half"', "analysis.integration", "reduced, full"),
+    ("[-5000, 100]", "[100, -5000]", "range.force[2]", "rise"),
+    ("[-5000, 100]", "[5, 5]", "range.force[2]", "rise"),
+    ("[-5000, 100]", "-5000", "range.force[2]", "above 0"),
+    ("[-5000, 100]", "0", "range.force[2]", "above 0"),
+    ("[500, 500, 200]", "[500, 500]", "range.moment", "three loads"),
+    ("translation = 1e-5", "translation = 0", "tolerance.translation", "above 0"),
+    ("rotation = 1e-4", "", "tolerance.rotation", "missing"),
+    ("length = 0.4", "length = -0.4", "mesh.length", "above 0 (m)"),
+    ("length = 0.4", "length = 0.4\nlayers = 0", "mesh.layers", "at least 1"),
+    ("length = 0.4", "length = 0.4\nlayers = 2.0", "mesh.layers", "whole number"),
+    ("length = 0.4", 'length = 0.4\nunit = "mm"', "mesh.unit", "unknown key"),
+    ("patch = 0.12", "patch = 0.39", "mesh.patch", "do not fit"),
+    ('generator = "plate"', 'generator = "plat"', "mesh.generator", "did you mean"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "where", "said"), ONE_MISTAKE)
+def test_a_mistake_is_named_by_its_key_and_says_what_to_do(tmp_path, old, new, where, said):
+    found = mistakes(tmp_path, changed(old, new))
+    assert where in found
+    assert said in found[where]
+
+
+def test_all_mistakes_are_told_at_once(tmp_path):
+    text = changed("youngs_modulus = 70e9", "youngs_modulus = -1")
+    text = changed('section = "patch"', "section = 7", text)
+    text = changed("rotation = 1e-4", 'rotation = "x"\nextra = 1', text)
+    assert set(mistakes(tmp_path, text)) == {
+        "material[0].youngs_modulus",
+        "interface.section",
+        "tolerance.rotation",
+        "tolerance.extra",
+    }
+
+
+def test_a_second_material_is_named_by_its_number(tmp_path):
+    second = '[[material]]\nregion = "a"\nyoungs_modulus = 0\npoisson_ratio = 0\n[supports]'
+    assert set(mistakes(tmp_path, changed("[supports]", second))) == {"material[1].youngs_modulus"}
+
+
+def test_bad_toml_is_named_by_its_line(tmp_path):
+    found = mistakes(tmp_path, 'name = "x"\ntitle = \n')
+    assert list(found) == ["line 2"]
+    assert "TOML" in found["line 2"]
+    (tmp_path / "component.toml").write_bytes(b'name = "x"\ntitle = "\xff"\n')
+    with pytest.raises(BundleError, match="line 2: is not UTF-8"):
+        read_bundle(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["x = " + 5000 * "9", "x = " + 5000 * "[", "x = 1\nx = 2"])
+def test_odd_toml_is_a_mistake_and_not_a_crash(tmp_path, text):
+    assert mistakes(tmp_path, text)
+
+
+def test_a_folder_without_the_file_says_so(tmp_path):
+    with pytest.raises(BundleError, match=r"component\.toml: cannot be read"):
+        read_bundle(tmp_path / "nowhere")
+
+
+def with_file(source):
+    start, end = PLATE.index("[mesh]"), PLATE.index("[[material]]")
+    return PLATE[:start] + f"[mesh]\n{source}\n" + PLATE[end:]
+
+
+@pytest.mark.parametrize(
+    ("source", "where", "said"),
+    [
+        ('file = "a.msh"\nunit = "mm"', "mesh.file", 'no file "a.msh"'),
+        ('file = "../x.msh"\nunit = "mm"', "mesh.file", "outside the bundle"),
+        ('file = "/etc/passwd"\nunit = "mm"', "mesh.file", "outside the bundle"),
+        ('file = "b.msh"\nunit = "furlong"', "mesh.unit", "none of m, "),
+        ('file = "b.msh"', "mesh.unit", "missing"),
+        ('unit = "mm"', "mesh.file", "missing"),
+        ('file = "b.msh"\ngenerator = "bar"', "mesh.generator", "not both"),
+    ],
+)
+def test_a_mesh_file_must_be_in_the_bundle_and_have_a_unit(tmp_path, source, where, said):
+    (tmp_path / "b.msh").write_text("")
+    found = mistakes(tmp_path, with_file(source))
+    assert said in found[where]
+
+
+def test_a_link_out_of_the_bundle_is_refused(tmp_path):
+    folder = tmp_path / "bundle"
+    folder.mkdir()
+    (tmp_path / "secret.msh").write_text("")
+    (folder / "b.msh").symlink_to(tmp_path / "secret.msh")
+    found = mistakes(folder, with_file('file = "b.msh"\nunit = "mm"'))
+    assert "outside the bundle" in found["mesh.file"]
+
+
+def test_axes_written_to_a_few_digits_become_exactly_orthonormal(tmp_path):
+    text = changed("[[1,0,0],[0,1,0],[0,0,1]]", "[[0.8,0.6,0],[-0.6,0.8000005,0],[0,0,1]]")
+    axes = read_bundle(write(tmp_path, text)).interface.axes
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-15)
+
+
+def test_a_deck_is_read_and_its_file_must_be_there(tmp_path):
+    deck = '[deck]\nfile = "p.inp"\ncommand = ["ccx", "{job}"]\n'
+    output = 'output = {reader = "calculix-dat", point = "REF", rotation = "ROT"}\n'
+    head = 'name = "p"\ntitle = "P"\n[range]\nforce = [1,1,1]\nmoment = [1,1,1]\n'
+    assert set(mistakes(tmp_path, head + deck)) == {"deck.file", "deck.output"}
+    (tmp_path / "p.inp").write_text("*NODE\n")
+    bundle = read_bundle(write(tmp_path, head + deck + output))
+    assert bundle.has_fea
+    assert bundle.deck.command == ("ccx", "{job}")
+    assert bundle.deck.output["point"] == "REF"
+
+
+def test_the_error_survives_a_pickle():
+    import pickle
+
+    error = BundleError([])
+    assert pickle.loads(pickle.dumps(error)).problems == []

@@ -1,0 +1,100 @@
+"""The fingerprint changes with what can change an answer, and with nothing else."""
+
+import copy
+import json
+
+import pytest
+
+from fea.bundle import bundle_of
+
+BAR = {
+    "name": "b",
+    "title": "B",
+    "mesh": {"generator": "bar", "length": 1.0, "width": 0.02, "height": 0.02},
+    "material": [
+        {"region": "all", "youngs_modulus": 210e9, "poisson_ratio": 0.3},
+        {"region": "tip", "youngs_modulus": 70e9, "poisson_ratio": 0.3},
+    ],
+    "supports": {"fixed": ["start", "side"]},
+    "interface": {"section": "end", "coupling": "rigid", "locked": ["ux", "uy"]},
+    "analysis": {"nonlinear": False},
+    "range": {"force": [1, 1, 1], "moment": [1, 1, 1]},
+}
+
+
+def print_of(table, folder="."):
+    return bundle_of(table, folder).fingerprint
+
+
+def altered(path, value):
+    table = copy.deepcopy(BAR)
+    at = table
+    for key in path[:-1]:
+        at = at[key]
+    at[path[-1]] = value
+    return table
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("name",), "c"),
+        (("title",), "C"),
+        (("range", "force"), [2, 2, [-1, 2]]),
+        (("tolerance",), {"translation": 1e-5, "rotation": 1e-4}),
+        (("mesh", "length"), 1),
+        (("mesh", "cells_across"), 2),
+        (("material", 0, "youngs_modulus"), 210_000_000_000),
+        (("material",), BAR["material"][::-1]),
+        (("supports", "fixed"), ["side", "start"]),
+        (("interface", "locked"), ["uy", "ux"]),
+        (("interface", "axes"), [[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        (("analysis", "integration"), "reduced"),
+    ],
+)
+def test_the_fingerprint_stays_when_no_answer_can_change(path, value):
+    assert print_of(altered(path, value)) == print_of(BAR)
+
+
+CHANGES = [
+    (("mesh", "length"), 1.0000000000000002),
+    (("mesh", "cells_along"), 41),
+    (("mesh", "generator"), "plate"),
+    (("material", 0, "youngs_modulus"), 211e9),
+    (("material", 0, "poisson_ratio"), 0.31),
+    (("material", 1, "region"), "root"),
+    (("supports", "fixed"), ["start"]),
+    (("interface", "section"), "side"),
+    (("interface", "point"), [1, 0, 0]),
+    (("interface", "axes"), [[0, 1, 0], [0, 0, 1], [1, 0, 0]]),
+    (("interface", "coupling"), "distributed"),
+    (("interface", "locked"), ["ux"]),
+    (("analysis", "nonlinear"), True),
+    (("analysis", "integration"), "full"),
+]
+
+
+def test_each_thing_that_can_change_an_answer_changes_the_fingerprint():
+    prints = [print_of(BAR)]
+    for path, value in CHANGES:
+        table = altered(path, value)
+        if value == "plate":
+            table["mesh"] = {"generator": "plate", "length": 1.0, "width": 1.0}
+            table["mesh"] |= {"thickness": 0.02, "patch": 0.1}
+        prints.append(print_of(table))
+    assert len(set(prints)) == len(prints)
+
+
+def test_the_fingerprint_covers_the_bytes_of_the_mesh_file_and_not_its_name(tmp_path):
+    def with_file(name, content, unit="mm"):
+        (tmp_path / name).write_bytes(content)
+        return print_of(altered(("mesh",), {"file": name, "unit": unit}), tmp_path)
+
+    assert with_file("a.msh", b"1") == with_file("b.msh", b"1")
+    prints = [with_file("a.msh", b"1"), with_file("a.msh", b"2"), with_file("a.msh", b"1", "m")]
+    prints.append(with_file("a.vtu", b"1"))
+    assert len(set(prints)) == 4
+
+
+def test_the_fingerprint_is_16_hexadecimal_digits_and_the_same_in_every_run():
+    assert print_of(json.loads(json.dumps(BAR))) == "4b5a158f755517b4"
