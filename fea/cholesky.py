@@ -1,0 +1,214 @@
+"""Multifrontal Cholesky factorisation over nested substructures.
+
+Each substructure of `fea.dissection` is one dense front [[A, B], [B^T, C]]: A = L L^T, W = L^-1 B, and C - W^T W goes
+on to the parent. Only lower triangles of A and C are meaningful. A tangent that is not positive definite
+(an unstable state, or a step of Newton's method on its way) is factorised by LU of the pivot blocks instead.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import blas, lapack
+
+from fea.dissection import Dissection, Substructure
+
+Array = np.ndarray
+
+
+class NotDefinite(ArithmeticError):  # noqa: N818 - a finding about the matrix
+    """A pivot block is not positive definite."""
+
+
+class Factor:
+    """A factorised stiffness matrix.
+
+    Attributes
+    ----------
+    definite
+        Whether the matrix is positive definite.
+    pivot_ratio
+        The least ratio of a pivot to the diagonal entry it came from: what elimination left of the stiffness there.
+        Near roundoff it says that some motion has no stiffness. 0 if the matrix is not definite.
+    weakest
+        Position of the unknown with that ratio.
+    """
+
+    def __init__(self, dissection: Dissection, leaves: dict[int, Array], diagonal: Array) -> None:
+        self._dissection = dissection
+        self.unknowns = dissection.unknowns
+        try:
+            self._fronts = _eliminate(dissection, leaves, _CholeskyFront)
+            self.definite = True
+        except NotDefinite:
+            self._fronts = _eliminate(dissection, leaves, _LUFront)
+            self.definite = False
+        self.pivot_ratio, self.weakest = 0.0, -1
+        if self.definite and self.unknowns:
+            pivots = np.concatenate([front.pivots for front in self._fronts])
+            ratios = pivots / diagonal
+            self.weakest = int(ratios.argmin())
+            self.pivot_ratio = float(ratios[self.weakest])
+
+    def solve(self, loads: Array) -> Array:
+        """Solve for several load cases.
+
+        Parameters
+        ----------
+        loads
+            Shape (unknowns, k), in the order of elimination.
+
+        Returns
+        -------
+        Array
+            Shape (unknowns, k).
+        """
+        x = np.array(loads, dtype=float, order="C")
+        for part, front in zip(self._dissection.substructures, self._fronts, strict=True):
+            if part.eliminated:
+                front.forward(x, part)
+        for part, front in zip(
+            self._dissection.substructures[::-1], self._fronts[::-1], strict=True
+        ):
+            if part.eliminated:
+                front.backward(x, part)
+        return x
+
+
+class _CholeskyFront:
+    """L and W of one substructure."""
+
+    __slots__ = ("L", "W")
+
+    def __init__(self, A: Array, B: Array, C: Array) -> None:
+        self.L, info = lapack.dpotrf(A, lower=1, clean=0, overwrite_a=1)
+        if info:
+            raise NotDefinite
+        self.W = B
+        if B.size:
+            self.W = blas.dtrsm(1.0, self.L, B, lower=1, overwrite_b=1)
+
+    def condense(self, C: Array) -> Array:
+        """Take from the boundary stiffness what the eliminated unknowns give way."""
+        return blas.dsyrk(-1.0, self.W, beta=1.0, c=C, trans=1, lower=1, overwrite_c=1)
+
+    @property
+    def pivots(self) -> Array:
+        return np.diagonal(self.L) ** 2
+
+    def forward(self, x: Array, part: Substructure) -> None:
+        own = slice(part.start, part.stop)
+        y = blas.dtrsm(1.0, self.L, x[own], lower=1)
+        x[own] = y
+        if part.boundary.size:
+            x[part.boundary] -= self.W.T @ y
+
+    def backward(self, x: Array, part: Substructure) -> None:
+        own = slice(part.start, part.stop)
+        y = x[own]
+        if part.boundary.size:
+            y = y - self.W @ x[part.boundary]
+        x[own] = blas.dtrsm(1.0, self.L, y, lower=1, trans_a=1)
+
+
+class _LUFront:
+    """LU of the pivot block and A^-1 B of one substructure."""
+
+    __slots__ = ("B", "W", "lu", "swaps")
+
+    def __init__(self, A: Array, B: Array, C: Array) -> None:
+        A = np.tril(A) + np.tril(A, -1).T
+        self.lu, self.swaps, info = lapack.dgetrf(A)
+        if info > 0:
+            raise ZeroDivisionError("a pivot block is exactly singular")
+        self.B = B
+        self.W = lapack.dgetrs(self.lu, self.swaps, B)[0] if B.size else B
+
+    def condense(self, C: Array) -> Array:
+        return C - self.B.T @ self.W
+
+    @property
+    def pivots(self) -> Array:
+        return np.abs(np.diagonal(self.lu))
+
+    def forward(self, x: Array, part: Substructure) -> None:
+        own = slice(part.start, part.stop)
+        if part.boundary.size:
+            x[part.boundary] -= self.W.T @ x[own]
+
+    def backward(self, x: Array, part: Substructure) -> None:
+        own = slice(part.start, part.stop)
+        y = lapack.dgetrs(self.lu, self.swaps, x[own])[0]
+        if part.boundary.size:
+            y = y - self.W @ x[part.boundary]
+        x[own] = y
+
+
+def _eliminate(dissection: Dissection, leaves: dict[int, Array], kind: type) -> list:
+    """Factorise front by front; a condensed part is dropped once its parent has taken it."""
+    fronts: list = []
+    condensed: dict[int, Array] = {}
+    for number, part in enumerate(dissection.substructures):
+        if part.children:
+            A, B, C = _join(part, condensed)
+        else:
+            A, B, C = _cut_blocks(leaves[number], part.eliminated)
+        if not part.eliminated:
+            fronts.append(_EMPTY)
+            condensed[number] = C
+            continue
+        front = kind(A, B, C)
+        fronts.append(front)
+        condensed[number] = front.condense(C) if C.size else C
+    return fronts
+
+
+class _EmptyFront:
+    """Nothing is eliminated here."""
+
+    pivots = np.empty(0)
+
+
+_EMPTY = _EmptyFront()
+
+
+def _cut_blocks(leaf: Array, eliminated: int) -> tuple[Array, Array, Array]:
+    own, rest = slice(0, eliminated), slice(eliminated, None)
+    return (
+        leaf[own, own].copy(order="F"),
+        leaf[own, rest].copy(order="F"),
+        leaf[rest, rest].copy(order="F"),
+    )
+
+
+def _join(part: Substructure, condensed: dict[int, Array]) -> tuple[Array, Array, Array]:
+    """Add the condensed stiffness of two parts; the places are ascending, so lower triangles stay lower."""
+    own, rest = part.eliminated, part.boundary.size
+    A = np.zeros((own, own), order="F")
+    B = np.zeros((own, rest), order="F")
+    C = np.zeros((rest, rest), order="F")
+    for child, places in zip(part.children, part.places, strict=True):
+        S = condensed.pop(child)
+        count = int(np.searchsorted(places, own))
+        first, second = _runs(places[:count]), _runs(places[count:] - own)
+        _add(A, S[:count, :count], first, first)
+        _add(B.T, S[count:, :count], second, first)
+        _add(C, S[count:, count:], second, second)
+    return A, B, C
+
+
+def _runs(places: Array) -> list[tuple[slice, slice]]:
+    """Split ascending places into stretches without gaps: (from, to) slices."""
+    if not places.size:
+        return []
+    ends = np.flatnonzero(np.diff(places) != 1) + 1
+    bounds = [0, *ends.tolist(), places.size]
+    return [
+        (slice(low, high), slice(int(places[low]), int(places[low]) + high - low))
+        for low, high in zip(bounds[:-1], bounds[1:], strict=True)
+    ]
+
+
+def _add(target: Array, part: Array, rows: list, columns: list) -> None:
+    for source_row, row in rows:
+        for source_column, column in columns:
+            target[row, column] += part[source_row, source_column]

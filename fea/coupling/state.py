@@ -1,0 +1,50 @@
+"""Where the body and its interface are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """One configuration.
+
+    Attributes
+    ----------
+    nodes
+        Shape (n, 3), m: nodal displacements.
+    interface
+        Shape (6,), m and rad: translation and rotation vector of the interface.
+    multipliers
+        Shape (6,), N and N·m: what the section exerts in a distributed coupling; zero in a rigid one.
+    """
+
+    nodes: Array
+    interface: Array
+    multipliers: Array
+
+
+class Border(NamedTuple):
+    """How the border joins the body's tangent K at one state.
+
+    With ties T, columns c and block d the whole tangent is
+    [[K, K T + c], [(K T + c)^T, T^T K T + d]].
+
+    Attributes
+    ----------
+    ties
+        Shape (n, 3, border): how nodes that are no unknowns move with the border.
+    columns
+        Shape (n, 3, border): the border's forces on free nodes.
+    block
+        Shape (border, border).
+    """
+
+    ties: Array
+    columns: Array
+    block: Array

@@ -1,0 +1,208 @@
+"""Reference elements: shape functions and quadrature, in VTK node order.
+
+The shape functions and points are scikit-fem's. They are tabulated once for each kind and rule, in the node order of
+`fea.mesh`; the map to the real cell is then the isoparametric one of the cell's own nodes (`fea.gradients`), which
+sets neither the sign of a determinant nor the place of a midside node by convention.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+Array = np.ndarray
+
+_HEX_CORNERS = "000 100 110 010 001 101 111 011"
+_HEX_EDGES = "500 150 510 050 501 151 511 051 005 105 115 015"
+_WEDGE_CORNERS = "000 100 010 001 101 011"
+_QUAD_CORNERS = "00 10 11 01"
+_QUAD_EDGES = "50 15 51 05"
+_TRI_EDGES = "50 55 05"
+
+# Reference places of the nodes in VTK order; the digit 5 stands for one half.
+_PLACES = {
+    "hex8": _HEX_CORNERS,
+    "hex20": f"{_HEX_CORNERS} {_HEX_EDGES}",
+    "hex27": f"{_HEX_CORNERS} {_HEX_EDGES} 055 155 505 515 550 551 555",
+    "tet4": "000 100 010 001",
+    "tet10": "000 100 010 001 500 550 050 005 505 055",
+    "wedge6": _WEDGE_CORNERS,
+    "wedge15": f"{_WEDGE_CORNERS} 500 550 050 501 551 051 005 105 015",
+    "quad4": _QUAD_CORNERS,
+    "quad8": f"{_QUAD_CORNERS} {_QUAD_EDGES}",
+    "quad9": f"{_QUAD_CORNERS} {_QUAD_EDGES} 55",
+    "tri3": "00 10 01",
+    "tri6": f"00 10 01 {_TRI_EDGES}",
+}
+
+_SKFEM_NAMES = {
+    "hex8": "ElementHex1",
+    "hex20": "ElementHexS2",
+    "hex27": "ElementHex2",
+    "tet4": "ElementTetP1",
+    "tet10": "ElementTetP2",
+    "wedge6": "ElementWedge1",
+    "quad4": "ElementQuad1",
+    "quad8": "ElementQuadS2",
+    "quad9": "ElementQuad2",
+    "tri3": "ElementTriP1",
+    "tri6": "ElementTriP2",
+}
+
+# Gauss points along each direction of a hexahedron or quadrilateral.
+_GAUSS_POINTS = {"hex8": 2, "hex20": 3, "hex27": 3, "quad4": 2, "quad8": 3, "quad9": 3}
+# Polynomial degree that the points of a simplex integrate; 2 is the four-point rule of a tetrahedron.
+_SIMPLEX_DEGREES = {"tet4": 1, "tet10": 2, "tri3": 2, "tri6": 4}
+# Degree in the triangle, points along the axis of a wedge.
+_WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (2, 3)}
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceElement:
+    """Shape functions tabulated at quadrature points.
+
+    Attributes
+    ----------
+    kind
+        A kind of cell or facet of `fea.mesh`.
+    values
+        Shape (points, nodes): N_a at each point.
+    slopes
+        Shape (points, nodes, dimension): dN_a/dxi at each point.
+    weights
+        Shape (points,): quadrature weights; their sum is the reference volume.
+    """
+
+    kind: str
+    values: Array
+    slopes: Array
+    weights: Array
+
+
+@cache
+def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
+    """Tabulate one kind of cell or facet.
+
+    Parameters
+    ----------
+    kind
+        A key of `fea.mesh.NODES_PER_CELL` or `fea.mesh.NODES_PER_FACET`.
+    integration
+        ``"reduced"`` gives hex20 its 2x2x2 points; every other kind has one rule.
+
+    Raises
+    ------
+    KeyError
+        If the kind is unknown.
+    """
+    points, weights = _quadrature(kind, integration)
+    values, slopes = _tabulate(kind, points)
+    return ReferenceElement(kind, values, slopes, weights)
+
+
+def node_places(kind: str) -> Array:
+    """Return the reference coordinates of the nodes in VTK order, shape (nodes, dimension)."""
+    digits = [[int(digit) for digit in place] for place in _PLACES[kind].split()]
+    places = np.array(digits, dtype=float)
+    places[places == 5] = 0.5
+    return places
+
+
+def _tabulate(kind: str, points: Array) -> tuple[Array, Array]:
+    if kind == "wedge15":
+        return _wedge15(points)
+    import skfem
+
+    element = getattr(skfem, _SKFEM_NAMES[kind])()
+    order = _to_vtk_order(element.doflocs, node_places(kind))
+    values, slopes = zip(*(element.lbasis(points.T, int(i)) for i in order), strict=True)
+    return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
+
+
+def _to_vtk_order(doflocs: Array, places: Array) -> Array:
+    """Find for each node place in VTK order the number scikit-fem gives it."""
+    distance = np.abs(places[:, None, :] - np.asarray(doflocs)[None, :, :]).max(axis=2)
+    order = distance.argmin(axis=1)
+    if distance.min(axis=1).max() > 1e-12 or len(set(order.tolist())) != len(places):
+        raise AssertionError("scikit-fem moved the nodes of a reference element")
+    return order
+
+
+def _quadrature(kind: str, integration: str) -> tuple[Array, Array]:
+    if kind in _GAUSS_POINTS:
+        count = 2 if (kind == "hex20" and integration == "reduced") else _GAUSS_POINTS[kind]
+        return _tensor_gauss(count, node_places(kind).shape[1])
+    if kind in _SIMPLEX_DEGREES:
+        return _simplex(node_places(kind).shape[1], _SIMPLEX_DEGREES[kind])
+    return _wedge(*_WEDGE_RULES[kind])
+
+
+def _tensor_gauss(count: int, dimension: int) -> tuple[Array, Array]:
+    place, weight = _gauss(count)
+    points = np.stack(np.meshgrid(*[place] * dimension, indexing="ij"), axis=-1)
+    weights = np.stack(np.meshgrid(*[weight] * dimension, indexing="ij"), axis=-1)
+    return points.reshape(-1, dimension), weights.prod(axis=-1).ravel()
+
+
+def _gauss(count: int) -> tuple[Array, Array]:
+    """Gauss points and weights on [0, 1]."""
+    place, weight = np.polynomial.legendre.leggauss(count)
+    return (place + 1) / 2, weight / 2
+
+
+def _simplex(dimension: int, degree: int) -> tuple[Array, Array]:
+    import skfem
+
+    points, weights = skfem.quadrature.get_quadrature(
+        skfem.refdom.RefTet if dimension == 3 else skfem.refdom.RefTri, degree
+    )
+    return np.ascontiguousarray(points.T), np.asarray(weights)
+
+
+def _wedge(degree: int, count: int) -> tuple[Array, Array]:
+    flat, flat_weights = _simplex(2, degree)
+    place, weight = _gauss(count)
+    points = [[*point, height] for height in place for point in flat]
+    return np.array(points), (weight[:, None] * flat_weights[None, :]).ravel()
+
+
+def _wedge15(points: Array) -> tuple[Array, Array]:
+    """Serendipity wedge (not in scikit-fem), after Zienkiewicz and Taylor, volume 1, section 4.10.
+
+    With barycentric L_c and z = 2 zeta - 1 in -1..1: corner L (2L - 1) (1 +- z)/2 - L (1 - z^2)/2, midside of a
+    triangle edge 2 L_c L_d (1 +- z), midside of an upright edge L (1 - z^2).
+    """
+    x, y, z = points[:, 0], points[:, 1], 2 * points[:, 2] - 1
+    corner = np.stack([1 - x - y, x, y])
+    corner_slope = np.array([[-1.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])[:, None, :]
+    up = np.array([0.0, 0.0, 2.0])
+    values, slopes = [], []
+
+    def add(value: Array, slope: Array) -> None:
+        values.append(value)
+        slopes.append(slope)
+
+    for side in (-1, 1):
+        for c in range(3):
+            L, dL = corner[c], corner_slope[c]
+            add(
+                L * (2 * L - 1) * (1 + side * z) / 2 - L * (1 - z**2) / 2,
+                ((4 * L - 1) * (1 + side * z) / 2 - (1 - z**2) / 2)[:, None] * dL
+                + (L * (2 * L - 1) * side / 2 + L * z)[:, None] * up,
+            )
+    for side in (-1, 1):
+        for c, d in ((0, 1), (1, 2), (2, 0)):
+            product = corner[c] * corner[d]
+            slope = corner[c][:, None] * corner_slope[d] + corner[d][:, None] * corner_slope[c]
+            add(
+                2 * product * (1 + side * z),
+                2 * slope * (1 + side * z)[:, None] + (2 * side * product)[:, None] * up,
+            )
+    for c in range(3):
+        add(
+            corner[c] * (1 - z**2),
+            (1 - z**2)[:, None] * corner_slope[c] - (2 * z * corner[c])[:, None] * up,
+        )
+    return np.stack(values, axis=1), np.stack(slopes, axis=1)

@@ -1,0 +1,85 @@
+"""Rotation vectors: the exponential map and how a rotation vector turns into a spin."""
+
+from __future__ import annotations
+
+import numpy as np
+
+Array = np.ndarray
+
+_SERIES_TERMS = 12
+_SERIES_LIMIT = 1.0  # of the squared angle; the series is exact to roundoff below it
+
+
+def skew(vector: Array) -> Array:
+    """Return the matrices [v]x with [v]x a = v x a, shape (..., 3, 3) for vectors of shape (..., 3)."""
+    vector = np.asarray(vector)
+    matrix = np.zeros((*vector.shape[:-1], 3, 3), dtype=vector.dtype)
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    matrix[..., 0, 1], matrix[..., 0, 2] = -z, y
+    matrix[..., 1, 0], matrix[..., 1, 2] = z, -x
+    matrix[..., 2, 0], matrix[..., 2, 1] = -y, x
+    return matrix
+
+
+def rotation(vector: Array) -> Array:
+    """Return exp([r]x), shape (3, 3), for a rotation vector r (rad)."""
+    return np.eye(3, dtype=np.asarray(vector).dtype) + rotation_less_identity(vector)
+
+
+def rotation_less_identity(vector: Array) -> Array:
+    """Return exp([r]x) - I without the roundoff of subtracting it, shape (3, 3)."""
+    X = skew(vector)
+    a, b, _ = _coefficients(vector)
+    return a * X + b * (X @ X)
+
+
+def spin_per_vector(vector: Array) -> Array:
+    """Return J with (spatial spin) = J(r) (change of r): the left Jacobian of SO(3), shape (3, 3)."""
+    X = skew(vector)
+    _, b, c = _coefficients(vector)
+    return np.eye(3, dtype=X.dtype) + b * X + c * (X @ X)
+
+
+def spin_slope(vector: Array, moment: Array) -> Array:
+    """Return d(J(r)^T m)/dr for a fixed m, shape (3, 3); exact to roundoff by complex steps."""
+    step = 1e-30
+    columns = []
+    for axis in range(3):
+        shifted = np.asarray(vector, dtype=complex).copy()
+        shifted[axis] += 1j * step
+        columns.append((spin_per_vector(shifted).T @ moment).imag / step)
+    return np.stack(columns, axis=1)
+
+
+def rotation_vector(matrix: Array) -> Array:
+    """Return the rotation vector of a rotation by less than half a turn, shape (3,), rad."""
+    axial = 0.5 * np.array(
+        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
+    )
+    sine = float(np.linalg.norm(axial))
+    if sine == 0.0:
+        return axial
+    angle = np.arctan2(sine, (np.trace(matrix) - 1.0) / 2.0)
+    return axial * (angle / sine)
+
+
+def _coefficients(vector: Array) -> tuple[complex, complex, complex]:
+    """Return sin t / t, (1 - cos t) / t^2 and (t - sin t) / t^3 as analytic functions of t^2."""
+    square = vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]
+    if abs(square) < _SERIES_LIMIT:
+        return _series(square, 1), _series(square, 2), _series(square, 3)
+    angle = np.sqrt(square)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return sine / angle, (1 - cosine) / square, (angle - sine) / (square * angle)
+
+
+def _series(square: complex, start: int) -> complex:
+    """Sum (-1)^k s^k / (2k + start)! over k."""
+    term = 1.0 if start < 3 else 1.0 / 6.0
+    if start == 2:
+        term = 0.5
+    total = term
+    for k in range(1, _SERIES_TERMS):
+        term = -term * square / ((2 * k + start - 1) * (2 * k + start))
+        total = total + term
+    return total

@@ -1,0 +1,71 @@
+"""What one solve gives back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+Array = np.ndarray
+
+Progress = Callable[[float, str], None]
+"""Called with the fraction done (0 to 1) and a message, after each step of the work."""
+
+
+class Iteration(NamedTuple):
+    """One step of Newton's method.
+
+    Attributes
+    ----------
+    load_factor
+        The part of the wrench that acts, 0 to 1.
+    iteration
+        Counted from 1 within a load step.
+    residual_norm
+        Euclidean norm of the nodal forces out of balance after this iteration, N.
+    """
+
+    load_factor: float
+    iteration: int
+    residual_norm: float
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The interface displacement under one wrench, in the undeformed interface frame.
+
+    Attributes
+    ----------
+    wrench
+        Shape (6,), N and N·m.
+    displacement
+        Shape (6,), m and rad: translation and rotation vector.
+    compliance
+        Shape (6, 6): d displacement / d wrench at this wrench; rows and columns of locked freedoms
+        are zero.
+    strain_energy
+        J.
+    work
+        J. Linear: wrench . displacement, twice the strain energy. Nonlinear: the external work
+        along the load path (by quadrature over the converged load steps), about the strain energy.
+    unknowns
+        Degrees of freedom solved for.
+    seconds
+        Wall time of this solve; what a `Solver` shares between solves is not counted again.
+    history
+        The iterations, in order; empty for a linear solve and a zero wrench.
+    nodes
+        Shape (n, 3), m: displacement of each mesh point, in the mesh's own axes.
+    """
+
+    wrench: Array
+    displacement: Array
+    compliance: Array
+    strain_energy: float
+    work: float
+    unknowns: int
+    seconds: float
+    history: tuple[Iteration, ...]
+    nodes: Array

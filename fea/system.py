@@ -1,0 +1,234 @@
+"""Body and coupling together: equilibrium, and its linearisation at a state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fea.body import Body, Tangent
+from fea.coupling import Coupling, State
+from fea.failure import mechanism
+
+Array = np.ndarray
+
+_LEAST_PIVOT = 1e-13
+"""Stiffness left by elimination, relative to the diagonal, below which there is none but roundoff."""
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """A state and the forces in it under one wrench.
+
+    Attributes
+    ----------
+    state
+        The configuration.
+    wrench
+        Shape (6,), N and N·m.
+    forces
+        Shape (n, 3), N: internal nodal forces.
+    energy
+        Strain energy, J.
+    least_stretch
+        Smallest determinant of the deformation gradient.
+    nodal, border
+        What is out of balance, at the free nodes (n, 3) and in the border.
+    """
+
+    state: State
+    wrench: Array
+    forces: Array
+    energy: float
+    least_stretch: float
+    nodal: Array
+    border: Array
+
+    @property
+    def norm(self) -> float:
+        """Euclidean norm of the nodal forces out of balance, N."""
+        return float(np.linalg.norm(self.nodal))
+
+
+class System:
+    """The equations of one component.
+
+    Parameters
+    ----------
+    body
+        The cells; its free nodes are those neither fixed nor tied by the coupling.
+    coupling
+        How the wrench gets in.
+    """
+
+    def __init__(self, body: Body, coupling: Coupling) -> None:
+        self.body = body
+        self.coupling = coupling
+
+    @property
+    def unknowns(self) -> int:
+        """Free nodal unknowns and interface freedoms."""
+        return self.body.dissection.unknowns + len(self.coupling.active)
+
+    def balance(self, state: State, wrench: Array) -> Balance:
+        """Weigh the internal forces of a state against a wrench."""
+        forces, energy, least = self.body.forces(state.nodes)
+        return self._balance(state, wrench, forces, energy, least)
+
+    def reload(self, balance: Balance, wrench: Array) -> Balance:
+        """Return the balance of the same state under another wrench."""
+        return self._balance(
+            balance.state, wrench, balance.forces, balance.energy, balance.least_stretch
+        )
+
+    def linearise(self, balance: Balance, reuse: Linearisation | None = None) -> Linearisation:
+        """Factorise the tangent at a state."""
+        tangent = self.body.tangent(
+            balance.state.nodes, None if reuse is None else reuse.tangent
+        )
+        return Linearisation(self, balance, tangent)
+
+    @cached_property
+    def undeformed(self) -> Linearisation:
+        """The linearisation of the undeformed, unloaded state.
+
+        Raises
+        ------
+        SolveFailed
+            ``mechanism`` if the supports leave a motion free.
+        """
+        state = self.coupling.start()
+        still = np.zeros_like(state.nodes)
+        balance = self._balance(state, np.zeros(6), still, 0.0, 1.0)
+        start = Linearisation(self, balance, self.body.tangent(None))
+        self._require_held(start)
+        return start
+
+    def _balance(
+        self, state: State, wrench: Array, forces: Array, energy: float, least: float
+    ) -> Balance:
+        nodal, border = self.coupling.residual(state, forces, wrench)
+        nodal = np.where(self.body.free[:, None], nodal, 0.0)
+        return Balance(state, wrench, forces, energy, least, nodal, border)
+
+    def _require_held(self, start: Linearisation) -> None:
+        factor = start.tangent.factor
+        if factor.pivot_ratio < _LEAST_PIVOT:
+            raise mechanism(
+                f"Near {self._place(factor.weakest)} m the mesh can move without any "
+                "resistance (its stiffness is lost in roundoff)."
+            )
+        if not np.isfinite(start.compliance).all() or start.interface_ratio < _LEAST_PIVOT:
+            raise mechanism("The interface can move without any resistance.")
+
+    def _place(self, position: int) -> str:
+        node = self.body.dissection.nodes[position // 3] if position >= 0 else 0
+        return "(" + ", ".join(f"{x:.4g}" for x in self.body.points[node]) + ")"
+
+
+class Linearisation:
+    """The tangent at one state, bordered by the coupling.
+
+    With the body's stiffness K, the border's columns C and block D, it solves
+    [[K, C], [C^T, D]] by the Schur complement S = D - C^T K^-1 C.
+
+    Attributes
+    ----------
+    schur
+        Shape (border, border).
+    interface_ratio
+        What elimination left of the border's stiffness, relative to its own; near roundoff nothing
+        holds the interface.
+    """
+
+    def __init__(self, system: System, balance: Balance, tangent: Tangent) -> None:
+        self._system = system
+        self.state = balance.state
+        self.tangent = tangent
+        coupling = system.coupling
+        self.border = coupling.bordered(balance.state, balance.forces, balance.wrench)
+        pushed = tangent.times(self.border.ties, coupling.tied)
+        columns = pushed + self.border.columns
+        self._columns = np.where(system.body.free[:, None, None], columns, 0.0)
+        self._block = contract(self.border.ties, pushed) + self.border.block
+
+    @cached_property
+    def _solved(self) -> Array:
+        return self.tangent.solve(self._columns)
+
+    @cached_property
+    def schur(self) -> Array:
+        """The border's condensed stiffness."""
+        return self._block - contract(self._columns, self._solved)
+
+    @property
+    def interface_ratio(self) -> float:
+        """Least eigenvalue of the condensed stiffness, scaled by the border's own diagonal."""
+        own = np.diagonal(self._block)
+        if not own.size or (own <= 0).any():
+            return 1.0
+        scale = 1.0 / np.sqrt(own)
+        scaled = self.schur * scale[:, None] * scale
+        return float(np.linalg.eigvalsh(0.5 * (scaled + scaled.T))[0])
+
+    def correction(self, balance: Balance) -> tuple[Array, Array]:
+        """Return the changes of nodes and border that bring a nearby state into balance."""
+        nodes, border = self.solve(balance.nodal[:, :, None], balance.border[:, None])
+        return -nodes[:, :, 0], -border[:, 0]
+
+    def solve(self, nodal: Array, border: Array) -> tuple[Array, Array]:
+        """Solve the bordered equations for k load cases.
+
+        Parameters
+        ----------
+        nodal
+            Shape (n, 3, k), N.
+        border
+            Shape (border, k).
+
+        Returns
+        -------
+        nodes
+            Shape (n, 3, k), m: of the free nodes; the others are zero.
+        border
+            Shape (border, k).
+        """
+        moved = self.tangent.solve(nodal)
+        carried = self._solve_border(border - contract(self._columns, moved))
+        return moved - self._solved @ carried, carried
+
+    @cached_property
+    def border_response(self) -> Array:
+        """Change of the border per change of the wrench, shape (border, 6)."""
+        return self._solve_border(self.wrench_columns)
+
+    @property
+    def wrench_columns(self) -> Array:
+        """Change of the border's load per change of the wrench; loads on locked freedoms are none."""
+        coupling = self._system.coupling
+        columns = np.zeros((coupling.border, 6))
+        columns[:, coupling.active] = coupling.wrench_columns(self.state)[:, coupling.active]
+        return columns
+
+    @property
+    def compliance(self) -> Array:
+        """Change of the interface displacement per change of the wrench, shape (6, 6)."""
+        return self._system.coupling.displacement_rows(self.border_response)
+
+    def _solve_border(self, loads: Array) -> Array:
+        """Solve with S, its rows and columns scaled to one size: they mix m, rad, N and N·m."""
+        scale = np.ones(len(loads))
+        for _ in range(3):
+            largest = np.abs(self.schur * scale[:, None] * scale).max(axis=1, initial=0.0)
+            scale /= np.sqrt(np.where(largest > 0, largest, 1.0))
+        try:
+            scaled = np.linalg.solve(self.schur * scale[:, None] * scale, scale[:, None] * loads)
+        except np.linalg.LinAlgError:
+            raise mechanism("The interface can move without any resistance.") from None
+        return scale[:, None] * scaled
+
+
+def contract(first: Array, second: Array) -> Array:
+    """Sum over nodes and components: (n, 3, j), (n, 3, k) -> (j, k)."""
+    return first.reshape(-1, first.shape[2]).T @ second.reshape(-1, second.shape[2])
