@@ -1,0 +1,133 @@
+"""The three axes of straight direction influence, and which rows each of them uses.
+
+Axis i of a cyclic order (i, j, k) has the inputs (F_i, M_j, M_k) and the outputs (u_i, rx, ry, rz).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrogate.compliance import ComplianceFit
+from surrogate.rows import Floats, LoadRange, Rows
+
+OffAxis = Literal["correct", "ignore", "exclude"]
+
+CLEAN = 1e-9  # of the load range: a load below it counts as none
+SAME = 12  # decimals, in scaled units, to which two inputs are one point
+
+
+class Axis(NamedTuple):
+    """One axis: its name, its load columns (F_i, M_j, M_k) and its output columns."""
+
+    name: str
+    inputs: tuple[int, int, int]
+    outputs: tuple[int, int, int, int]
+
+    @property
+    def others(self) -> list[int]:
+        """The columns of the three loads that are not this axis' inputs."""
+        return [load for load in range(6) if load not in self.inputs]
+
+
+AXES = tuple(Axis("xyz"[i], (i, 3 + (i + 1) % 3, 3 + (i + 2) % 3), (i, 3, 4, 5)) for i in range(3))
+
+
+@dataclass(frozen=True)
+class AxisRows:
+    """The distinct points of one axis, in scaled inputs.
+
+    Attributes
+    ----------
+    axis : Axis
+    points : ndarray, shape (n, 3), dimensionless
+        Inputs over the load range's half widths.
+    displacement : ndarray, shape (n, 6), m and rad
+        All six, off-axis part removed where the row is not clean; the mean of merged rows.
+    uncertainty : ndarray, shape (n, 6), m and rad
+        Stored uncertainty, or half the spread of merged rows where that is more; 0 if unknown.
+    members : tuple of tuple of int
+        The places, in the table's rows, of the rows behind each point.
+    clean : ndarray of bool, shape (n,)
+    """
+
+    axis: Axis
+    points: Floats
+    displacement: Floats
+    uncertainty: Floats
+    members: tuple[tuple[int, ...], ...]
+    clean: NDArray[np.bool_]
+
+
+def clean_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
+    """Return, shape (n, 3), which rows are clean for which axis: no load but the axis' own."""
+    loaded = np.abs(rows.wrench) > CLEAN * load_range.scale
+    return np.stack([~loaded[:, axis.others].any(axis=1) for axis in AXES], axis=1)
+
+
+def axis_rows(
+    rows: Rows, load_range: LoadRange, axis: Axis, fit: ComplianceFit, off_axis: OffAxis
+) -> AxisRows:
+    """Choose the rows of one axis, take the off-axis part out of them, and merge equal points.
+
+    A row clean for this axis is used as it is; one clean for another axis never is. One clean
+    for no axis follows `off_axis`: "correct" subtracts the fitted compliance times its off-axis
+    loads (and leaves the row out if the fit does not know those loads), "ignore" uses it as it
+    is, "exclude" leaves it out.
+    """
+    clean = clean_rows(rows, load_range)
+    mine = clean[:, AXES.index(axis)]
+    joining = ~clean.any(axis=1) & (off_axis != "exclude")
+    displacement = rows.displacement.copy()
+    if off_axis == "correct" and joining.any():
+        loads = np.where(np.isin(np.arange(6), axis.others), rows.wrench, 0.0)
+        joining &= ~((np.abs(loads) > CLEAN * load_range.scale) & ~fit.known).any(axis=1)
+        displacement[joining] -= loads[joining] @ fit.matrix.T
+    return _merge(rows, load_range, axis, displacement, mine, mine | joining)
+
+
+def _merge(
+    rows: Rows,
+    load_range: LoadRange,
+    axis: Axis,
+    displacement: Floats,
+    clean: NDArray[np.bool_],
+    used: NDArray[np.bool_],
+) -> AxisRows:
+    """Merge the used rows whose points coincide, in an order that the rows' order cannot change."""
+    inputs = list(axis.inputs)
+    scaled = rows.wrench[:, inputs] / load_range.scale[inputs]
+    places = np.flatnonzero(used)
+    # + 0.0 turns -0.0 into 0.0, which a byte-wise comparison would keep apart
+    keys = np.round(scaled[places], SAME) + 0.0
+    _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    group = group.reshape(-1)
+    order = places[np.lexsort((rows.seq[places], group))]
+    bounds = np.searchsorted(np.sort(group), np.arange(len(first) + 1))
+    members = tuple(_trusted(order[start:end], clean) for start, end in pairwise(bounds))
+    stored = np.nan_to_num(rows.uncertainty)
+    means = displacement[places[first]]
+    spreads = stored[places[first]]
+    for point in np.flatnonzero(np.diff(bounds) > 1):
+        chosen = list(members[point])
+        means[point] = displacement[chosen].mean(axis=0)
+        spread = np.ptp(displacement[chosen], axis=0) / 2
+        spreads[point] = np.maximum(spread, stored[chosen].max(axis=0))
+    return AxisRows(
+        axis=axis,
+        points=scaled[places[first]].reshape(-1, 3),
+        displacement=means.reshape(-1, 6),
+        uncertainty=spreads.reshape(-1, 6),
+        members=members,
+        clean=np.array([clean[m[0]] for m in members], dtype=bool),
+    )
+
+
+def _trusted(places: NDArray[np.intp], clean: NDArray[np.bool_]) -> tuple[int, ...]:
+    """Return the clean rows of one point, or all of them if none is clean."""
+    best = places[clean[places]] if clean[places].any() else places
+    return tuple(best.tolist())

@@ -1,0 +1,126 @@
+"""One axis of a surrogate, ready to answer: triangulation, affine pieces, bars, weak spots."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from surrogate.axes import AxisRows
+from surrogate.errorbar import SimplexBars, calibrate
+from surrogate.interpolant import Indices, Interpolant
+from surrogate.rows import Floats, LoadRange
+
+# The largest part of the load range, by dimension, that one simplex may take before it is `thin`.
+LARGEST = {0: 1.0, 1: 0.4, 2: 0.2, 3: 0.1}
+
+LINE = 33  # points at which the line of one moment alone is looked at
+LEAN = 2.0  # an error on a ridge is about twice that at the rows beside it
+
+SOUND, LARGE, DEGENERATE = 0, 1, 2
+
+
+class Reading(NamedTuple):
+    """Outputs (u_i, rx, ry, rz) and their error bars, each of shape (k, 4), m and rad."""
+
+    outputs: Floats
+    bars: Floats
+
+
+class AxisTable:
+    """The piecewise affine map of one axis.
+
+    In simplex s, with dx the distance of the scaled inputs from the simplex' anchor, `pieces[s]`
+    times (dx_1, dx_2, dx_3, 1, |dx|^2) is the four outputs and then their four error bars: the
+    bubble of the error bar is affine less |dx|^2, so one small product gives all eight.
+
+    Attributes
+    ----------
+    rows : AxisRows
+    interpolant : Interpolant
+    pieces : ndarray, shape (m, 8, 5)
+    weak : list of int, length m
+        SOUND, LARGE or DEGENERATE, per simplex.
+    fewest : int
+        How many points the axis needs not to be thin.
+    """
+
+    def __init__(self, rows: AxisRows, load_range: LoadRange, *, bars: bool = True) -> None:
+        """Triangulate the rows, at least one; `bars` False leaves the error bars zero."""
+        self.rows, self.axis = rows, rows.axis
+        self.scale = tuple(load_range.scale[list(rows.axis.inputs)].tolist())
+        self.interpolant = Interpolant(rows.points)
+        self.values = rows.displacement[:, list(rows.axis.outputs)]
+        self.doubt = rows.uncertainty[:, list(rows.axis.outputs)]
+        self.fewest = 2 * (self.interpolant.dimension + 1)
+        self.bars = calibrate(self.interpolant, self.values, self.doubt) if bars else None
+        self.pieces = self._pieces(self.bars)
+        self.anchors = list(map(tuple, self.interpolant.anchors.tolist()))
+        self.weak = self._weak_spots()
+        self.sound = len(rows.points) >= self.fewest
+        self.find = self._finder()
+        self.lean = self._line_lean()
+
+    def _finder(self):
+        """Return the cheapest point location: qhull's own in three dimensions."""
+        if self.interpolant.dimension == 3:
+            return self.interpolant.delaunay.find_simplex
+        return self.interpolant.locate
+
+    def _pieces(self, bars: SimplexBars | None) -> Floats:
+        shape = self.interpolant
+        pieces = np.zeros((len(shape.simplices), 8, 5))
+        anchor = shape.simplices[:, -1]
+        pieces[:, :4, :3] = shape.gradients(self.values)
+        pieces[:, :4, 3] = self.values[anchor]
+        if bars is None:
+            return pieces
+        pieces[:, 4:, :3] = shape.gradients(self.doubt)
+        pieces[:, 4:, 3] = self.doubt[anchor] + bars.flat
+        reach = ((shape.points[shape.simplices] - shape.anchors[:, None]) ** 2).sum(axis=2)
+        slope = np.einsum("md,mdi->mi", reach[:, :-1], shape.weights)
+        pieces[:, 4:, :3] += bars.curvature[:, :, None] * slope[:, None]
+        pieces[:, 4:, 4] = -bars.curvature
+        return pieces
+
+    def _weak_spots(self) -> list[int]:
+        shape = self.interpolant
+        weak = np.where(self.parts() > LARGEST[shape.dimension], LARGE, SOUND)
+        weak[shape.degenerate] = DEGENERATE
+        return weak.tolist()
+
+    def _line_lean(self) -> tuple[float, ...]:
+        """Return the signed error (rx, ry, rz), rad, to be expected at the first moment alone.
+
+        The composition reads every answer there, and a kink at zero load (a contact, a clearance)
+        makes all those readings err to one side, which adding up in quadrature would not see.
+        """
+        if self.bars is None:
+            return (0.0, 0.0, 0.0)
+        line = np.zeros((LINE, 3))
+        line[:, 1] = np.linspace(-1, 1, LINE)
+        found = self.interpolant.locate(line)
+        crossed = found[found >= 0]
+        if not len(crossed):
+            return (0.0, 0.0, 0.0)
+        # Its middle four fifths: the simplices at the line's ends, on the hull, err by more.
+        along = np.sort(self.bars.lean[crossed, 1:], axis=0)
+        middle = along[len(along) // 10 : len(along) - len(along) // 10]
+        return tuple((LEAN * middle.mean(axis=0)).tolist())
+
+    def parts(self) -> Floats:
+        """Return what part of the load range each simplex takes, shape (m,)."""
+        dimension = self.interpolant.dimension
+        if dimension == 0:
+            return np.zeros(1)
+        return self.interpolant.volumes / 2.0**dimension
+
+    def read(self, simplices: Indices, x: Floats) -> Reading:
+        """Return outputs and bars at scaled inputs (k, 3) in the simplices (k,) they lie in."""
+        apart = x - self.interpolant.anchors[simplices]
+        terms = np.empty((len(x), 5))
+        terms[:, :3] = apart
+        terms[:, 3] = 1.0
+        terms[:, 4] = (apart**2).sum(axis=1)
+        both = np.einsum("kij,kj->ki", self.pieces[simplices], terms)
+        return Reading(both[:, :4], np.abs(both[:, 4:]))

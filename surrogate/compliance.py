@@ -1,0 +1,93 @@
+"""The 6x6 compliance of a table: stored by a linear solve, or fitted to its rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrogate.rows import Floats, LoadRange, Rows
+
+RANK = 1e-9  # relative singular value below which the rows do not tell a load
+
+
+@dataclass(frozen=True)
+class ComplianceFit:
+    """A linear map from wrench to displacement.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
+        A column is zero where the rows do not tell the load's influence.
+    known : ndarray of bool, shape (6,)
+        Which loads' columns are told by the rows.
+    bar : ndarray, shape (6,), m and rad
+        95 % error bar of `matrix @ wrench` on the rows.
+    origin : str
+        "stored" (mean of the rows' own compliances), "fitted" or "none".
+    """
+
+    matrix: Floats
+    known: NDArray[np.bool_]
+    bar: Floats
+    origin: str
+
+    @property
+    def complete(self) -> bool:
+        """Whether all six columns are known."""
+        return bool(self.known.all())
+
+
+def fit_compliance(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
+    """Return the 6x6 compliance of the rows.
+
+    A linear component's stored compliances are its whole truth. A nonlinear one has another
+    tangent at each row, and what its rows share is the least-squares secant; tangents only fill
+    the columns of loads which no row tells.
+    """
+    stored = rows.compliance[np.isfinite(rows.compliance).all(axis=(1, 2))]
+    if linear and len(stored):
+        return _from_stored(stored, load_range)
+    fit = _from_rows(rows, load_range)
+    if len(stored) and not fit.complete:
+        matrix = np.where(fit.known, fit.matrix, stored.mean(axis=0))
+        return ComplianceFit(matrix, np.ones(6, dtype=bool), fit.bar, fit.origin)
+    return fit
+
+
+def _from_stored(stored: Floats, load_range: LoadRange) -> ComplianceFit:
+    """Return the mean of stored compliances; their spread, times the full loads, is the bar."""
+    spread = np.ptp(stored, axis=0) / 2
+    loads = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
+    return ComplianceFit(stored.mean(axis=0), np.ones(6, dtype=bool), spread @ loads, "stored")
+
+
+def _from_rows(rows: Rows, load_range: LoadRange) -> ComplianceFit:
+    """Fit the columns that the rows tell, by least squares on scaled loads."""
+    scaled = rows.wrench / load_range.scale
+    if not scaled.any():
+        return ComplianceFit(np.zeros((6, 6)), np.zeros(6, dtype=bool), np.zeros(6), "none")
+    _, sizes, directions = np.linalg.svd(scaled, full_matrices=False)
+    spanned = directions[sizes > RANK * sizes[0]]
+    # A load is told if its unit vector lies in the span of the rows' wrenches.
+    known = (spanned**2).sum(axis=0) > 1 - 1e-6
+    columns, *_ = np.linalg.lstsq(scaled, rows.displacement, rcond=RANK)
+    residual = rows.displacement - scaled @ columns
+    matrix = np.where(known, columns.T / load_range.scale, 0.0)
+    return ComplianceFit(matrix, known, _fit_bar(rows, residual, len(spanned)), "fitted")
+
+
+def _fit_bar(rows: Rows, residual: Floats, rank: int) -> Floats:
+    """Return the error bar that the residual and the rows' own uncertainty leave.
+
+    With as many rows as unknowns there is no residual to learn from. An FEA solve is repeatable
+    and then needs no bar; for anything else a tenth of the largest displacement is assumed.
+    """
+    stored = np.nan_to_num(rows.uncertainty).max(axis=0)
+    spare = len(rows) - rank
+    if spare > 0:
+        return 2 * np.sqrt((residual**2).sum(axis=0) / spare) + stored
+    if (rows.source == "fea").all() or stored.any():
+        return stored
+    return 0.1 * np.abs(rows.displacement).max(axis=0)

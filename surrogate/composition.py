@@ -1,0 +1,195 @@
+"""Composition of the three axes to one displacement.
+
+    u_i(w) = axis i's translation at (F_i, M_j, M_k)
+    r(w)   = sum_i r_i(F_i, M_j, M_k) - sum_m r(M_m alone) + r(0)
+
+It is the second-order part, for these groups, of a high-dimensional model representation (Rabitz
+and Alis 1999, "General foundations of high-dimensional model representations"). The answer to
+M_j alone is read from axis i, the one whose first moment it is, so that axis i adds
+r_i(F_i, M_j, M_k) - r_i(0, M_j, 0), which is exactly nothing if M_j acts alone. The careful path
+(coverage.py) turns to the other axis that knows M_j where this one does not.
+
+Error bars of the parts are independent to a good approximation and add up in quadrature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrogate.axes import AXES
+from surrogate.axistable import AxisTable
+from surrogate.leftout import LeftOut
+from surrogate.rows import Floats
+
+_INPUTS = tuple(axis.inputs for axis in AXES)
+
+
+class Composed(NamedTuple):
+    """Displacements and error bars, shapes (n, 6), m and rad, and where they are told, (n,)."""
+
+    displacement: Floats
+    error: Floats
+    told: NDArray[np.bool_]
+
+
+class Composition:
+    """Three axis tables (None where there are no rows), the zero row, and what they leave out.
+
+    Attributes
+    ----------
+    tables : tuple of AxisTable or None, length 3
+    zero : tuple of float, length 6, m and rad
+        The displacement of the row at zero load, or zeros.
+    left_out : LeftOut
+    """
+
+    def __init__(
+        self,
+        tables: Sequence[AxisTable | None],
+        zero: Sequence[float],
+        left_out: LeftOut,
+    ) -> None:
+        self.tables = tuple(tables)
+        self.zero = tuple(float(z) for z in zero)
+        self.left_out = left_out
+
+    def quick(self, wrench: Sequence[float]) -> tuple[tuple, tuple] | None:
+        """Return the six outputs and their six error bars, or None.
+
+        None where an axis has no rows, does not hold the inputs in its hull, or holds them in a
+        weak simplex; the careful path then says why. This is the hot path: plain floats, one
+        point location per axis, one small product per point.
+        """
+        moved, spread = list(self.zero), [0.0] * 6
+        lean = [0.0] * 3
+        for axis, table in enumerate(self.tables):
+            i, j, k = _INPUTS[axis]
+            force, first, second = wrench[i], wrench[j], wrench[k]
+            if force == 0.0 and first == 0.0 and second == 0.0:
+                continue
+            if table is None or not table.sound:
+                return None
+            scale = table.scale
+            x, y, z = force / scale[0], first / scale[1], second / scale[2]
+            if first == 0.0:
+                points = ((x, 0.0, z),)
+            elif force == 0.0 and second == 0.0:
+                points = ((0.0, y, 0.0),)
+            else:
+                points = ((x, y, z), (0.0, y, 0.0))
+            if not self._add_axis(table, axis, points, moved, spread, lean):
+                return None
+        for turn in (0, 1, 2):
+            spread[3 + turn] += lean[turn] * lean[turn]
+        self.left_out.widen(wrench, spread)
+        return tuple(moved), tuple(map(sqrt, spread))
+
+    def _add_axis(
+        self,
+        table: AxisTable,
+        axis: int,
+        points: tuple,
+        moved: list[float],
+        spread: list[float],
+        lean: list[float],
+    ) -> bool:
+        """Add one axis' share to `moved` and `spread`; False if a simplex is weak or missing."""
+        weak = table.weak
+        found = table.find(points).tolist()
+        simplex = found[0]
+        if simplex < 0 or weak[simplex]:
+            return False
+        u, rx, ry, rz, eu, ex, ey, ez = _piece(table, simplex, points[0])
+        moved[axis] = u
+        spread[axis] = eu * eu
+        if len(points) == 2:
+            simplex = found[1]
+            if simplex < 0 or weak[simplex]:
+                return False
+            _, zx, zy, zz, _, dx, dy, dz = _piece(table, simplex, points[1])
+            for turn in (0, 1, 2):
+                lean[turn] += table.lean[turn]
+        elif points[0][1] != 0.0:  # M_j alone: its two answers, to subtract, are one
+            return True
+        else:
+            _, _, _, zx, zy, zz = self.zero
+            dx = dy = dz = 0.0
+        moved[3] += rx - zx
+        moved[4] += ry - zy
+        moved[5] += rz - zz
+        spread[3] += ex * ex + dx * dx
+        spread[4] += ey * ey + dy * dy
+        spread[5] += ez * ez + dz * dz
+        return True
+
+    def many(self, wrenches: Floats) -> Composed:
+        """Return the same for many wrenches, shape (n, 6), at once."""
+        moved = np.tile(self.zero, (len(wrenches), 1))
+        spread = np.zeros((len(wrenches), 6))
+        told = np.ones(len(wrenches), dtype=bool)
+        lean = np.zeros((len(wrenches), 3))
+        for axis, table in enumerate(self.tables):
+            inputs = wrenches[:, list(_INPUTS[axis])]
+            used = np.flatnonzero((inputs != 0).any(axis=1))
+            if table is None or not table.sound:
+                told[used] = False
+            elif len(used):
+                self._add_axis_many(table, axis, inputs, used, moved, spread, told, lean)
+        spread[:, 3:] += lean**2
+        self.left_out.widen_many(wrenches, spread)
+        return Composed(moved, np.sqrt(spread), told)
+
+    def _add_axis_many(
+        self,
+        table: AxisTable,
+        axis: int,
+        inputs: Floats,
+        used: NDArray[np.intp],
+        moved: Floats,
+        spread: Floats,
+        told: NDArray[np.bool_],
+        lean: Floats,
+    ) -> None:
+        """Add one axis' share to the wrenches it answers, and mark those it cannot."""
+        x = inputs[used] / table.scale
+        outputs, squares, known = _read(table, x)
+        told[used] &= known
+        moved[used, axis] = outputs[:, 0]
+        spread[used, axis] += squares[:, 0]
+        # Without its first moment the axis' part less r(0), with that moment alone nothing.
+        alone = np.array([0.0, 1.0, 0.0]) * x
+        base = np.tile(self.zero[3:], (len(used), 1))
+        only = (x[:, 0] == 0) & (x[:, 2] == 0)
+        both = (x[:, 1] != 0) & ~only
+        outputs[only, 1:], squares[only, 1:] = base[only], 0.0
+        if both.any():
+            turned, doubt, known = _read(table, alone[both])
+            told[used[both]] &= known
+            base[both] = turned[:, 1:]
+            squares[both, 1:] += doubt[:, 1:]
+            lean[used[both]] += table.lean
+        moved[used, 3:] += outputs[:, 1:] - base
+        spread[used, 3:] += squares[:, 1:]
+
+
+def _read(table: AxisTable, x: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return outputs (k, 4), squared bars (k, 4) and whether a sound simplex holds each point."""
+    found = table.interpolant.locate(x)
+    known = (found >= 0) & (np.asarray(table.weak)[found] == 0)
+    reading = table.read(np.maximum(found, 0), x)
+    return reading.outputs, reading.bars**2, known
+
+
+def _piece(table: AxisTable, simplex: int, point: tuple[float, float, float]) -> list[float]:
+    """Return the four outputs and four error bars at one point, as floats."""
+    x, y, z = point
+    a, b, c = table.anchors[simplex]
+    x -= a
+    y -= b
+    z -= c
+    return table.pieces[simplex].dot((x, y, z, 1.0, x * x + y * y + z * z)).tolist()

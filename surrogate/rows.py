@@ -1,0 +1,225 @@
+"""What goes into a surrogate: rows, the load range they are scaled by, and a tolerance.
+
+All quantities are SI: N, N·m, m, rad. Six numbers are force then moment, or translation then
+rotation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+LOADS = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
+LOAD_UNITS = ("N", "N", "N", "N·m", "N·m", "N·m")
+OUTPUTS = ("u_x", "u_y", "u_z", "rx", "ry", "rz")
+OUTPUT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+
+
+class RowError(ValueError):
+    """A row, a load range or a tolerance that cannot be used; the text names where and why."""
+
+
+@dataclass(frozen=True)
+class LoadRange:
+    """The loads a component is expected to see.
+
+    Attributes
+    ----------
+    low, high : ndarray, shape (6,), N and N·m
+        Smallest and largest value of each load.
+
+    Raises
+    ------
+    RowError
+        If a bound is not finite or `low` exceeds `high`.
+    """
+
+    low: Floats
+    high: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("low", "high"):
+            bound = np.array(getattr(self, name), dtype=float)
+            if bound.shape != (6,) or not np.isfinite(bound).all():
+                raise RowError(f"load range: {name} must be six finite numbers")
+            object.__setattr__(self, name, bound)
+        if (self.low > self.high).any():
+            load = LOADS[int(np.argmax(self.low > self.high))]
+            raise RowError(f"load range: the low end of {load} is above its high end")
+
+    @property
+    def scale(self) -> Floats:
+        """Half the width of each load's range, shape (6,), N and N·m.
+
+        A load held at one value is scaled by that value, one held at zero by 1: a scale is never
+        zero.
+        """
+        half = (self.high - self.low) / 2
+        size = np.maximum(np.abs(self.low), np.abs(self.high))
+        return np.where(half > 0, half, np.where(size > 0, size, 1.0))
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """The largest error bar an answer may have and still be `covered`.
+
+    Attributes
+    ----------
+    translation : float, m
+    rotation : float, rad
+    """
+
+    translation: float
+    rotation: float
+
+    def __post_init__(self) -> None:
+        if not (self.translation > 0 and self.rotation > 0):
+            raise RowError("tolerance: translation and rotation must be numbers above zero")
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows of a table as columns.
+
+    Attributes
+    ----------
+    seq : ndarray of int64, shape (n,)
+        The ledger's number of each row, its id everywhere.
+    wrench : ndarray, shape (n, 6), N and N·m
+    displacement : ndarray, shape (n, 6), m and rad
+    compliance : ndarray, shape (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
+        Tangent d(displacement)/d(wrench) at the row; NaN where unknown.
+    uncertainty : ndarray, shape (n, 6), m and rad
+        95 % half width of the row itself; NaN or 0 where unknown.
+    source, fingerprint : ndarray of str, shape (n,)
+
+    Raises
+    ------
+    RowError
+        If the columns differ in length, or a wrench or displacement is not finite.
+    """
+
+    seq: NDArray[np.int64]
+    wrench: Floats
+    displacement: Floats
+    compliance: Floats
+    uncertainty: Floats
+    source: NDArray[np.str_]
+    fingerprint: NDArray[np.str_]
+
+    def __post_init__(self) -> None:
+        n = len(self.seq)
+        shapes = {
+            "wrench": (n, 6),
+            "displacement": (n, 6),
+            "compliance": (n, 6, 6),
+            "uncertainty": (n, 6),
+            "source": (n,),
+            "fingerprint": (n,),
+        }
+        for name, shape in shapes.items():
+            if np.shape(getattr(self, name)) != shape:
+                raise RowError(
+                    f"rows: {name} has shape {np.shape(getattr(self, name))}, not {shape}"
+                )
+        for name, names in (("wrench", LOADS), ("displacement", OUTPUTS)):
+            self._refuse_unknown(name, names)
+
+    def _refuse_unknown(self, name: str, names: tuple[str, ...]) -> None:
+        known = np.isfinite(getattr(self, name))
+        if not known.all():
+            row, column = np.argwhere(~known)[0]
+            raise RowError(f"row {self.seq[row]}: {names[column]} is not a finite number")
+
+    def __len__(self) -> int:
+        return len(self.seq)
+
+    def __add__(self, other: Rows) -> Rows:
+        """Return the rows of both, in this order."""
+        return Rows(
+            *(np.concatenate((getattr(self, name), getattr(other, name))) for name in _COLUMNS)
+        )
+
+    def take(self, which: ArrayLike) -> Rows:
+        """Return the rows that an index array or a mask of shape (n,) picks."""
+        index = np.asarray(which)
+        return Rows(*(getattr(self, name)[index] for name in _COLUMNS))
+
+    @classmethod
+    def empty(cls) -> Rows:
+        """Return a table of no rows."""
+        return cls.from_records(())
+
+    @classmethod
+    def of(cls, wrench: ArrayLike, displacement: ArrayLike, **columns: Any) -> Rows:
+        """Return rows of wrenches (n, 6) and displacements (n, 6); other columns may be left out.
+
+        Without `seq` the rows are numbered from 1; unknown numbers are NaN, unknown words empty.
+        """
+        wrenches = np.array(wrench, dtype=float).reshape(-1, 6)
+        n = len(wrenches)
+        unknown: dict[str, tuple[Any, Any]] = {
+            "seq": (np.arange(1, n + 1), np.int64),
+            "compliance": (np.full((n, 6, 6), np.nan), float),
+            "uncertainty": (np.full((n, 6), np.nan), float),
+            "source": (np.full(n, "", dtype=object), str),
+            "fingerprint": (np.full(n, "", dtype=object), str),
+        }
+        rest = {
+            name: np.array(columns.get(name, blank)).astype(kind)
+            for name, (blank, kind) in unknown.items()
+        }
+        moved = np.array(displacement, dtype=float).reshape(-1, 6)
+        return cls(wrench=wrenches, displacement=moved, **rest)
+
+    @classmethod
+    def from_records(cls, records: Iterable[Mapping[str, Any]]) -> Rows:
+        """Return the rows of mappings keyed by the names of the columns.
+
+        `seq`, `wrench` and `displacement` are needed; a column left out or None is unknown.
+
+        Raises
+        ------
+        RowError
+            If a needed key is missing or a number is not finite.
+        """
+        found = list(records)
+        for record in found:
+            missing = [key for key in ("seq", "wrench", "displacement") if record.get(key) is None]
+            if missing:
+                raise RowError(f"row {record.get('seq')}: {', '.join(missing)} missing")
+        return cls.of(
+            [record["wrench"] for record in found],
+            [record["displacement"] for record in found],
+            seq=np.array([record["seq"] for record in found], dtype=np.int64),
+            compliance=_column(found, "compliance", (6, 6)),
+            uncertainty=_column(found, "uncertainty", (6,)),
+            source=[str(record.get("source") or "") for record in found],
+            fingerprint=[str(record.get("fingerprint") or "") for record in found],
+        )
+
+
+_COLUMNS = (
+    "seq",
+    "wrench",
+    "displacement",
+    "compliance",
+    "uncertainty",
+    "source",
+    "fingerprint",
+)
+
+
+def _column(records: list[Mapping[str, Any]], name: str, shape: tuple[int, ...]) -> Floats:
+    """Return one optional column, NaN where a record leaves it out."""
+    column = np.full((len(records), *shape), np.nan)
+    for place, record in enumerate(records):
+        if record.get(name) is not None:
+            column[place] = np.asarray(record[name], dtype=float).reshape(shape)
+    return column

@@ -1,0 +1,199 @@
+"""Tables on disk: one HDF5 file each, replaced as a whole.
+
+A file is never changed in place. A new one is written beside it, synced, and put in its place by
+one rename, so that a reader finds the old table or the new one and nothing between.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from surrogate.rows import LOAD_UNITS, OUTPUT_UNITS, LoadRange, RowError, Rows
+
+SCHEMA_VERSION = 1
+FORMAT = "wrenchbook table"
+
+CONTRACT = (
+    "SI: N, N·m, m, rad. Order: force then moment; translation then rotation. The wrench acts ON "
+    "the deformable component, at the interface reference point, expressed in the undeformed "
+    "interface frame; the moment is spatial. The displacement is of the same point in the same "
+    "frame; the rotation is a rotation vector, applied as R0 exp(r)."
+)
+
+_UNITS = {
+    "wrench": ", ".join(LOAD_UNITS),
+    "displacement": ", ".join(OUTPUT_UNITS),
+    "uncertainty": ", ".join(OUTPUT_UNITS) + " (95 % half width; NaN: unknown)",
+    "compliance": "displacement unit over wrench unit (NaN: unknown)",
+}
+
+
+class TableFileError(ValueError):
+    """A file that is no table this version can read; the text says what to do."""
+
+
+@dataclass(frozen=True)
+class TableMeta:
+    """What a table file says about its rows.
+
+    Attributes
+    ----------
+    component : str
+    last_seq : int
+        The ledger's number up to which rows are in the file.
+    load_range : LoadRange
+        N and N·m.
+    fingerprint : str
+        Of the component's present set-up; each row carries its own.
+    title : str
+    schema_version : int
+    contract : str
+        Order, units, frame and sign in words.
+    """
+
+    component: str
+    last_seq: int
+    load_range: LoadRange
+    fingerprint: str = ""
+    title: str = ""
+    schema_version: int = SCHEMA_VERSION
+    contract: str = CONTRACT
+
+
+def write_table(path: str | os.PathLike[str], rows: Rows, meta: TableMeta) -> None:
+    """Write a table and put it in the place of the one before, all or nothing.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written; the file that was there is untouched.
+    """
+    target = Path(path)
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
+    os.close(handle)
+    draft = Path(name)
+    try:
+        with h5py.File(draft, "w") as file:
+            _write_meta(file, meta)
+            _write_rows(file, rows)
+        draft.chmod(0o644)  # a temporary file is private, a table is for other programs too
+        _sync(draft)
+        draft.replace(target)
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise
+    _sync(target.parent)
+
+
+def read_table(path: str | os.PathLike[str]) -> tuple[Rows, TableMeta]:
+    """Read a table.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    TableFileError
+        If it is damaged, foreign, or of a newer schema.
+    """
+    source = Path(path)
+    if not source.exists():
+        raise FileNotFoundError(source)
+    try:
+        with h5py.File(source, "r") as file:
+            _check_schema(file, source)
+            return _read_rows(file), _read_meta(file)
+    except (OSError, KeyError, RowError, TypeError) as error:
+        raise TableFileError(
+            f"{source.name} is not a readable wrenchbook table ({error}). Restore it from a "
+            "backup, or move it away: rows still in the ledger come back at the next start."
+        ) from error
+
+
+def _sync(path: Path) -> None:
+    """Flush a file, or the names in a folder, to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _write_meta(file: h5py.File, meta: TableMeta) -> None:
+    file.attrs["format"] = FORMAT
+    file.attrs["schema_version"] = meta.schema_version
+    file.attrs["component"] = meta.component
+    file.attrs["title"] = meta.title
+    file.attrs["fingerprint"] = meta.fingerprint
+    file.attrs["last_seq"] = meta.last_seq
+    file.attrs["contract"] = meta.contract
+    for name in ("low", "high"):
+        bound = file.create_dataset(f"load_range/{name}", data=getattr(meta.load_range, name))
+        bound.attrs["units"] = _UNITS["wrench"]
+
+
+def _write_rows(file: h5py.File, rows: Rows) -> None:
+    group = file.create_group("rows")
+    group.create_dataset("seq", data=rows.seq)
+    for name, units in _UNITS.items():
+        group.create_dataset(name, data=getattr(rows, name)).attrs["units"] = units
+    for name in ("source", "fingerprint"):
+        words = getattr(rows, name).astype(object)
+        group.create_dataset(name, data=words, dtype=h5py.string_dtype())
+
+
+def _check_schema(file: h5py.File, source: Path) -> None:
+    if file.attrs.get("format") != FORMAT:
+        raise TableFileError(
+            f"{source.name} is an HDF5 file, but not a wrenchbook table. To bring rows in from "
+            "elsewhere, use `wrenchbook import`."
+        )
+    version = int(_attribute(file, "schema_version"))
+    if version > SCHEMA_VERSION:
+        raise TableFileError(
+            f"{source.name} has table schema {version}; this wrenchbook reads up to "
+            f"{SCHEMA_VERSION}. Install the newer wrenchbook that wrote it."
+        )
+
+
+def _attribute(file: h5py.File, name: str) -> Any:
+    return file.attrs[name]
+
+
+def _read_meta(file: h5py.File) -> TableMeta:
+    low, high = (_numbers(file, f"load_range/{name}") for name in ("low", "high"))
+    return TableMeta(
+        component=str(_attribute(file, "component")),
+        last_seq=int(_attribute(file, "last_seq")),
+        load_range=LoadRange(low, high),
+        fingerprint=str(_attribute(file, "fingerprint")),
+        title=str(_attribute(file, "title")),
+        schema_version=int(_attribute(file, "schema_version")),
+        contract=str(_attribute(file, "contract")),
+    )
+
+
+def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
+    found = file[name]
+    if not isinstance(found, h5py.Dataset):
+        raise KeyError(f"{name} is no dataset")
+    return found
+
+
+def _numbers(file: h5py.File, name: str) -> np.ndarray:
+    return np.asarray(_dataset(file, name)[...])
+
+
+def _read_rows(file: h5py.File) -> Rows:
+    words = {
+        name: np.array(_dataset(file, f"rows/{name}").asstr()[...], dtype=str)
+        for name in ("source", "fingerprint")
+    }
+    numbers = {name: _numbers(file, f"rows/{name}") for name in ("seq", *_UNITS)}
+    return Rows(**numbers, **words)

@@ -1,0 +1,280 @@
+"""The surrogate of one version of a table: rows in; displacement, error bar and coverage out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surrogate.answers import METHODS, Answer, Batch, judged
+from surrogate.axes import CLEAN, OffAxis
+from surrogate.building import build_composition
+from surrogate.compliance import ComplianceFit, fit_compliance
+from surrogate.composition import Composition
+from surrogate.coverage import (
+    COVERED,
+    NAMES,
+    OUTSIDE,
+    THIN,
+    Careful,
+    over_tolerance,
+    read_carefully,
+)
+from surrogate.nearest import NearestRow
+from surrogate.rows import LOAD_UNITS, LOADS, Floats, LoadRange, Rows, Tolerance
+from surrogate.summary import summarise
+
+
+class Surrogate:
+    """The interpolators built from one version of a table; immutable.
+
+    Attributes
+    ----------
+    rows : Rows
+    load_range : LoadRange
+    tolerance : Tolerance or None
+    linear : bool
+        Whether the component is linear, so that its 6x6 compliance is the whole truth.
+    version : int
+    fit : ComplianceFit
+    """
+
+    def __init__(
+        self,
+        rows: Rows,
+        load_range: LoadRange,
+        *,
+        tolerance: Tolerance | None = None,
+        linear: bool = False,
+        off_axis: OffAxis = "correct",
+        version: int = 0,
+    ) -> None:
+        self.rows, self.load_range, self.tolerance = rows, load_range, tolerance
+        self.linear, self.version = linear, version
+        self.off_axis: OffAxis = off_axis
+        self.fit: ComplianceFit = fit_compliance(rows, load_range, linear=linear)
+        self.default = "linear" if linear and self.fit.complete else "griddata"
+        self._small = (CLEAN * load_range.scale).tolist()
+        self._place = {tuple(w): p for p, w in reversed(list(enumerate(rows.wrench.tolist())))}
+        if self.default == "griddata":
+            _ = self.composition  # linear components triangulate only when they are asked to
+
+    @classmethod
+    def build(
+        cls,
+        rows: Rows,
+        load_range: LoadRange,
+        *,
+        tolerance: Tolerance | None = None,
+        linear: bool = False,
+        off_axis: OffAxis = "correct",
+        version: int = 0,
+    ) -> Surrogate:
+        """Build the surrogate of valid rows of one fingerprint.
+
+        Parameters
+        ----------
+        off_axis : {"correct", "ignore", "exclude"}
+            What becomes of rows that are clean for no axis.
+        """
+        return cls(
+            rows,
+            load_range,
+            tolerance=tolerance,
+            linear=linear,
+            off_axis=off_axis,
+            version=version,
+        )
+
+    @cached_property
+    def composition(self) -> Composition:
+        """The three axes of the straight direction influence."""
+        return build_composition(self.rows, self.load_range, self.fit, self.off_axis)
+
+    @cached_property
+    def nearest(self) -> NearestRow:
+        """The index of nearest rows; needs at least one row."""
+        return NearestRow(self.rows, self.load_range)
+
+    def answer(
+        self,
+        wrench: Sequence[float],
+        tolerance: Tolerance | None = None,
+        method: str | None = None,
+    ) -> Answer:
+        """Answer one wrench of six finite floats, N and N·m.
+
+        Raises
+        ------
+        ValueError
+            If the method is none of `METHODS`.
+        """
+        tolerance = tolerance or self.tolerance
+        if (method or self.default) != "griddata":
+            return self._answer_otherwise(wrench, tolerance, self._known_method(method))
+        quick = self.composition.quick(wrench)
+        if quick is None:
+            return self._answer_carefully(wrench, tolerance)
+        displacement, error = quick
+        if tolerance is not None:
+            a, b, c, d, e, f = error
+            most, turn = tolerance.translation, tolerance.rotation
+            if a > most or b > most or c > most or d > turn or e > turn or f > turn:
+                return self._or_row(wrench, judged(displacement, error, tolerance, "griddata"))
+        return Answer(displacement, error, "covered", "", "griddata")
+
+    def batch(
+        self,
+        wrenches: ArrayLike,
+        tolerance: Tolerance | None = None,
+        method: str | None = None,
+    ) -> Batch:
+        """Answer many wrenches, shape (n, 6), N and N·m, with the same numbers as `answer`.
+
+        Raises
+        ------
+        ValueError
+            If the method is none of `METHODS`.
+        """
+        asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
+        tolerance = tolerance or self.tolerance
+        if self._known_method(method) != "griddata":
+            return self._gather(asked, np.arange(len(asked)), tolerance, method)
+        displacement, error, told = self.composition.many(asked)
+        covered = told.copy()
+        if tolerance is not None:
+            most = np.repeat([tolerance.translation, tolerance.rotation], 3)
+            covered &= (error <= most).all(axis=1)
+        coverage = np.where(covered, COVERED, THIN).astype(np.uint8)
+        rest = np.flatnonzero(~told)
+        over = [p for p in np.flatnonzero(told & ~covered) if tuple(asked[p]) in self._place]
+        for places in (rest, over):
+            careful = self._gather(asked, places, tolerance, method)
+            displacement[places], error[places], coverage[places] = careful
+        return Batch(displacement, error, coverage)
+
+    def explain(
+        self,
+        wrench: Sequence[float],
+        tolerance: Tolerance | None = None,
+        method: str | None = None,
+    ) -> list[dict[str, Any]]:
+        """Return per axis its inputs, outputs, error bars, coverage, reason and rows (their seq).
+
+        They are those of the composition, whichever method answers.
+        """
+        self._known_method(method)
+        careful = self._carefully(wrench)
+        tolerance = tolerance or self.tolerance
+        for axis in careful.axes:
+            bars = axis["error"]
+            if tolerance is None or bars is None or axis["coverage"] != "covered":
+                continue
+            padded = [bars.get(name, 0.0) for name in ("u_x", "u_y", "u_z", "rx", "ry", "rz")]
+            reason = over_tolerance(padded, tolerance)
+            if reason:
+                axis["coverage"], axis["reason"] = "thin", f"axis {axis['axis']}: {reason}"
+        return careful.axes
+
+    def coverage_summary(self) -> dict[str, Any]:
+        """Return how the table covers the load range, as JSON-able values."""
+        return summarise(self)
+
+    def _known_method(self, method: str | None) -> str:
+        if method is not None and method not in METHODS:
+            raise ValueError(f"unknown method {method!r}: one of {', '.join(METHODS)}")
+        return method or self.default
+
+    def _gather(
+        self,
+        asked: Floats,
+        places: ArrayLike,
+        tolerance: Tolerance | None,
+        method: str | None,
+    ) -> Batch:
+        """Answer the wrenches at some places one by one."""
+        answers = [
+            self.answer(w, tolerance, method)
+            for w in asked[np.asarray(places, dtype=np.intp)].tolist()
+        ]
+        blank = (np.nan,) * 6
+        return Batch(
+            np.array([a.displacement or blank for a in answers]).reshape(-1, 6),
+            np.array([a.error or blank for a in answers]).reshape(-1, 6),
+            np.array([NAMES.index(a.coverage) for a in answers], dtype=np.uint8),
+        )
+
+    def _without_traces(self, wrench: Sequence[float]) -> list[float]:
+        """Return the wrench with loads below 1e-9 of the range taken as none."""
+        return [
+            float(w) if abs(w) > small else 0.0
+            for w, small in zip(wrench, self._small, strict=True)
+        ]
+
+    def _carefully(self, wrench: Sequence[float]) -> Careful:
+        loads = self._without_traces(wrench)
+        return read_carefully(self.composition, self.fit, self.rows, loads)
+
+    def _answer_carefully(self, wrench: Sequence[float], tolerance: Tolerance | None) -> Answer:
+        if not len(self.rows):
+            return Answer(None, None, "outside", "the table has no rows", "estimate")
+        careful = self._carefully(wrench)
+        displacement = tuple(careful.displacement.tolist())
+        error = None if careful.error is None else tuple(careful.error.tolist())
+        method = "estimate" if careful.state == OUTSIDE else "griddata"
+        if careful.state == COVERED and error is not None:
+            return self._or_row(wrench, judged(displacement, error, tolerance, method))
+        found = Answer(displacement, error, NAMES[careful.state], careful.reason, method)
+        return self._or_row(wrench, found)
+
+    def _or_row(self, wrench: Sequence[float], found: Answer) -> Answer:
+        """Return the row of just this wrench if there is one and the table is not covered."""
+        place = None if found.coverage == "covered" else self._place.get(tuple(wrench))
+        if place is None:
+            return found
+        displacement = tuple(self.rows.displacement[place].tolist())
+        error = tuple(np.nan_to_num(self.rows.uncertainty[place]).tolist())
+        return Answer(displacement, error, "covered", "", "row")
+
+    def _answer_otherwise(
+        self, wrench: Sequence[float], tolerance: Tolerance | None, method: str
+    ) -> Answer:
+        if not len(self.rows):
+            return Answer(None, None, "outside", "the table has no rows", method)
+        if method == "nearest":
+            return self._or_row(wrench, self._answer_nearest(wrench, tolerance))
+        loads = np.array(wrench, dtype=float)
+        displacement = tuple((self.fit.matrix @ loads).tolist())
+        error = tuple(self.fit.bar.tolist())
+        beyond = (loads < self.load_range.low) | (loads > self.load_range.high)
+        unknown = ~self.fit.known & (np.abs(loads) > self._small)
+        if unknown.any():
+            load = LOADS[int(np.argmax(unknown))]
+            reason = f"no row tells the influence of {load}"
+            found = Answer(displacement, None, "outside", reason, method)
+        elif beyond.any():
+            load = int(np.argmax(beyond))
+            low, high, unit = (
+                self.load_range.low[load],
+                self.load_range.high[load],
+                LOAD_UNITS[load],
+            )
+            reason = (
+                f"{LOADS[load]} = {loads[load]:.6g} {unit} is outside "
+                f"the load range, {low:.6g}..{high:.6g} {unit}"
+            )
+            found = Answer(displacement, error, "outside", reason, method)
+        else:
+            found = judged(displacement, error, tolerance, method)
+        return self._or_row(wrench, found)
+
+    def _answer_nearest(self, wrench: Sequence[float], tolerance: Tolerance | None) -> Answer:
+        displacement, bars = self.nearest.read(np.array([wrench], dtype=float))
+        careful = self._carefully(wrench)
+        moved, error = tuple(displacement[0].tolist()), tuple(bars[0].tolist())
+        if careful.state != COVERED:
+            return Answer(moved, error, NAMES[careful.state], careful.reason, "nearest")
+        return judged(moved, error, tolerance, "nearest")
