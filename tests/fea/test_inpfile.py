@@ -1,0 +1,190 @@
+"""Abaqus and CalculiX decks: what meshio gets wrong, and what is refused."""
+
+import numpy as np
+import pytest
+
+from fea.bundle import BundleError
+from fea.meshfile import read_mesh
+from fea.quality import volumes
+from fea.section import section_of_facets
+
+# Two 1 x 1 x 1 cubes side by side along x, one with 8 and one with 20 nodes apart from it, and a
+# reference node of its own, as decks have them.
+DECK = """*HEADING
+two cubes
+** a comment
+*Node, nset=Nall
+ 1, 0., 0., 0.
+ 2, 1., 0., 0.
+ 3, 1., 1., 0.
+ 4, 0., 1., 0.
+ 5, 0., 0., 1.
+ 6, 1., 0., 1.
+ 7, 1., 1., 1.
+ 8, 0., 1., 1.
+*NODE
+ 11, 2., 0., 0.
+ 12, 2., 1., 0.
+ 13, 2., 0., 1.
+ 14, 2., 1., 1.
+*NODE, NSET=REF
+ 99, 5., 0.5
+*ELEMENT, TYPE=S4
+ 50, 1, 4, 8, 5
+*ELEMENT, type=c3d8,
+ elset=Left
+ 7, 1, 2, 3, 4,
+ 5, 6, 7, 8
+*ELEMENT, TYPE=C3D8I, ELSET=RIGHT
+ 9, 2, 11, 12, 3, 6, 13, 14, 7
+*ELEMENT, TYPE=MASS, ELSET=weights
+ 60, 1
+*ELSET, ELSET=both
+ left, RIGHT
+*ELSET, ELSET=range, GENERATE
+ 7, 9, 2
+*NSET, NSET=Grip, GENERATE
+ 1, 4, 3
+ 5, 8, 3
+*NSET, NSET=more
+ GRIP, 2,
+*NSET, NSET=tail, ELSET=Right
+*SURFACE, NAME=Tip, TYPE=ELEMENT
+ Right, S4
+*SURFACE, NAME=top
+ 7, S2
+ 9, S2
+*SURFACE, NAME=corner, TYPE=NODE
+ grip, 1.0
+ 2, 1.0
+*MATERIAL, NAME=steel
+*ELASTIC
+ 210000., 0.3
+*STEP
+*STATIC
+*BOUNDARY
+ Grip, 1, 3
+*END STEP
+"""
+
+
+def read(tmp_path, text=DECK):
+    path = tmp_path / "deck.inp"
+    path.write_text(text)
+    return read_mesh(path, "m")
+
+
+def test_all_node_blocks_and_elements_over_several_lines_are_read(tmp_path):
+    mesh = read(tmp_path)
+    assert len(mesh.points) == 12
+    assert mesh.cell_counts == {"hex8": 2}
+    np.testing.assert_allclose(volumes(mesh.points, mesh.blocks[0]), [1.0, 1.0], rtol=1e-12)
+
+
+def test_element_sets_have_the_cells_the_deck_gives_them(tmp_path):
+    regions = {name: cells.tolist() for name, (cells,) in read(tmp_path).regions.items()}
+    assert regions == {"Left": [0], "RIGHT": [1], "both": [0, 1], "range": [0, 1]}
+
+
+def test_node_sets_may_be_listed_generated_named_or_made_of_elements(tmp_path):
+    mesh = read(tmp_path)
+    groups = mesh.node_groups
+    assert set(groups) == {"Nall", "Grip", "more", "tail", "corner"}  # REF is on no cell
+    assert (mesh.points[groups["Grip"]][:, 0] == 0.0).all()
+    assert len(groups["Grip"]) == 4
+    assert len(groups["more"]) == len(groups["corner"]) == 5
+    assert (mesh.points[groups["tail"]][:, 0] >= 1.0).all()
+    assert len(groups["tail"]) == 8
+
+
+@pytest.mark.parametrize(
+    ("name", "area", "centre"), [("Tip", 1.0, [2.0, 0.5, 0.5]), ("top", 2.0, [1.0, 0.5, 1.0])]
+)
+def test_surfaces_are_facet_groups(tmp_path, name, area, centre):
+    mesh = read(tmp_path)
+    section = section_of_facets(mesh.points, mesh.facet_groups[name])
+    assert section.area == pytest.approx(area, rel=1e-12)
+    np.testing.assert_allclose(section.centre, centre, atol=1e-12)
+
+
+TET = """*NODE
+1,0,0,0
+2,1,0,0
+3,0,1,0
+4,0,0,1
+*ELEMENT,TYPE=C3D4
+1,1,2,3,4
+"""
+WEDGE = """*NODE
+1,0,0,0
+2,1,0,0
+3,0,1,0
+4,0,0,1
+5,1,0,1
+6,0,1,1
+*ELEMENT,TYPE=C3D6
+1,1,2,3,4,5,6
+"""
+HEX = DECK[DECK.index("*Node") : DECK.index("*NODE\n")] + "*ELEMENT,TYPE=C3D8\n1,1,2,3,4,5,6,7,8\n"
+HALF = 2**0.5 / 2
+OF_FACES = [
+    (TET, [(0, 0, -0.5), (0, -0.5, 0), (0.5, 0.5, 0.5), (-0.5, 0, 0)]),
+    (WEDGE, [(0, 0, -0.5), (0, 0, 0.5), (0, -1, 0), (1, 1, 0), (-1, 0, 0)]),
+    (HEX, [(0, 0, -1), (0, 0, 1), (0, -1, 0), (1, 0, 0), (0, 1, 0), (-1, 0, 0)]),
+]
+
+
+@pytest.mark.parametrize(("cell", "areas"), OF_FACES, ids=["tet", "wedge", "hex"])
+def test_faces_are_numbered_as_the_manuals_of_both_solvers_number_them(tmp_path, cell, areas):
+    for number, expected in enumerate(areas, start=1):
+        mesh = read(tmp_path, f"{cell}*SURFACE, NAME=F\n1, S{number}\n")
+        ((_, nodes),) = mesh.facet_groups["F"].blocks
+        corners = mesh.points[nodes[0]]
+        last = corners[-1]
+        sides = np.diff(corners - last, axis=0)
+        normal = np.cross(corners[:-1] - last, sides, axis=1).sum(axis=0) / 2
+        np.testing.assert_allclose(np.abs(normal), np.abs(expected), atol=1e-12)
+        inside = mesh.points.mean(axis=0)
+        np.testing.assert_allclose(
+            np.sign((corners.mean(axis=0) - inside) @ expected), 1.0, atol=1e-12
+        )
+
+
+def changed(old, new):
+    assert DECK.count(old) == 1
+    return DECK.replace(old, new)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (DECK + "*INCLUDE, INPUT=other.inp\n", "*INCLUDE is not read"),
+        (DECK + "*NCOPY, CHANGE NUMBER=10\n", "*NCOPY is not read"),
+        (DECK + "*PART, NAME=A\n*PART, NAME=B\n", "*PART comes twice"),
+        (DECK + "*INSTANCE, NAME=A-1, PART=A\n 1., 0., 0.\n", "*INSTANCE moves"),
+        (changed("TYPE=C3D8I", "TYPE=C3D27"), "C3D27 is not read"),
+        (changed("*NODE\n 11", "*NODE, SYSTEM=C\n 11"), "system of its own"),
+        (changed(" GRIP, 2,", " grab, 2"), 'a set "grab" that is not defined'),
+        (changed(" Right, S4", " Right, SPOS"), 'face "SPOS"'),
+        (changed(" Right, S4", " Right, S7"), "S7 of element 9"),
+        (changed(" 7, S2", " 77, S2"), "element 77"),
+        (changed(" 9, 2, 11, 12, 3", " 9, 2, 11, 12"), "9 each"),
+        (changed(" 9, 2, 11, 12, 3", " 9, 2, 11, 1234, 3"), "node 1234"),
+        (changed(" 9, 2, 11, 12, 3", " 7, 2, 11, 12, 3"), "element 7 again"),
+        (changed(" 8, 0., 1., 1.", " 8, zero, 1., 1."), "zero"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_with_its_reason(tmp_path, text, said):
+    with pytest.raises(BundleError) as caught:
+        read(tmp_path, text)
+    assert said in caught.value.problems[0].message
+
+
+def test_a_refusal_names_the_line(tmp_path):
+    with pytest.raises(BundleError, match=r"line 2: \*INCLUDE"):
+        read(tmp_path, "** x\n*INCLUDE, INPUT=a\n")
+
+
+def test_a_deck_without_elements_says_so(tmp_path):
+    with pytest.raises(BundleError, match="no cells at all"):
+        read(tmp_path, "*NODE\n1,0,0,0\n")

@@ -1,0 +1,218 @@
+"""Mesh files: groups found, units scaled, node order right, faults told."""
+
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+
+from fea.bundle import BundleError
+from fea.faces import FACES, outer_surface
+from fea.meshes import Bar
+from fea.meshfile import read_mesh
+from fea.quality import cell_problems, volumes
+from fea.section import section_of_facets
+
+FILES = Path(__file__).parent / "meshfiles"
+# Two glued blocks of 10 x 10 x 10 mm side by side along x, written by gmsh 4.15.
+BLOCKS = {
+    "hex20_22.msh": "hex20",
+    "hex20_41.msh": "hex20",
+    "hex27_41.msh": "hex27",
+    "tet10_22.msh": "tet10",
+    "tet10_41.msh": "tet10",
+    "tet10_41_binary.msh": "tet10",
+    "tet10.inp": "tet10",
+}
+
+
+def total(mesh):
+    return sum(volumes(mesh.points, block).sum() for block in mesh.blocks)
+
+
+def section(mesh, group):
+    return section_of_facets(mesh.points, mesh.facet_groups[group])
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_gmsh_files_give_volumes_regions_and_groups_in_metres(name):
+    mesh = read_mesh(FILES / name, "mm")
+    assert set(mesh.cell_counts) == {BLOCKS[name]}
+    assert cell_problems(mesh) == []
+    assert total(mesh) == pytest.approx(2e-6, rel=1e-12)
+    for region, side in (("soft", slice(0, 1)), ("stiff", slice(1, 2))):
+        (cells,) = mesh.regions[region]
+        assert volumes(mesh.points, mesh.blocks[0])[cells].sum() == pytest.approx(1e-6, rel=1e-12)
+        middle = mesh.points[mesh.blocks[0].nodes[cells]].mean(axis=1)[:, 0]
+        low, high = [(0.0, 0.01), (0.01, 0.02)][side][0]
+        assert ((middle > low) & (middle < high)).all()
+    for group, x in (("root", 0.0), ("tip", 0.02)):
+        assert section(mesh, group).area == pytest.approx(1e-4, rel=1e-12)
+        np.testing.assert_allclose(section(mesh, group).centre, [x, 0.005, 0.005], atol=1e-15)
+    edge = mesh.node_groups.get("low edge", mesh.node_groups.get("low_edge"))
+    np.testing.assert_allclose(mesh.points[edge][:, [0, 2]], [[0.02, 0.0]] * len(edge), atol=1e-15)
+
+
+def test_a_wedge15_file_is_read():
+    mesh = read_mesh(FILES / "wedge15_41.msh", "mm")
+    assert mesh.cell_counts == {"wedge15": 8}
+    assert cell_problems(mesh) == []
+    assert total(mesh) == pytest.approx(2e-6, rel=1e-12)
+    assert [kind for kind, _ in mesh.facet_groups["side"].blocks] == ["quad8"]
+    assert [kind for kind, _ in mesh.facet_groups["tip"].blocks] == ["tri6"]
+
+
+@pytest.mark.parametrize("name", [*BLOCKS, "wedge15_41.msh"])
+def test_midside_nodes_lie_in_the_middle_of_their_edge(name):
+    # A file order taken for VTK's would put them on another edge; these cells are straight.
+    mesh = read_mesh(FILES / name, "mm")
+    for block in mesh.blocks:
+        for face in FACES[block.kind]:
+            corners = 3 if len(face) in (3, 6) else 4
+            ring = mesh.points[block.nodes[:, face[:corners]]]
+            middles = mesh.points[block.nodes[:, face[corners : 2 * corners]]]
+            np.testing.assert_allclose((ring + np.roll(ring, -1, axis=1)) / 2, middles, atol=1e-12)
+            if len(face) == 9:
+                centre = mesh.points[block.nodes[:, face[8]]]
+                np.testing.assert_allclose(ring.mean(axis=1), centre, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", [*BLOCKS, "wedge15_41.msh"])
+def test_faces_look_outwards(name):
+    mesh = read_mesh(FILES / name, "mm")
+    flux = 0.0
+    for _, nodes in outer_surface(mesh.blocks).blocks:
+        corners = mesh.points[nodes[:, : 3 if nodes.shape[1] in (3, 6) else 4]]
+        if corners.shape[1] == 3:
+            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+        else:
+            normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]) / 2
+        flux += (normal * corners.mean(axis=1)).sum()
+    assert flux / 3 == pytest.approx(2e-6, rel=1e-12)  # Gauss: a third of the flux of x
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("mm", 1e-3), ("in", 0.0254)])
+def test_the_unit_scales_the_mesh(unit, scale):
+    mesh = read_mesh(FILES / "hex20_41.msh", unit)
+    assert np.ptp(mesh.points, axis=0) == pytest.approx([20 * scale, 10 * scale, 10 * scale])
+
+
+def bar_file(path, cells=None, **more):
+    """A bar of four layers along x as meshio writes it, in mm, with more points than cells use."""
+    bar = Bar(1.0, 0.02, 0.02, cells_along=4).mesh()
+    points = np.vstack([[[5.0, 5.0, 5.0]], bar.points * 1e3])
+    nodes = bar.blocks[0].nodes + 1
+    tip = bar.facet_groups["end"].blocks[0].nodes + 1
+    default = [("hexahedron20", nodes), ("quad8", tip)]
+    meshio.Mesh(points, default if cells is None else cells(nodes, tip), **more).write(path)
+    return path
+
+
+@pytest.mark.parametrize("ending", ["vtu", "vtk"])
+def test_integer_arrays_of_vtk_files_are_groups(tmp_path, ending):
+    cell_data = {
+        "part": [np.repeat([7, 9], 8), np.zeros(4, dtype=int)],
+        "tip": [np.zeros(16, dtype=int), np.ones(4, dtype=int)],
+        "density": [np.ones(16), np.ones(4)],
+    }
+    point_data = {"grip": (np.arange(142) < 5).astype(int)}
+    path = bar_file(tmp_path / f"a.{ending}", cell_data=cell_data, point_data=point_data)
+    mesh = read_mesh(path, "mm")
+    assert set(mesh.regions) == {"part_7", "part_9"}
+    assert len(mesh.regions["part_9"][0]) == 8
+    assert set(mesh.facet_groups) == {"tip", "part_0"}
+    assert mesh.node_groups["grip"].tolist() == [0, 1, 2, 3]  # the first point is on no cell
+    assert len(mesh.points) == 141
+
+
+def test_points_that_no_cell_uses_are_left_out(tmp_path):
+    mesh = read_mesh(bar_file(tmp_path / "a.vtu"), "mm")
+    assert mesh.unknowns == 3 * len(mesh.points)
+    assert total(mesh) == pytest.approx(4e-4, rel=1e-12)
+
+
+def test_a_cell_that_a_file_has_twice_counts_once(tmp_path):
+    def cells(nodes, tip):
+        return [("hexahedron20", nodes), ("hexahedron20", nodes[8:])]
+
+    part = {"part": [np.repeat([1, 2], 8), np.full(8, 3)]}
+    mesh = read_mesh(bar_file(tmp_path / "a.vtu", cells, cell_data=part), "mm")
+    assert mesh.cell_counts == {"hex20": 16}
+    np.testing.assert_array_equal(mesh.regions["part_2"][0], np.arange(8, 16))
+    np.testing.assert_array_equal(mesh.regions["part_3"][0], np.arange(8, 16))
+
+
+def test_facets_without_midside_nodes_get_those_of_the_cells_they_lie_on(tmp_path):
+    def cells(nodes, tip):
+        return [("hexahedron20", nodes), ("quad", tip[:, [2, 1, 0, 3]])]
+
+    tip = {"tip": [np.zeros(16, dtype=int), np.ones(4, dtype=int)]}
+    mesh = read_mesh(bar_file(tmp_path / "a.vtu", cells, cell_data=tip), "mm")
+    ((kind, nodes),) = mesh.facet_groups["tip"].blocks
+    assert (kind, nodes.shape) == ("quad8", (4, 8))
+    assert section(mesh, "tip").area == pytest.approx(4e-4, rel=1e-12)
+
+
+MIRRORED = [4, 5, 6, 7, 0, 1, 2, 3, 12, 13, 14, 15, 8, 9, 10, 11, 16, 17, 18, 19]
+
+
+def test_cells_all_numbered_in_a_mirror_are_turned_round(tmp_path):
+    def cells(nodes, tip):
+        return [("hexahedron20", nodes[:, MIRRORED])]
+
+    mesh = read_mesh(bar_file(tmp_path / "a.vtu", cells), "mm")
+    assert cell_problems(mesh) == []
+    assert total(mesh) == pytest.approx(4e-4, rel=1e-12)
+
+
+def test_a_few_cells_inside_out_are_a_problem_with_their_place(tmp_path):
+    def cells(nodes, tip):
+        nodes = nodes.copy()
+        nodes[0] = nodes[0, MIRRORED]
+        return [("hexahedron20", nodes)]
+
+    (problem,) = cell_problems(read_mesh(bar_file(tmp_path / "a.vtu", cells), "mm"))
+    assert "1 of 16 hex20 cells" in problem.message
+    assert "near (0.125, -0.005, -0.005) m" in problem.message
+
+
+def refusal(path):
+    with pytest.raises(BundleError) as caught:
+        read_mesh(path, "mm")
+    (problem,) = caught.value.problems
+    assert problem.where == "mesh.file"
+    return problem.message
+
+
+def test_a_file_that_meshio_cannot_read_is_a_mistake_and_prints_nothing(tmp_path, capsys):
+    (tmp_path / "a.msh").write_text("$MeshFormat\n4.1 0 8\n")
+    assert "cannot be read as a .msh file" in refusal(tmp_path / "a.msh")
+    (tmp_path / "b.xyz").write_text("hello")
+    assert "cannot be read as a .xyz file" in refusal(tmp_path / "b.xyz")
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_mesh_of_surfaces_only_is_refused(tmp_path):
+    path = bar_file(tmp_path / "a.vtu", lambda nodes, tip: [("quad8", tip)])
+    assert "no solid cells (it has quad8)" in refusal(path)
+
+
+def test_a_kind_of_cell_the_solver_does_not_know_is_named(tmp_path):
+    path = bar_file(tmp_path / "a.vtu", lambda nodes, tip: [("pyramid", nodes[:, :5])])
+    assert "kind pyramid" in refusal(path)
+
+
+def test_a_group_of_facets_off_the_solid_is_named(tmp_path):
+    def cells(nodes, tip):
+        return [("hexahedron20", nodes), ("quad", np.array([[0, 1, 2, 3]]))]
+
+    loose = {"loose": [np.zeros(16, dtype=int), np.ones(1, dtype=int)]}
+    message = refusal(bar_file(tmp_path / "a.vtu", cells, cell_data=loose))
+    assert 'group "loose" with 1 facets that are not faces' in message
+
+
+def test_coordinates_that_are_not_numbers_are_refused(tmp_path):
+    bar = Bar(1.0, 0.02, 0.02, cells_along=1).mesh()
+    bar.points[0, 0] = np.nan
+    meshio.Mesh(bar.points, [("hexahedron20", bar.blocks[0].nodes)]).write(tmp_path / "a.vtu")
+    assert "not finite" in refusal(tmp_path / "a.vtu")
