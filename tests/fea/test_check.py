@@ -1,0 +1,69 @@
+"""`python -m fea.check FOLDER`: one line of JSON and an exit status."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fea.check import check, main
+
+SHIPPED = Path(__file__).parents[2] / "data" / "components"
+
+
+def test_the_command_reports_a_good_bundle_and_ends_with_0():
+    done = subprocess.run(
+        [sys.executable, "-m", "fea.check", str(SHIPPED / "plate_thin")],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 0
+    report = json.loads(done.stdout)
+    assert report["ok"] is True
+    assert report["unknowns"] == 3 * report["nodes"]
+    assert list(report["cells"]) == ["hex20"]
+    assert set(report["groups"]["facets"]) == {"patch", "corners", "rim", "top", "bottom"}
+
+
+def test_the_command_reports_every_mistake_and_ends_with_1(tmp_path, capsys):
+    text = (SHIPPED / "bar" / "component.toml").read_text()
+    text = text.replace("210e9", "-210e9").replace('"distributed"', '"glued"')
+    (tmp_path / "component.toml").write_text(text)
+    assert main([str(tmp_path)]) == 1
+    report = json.loads(capsys.readouterr().out)
+    assert report["ok"] is False
+    assert [problem["where"] for problem in report["problems"]] == [
+        "material[0].youngs_modulus",
+        "interface.coupling",
+    ]
+
+
+def test_a_missing_group_is_found_by_the_check(tmp_path):
+    text = (SHIPPED / "bar" / "component.toml").read_text().replace('"start"', '"strat"')
+    (tmp_path / "component.toml").write_text(text)
+    (problem,) = check(tmp_path)["problems"]
+    assert problem["where"] == "supports.fixed[0]"
+    assert 'did you mean "start"' in problem["message"]
+
+
+def test_a_table_only_bundle_is_fine_and_has_nothing_to_solve(tmp_path):
+    text = 'name = "m"\ntitle = "M"\n[range]\nforce = [1,1,1]\nmoment = [1,1,1]\n'
+    (tmp_path / "component.toml").write_text(text)
+    report = check(tmp_path)
+    assert report["ok"]
+    assert not report["has_fea"]
+    assert "unknowns" not in report
+
+
+def test_a_wrong_call_ends_with_2(capsys):
+    assert main([]) == 2
+    assert "usage" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("module", ["fea", "fea.bundle", "fea.mesh", "fea.meshes"])
+def test_reading_a_bundle_imports_neither_scikit_fem_nor_meshio(module):
+    code = f"import {module}, sys; sys.exit(any(m in sys.modules for m in ('skfem', 'meshio')))"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0

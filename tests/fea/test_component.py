@@ -1,0 +1,170 @@
+"""From bundle to component: groups resolved, materials placed, faults named."""
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fea.bundle import BundleError, bundle_of, read_bundle
+from fea.component import build
+
+SHIPPED = Path(__file__).parents[2] / "data" / "components"
+FILES = Path(__file__).parent / "meshfiles"
+
+BLOCKS = {
+    "name": "blocks",
+    "title": "Two glued blocks of 10 mm",
+    "mesh": {"file": "hex20_41.msh", "unit": "mm"},
+    "material": [
+        {"region": "soft", "youngs_modulus": 1e9, "poisson_ratio": 0.3},
+        {"region": "stiff", "youngs_modulus": 2e11, "poisson_ratio": 0.3},
+    ],
+    "supports": {"fixed": ["root"]},
+    "interface": {"section": "tip", "coupling": "distributed"},
+    "analysis": {"nonlinear": False},
+    "range": {"force": [1, 1, 1], "moment": [1, 1, 1]},
+}
+
+
+def component(folder=FILES, **changes):
+    table = copy.deepcopy(BLOCKS)
+    for path, value in changes.items():
+        at = table
+        *parents, last = path.split("__")
+        for key in parents:
+            at = at[int(key) if key.isdigit() else key]
+        at[last] = value
+    return build(bundle_of(table, folder))
+
+
+def mistakes(**changes):
+    with pytest.raises(BundleError) as caught:
+        component(**changes)
+    return {problem.where: problem.message for problem in caught.value.problems}
+
+
+def test_a_component_has_its_groups_its_section_and_its_frame():
+    built = component()
+    assert built.mesh.unknowns == 423
+    assert (built.mesh.points[built.fixed_nodes][:, 0] == 0.0).all()
+    assert len(built.fixed_nodes) == len(built.section.node_ids) == 21
+    assert built.section.area == pytest.approx(1e-4, rel=1e-12)
+    assert built.section.by_area
+    np.testing.assert_allclose(built.point, [0.02, 0.005, 0.005], atol=1e-15)
+    np.testing.assert_array_equal(built.axes, np.eye(3))
+    assert (built.coupling, built.locked) == ("distributed", ())
+
+
+def test_a_point_that_is_given_is_taken():
+    assert component(interface__point=[0, 1, 2]).point.tolist() == [0, 1, 2]
+
+
+def test_each_cell_has_the_material_of_its_region():
+    built = component()
+    (numbers,) = built.material_of_cells
+    middle = built.mesh.points[built.mesh.blocks[0].nodes].mean(axis=1)[:, 0]
+    np.testing.assert_array_equal(numbers, middle > 0.01)
+
+
+def test_all_fills_what_no_other_material_names():
+    materials = [BLOCKS["material"][1], BLOCKS["material"][0] | {"region": "all"}]
+    (numbers,) = component(material=materials).material_of_cells
+    (expected,) = component().material_of_cells
+    np.testing.assert_array_equal(numbers, 1 - expected)
+
+
+def test_section_weights_integrate_a_constant_and_a_linear_field():
+    section = component().section
+    points = component().mesh.points[section.node_ids]
+    assert section.weights.sum() == pytest.approx(1e-4, rel=1e-12)
+    assert section.weights @ points[:, 1] == pytest.approx(1e-4 * 0.005, rel=1e-12)
+    assert section.weights.min() < 0.0  # corners of quad8, as they must be
+
+
+def test_a_node_group_weighs_by_the_faces_whose_nodes_are_all_in_it(tmp_path):
+    text = (FILES / "tet10.inp").read_text()
+    (tmp_path / "a.inp").write_text(text.replace("ELSET=tip", "ELSET=skin"))
+    file = {"file": "a.inp", "unit": "mm"}
+    built = component(tmp_path, mesh=file, supports__fixed=["root"])
+    assert "tip" in built.mesh.node_groups
+    assert "tip" not in built.mesh.facet_groups
+    facets = component(tmp_path, mesh=file, interface__section="skin").section
+    np.testing.assert_array_equal(built.section.node_ids, facets.node_ids)
+    np.testing.assert_allclose(built.section.weights, facets.weights, atol=1e-18)
+
+
+def test_a_node_group_without_a_whole_face_weighs_every_node_the_same(tmp_path):
+    text = (FILES / "tet10.inp").read_text() + "*NSET, NSET=bolts\n9, 10, 12\n"
+    (tmp_path / "a.inp").write_text(text)
+    section = component(
+        tmp_path, mesh={"file": "a.inp", "unit": "mm"}, interface__section="bolts"
+    ).section
+    assert not section.by_area
+    np.testing.assert_allclose(section.weights, 1 / 3)
+    np.testing.assert_allclose(section.centre, [0.02, 0.01 / 3, 0.01 / 3])
+
+
+@pytest.mark.parametrize(
+    ("changes", "where", "said"),
+    [
+        ({"interface__section": "tpi"}, "interface.section", '"tpi"; did you mean "tip"?'),
+        ({"interface__section": "TIP"}, "interface.section", 'did you mean "tip"?'),
+        ({"interface__section": "x"}, "interface.section", "(it has root, tip, low edge)"),
+        ({"interface__section": "soft"}, "interface.section", "is a group of cells"),
+        ({"interface__section": "low edge"}, "interface.section", "lies on one line"),
+        ({"interface__section": "root"}, "interface.section", "are fixed by [supports]"),
+        ({"supports__fixed": ["root", "rot"]}, "supports.fixed[1]", 'did you mean "root"?'),
+        ({"supports__fixed": ["low edge"]}, "supports.fixed", "on one line"),
+        ({"material__1__region": "stif"}, "material[1].region", '"stif"; did you mean "stiff"?'),
+        ({"material__1__region": "soft"}, "material[1].region", "shares cells"),
+        ({"material": BLOCKS["material"][:1]}, "material", "8 cells have no material"),
+    ],
+)
+def test_a_group_that_will_not_do_is_named_with_its_key_and_what_there_is(changes, where, said):
+    assert said in mistakes(**changes)[where]
+
+
+def test_a_second_material_for_all_is_a_mistake():
+    both = [BLOCKS["material"][0] | {"region": "all"}, BLOCKS["material"][1] | {"region": "all"}]
+    assert "twice" in mistakes(material=both)["material[1].region"]
+
+
+def test_every_missing_group_is_told_at_once():
+    found = mistakes(interface__section="a", supports__fixed=["b"], material__0__region="c")
+    assert {"interface.section", "supports.fixed[0]", "material[0].region"} <= set(found)
+
+
+def test_a_table_only_component_cannot_be_built():
+    table = {key: BLOCKS[key] for key in ("name", "title", "range")}
+    with pytest.raises(BundleError, match="cannot be solved"):
+        build(bundle_of(table, FILES))
+
+
+@pytest.mark.parametrize(
+    ("name", "area", "centre", "fixed_area"),
+    [
+        ("bar", 4e-4, [1, 0, 0], 4e-4),
+        ("plate", 0.0144, [0, 0, 0.01], 0.016),
+        ("plate_thin", 0.0144, [0, 0, 0.004], 0.0064),
+        ("spring", np.pi / 4 * 1.4e-3**2, [-0.0113, 0, 0.088], np.pi / 4 * 1.4e-3**2),
+    ],
+)
+def test_the_shipped_components_build(name, area, centre, fixed_area):
+    built = build(read_bundle(SHIPPED / name))
+    assert built.mesh.unknowns < 15_000
+    assert built.section.area == pytest.approx(area, rel=1e-3)
+    np.testing.assert_allclose(built.section.centre, centre, atol=1e-12)
+    (fixed,) = built.bundle.supports.fixed
+    from fea.section import section_of_facets
+
+    support = section_of_facets(built.mesh.points, built.mesh.facet_groups[fixed])
+    assert support.area == pytest.approx(fixed_area, rel=1e-3)
+    np.testing.assert_array_equal(support.node_ids, built.fixed_nodes)
+
+
+def test_the_spring_is_held_on_its_axis_and_guided():
+    built = build(read_bundle(SHIPPED / "spring"))
+    assert built.point.tolist() == [0, 0, 0.088]
+    assert built.coupling == "rigid"
+    assert built.locked == ("ux", "uy", "rx", "ry")
