@@ -99,7 +99,7 @@ def from_drake(spatial_force: Any, component: Side | None = None) -> Vector:
     ----------
     spatial_force : object or array_like
         With ``rotational()`` and ``translational()``, or its six numbers, torque first
-        (drake/multibody/math/spatial_force.h: "a torque on top of a force").
+        (drake/multibody/math/spatial_force.h).
     component : {"parent", "child"}, optional
         For a joint's reaction (``MultibodyPlant.get_reaction_forces_output_port``: applied on the
         joint's child body, at the joint's child frame Jc, expressed in Jc), which side of the joint
@@ -159,9 +159,9 @@ def from_pybullet(reaction: ArrayLike, component: Side) -> Vector:
     Notes
     -----
     With ``jointFeedbackMode=JOINT_FEEDBACK_IN_JOINT_FRAME`` moments are about the joint. In the
-    default mode and in JOINT_FEEDBACK_IN_WORLD_SPACE alone they are about the child's centre of mass
-    (measured: zero for the arm above): give that point to `moved`. Axes are the child's, or the
-    world's with JOINT_FEEDBACK_IN_WORLD_SPACE.
+    default mode and in JOINT_FEEDBACK_IN_WORLD_SPACE alone they are about the child's centre of
+    mass (measured: zero for the arm above): give that point to `moved`. Axes are the child's, or
+    the world's with JOINT_FEEDBACK_IN_WORLD_SPACE.
     """
     return _on(component, one_wrench(reaction))
 

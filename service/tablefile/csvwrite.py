@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -51,11 +50,21 @@ def write_csv(table: TableRows, units: Mapping[str, str] | None = None) -> str:
     for name, texts in texts_of(table).items():
         labels.append(name)
         columns.append(texts)
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
+    out = _Lines()
+    writer = csv.writer(out, lineterminator="\r\n")
     writer.writerow(labels)
     writer.writerows(zip(*columns, strict=True))
-    return out.getvalue()
+    return "".join(out)
+
+
+class _Lines(list[str]):
+    r"""Collects lines that end in ``\n``, from a writer that ends them in ``\r\n``.
+
+    Python's writer quotes a text with a carriage return only if the line end has one.
+    """
+
+    def write(self, line: str) -> None:
+        self.append(line.removesuffix("\r\n") + "\n")
 
 
 def _columns(

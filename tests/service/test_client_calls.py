@@ -1,0 +1,283 @@
+"""The client against a stub that answers in the shapes of the HTTP contract."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from service.client import Client, Job, ProblemError, ServerTimeout
+from tests.service.stub_server import Answer, Stub, running_stub
+
+COVERED = {
+    "component": "plate",
+    "translation": [1e-6, -2e-6, 3e-4],
+    "rotation": [1e-4, 0.0, -2e-5],
+    "error": {"translation": [1e-8, 2e-8, 3e-6], "rotation": [1e-6, 0.0, 1e-7]},
+    "coverage": "covered",
+    "source": "table",
+    "method": "griddata",
+    "table_version": 17,
+    "elapsed_us": 38.1,
+}
+QUEUED = {
+    "component": "plate",
+    "translation": None,
+    "rotation": None,
+    "error": None,
+    "coverage": "outside",
+    "source": None,
+    "method": "griddata",
+    "table_version": 0,
+    "elapsed_us": 12.0,
+    "reason": "axis z: no rows yet",
+    "job": {"id": 7, "status": "waiting", "url": "/v1/jobs/7"},
+}
+
+
+@pytest.fixture
+def stub() -> Iterator[Stub]:
+    with running_stub() as running:
+        yield running
+
+
+@pytest.fixture
+def client(stub: Stub) -> Iterator[Client]:
+    with Client(stub.url, timeout=5.0) as made:
+        yield made
+
+
+def test_a_covered_answer_becomes_arrays(stub: Stub, client: Client):
+    stub.answers(Answer(COVERED))
+    answer = client.displacement("plate", [0, 0, -800], [0, 40, 0])
+    assert stub.seen[0].method == "POST"
+    assert stub.seen[0].path == "/v1/components/plate/displacement"
+    # Only the three plain fields: that is the body the server reads fastest.
+    assert stub.seen[0].body == {
+        "force": [0.0, 0.0, -800.0],
+        "moment": [0.0, 40.0, 0.0],
+        "on_thin": "queue",
+    }
+    assert answer.translation is not None
+    assert answer.translation.tolist() == COVERED["translation"]
+    assert answer.vector is not None
+    assert answer.vector.tolist() == [*COVERED["translation"], *COVERED["rotation"]]
+    assert answer.error_vector is not None
+    assert answer.error_vector.tolist()[2] == 3e-6
+    assert (answer.coverage, answer.source, answer.method) == ("covered", "table", "griddata")
+    assert (answer.table_version, answer.elapsed_us, answer.job) == (17, 38.1, None)
+    assert answer.covered
+    with pytest.raises(ValueError, match="read-only"):
+        answer.translation[0] = 1.0
+
+
+def test_a_queued_answer_has_its_job_and_no_pose(stub: Stub, client: Client):
+    stub.answers(Answer(QUEUED, status=202))
+    answer = client.displacement("plate", np.array([0.0, 0, -800, 0, 40, 0]))
+    assert answer.vector is None
+    assert answer.error_vector is None
+    assert answer.job is not None
+    assert (answer.job.id, answer.job.status, answer.job.ended) == (7, "waiting", False)
+    assert answer.reason == "axis z: no rows yet"
+    with pytest.raises(ValueError, match="wait for job 7"):
+        answer.apply(np.eye(3), np.zeros(3))
+
+
+def test_the_options_of_the_main_call_go_as_the_contract_says(stub: Stub, client: Client):
+    stub.answers(Answer(COVERED))
+    client.displacement(
+        "my plate",
+        [1, 2, 3],
+        on_thin="wait",
+        wait_s=0.5,
+        tolerance=(1e-6, 1e-5),
+        method="linear",
+        detail=True,
+    )
+    assert stub.seen[0].path == "/v1/components/my%20plate/displacement"
+    assert stub.seen[0].body == {
+        "force": [1.0, 2.0, 3.0],
+        "moment": [0.0, 0.0, 0.0],
+        "on_thin": "wait",
+        "wait_s": 0.5,
+        "tolerance": {"translation": 1e-6, "rotation": 1e-5},
+        "method": "linear",
+        "detail": True,
+    }
+
+
+def test_a_batch_keeps_unknown_rows_as_nan_and_jobs_by_wrench(stub: Stub, client: Client):
+    stub.answers(
+        Answer(
+            {
+                "displacements": [[1, 2, 3, 4, 5, 6], [None] * 6, None],
+                "errors": [[0.1] * 6, [None] * 6, None],
+                "coverage": ["covered", "thin", "outside"],
+                "jobs": [{"index": 2, "id": 9, "status": "waiting", "url": "/v1/jobs/9"}],
+                "table_version": 3,
+                "elapsed_us": 50.0,
+            },
+            status=202,
+        )
+    )
+    answers = client.displacements("plate", np.ones((3, 6)), on_thin="queue")
+    assert stub.seen[0].body == {"wrenches": [[1.0] * 6] * 3, "on_thin": "queue"}
+    assert len(answers) == 3
+    assert answers.displacements[0].tolist() == [1, 2, 3, 4, 5, 6]
+    assert np.isnan(answers.displacements[1:]).all()
+    assert np.isnan(answers.errors[1:]).all()
+    assert answers.covered.tolist() == [True, False, False]
+    assert list(answers.jobs) == [2]
+    assert answers.jobs[2].id == 9
+
+
+def test_an_empty_batch_is_an_empty_answer(stub: Stub, client: Client):
+    stub.answers(Answer({"displacements": [], "errors": [], "coverage": [], "jobs": []}))
+    assert client.displacements("plate", []).displacements.shape == (0, 6)
+
+
+@pytest.mark.parametrize(
+    ("force", "moment", "says"),
+    [
+        ([0, 0], None, r"force must be three numbers, it has shape \(2,\)"),
+        ([0, 0, 0], [1], r"moment must be three numbers"),
+        ([0, np.nan, 0], None, "F_y is nan"),
+        ([0, 0, 0], [0, 0, np.inf], "M_z is inf"),
+        ([0, 0, 0, 0, -np.inf, 0], None, "M_y is -inf"),
+        (["1", "2", "3"], None, "force must be numbers"),
+        ([1, None, 3], None, "force must be numbers"),
+        ([[1], [2, 3]], None, "regular array"),
+        ([True, False, True], None, "force must be numbers"),
+    ],
+)
+def test_a_bad_wrench_is_named_before_anything_is_sent(stub: Stub, client, force, moment, says):
+    with pytest.raises(ValueError, match=says):
+        client.displacement("plate", force, moment)
+    assert stub.seen == []
+
+
+def test_a_bad_batch_or_option_is_named_before_anything_is_sent(stub: Stub, client: Client):
+    wrenches = np.zeros((3, 6))
+    wrenches[1, 4] = np.nan
+    with pytest.raises(ValueError, match="wrench 1: M_y is nan"):
+        client.displacements("plate", wrenches)
+    with pytest.raises(ValueError, match=r"shape \(n, 6\), not \(3, 5\)"):
+        client.displacements("plate", np.zeros((3, 5)))
+    with pytest.raises(ValueError, match="on_thin must be one of queue, wait"):
+        client.displacement("plate", [0, 0, 0], on_thin="maybe")
+    with pytest.raises(ValueError, match="tolerance is positive"):
+        client.fill("plate", tolerance={"translation": 0.0, "rotation": 1.0})
+    with pytest.raises(ValueError, match="a tolerance is"):
+        client.fill("plate", tolerance={"translation": 1.0})
+    assert stub.seen == []
+
+
+def test_a_problem_becomes_an_exception_that_reads_well(stub: Stub, client: Client):
+    problem = {
+        "type": "urn:x",
+        "title": "The request is not of this call's form",
+        "status": 422,
+        "detail": "Nothing was changed.",
+        "errors": [{"loc": "force.1", "msg": "a number is needed"}],
+    }
+    stub.answers(Answer(problem, status=422, kind="application/problem+json"))
+    with pytest.raises(ProblemError) as caught:
+        client.displacement("plate", [0, 0, 0])
+    assert caught.value.status == 422
+    assert caught.value.title == problem["title"]
+    assert caught.value.errors == problem["errors"]
+    assert str(caught.value) == (
+        "422 The request is not of this call's form: Nothing was changed.\n"
+        "  force.1: a number is needed"
+    )
+
+
+def test_a_refusal_with_409_keeps_all_members_of_the_problem(stub: Stub, client: Client):
+    problem = {"title": "Not covered", "status": 409, "detail": "Ask to queue.", "coverage": "thin"}
+    stub.answers(Answer(problem, status=409, kind="application/problem+json"))
+    with pytest.raises(ProblemError, match="409 Not covered: Ask to queue") as caught:
+        client.displacement("plate", [0, 0, 0], on_thin="reject")
+    assert caught.value.body["coverage"] == "thin"
+
+
+def test_an_error_from_a_proxy_is_a_problem_too(stub: Stub, client: Client):
+    stub.answers(Answer(b"<h1>Bad Gateway</h1>", status=502, kind="text/html"))
+    with pytest.raises(ProblemError, match="502 Bad Gateway"):
+        client.components()
+
+
+def test_wait_polls_until_the_job_has_ended(stub: Stub, client: Client):
+    done = {"translation": [1, 2, 3], "rotation": [0, 0, 0], "component": "plate"}
+    running = {"status": "running", "progress": {"fraction": 0.5, "message": "load factor 0.5"}}
+    stub.answers(
+        Answer({"id": 7, "status": "waiting", "url": "/v1/jobs/7"}),
+        Answer({"id": 7, "url": "/v1/jobs/7", **running}),
+        Answer({"id": 7, "status": "done", "url": "/v1/jobs/7", **done}),
+    )
+    job = client.wait(Job.read(QUEUED["job"]), timeout=5.0)
+    assert job.status == "done"
+    assert job.progress == 1.0
+    assert job.vector is not None
+    assert job.vector.tolist() == [1, 2, 3, 0, 0, 0]
+    assert len(stub.seen) == 3
+    assert all(one.path.startswith("/v1/jobs/7?wait_s=") for one in stub.seen)
+
+
+def test_wait_gives_up_in_time_and_says_that_the_job_goes_on(stub: Stub, client: Client):
+    stub.answers(Answer({"id": 7, "status": "running", "url": "/v1/jobs/7"}))
+    with pytest.raises(ServerTimeout, match=r"job 7 is still running after 0\.2 s; it goes"):
+        client.wait(7, timeout=0.2)
+    assert len(stub.seen) < 10  # an answer that comes at once is not asked for in a tight loop
+
+
+def test_a_failed_job_says_why_and_what_to_do(stub: Stub, client: Client):
+    error = {"kind": "not_converged", "message": "No balance at 0.7.", "remedy": "Lower the load."}
+    stub.answers(Answer({"id": 7, "status": "failed", "error": error}))
+    job = client.wait(7)
+    assert job.ended
+    assert job.failure == "not_converged. No balance at 0.7. Lower the load"
+
+
+def test_jobs_are_listed_cancelled_and_retried(stub: Stub, client: Client):
+    one = {"id": 3, "status": "failed", "url": "/v1/jobs/3", "component": "bar"}
+    stub.respond = lambda seen: Answer({"jobs": [one]} if "?" in seen.path else one)
+    assert client.jobs(component="bar", status="failed")[0].component == "bar"
+    client.cancel(3)
+    client.retry(client.jobs("bar")[0])
+    assert [(seen.method, seen.path) for seen in stub.seen] == [
+        ("GET", "/v1/jobs?component=bar&status=failed"),
+        ("DELETE", "/v1/jobs/3"),
+        ("GET", "/v1/jobs?component=bar"),
+        ("POST", "/v1/jobs/3/retry"),
+    ]
+
+
+def test_fill_until_spends_its_budget_in_rounds_and_stops_when_met(stub: Stub, client: Client):
+    budgets: list[int] = []
+
+    def respond(seen) -> Answer:
+        if seen.method == "GET":
+            return Answer({"id": int(seen.path.split("/")[3].split("?")[0]), "status": "done"})
+        budgets.append(seen.body["budget"])
+        if len(budgets) == 3:
+            return Answer({"jobs": [], "stage": "met", "reason": "everywhere within tolerance"})
+        ids = range(10 * len(budgets), 10 * len(budgets) + seen.body["budget"])
+        jobs = [{"id": number, "status": "waiting"} for number in ids]
+        return Answer({"jobs": jobs, "stage": "refine", "reason": "largest error bars"}, status=202)
+
+    stub.respond = respond
+    rounds = list(client.fill_until("plate", (1e-5, 1e-4), budget=10, round_size=4))
+    assert budgets == [4, 4, 2]
+    assert [len(one.jobs) for one in rounds] == [4, 4, 0]
+    assert all(job.status == "done" for one in rounds for job in one.jobs)
+    assert (rounds[-1].stage, rounds[-1].reason) == ("met", "everywhere within tolerance")
+
+
+def test_fill_until_stops_when_a_whole_round_fails(stub: Stub, client: Client):
+    stub.respond = lambda seen: (
+        Answer({"id": 1, "status": "failed"})
+        if seen.method == "GET"
+        else Answer({"jobs": [{"id": 1, "status": "waiting"}]}, status=202)
+    )
+    assert len(list(client.fill_until("plate", budget=50))) == 1

@@ -1,0 +1,130 @@
+"""Keep-alive, reconnection, time limits and threads of the client."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from service.client import Client, ServerTimeout, ServerUnreachable
+from tests.service.stub_server import Answer, Stub, running_stub
+
+DONE = {"id": 1, "status": "done"}
+
+
+@pytest.fixture
+def stub() -> Iterator[Stub]:
+    with running_stub() as running:
+        running.answers(Answer(DONE))
+        yield running
+
+
+@pytest.fixture
+def client(stub: Stub) -> Iterator[Client]:
+    with Client(stub.url, timeout=5.0) as made:
+        yield made
+
+
+def test_calls_in_a_loop_stay_on_one_socket(stub: Stub, client: Client):
+    for _ in range(20):
+        client.job(1)
+    assert len(stub.seen) == 20
+    assert len(set(stub.sockets)) == 1
+
+
+def test_a_problem_does_not_cost_the_connection(stub: Stub, client: Client):
+    stub.answers(Answer({}, status=503), Answer(DONE))
+    client.is_ready()
+    client.job(1)
+    assert len(set(stub.sockets)) == 1
+
+
+def test_a_connection_that_the_server_closed_is_made_anew_once(stub: Stub, client: Client):
+    stub.answers(Answer(DONE, close=True), Answer(DONE))
+    client.job(1)
+    time.sleep(0.05)  # the server's end arrives
+    assert client.job(1).ended
+    assert len(stub.seen) == 2
+    assert len(set(stub.sockets)) == 2
+
+
+def test_a_server_that_hangs_up_on_a_new_connection_is_not_asked_again(stub: Stub, client: Client):
+    stub.answers(Answer(drop=True))
+    with pytest.raises(ServerUnreachable, match="wrenchbook serve"):
+        client.job(1)
+    assert len(stub.seen) == 1
+
+
+def test_a_call_that_must_not_be_repeated_never_takes_a_kept_connection(stub: Stub, client: Client):
+    client.job(1)
+    stub.answers(Answer(drop=True))
+    with pytest.raises(ServerUnreachable):
+        client.retry(1)
+    assert [seen.method for seen in stub.seen] == ["GET", "POST"]
+    assert len(set(stub.sockets)) == 2
+
+
+def test_nothing_listening_says_how_to_start_a_server():
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        address = f"http://127.0.0.1:{closed.getsockname()[1]}"
+    client = Client(address, timeout=1.0)
+    with pytest.raises(ServerUnreachable, match=rf"no answer from {address} .*wrenchbook serve"):
+        client.components()
+    assert not client.is_ready()
+
+
+def test_a_slow_answer_is_a_timeout_and_not_sent_again(stub: Stub):
+    stub.answers(Answer(DONE, delay=1.0))
+    with Client(stub.url, timeout=0.2) as client:
+        with pytest.raises(ServerTimeout, match=r"within 0\.2 s"):
+            client.job(1)
+        assert len(stub.seen) == 1
+        stub.answers(Answer(DONE))
+        assert client.job(1).ended  # and the half-read connection is not used again
+    assert len(set(stub.sockets)) == 2
+
+
+def test_the_time_the_server_is_asked_to_wait_is_added_to_the_limit(stub: Stub):
+    stub.answers(Answer(DONE, delay=0.5))
+    with Client(stub.url, timeout=0.2) as client:
+        assert client.job(1, wait_s=2.0).ended
+        with pytest.raises(ServerTimeout):
+            client.job(1)  # and the next call on the kept connection has its own limit
+
+
+def test_threads_share_a_client_and_never_a_connection(stub: Stub, client: Client):
+    together = threading.Barrier(4, timeout=5.0)
+
+    def respond(seen) -> Answer:
+        together.wait()  # four requests are inside at once
+        return Answer({"id": int(seen.path.rsplit("/", 1)[1]), "status": "done"})
+
+    stub.respond = respond
+    with ThreadPoolExecutor(4) as threads:
+        ids = [job.id for job in threads.map(client.job, range(40))]
+    assert ids == list(range(40))
+    assert len(set(stub.sockets)) <= 8
+
+
+def test_close_lets_go_of_sockets_and_a_later_call_opens_one(stub: Stub, client: Client):
+    client.job(1)
+    client.close()
+    client.job(1)
+    assert len(set(stub.sockets)) == 2
+
+
+def test_a_server_below_a_path_is_reached_there(stub: Stub):
+    with Client(f"{stub.url}/book/") as client:
+        client.job(1)
+    assert stub.seen[0].path == "/book/v1/jobs/1"
+
+
+@pytest.mark.parametrize("url", ["ftp://host", "http://", "://x"])
+def test_an_address_that_is_none_is_refused_with_an_example(url: str):
+    with pytest.raises(ValueError, match=r"http://127\.0\.0\.1:8000"):
+        Client(url)

@@ -1,0 +1,146 @@
+"""Poses and the conventions of other programs."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from service.client import Displacement
+from service.client import conventions as conv
+from service.client.rotation import quaternion, rotation_matrix
+
+WRENCH = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+vectors = st.lists(st.floats(-3, 3), min_size=3, max_size=3).map(np.array)
+
+
+def answer(translation, rotation) -> Displacement:
+    body = {"translation": translation, "rotation": rotation, "coverage": "covered"}
+    return Displacement.read("plate", np.zeros(6), body)
+
+
+@given(vectors)
+def test_the_rotation_matrix_and_quaternion_are_scipys(rotation):
+    expected = Rotation.from_rotvec(rotation)
+    assert np.allclose(rotation_matrix(rotation), expected.as_matrix(), rtol=0, atol=1e-14)
+    w, x, y, z = quaternion(rotation)
+    signed = np.array([x, y, z, w])
+    other = expected.as_quat()
+    assert min(np.abs(signed - other).max(), np.abs(signed + other).max()) < 1e-14
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-300, 1e-160, 1e-12, 1e-5])
+def test_small_rotations_lose_no_digits(angle: float):
+    matrix = rotation_matrix([0.0, 0.0, angle])
+    assert matrix[1, 0] == math.sin(angle)
+    assert matrix[0, 0] == pytest.approx(math.cos(angle), rel=1e-15)
+
+
+def test_a_displacement_moves_the_undeformed_pose_in_its_own_frame():
+    # The interface looks along world y; a push along its x moves it along world y.
+    R0 = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    R, p = answer([1e-3, 0, 0], [0, 0, 0.1]).apply(R0, [10, 20, 30])
+    assert np.allclose(p, [10, 20.001, 30], rtol=0, atol=1e-15)
+    turn = [[math.cos(0.1), -math.sin(0.1), 0], [math.sin(0.1), math.cos(0.1), 0], [0, 0, 1]]
+    assert np.allclose(R, R0 @ turn, rtol=0, atol=1e-15)
+
+
+def test_the_pose_as_one_matrix_equals_apply_at_the_origin():
+    moved = answer([1, 2, 3], [0.1, -0.2, 0.05])
+    R, p = moved.apply(np.eye(3), np.zeros(3))
+    assert np.array_equal(moved.matrix[:3, :3], R)
+    assert moved.matrix[:3, 3].tolist() == p.tolist() == [1, 2, 3]
+    assert moved.matrix[3].tolist() == [0, 0, 0, 1]
+
+
+def test_a_pose_of_wrong_shape_is_refused():
+    with pytest.raises(ValueError, match=r"R0 must have shape \(3, 3\)"):
+        answer([1, 2, 3], [0, 0, 0]).apply(np.eye(4), np.zeros(3))
+
+
+def test_ros_messages_are_read_as_mapping_object_or_stamped():
+    mapping = conv.to_ros(WRENCH)
+    assert mapping["force"] == {"x": 1.0, "y": 2.0, "z": 3.0}
+    assert mapping["torque"] == {"x": 4.0, "y": 5.0, "z": 6.0}
+    parts = {name: SimpleNamespace(**part) for name, part in mapping.items()}
+    message = SimpleNamespace(**parts)
+    for form in (mapping, message, SimpleNamespace(wrench=message), {"wrench": mapping}):
+        assert conv.from_ros(form).tolist() == WRENCH.tolist()
+    with pytest.raises(ValueError, match="no 'torque'"):
+        conv.from_ros({"force": mapping["force"]})
+
+
+def test_drake_puts_torque_first():
+    assert conv.from_drake([4, 5, 6, 1, 2, 3]).tolist() == WRENCH.tolist()
+    assert conv.to_drake(WRENCH).tolist() == [4, 5, 6, 1, 2, 3]
+    spatial = SimpleNamespace(
+        rotational=lambda: np.array([[4.0], [5], [6]]),
+        translational=lambda: np.array([[1.0], [2], [3]]),
+    )
+    assert conv.from_drake(spatial).tolist() == WRENCH.tolist()
+    assert conv.from_drake(spatial, component="child").tolist() == WRENCH.tolist()
+    assert conv.from_drake(spatial, component="parent").tolist() == (-WRENCH).tolist()
+
+
+# What MuJoCo 4.0.0 and PyBullet 3.2.7 (joint frame) read for a 2 kg arm welded on a fixed stand,
+# gravity 10 m/s^2 along -z, centre of mass at (0.1, 0, 0.05) m from the joint.
+ARM_FORCE, ARM_TORQUE = [0.0, 0.0, 20.0], [0.0, -2.0, 0.0]
+# Its weight as the stand feels it: 20 N down, and r x F = (0.1, 0, 0.05) x (0, 0, -20).
+WEIGHT_ON_STAND = [0.0, 0.0, -20.0, 0.0, 2.0, 0.0]
+
+
+def test_a_weight_on_the_component_gives_negative_fz_from_mujoco_and_pybullet():
+    assert conv.from_mujoco(ARM_FORCE, ARM_TORQUE, "parent").tolist() == WEIGHT_ON_STAND
+    assert conv.from_pybullet([*ARM_FORCE, *ARM_TORQUE], "parent").tolist() == WEIGHT_ON_STAND
+
+
+def test_the_reaction_at_the_child_is_the_reading_itself():
+    assert conv.from_mujoco(ARM_FORCE, ARM_TORQUE, "child").tolist() == ARM_FORCE + ARM_TORQUE
+    assert conv.from_pybullet(ARM_FORCE + ARM_TORQUE, "child").tolist() == ARM_FORCE + ARM_TORQUE
+
+
+def test_pybullets_default_mode_is_about_the_childs_centre_of_mass():
+    # Read in the default mode: the same force, no moment.
+    on_stand = conv.from_pybullet([0, 0, 20, 0, 0, 0], "parent")
+    assert conv.moved(on_stand, point=[0.1, 0, 0.05]).tolist() == WEIGHT_ON_STAND
+
+
+@pytest.mark.parametrize("side", ["parent", "child"])
+def test_sensor_readings_convert_there_and_back(side):
+    assert conv.from_mujoco(*conv.to_mujoco(WRENCH, side), side).tolist() == WRENCH.tolist()
+    assert conv.from_pybullet(conv.to_pybullet(WRENCH, side), side).tolist() == WRENCH.tolist()
+
+
+def test_an_unnamed_side_is_refused():
+    with pytest.raises(ValueError, match="'parent' or 'child'"):
+        conv.from_mujoco(ARM_FORCE, ARM_TORQUE, "stand")  # type: ignore[arg-type]
+
+
+def test_a_wrench_moves_to_another_frame_and_point():
+    quarter = rotation_matrix([0, 0, math.pi / 2])
+    moved = conv.moved([1, 0, 0, 0, 0, 2], rotation=quarter, point=[0.5, 0, 0])
+    assert np.allclose(moved, [0, 1, 0, 0, 0, 2.5], rtol=0, atol=1e-15)
+    with pytest.raises(ValueError, match="orthogonal"):
+        conv.moved(WRENCH, rotation=np.ones((3, 3)))
+
+
+def test_power_does_not_depend_on_where_a_wrench_is_expressed():
+    # A twist of the same body at both points: v_q = v_p + w x (q - p).
+    rng = np.random.default_rng(0)
+    wrench, twist, point = rng.normal(size=6), rng.normal(size=6), rng.normal(size=3)
+    axes = rotation_matrix(rng.normal(size=3))
+    there = conv.moved(wrench, rotation=axes, point=point)
+    spin = axes @ twist[3:]
+    velocity = axes @ twist[:3] - np.cross(spin, point)
+    assert there @ np.concatenate([velocity, spin]) == pytest.approx(wrench @ twist, rel=1e-12)
+
+
+def test_quaternions_come_in_both_orders():
+    half = math.sqrt(0.5)
+    assert np.allclose(conv.quaternion_wxyz([0, 0, math.pi / 2]), [half, 0, 0, half])
+    assert np.allclose(conv.quaternion_xyzw([math.pi / 2, 0, 0]), [half, 0, 0, half])

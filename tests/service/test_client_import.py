@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+SERVER_STACK = (
+    "fastapi",
+    "starlette",
+    "pydantic",
+    "uvicorn",
+    "orjson",
+    "scipy",
+    "skfem",
+    "meshio",
+    "h5py",
+    "typer",
+    "rich",
+    "pint",
+    "sqlite3",
+    "fea",
+    "surrogate",
+)
+
+
+def test_importing_the_client_loads_nothing_of_the_server():
+    code = (
+        "import sys, service.client, service.client.conventions\n"
+        f"print([name for name in {SERVER_STACK!r} if name in sys.modules])\n"
+        "print(sorted(name for name in sys.modules if name.startswith('service.')\n"
+        "             and not name.startswith('service.client')))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.split("\n")[:2] == ["[]", "[]"]
+
+
+def test_importing_the_table_files_leaves_pint_for_its_first_use():
+    code = "import sys, service.tablefile; print('pint' in sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "False"

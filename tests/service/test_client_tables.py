@@ -1,0 +1,112 @@
+"""The client's calls about tables, components and health, against a stub."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from service.client import Client, ProblemError
+from tests.service.stub_server import Answer, Stub, running_stub
+
+
+@pytest.fixture
+def stub() -> Iterator[Stub]:
+    with running_stub() as running:
+        yield running
+
+
+@pytest.fixture
+def client(stub: Stub) -> Iterator[Client]:
+    with Client(stub.url, timeout=5.0) as made:
+        yield made
+
+
+def test_a_table_is_imported_from_a_file_a_text_or_bytes(stub: Stub, client, tmp_path: Path):
+    stub.answers(Answer({"inserted": 1, "existing": 0, "errors": []}))
+    text = "fx [N],ux [m]\n1,2\n"
+    file = tmp_path / "table.csv"
+    file.write_text(text)
+    for table in (file, str(file), text, text.encode()):
+        assert client.import_table("bar", table)["inserted"] == 1
+    assert {seen.content for seen in stub.seen} == {text.encode()}
+    assert {seen.path for seen in stub.seen} == {"/v1/components/bar/table?format=csv"}
+    assert {seen.headers["Content-Type"] for seen in stub.seen} == {"text/csv; charset=utf-8"}
+    client.import_table("bar", b"{}", format="json", dry_run=True)
+    assert stub.seen[-1].path == "/v1/components/bar/table?format=json&dry_run=true"
+    with pytest.raises(ValueError, match="'xlsx' is no form of a table"):
+        client.import_table("bar", text, format="xlsx")
+    with pytest.raises(FileNotFoundError):
+        client.import_table("bar", "no such file.csv")
+
+
+def test_refused_rows_are_read_out_by_row_field_and_reason(stub: Stub, client: Client):
+    rows = [{"row": n, "field": "ux [mm]", "message": "'x' is not a number"} for n in range(2, 9)]
+    problem = {"title": "The table has mistakes", "detail": "Nothing was loaded.", "errors": rows}
+    stub.answers(Answer(problem, status=422, kind="application/problem+json"))
+    with pytest.raises(ProblemError) as caught:
+        client.import_table("bar", "a\nb")
+    assert "  row 2, ux [mm]: 'x' is not a number\n" in str(caught.value)
+    assert str(caught.value).endswith("and 2 more")
+    assert len(caught.value.errors) == 7
+
+
+def test_a_table_is_exported_as_text_in_the_units_asked_for(stub: Stub, client: Client):
+    stub.answers(Answer(b"fx [lbf]\n", kind="text/csv"))
+    assert client.export_table("bar", units={"force": "lbf"}) == "fx [lbf]\n"
+    assert stub.seen[0].path == "/v1/components/bar/table?format=csv&force=lbf"
+    stub.answers(Answer(b"\x89HDF", kind="application/x-hdf5"))
+    assert client.export_table("bar", "hdf5") == b"\x89HDF"
+
+
+def test_a_table_only_component_is_one_json_post(stub: Stub, client: Client):
+    stub.answers(Answer({"name": "mount"}, status=201))
+    body = {"name": "mount", "title": "M", "range": {"force": [1, 1, 1], "moment": [1, 1, 1]}}
+    assert client.add_component(body)["name"] == "mount"
+    assert (stub.seen[0].path, stub.seen[0].body) == ("/v1/components", body)
+
+
+def test_a_bundle_folder_is_sent_as_a_zip_form(stub: Stub, client: Client, tmp_path: Path):
+    folder = tmp_path / "plate"
+    folder.mkdir()
+    (folder / "component.toml").write_text('name = "plate"\n')
+    (folder / "plate.msh").write_bytes(b"\x00\r\n--mesh")
+    (folder / ".DS_Store").write_text("x")
+    stub.answers(Answer({"name": "plate"}, status=201))
+    client.add_component(folder)
+    seen = stub.seen[0]
+    boundary = seen.headers["Content-Type"].partition("boundary=")[2]
+    head, _, rest = seen.content.partition(b"\r\n\r\n")
+    assert head.startswith(f"--{boundary}\r\n".encode())
+    assert b'name="bundle"; filename="plate.zip"' in head
+    archive, _, tail = rest.rpartition(f"\r\n--{boundary}".encode())
+    assert tail == b"--\r\n"
+    with zipfile.ZipFile(io.BytesIO(archive)) as members:
+        assert members.namelist() == ["component.toml", "plate.msh"]
+        assert members.read("plate.msh") == b"\x00\r\n--mesh"
+
+
+def test_a_folder_without_component_toml_is_refused_at_once(stub: Stub, client, tmp_path: Path):
+    with pytest.raises(FileNotFoundError, match=r"no component\.toml"):
+        client.add_component(tmp_path)
+    assert stub.seen == []
+
+
+def test_health_reports_faults_and_readiness_is_a_yes_or_no(stub: Stub, client: Client):
+    stub.answers(Answer({"status": "not ready", "faults": ["disk is full"]}, status=503))
+    assert client.health()["faults"] == ["disk is full"]
+    assert not client.is_ready()
+    stub.answers(Answer({"status": "ready"}))
+    assert client.is_ready()
+    assert client.health() == {"status": "ready"}
+
+
+def test_components_are_listed_and_shown(stub: Stub, client: Client):
+    stub.respond = lambda seen: Answer(
+        {"components": [{"name": "bar"}]} if seen.path == "/v1/components" else {"name": "bar"}
+    )
+    assert client.components() == [{"name": "bar"}]
+    assert client.component("bar") == {"name": "bar"}

@@ -1,0 +1,259 @@
+"""CSV tables as test engineers send them."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from service.tablefile import ParsedTable, RowError, read_csv
+
+SI = (
+    "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],"
+    "ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]"
+)
+LBF = 4.4482216152605  # N, exact: 0.45359237 kg x 9.80665 m/s^2
+
+
+def only_error(table: ParsedTable) -> RowError:
+    assert len(table.errors) == 1, table.errors
+    assert len(table) == 0
+    return table.errors[0]
+
+
+def test_pounds_millimetres_and_degrees_become_si():
+    table = read_csv(
+        "Fz [lbf],My [in-lbf],Ux [mm],Uy [mm],Uz [mm],Rx [deg],Ry [mrad],Rz [rad],"
+        "uz_err [um],source,note\n"
+        "-100,2,0,0.5,-1.5,1,2,0.003,10,measured,rig 2\n"
+    )
+    assert table.errors == ()
+    expected = [0, 0, -100 * LBF, 0, 2 * LBF * 0.0254, 0]
+    assert np.allclose(table.wrench[0], expected, rtol=1e-15, atol=0)
+    displacement = [0, 0.5e-3, -1.5e-3, math.pi / 180, 2e-3, 3e-3]
+    assert np.allclose(table.displacement[0], displacement, rtol=1e-15, atol=0)
+    assert table.uncertainty[0, 2] == pytest.approx(1e-5, rel=1e-15)
+    assert np.isnan(np.delete(table.uncertainty[0], 2)).all()
+    assert (table.source, table.note, table.row.tolist()) == (("measured",), ("rig 2",), [2])
+
+
+def test_a_german_spreadsheet_export_reads_the_same():
+    plain = read_csv(
+        "Fz [N],ux [mm],uy [mm],uz [mm],rx [deg],ry [deg],rz [deg],note\n"
+        "-100.5,0,0,-1.25,0.1,0,0,Prüfstand\n"
+        "200,0,0,2.5e-1,0,0,0,\n"
+    )
+    text = (
+        "sep=;\r\n"
+        '# Messung vom 3. Mai, "Rig 2\r\n'
+        "Fz [N];ux [mm];uy [mm];uz [mm];rx [°];ry [°];rz [°];note;;\r\n"
+        "\r\n"
+        " -100,5 ;0;0;-1,25;0,1;0;0;Prüfstand;;\r\n"
+        ";;;;;;;;;\r\n"
+        "200;0;0;2,5E-1;0;0;0;;;\r\n"
+        ";;;;;;;;;\r\n"
+    )
+    for form in (text, text.encode("cp1252"), text.encode("utf-8-sig"), text.encode("utf-16")):
+        table = read_csv(form)
+        assert table.errors == ()
+        assert np.array_equal(table.wrench, plain.wrench)
+        assert np.array_equal(table.displacement, plain.displacement)
+        assert table.note == ("Prüfstand", "")
+        assert table.row.tolist() == [5, 7]  # lines of the file, as an editor counts
+
+
+def test_tabs_old_line_ends_quotes_and_round_brackets_are_read():
+    table = read_csv(
+        '"fx (kN)"\tux (mm)\tuy (mm)\tuz (mm)\trx (mrad)\try (mrad)\trz (mrad)\tnote\r'
+        '"1"\t0\t0\t0\t0\t0\t0\t"two\rlines"\r'
+        "2,5\t0\t0\t0\t0\t0\t0\tplain"
+    )
+    assert table.errors == ()
+    assert table.wrench[:, 0].tolist() == [1000.0, 2500.0]
+    assert table.note == ("two\rlines", "plain")
+    assert table.row.tolist() == [2, 4]
+
+
+def test_three_bad_rows_among_500_are_each_named_by_row_field_and_reason():
+    lines = ["fz [lbf],ux [mm],uy [mm],uz [mm],rx [deg],ry [deg],rz [deg]"]
+    lines += [f"{-n},0,0,{-n / 100},0,0,0" for n in range(500)]
+    lines[100] = "-99,0,0,abc,0,0,0"
+    lines[200] = "-199,0,0,nan,0,0,0"
+    lines[300] = "-299,0,0,-2.99,0,30,0"
+    table = read_csv("\n".join(lines))
+    assert [error.as_dict() for error in table.errors] == [
+        {"row": 101, "field": "uz [mm]", "message": "'abc' is not a number"},
+        {
+            "row": 201,
+            "field": "uz [mm]",
+            "message": "'nan' is not finite; leave the row out",
+        },
+        {
+            "row": 301,
+            "field": "ry [deg]",
+            "message": "the rotation is 30 degrees; a table ends at 20 (check the unit: rad or "
+            "deg?)",
+        },
+    ]
+    assert len(table) == 497
+    assert not {101, 201, 301} & set(table.row.tolist())
+
+
+@pytest.mark.parametrize(
+    ("line", "field", "says"),
+    [
+        ("1,2,3,4,5,6,7,8", "line", "has 8 fields, the header 7; decimal commas need ;"),
+        ("1,2,3", "line", "has 3 fields, the header 7"),
+        (",0,0,0,0,0,0", "fx [N]", "is empty; write 0 for no load"),
+        ("1,0,,0,0,0,0", "uy [mm]", "is empty; write a number"),
+        ("1e999,0,0,0,0,0,0", "fx [N]", "'1e999' is too large a number"),
+        ("1,0,1e308,0,0,0,1e-3", None, ""),
+        ("-inf,0,0,0,0,0,0", "fx [N]", "'-inf' is not finite"),
+        ("12 N,0,0,0,0,0,0", "fx [N]", "'12 N' is not a number alone; the unit stands in the"),
+        ("1_000,0,0,0,0,0,0", "fx [N]", "'1_000' is not a number"),
+        ('"1,000",0,0,0,0,0,0', "fx [N]", "the file has a decimal point; write no other mark"),
+        ("#DIV/0!,0,0,0,0,0,0", "fx [N]", "'#DIV/0!' is a spreadsheet's error"),
+        ("1,0,0,0,0,0,=A1", "rz [rad]", "'=A1' is not a number"),
+        ('"1,0,0,0,0,0,0\n2,0,0,0,0,0,0', "line", "is a quotation mark left open?"),
+        ("x" * 99 + ",0,0,0,0,0,0", "fx [N]", "'" + "x" * 40 + "...' is not a number"),
+        ("1,0,0,0,0.3,0.2,0.1", "rx [rad]", "the rotation is 21.44 degrees; a table ends at 20"),
+    ],
+)
+def test_each_kind_of_bad_row_says_what_to_write(line: str, field: str | None, says: str):
+    header = "fx [N],ux [m],uy [mm],uz [m],rx [rad],ry [rad],rz [rad]"
+    table = read_csv(f"{header}\n{line}\n")
+    if field is None:
+        assert table.errors == ()
+        return
+    error = only_error(table)
+    assert (error.row, error.field) == (2, field)
+    assert says in error.message
+
+
+def test_several_mistakes_of_one_row_are_all_named():
+    table = read_csv(f"{SI}\na,0,0,0,0,0,0,b,0,0,0,0\n1,0,0,0,0,0,0,0,0,0,0,0\n")
+    assert [(error.row, error.field) for error in table.errors] == [(2, "fx [N]"), (2, "uy [m]")]
+    assert table.wrench[:, 0].tolist() == [1.0]
+
+
+def test_mixed_decimal_marks_are_an_error_and_not_a_guess():
+    header = "fx [N];ux [m];uy [m];uz [m];rx [rad];ry [rad];rz [rad]"
+    table = read_csv(f"{header}\n1,5;0;0;0;0;0;0\n1.234;0;0;0;0;0;0\n1.234,5;0;0;0;0;0;0\n")
+    assert [(error.row, error.field) for error in table.errors] == [(3, "fx [N]"), (4, "fx [N]")]
+    assert "the file has a decimal comma" in table.errors[0].message
+
+
+def test_exactly_20_degrees_is_still_a_table_and_a_hair_more_is_not():
+    header = "fx [N],ux [m],uy [m],uz [m],rx [deg],ry [deg],rz [deg]"
+    assert read_csv(f"{header}\n1,0,0,0,0,20,0").errors == ()
+    assert only_error(read_csv(f"{header}\n1,0,0,0,0,20.0001,0")).field == "ry [deg]"
+
+
+def test_a_negative_uncertainty_is_refused_and_an_empty_one_is_unknown():
+    table = read_csv(f"{SI},ux_err [mm],rz_err [deg]\n{'0,' * 12}-1,\n{'0,' * 12}2,\n")
+    assert [(error.row, error.field) for error in table.errors] == [(2, "ux_err [mm]")]
+    assert "an uncertainty is not negative" in table.errors[0].message
+    assert table.uncertainty[0, 0] == pytest.approx(2e-3)
+    assert np.isnan(table.uncertainty[0, 5])
+
+
+def test_missing_load_columns_are_zero_and_missing_displacements_are_listed():
+    rest = "ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]"
+    table = read_csv(f"mz [Nm],{rest}\n3,0,0,0,0,0,0")
+    assert table.wrench.tolist() == [[0, 0, 0, 0, 0, 3]]
+    error = only_error(read_csv("fx [N],ux [m],uy [m],rx [rad]\n1,0,0,0"))
+    assert error.row == 1
+    assert "columns are missing: uz [m], ry [rad], rz [rad]" in error.message
+    assert "no load column; name at least one of fx [N]" in only_error(read_csv(rest)).message
+
+
+@pytest.mark.parametrize(
+    ("cell", "says"),
+    [
+        ("fx", "has no unit; write for example fx [N], fx [kN], fx [lbf]"),
+        ("fx []", "has no unit"),
+        ("fx [mm]", "[mm] is not a unit of force; a force takes for example N, kN"),
+        ("fx [lb]", "lb is a mass; write lbf"),
+        ("fx [kn]", "did you mean [kN]?"),
+        ("fx [Quatsch]", "the unit [Quatsch] is not known"),
+        ("fx [10**9]", "[10**9] is not a unit that can be read"),
+        ("force_x [N]", "is not a column of a table"),
+        ("Fxx [N]", "did you mean fx?"),
+        ("fx_N", "did you mean fx? Units stand in brackets: fx [N]"),
+        ("temperature [K]", "Rename or remove it"),
+        ("fx [N", "is not of the form name [unit]"),
+        ("[N]", "is not of the form name [unit]"),
+        ("ux [mm]", "ux stands twice; keep one"),
+    ],
+)
+def test_each_mistake_of_the_header_says_what_to_write(cell: str, says: str):
+    rest = "mx [N*m],ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]"
+    error = only_error(read_csv(f"# rig 2\n{rest},{cell}\n"))
+    assert (error.row, error.field) == (2, cell)
+    assert says in error.message
+
+
+def test_all_mistakes_of_a_header_come_at_once():
+    table = read_csv("fx [mm],ux,uy [N],uz [m],rx [m],ry [rad],temperature [K]\n1,1,1,1,1,1,1\n")
+    assert [error.field for error in table.errors] == [
+        "fx [mm]",
+        "ux",
+        "uy [N]",
+        "rx [m]",
+        "temperature [K]",
+        "rz",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "the file is empty"),
+        ("# only a comment\n\n", "the file is empty"),
+        (f"{SI}\n\n", "there is a header but no row below it"),
+        ("1,2,3,4,5,6,0,0,0,0,0,0\n", "there is no header; the first line must name the columns"),
+        ("1,5;2;3\n", "there is no header"),
+        (b"PK\x03\x04rest", "this is a spreadsheet or zip file; save it as CSV first"),
+        (b"\xff\xfe\x00", "save the file as UTF-8"),
+        (b"caf\x81", "save the file as UTF-8"),
+    ],
+)
+def test_a_file_that_is_no_table_says_so(text: str | bytes, says: str):
+    assert says in only_error(read_csv(text)).message
+
+
+def test_a_hash_begins_a_comment_only_at_the_start_of_a_record():
+    table = read_csv(f'{SI},note\n{"0," * 12}"a\n# b"\n# c, "d\n{"1," * 6}{"0," * 6}#e\n')
+    assert table.errors == ()
+    assert table.note == ("a\n# b", "#e")
+    assert table.row.tolist() == [2, 5]
+
+
+def test_texts_that_no_store_can_keep_are_refused():
+    table = read_csv(f"{SI},note\n{'0,' * 12}a\0b\n{'0,' * 12}\ud800\n{'0,' * 12}fine\n")
+    assert [(error.row, error.field) for error in table.errors] == [(2, "note"), (3, "note")]
+    assert table.note == ("fine",)
+
+
+def test_a_field_without_end_is_an_error_and_not_a_crash():
+    table = read_csv(f'{SI},note\n{"0," * 12}"{"x" * 200_000}\n')
+    assert "cannot be read as CSV" in only_error(table).message
+
+
+def test_a_file_of_nothing_but_mistakes_gives_a_list_that_can_be_read():
+    table = read_csv(SI + "\n" + "a,b,c,d,e,f,g,h,i,j,k,l\n" * 1000)
+    assert len(table.errors) == 1001
+    assert table.errors[-1].message == "11000 more errors are not listed; correct these first"
+
+
+def test_100_000_rows_are_read_in_seconds():
+    # A bound far above what it takes (about 1 s), so that only a lapse into a slow path fails.
+    rng = np.random.default_rng(0)
+    line = ",".join(f"{number:.6e}" for number in rng.normal(size=12) * 0.01)
+    text = SI + "\n" + (line + "\n") * 100_000
+    started = time.perf_counter()
+    table = read_csv(text)
+    assert len(table) == 100_000
+    assert time.perf_counter() - started < 15.0

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.tablefile import read_json
+
+ZEROS = [0.0] * 6
+ROW: dict[str, Any] = {"wrench": [1, 2, 3, 4, 5, 6], "displacement": [1e-3] * 6}
+
+
+def read(*rows: Any, **around: Any):
+    return read_json(json.dumps({"rows": list(rows), **around}))
+
+
+def test_rows_become_si_arrays():
+    table = read(
+        ROW,
+        {**ROW, "uncertainty": [1e-6, None, 0, 0, 0, 1], "source": "measured", "note": " rig 2 "},
+        units="SI",
+    )
+    assert table.errors == ()
+    assert table.wrench.tolist() == [[1, 2, 3, 4, 5, 6]] * 2
+    assert table.displacement.tolist() == [[1e-3] * 6] * 2
+    assert np.isnan(table.uncertainty[0]).all()
+    assert table.uncertainty[1, 0] == 1e-6
+    assert math.isnan(table.uncertainty[1, 1])
+    assert (table.source, table.note) == (("", "measured"), ("", "rig 2"))
+    assert table.row.tolist() == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("row", "field", "says"),
+    [
+        ({"displacement": ZEROS}, "wrench", "is missing; write [fx, fy, fz, mx, my, mz] in SI"),
+        ({"wrench": ZEROS}, "displacement", "is missing"),
+        ({**ROW, "wrench": [1] * 5}, "wrench", "is not a list of six numbers"),
+        ({**ROW, "wrench": "1,2,3"}, "wrench", "is not a list of six numbers"),
+        ({**ROW, "wrench": [1, 2, "3", 4, 5, 6]}, "wrench[2]", '"3" is not a number'),
+        ({**ROW, "wrench": [True, 0, 0, 0, 0, 0]}, "wrench[0]", "true is not a number"),
+        ({**ROW, "displacement": [0, None, 0, 0, 0, 0]}, "displacement[1]", "null is not a number"),
+        ({**ROW, "wrench": [math.nan, 0, 0, 0, 0, 0]}, "wrench[0]", "is not finite"),
+        ({**ROW, "wrench": [10**400, 0, 0, 0, 0, 0]}, "wrench[0]", "is not finite"),
+        ({**ROW, "displacement": [0, 0, 0, 0.3, 0.2, 0]}, "displacement", "a table ends at 20"),
+        ({**ROW, "uncertainty": [-1, 0, 0, 0, 0, 0]}, "uncertainty[0]", "is not negative"),
+        ({**ROW, "uncertainty": 1e-6}, "uncertainty", "is not a list of six numbers"),
+        ({**ROW, "source": 3}, "source", "is not a text"),
+        ({**ROW, "note": "a\0b"}, "note", "zero byte"),
+        ({**ROW, "note": "\ud800"}, "note", "half a character"),
+        ({**ROW, "moment": [0, 0, 0]}, "moment", "is not a key of a row; there are wrench"),
+        ([1, 2, 3], "row", "is not a row"),
+    ],
+)
+def test_each_kind_of_bad_row_is_named_by_its_place_and_key(row: Any, field: str, says: str):
+    table = read(ROW, row, ROW)
+    assert [(error.row, error.field) for error in table.errors] == [(2, field)]
+    assert says in table.errors[0].message
+    assert table.row.tolist() == [1, 3]
+
+
+@pytest.mark.parametrize(
+    ("text", "field", "says"),
+    [
+        ("", "file", "is not JSON"),
+        ("{", "file", "is not JSON"),
+        (b"\xff\xfe\xff", "file", "is not JSON"),
+        ("[" * 100_000, "file", "is not JSON"),
+        ("[]", "rows", "is not a table; write"),
+        ("{}", "rows", "is not a table; write"),
+        ('{"rows": []}', "rows", "there is no row"),
+        ('{"rows": [1], "units": "imperial"}', "units", "a JSON table is in SI"),
+        ('{"rows": [1], "unit": "SI"}', "unit", "is not a key of a table"),
+    ],
+)
+def test_a_file_that_is_no_table_says_so(text: str | bytes, field: str, says: str):
+    table = read_json(text)
+    assert [(error.row, error.field) for error in table.errors] == [(0, field)]
+    assert says in table.errors[0].message
+    assert len(table) == 0

@@ -1,0 +1,162 @@
+"""What is written is read back: the same numbers, the same texts."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.tablefile import ParsedTable, UnitError, read_csv, read_json, write_csv, write_json
+
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+# A rotation vector of these components is never longer than 20 degrees.
+angles = st.floats(-0.2, 0.2)
+bounds = st.one_of(st.just(math.nan), st.floats(0, 1e300))
+texts = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])).map(str.strip)
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> ParsedTable:
+    count = draw(st.integers(1, 4))
+
+    def block(*parts: st.SearchStrategy[float]) -> np.ndarray:
+        rows = st.lists(st.tuples(*parts), min_size=count, max_size=count)
+        return np.array(draw(rows), dtype=float).reshape(count, 6)
+
+    def words() -> tuple[str, ...]:
+        return tuple(draw(st.lists(texts, min_size=count, max_size=count)))
+
+    return ParsedTable(
+        wrench=block(*[numbers] * 6),
+        displacement=block(*[numbers] * 3, *[angles] * 3),
+        uncertainty=block(*[bounds] * 6),
+        source=words(),
+        note=words(),
+        row=np.arange(count),
+        errors=(),
+    )
+
+
+def same(first: ParsedTable, second: ParsedTable) -> None:
+    assert second.errors == ()
+    for name in ("wrench", "displacement", "uncertainty"):
+        assert np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True)
+    assert (first.source, first.note) == (second.source, second.note)
+
+
+@given(tables())
+def test_a_csv_export_in_si_is_read_back_to_the_same_floats_and_texts(table: ParsedTable):
+    same(table, read_csv(write_csv(table)))
+    same(table, read_csv(write_csv(table).encode()))
+
+
+@given(tables())
+def test_a_json_export_is_read_back_to_the_same_floats_and_texts(table: ParsedTable):
+    same(table, read_json(write_json(table)))
+
+
+@pytest.mark.parametrize(
+    "note", ["a\rb", "a\r\nb", "a\n\nb", '"', '","', "# a", "'", "\u2028", "=1"]
+)
+def test_awkward_notes_survive(note: str):
+    header = "fx [N],ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad],note"
+    quoted = '"' + note.replace('"', '""') + '"'
+    table = read_csv(f"{header}\n1,0,0,0,0,0,0,{quoted}\n")
+    assert table.note == (note,)
+    same(table, read_csv(write_csv(table)))
+
+
+UNITS = {"force": "lbf", "moment": "in-lbf", "translation": "mm", "rotation": "deg"}
+magnitudes = st.floats(1e-9, 1e9).flatmap(lambda size: st.sampled_from([size, -size, 0.0]))
+
+
+@given(st.lists(st.tuples(*[magnitudes] * 9, *[angles] * 3), min_size=1, max_size=5))
+def test_an_export_in_other_units_is_read_back_within_1e_12(rows):
+    block = np.array(rows, dtype=float)
+    count = len(block)
+    unknown = np.full((count, 6), np.nan)
+    empty = ("",) * count
+    table = ParsedTable(
+        block[:, :6], block[:, 6:], unknown, empty, empty, np.arange(count), errors=()
+    )
+    again = read_csv(write_csv(table, UNITS))
+    assert again.errors == ()
+    assert np.allclose(again.wrench, table.wrench, rtol=1e-12, atol=0)
+    assert np.allclose(again.displacement, table.displacement, rtol=1e-12, atol=1e-300)
+
+
+def test_500_measured_rows_in_lbf_and_mm_export_to_the_same_numbers():
+    rng = np.random.default_rng(7)
+    sent = np.round(rng.normal(size=(500, 8)) * [100, 100, 500, 40, 0.1, 0.2, 3, 1], 4)
+    lines = ["fx [lbf],fy [lbf],fz [lbf],mz [in-lbf],ux [mm],uy [mm],uz [mm],rx [deg]"]
+    lines[0] += ",ry [deg],rz [deg],source"
+    lines += [",".join(map(repr, row)) + ",0,0,measured" for row in sent.tolist()]
+    table = read_csv("\n".join(lines))
+    assert table.errors == ()
+    assert len(table) == 500
+    written = list(csv.DictReader(io.StringIO(write_csv(table, UNITS))))
+    names = ["fx [lbf]", "fy [lbf]", "fz [lbf]", "mz [in-lbf]"]
+    names += ["ux [mm]", "uy [mm]", "uz [mm]", "rx [deg]"]
+    back = np.array([[float(row[name]) for name in names] for row in written])
+    assert np.allclose(back, sent, rtol=1e-12, atol=0)
+    assert {row["source"] for row in written} == {"measured"}
+    in_si = read_csv(write_csv(table))
+    same(table, in_si)
+
+
+def test_columns_that_say_nothing_are_left_out_of_an_export():
+    table = read_csv("fx [N],ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]\n1,0,0,0,0,0,0\n")
+    text = write_csv(table)
+    assert text.splitlines() == [
+        "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],"
+        "ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]",
+        "1.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0",
+    ]
+    assert "source" not in write_json(table)
+
+
+def test_an_export_in_a_wrong_unit_is_refused():
+    table = read_csv("fx [N],ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]\n1,0,0,0,0,0,0\n")
+    with pytest.raises(UnitError, match="is not a unit of force"):
+        write_csv(table, {"force": "mm"})
+
+
+HEADER = "fx [N];ux [m];uy [m];uz [m];rx [rad];ry [rad];rz [rad];ux_err [m];note\n"
+cells = st.one_of(st.text(max_size=4), st.sampled_from(["1,5", "-2", "1e400", "nan", '"', "#N/A"]))
+
+
+@given(st.lists(st.lists(cells, max_size=10).map(";".join)).map("\n".join), st.booleans())
+def test_no_text_below_a_header_makes_reading_crash(body: str, with_header: bool):
+    table = read_csv(HEADER + body if with_header else body)
+    assert len(table) or table.errors
+    assert np.isfinite(table.wrench).all()
+    assert np.isfinite(table.displacement).all()
+    assert len(table.source) == len(table.note) == len(table.row) == len(table)
+
+
+json_values = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=3)),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=6),
+        st.dictionaries(st.sampled_from(["rows", "wrench", "displacement", "note"]), inner),
+    ),
+    max_leaves=20,
+)
+
+
+@given(json_values, st.booleans())
+def test_no_json_makes_reading_crash(value, as_rows: bool):
+    table = read_json(json.dumps({"rows": [value]} if as_rows else value))
+    assert len(table) or table.errors
+
+
+@given(st.binary(max_size=60))
+def test_no_bytes_make_reading_crash(content: bytes):
+    assert read_csv(content).errors
+    assert read_json(content).errors
