@@ -59,6 +59,9 @@ def _left_out(
     shown, missed = _missed(rows, full, load_range, fit, off_axis)
     if not len(shown):
         return left_out
+    # What the axes' own bars explain already is not counted twice: the two add in quadrature.
+    explained = composition.many(rows.wrench[shown]).error
+    missed = np.sqrt(np.maximum(missed**2 - explained**2, 0.0))
     together, power = acting_together(left_out, rows.wrench[shown], missed)
     return replace(left_out, together=together, power=power, shown=len(shown))
 

@@ -90,7 +90,8 @@ class Interpolant:
         flat = edges @ self.basis.T
         longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1, initial=0.0)
         self.volumes = np.abs(np.linalg.det(flat)) / math.factorial(self.dimension)
-        broken = ~np.isfinite(self.weights.reshape(len(edges), -1)).all(axis=1)
+        finite = np.isfinite(self.weights).reshape(len(edges), -1)
+        broken: NDArray[np.bool_] = np.asarray(np.any(~finite, axis=1))
         self.degenerate = broken | (self.volumes < SLIVER * longest**self.dimension)
         if broken.any():
             self.weights = np.where(broken[:, None, None], 0.0, self.weights)
