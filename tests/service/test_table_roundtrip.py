@@ -62,7 +62,7 @@ def test_a_json_export_is_read_back_to_the_same_floats_and_texts(table: ParsedTa
 
 
 @pytest.mark.parametrize(
-    "note", ["a\rb", "a\r\nb", "a\n\nb", '"', '","', "# a", "'", "\u2028", "=1"]
+    "note", ["a\rb", "a\r\nb", "a\n\nb", '"', '","', "# a", "'", "a\u2028b", "=1"]
 )
 def test_awkward_notes_survive(note: str):
     header = "fx [N],ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad],note"
