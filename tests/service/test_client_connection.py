@@ -128,3 +128,15 @@ def test_a_server_below_a_path_is_reached_there(stub: Stub):
 def test_an_address_that_is_none_is_refused_with_an_example(url: str):
     with pytest.raises(ValueError, match=r"http://127\.0\.0\.1:8000"):
         Client(url)
+
+
+def test_a_forked_child_leaves_its_parents_connection_alone(
+    stub: Stub, client: Client, monkeypatch
+):
+    client.job(1)
+    parents = list(client._idle)
+    monkeypatch.setattr("os.getpid", lambda: -1)
+    client.job(1)
+    assert len(set(stub.sockets)) == 2
+    assert parents[0].sock is not None  # neither closed nor written to by the child
+    parents[0].close()
