@@ -70,6 +70,6 @@ def describe(spec, report):
 
 def leaves_a_child(spec, report):
     """Starts another program, as a deck's solver is, and writes down its pid."""
-    child = subprocess.Popen(["sleep", "60"])
+    child = subprocess.Popen(["sleep", "60"], close_fds=False)
     Path("child").write_text(str(child.pid))
     endless(spec, report)

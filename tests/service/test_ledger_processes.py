@@ -8,9 +8,14 @@ from service.ledger import Ledger, NewRow
 WORK = """
 import sys
 from service.ledger import Ledger
+print("ready", flush=True)
+sys.stdin.readline()
 ledger = Ledger(sys.argv[1])
-for load in range(30):
+for load in range(int(sys.argv[3])):
     ledger.accept("bar", "f", (load, 0, 0, 0, 0, 0))
+    if job := ledger.claim(sys.argv[2]):
+        ledger.commit(job.id, job.attempt, [load * 1e-6 for load in job.wrench])
+        print(job.id)
 while job := ledger.claim(sys.argv[2]):
     ledger.commit(job.id, job.attempt, [load * 1e-6 for load in job.wrench])
     print(job.id)
@@ -20,18 +25,30 @@ ledger.close()
 
 def start(code, *arguments):
     command = [sys.executable, "-c", code, *map(str, arguments)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
+
+
+def start_together(path, count, jobs):
+    """Start processes that open the ledger in the same instant."""
+    workers = [start(WORK, path, f"worker {i}", jobs) for i in range(count)]
+    for worker in workers:
+        assert worker.stdout.readline() == "ready\n"
+    for worker in workers:
+        worker.stdin.write("go\n")
+        worker.stdin.flush()
+    return workers
 
 
 def test_processes_that_open_accept_and_claim_at_once_share_each_job_once(tmp_path):
     path = tmp_path / "ledger.sqlite"
-    workers = [start(WORK, path, f"worker {i}") for i in range(3)]
+    workers = start_together(path, 3, 200)
     printed = [worker.communicate(timeout=60)[0] for worker in workers]
     assert [worker.returncode for worker in workers] == [0, 0, 0]
     claimed = sorted(int(line) for text in printed for line in text.split())
     ledger = Ledger(path)
-    assert claimed == sorted(job.id for job in ledger.jobs(status="done"))
-    assert sorted(row.wrench[0] for row in ledger.rows("bar")) == list(range(30))
+    assert claimed == sorted(job.id for job in ledger.jobs(status="done", limit=1000))
+    assert sorted(row.wrench[0] for row in ledger.rows("bar")) == list(range(200))
     ledger.close()
 
 
@@ -41,7 +58,7 @@ def test_what_another_process_commits_changes_the_version_and_ends_a_wait(tmp_pa
     ledger.insert_rows("bar", "f", [NewRow((1, 0, 0, 0, 0, 0), (0,) * 6)])
     job, _ = ledger.accept("bar", "f", (5, 0, 0, 0, 0, 0))
     seen = ledger.version()
-    worker = start(WORK, path, "worker")
+    (worker,) = start_together(path, 1, 30)
     assert ledger.wait(job.id, 30).status == "done"
     worker.communicate(timeout=60)
     assert ledger.version() != seen
