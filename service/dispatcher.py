@@ -7,22 +7,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from service.attempt import (
-    LOCK,
-    BadOutcomeError,
-    Progress,
-    Spec,
-    attempt_folder,
-    prepare,
-    read_outcome,
-    read_progress,
-    tidy,
-)
+from service.attempt import Progress, attempt_folder, prepare, read_progress
 from service.engines import Engine
 from service.ledger import Change, Job, Ledger, StaleAttemptError
 from service.owner import Owner
+from service.settle import settle, spec_of
 
 _log = logging.getLogger(__name__)
 
@@ -42,12 +32,6 @@ class _Run:
     job: Job
     folder: Path
     leaving: bool = False
-
-    def spec(self, bundle: Path | str = "") -> Spec:
-        """Return what the attempt solves, with the component's files in `bundle`."""
-        job = self.job
-        place = str(Path(bundle).absolute())
-        return Spec(job.id, job.attempt, job.component, place, job.fingerprint, job.wrench)
 
 
 class Dispatcher:
@@ -182,8 +166,8 @@ class Dispatcher:
                 continue
             if self._ledger.adopt(job.id, job.attempt, dead, self._owner.name):
                 _log.info("job %d attempt %d taken over from %s", job.id, job.attempt, dead)
-                self._engine.attach(self._folder(job))
-                self._runs[job.id, job.attempt] = _Run(job, self._folder(job))
+                run = self._runs[job.id, job.attempt] = _Run(job, self._folder(job))
+                self._engine.attach(run.folder)
             self._owner.bury(dead)
         self._next_recovery = time.monotonic() + RECOVER_SECONDS
 
@@ -211,7 +195,7 @@ class Dispatcher:
             return
         if not run.leaving:
             with contextlib.suppress(StaleAttemptError):
-                self._record(run, died=self._ledger.lose)
+                settle(self._ledger, run.job, run.folder, died=self._ledger.lose)
         del self._runs[run.job.id, run.job.attempt]
         self._may_claim = True
 
@@ -229,40 +213,8 @@ class Dispatcher:
             self._ledger.fail(job.id, job.attempt, _component_missing(job, error))
             del self._runs[job.id, job.attempt]
             return
-        prepare(run.folder, run.spec(bundle))
+        prepare(run.folder, spec_of(job, bundle))
         self._engine.submit(run.folder)
-
-    # -- how attempts end -------------------------------------------------------------------
-
-    def _record(self, run: _Run, died: Callable[[int, int], Job]) -> None:
-        """Tell the ledger how an attempt ended; `died` says it of one without an outcome."""
-        job = run.job
-        outcome = _outcome(run)
-        status = None if outcome is None else outcome.get("status")
-        if outcome is None:
-            # Without a lock there never was a solver: that is nobody's death.
-            started = (run.folder / LOCK).exists()
-            (died if started else self._ledger.release)(job.id, job.attempt)
-        elif status == "done":
-            self._commit(run, outcome)
-        elif status == "failed":
-            self._ledger.fail(job.id, job.attempt, _error(outcome))
-        else:
-            self._ledger.release(job.id, job.attempt)
-
-    def _commit(self, run: _Run, outcome: dict[str, Any]) -> None:
-        job = run.job
-        try:
-            displacement, compliance = outcome["displacement"], outcome.get("compliance")
-            origin = f"job {job.id}"
-            self._ledger.commit(
-                job.id, job.attempt, displacement, compliance=compliance, origin=origin
-            )
-        except (ValueError, TypeError, KeyError) as error:
-            self._ledger.fail(job.id, job.attempt, _bad_answer(error))
-            return
-        with contextlib.suppress(OSError):
-            tidy(run.folder)
 
     def _end_runs(self) -> None:
         deadline = time.monotonic() + STOP_SECONDS
@@ -273,25 +225,10 @@ class Dispatcher:
                 time.sleep(LOOK_SECONDS)
             if not run.leaving and self._engine.poll(run.folder) != "running":
                 with contextlib.suppress(StaleAttemptError):
-                    self._record(run, died=self._ledger.release)
+                    settle(self._ledger, run.job, run.folder, died=self._ledger.release)
 
     def _folder(self, job: Job) -> Path:
         return attempt_folder(self._jobs_folder, job.id, job.attempt)
-
-
-def _outcome(run: _Run) -> dict[str, Any] | None:
-    try:
-        return read_outcome(run.folder, run.spec())
-    except BadOutcomeError as error:
-        _log.warning("taken for a lost attempt: %s", error)
-        return None
-
-
-def _error(outcome: dict[str, Any]) -> dict[str, str]:
-    error = outcome.get("error")
-    if isinstance(error, dict) and {"kind", "message", "remedy"} <= error.keys():
-        return {name: str(error[name]) for name in ("kind", "message", "remedy")}
-    return _bad_answer(ValueError(f"failed without a reason: {error!r}"))
 
 
 def _component_missing(job: Job, error: Exception) -> dict[str, str]:
@@ -299,12 +236,4 @@ def _component_missing(job: Job, error: Exception) -> dict[str, str]:
         "kind": "component_missing",
         "message": f"there is no component {job.component} to solve any more: {error}",
         "remedy": "add the component again and retry the job, or leave it",
-    }
-
-
-def _bad_answer(error: Exception) -> dict[str, str]:
-    return {
-        "kind": "bad_answer",
-        "message": f"the solver's answer is not usable: {error!r}",
-        "remedy": "see result.json and log.txt in the attempt's folder",
     }

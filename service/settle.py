@@ -1,0 +1,86 @@
+"""How the end of an attempt becomes the ledger's word on its job."""
+
+import contextlib
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from service.attempt import LOCK, BadOutcomeError, Spec, read_outcome, tidy
+from service.ledger import Job, Ledger
+
+_log = logging.getLogger(__name__)
+
+
+def spec_of(job: Job, bundle: Path | str = "") -> Spec:
+    """Return what the job's present attempt solves, with the component's files in `bundle`."""
+    place = str(Path(bundle).absolute())
+    return Spec(job.id, job.attempt, job.component, place, job.fingerprint, job.wrench)
+
+
+def settle(ledger: Ledger, job: Job, folder: Path, *, died: Callable[[int, int], Job]) -> None:
+    """Tell the ledger how a job's attempt ended; safe to repeat.
+
+    Parameters
+    ----------
+    ledger : Ledger
+        Where the row or the reason goes.
+    job : Job
+        The job as it was when the attempt began.
+    folder : path
+        The attempt's folder; no solver works in it any more.
+    died : callable
+        What to tell the ledger of a solver that left no outcome: `Ledger.lose` or `release`.
+
+    Raises
+    ------
+    StaleAttemptError
+        If the job has gone on without this attempt.
+    """
+    outcome = _outcome(job, folder)
+    status = None if outcome is None else outcome.get("status")
+    if outcome is None:
+        # Without a lock there never was a solver: that is nobody's death.
+        started = (folder / LOCK).exists()
+        (died if started else ledger.release)(job.id, job.attempt)
+    elif status == "done":
+        _commit(ledger, job, folder, outcome)
+    elif status == "failed":
+        ledger.fail(job.id, job.attempt, _error(outcome))
+    else:
+        ledger.release(job.id, job.attempt)
+
+
+def _commit(ledger: Ledger, job: Job, folder: Path, outcome: dict[str, Any]) -> None:
+    try:
+        displacement, compliance = outcome["displacement"], outcome.get("compliance")
+        origin = f"job {job.id}"
+        ledger.commit(job.id, job.attempt, displacement, compliance=compliance, origin=origin)
+    except (ValueError, TypeError, KeyError) as error:
+        ledger.fail(job.id, job.attempt, _bad_answer(error))
+        return
+    with contextlib.suppress(OSError):
+        tidy(folder)
+
+
+def _outcome(job: Job, folder: Path) -> dict[str, Any] | None:
+    try:
+        return read_outcome(folder, spec_of(job))
+    except BadOutcomeError as error:
+        _log.warning("taken for a lost attempt: %s", error)
+        return None
+
+
+def _error(outcome: dict[str, Any]) -> dict[str, str]:
+    error = outcome.get("error")
+    if isinstance(error, dict) and {"kind", "message", "remedy"} <= error.keys():
+        return {name: str(error[name]) for name in ("kind", "message", "remedy")}
+    return _bad_answer(ValueError(f"failed without a reason: {error!r}"))
+
+
+def _bad_answer(error: Exception) -> dict[str, str]:
+    return {
+        "kind": "bad_answer",
+        "message": f"the solver's answer is not usable: {error!r}",
+        "remedy": "see result.json and log.txt in the attempt's folder",
+    }

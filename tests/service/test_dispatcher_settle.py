@@ -1,0 +1,86 @@
+"""Every way an attempt can end, as the ledger hears it."""
+
+import pytest
+
+from service.attempt import prepare, write_outcome
+from service.ledger import Ledger, StaleAttemptError
+from service.settle import settle, spec_of
+
+WRENCH = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture
+def ledger(tmp_path):
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    ledger.accept("bar", "f1", WRENCH)
+    yield ledger
+    ledger.close()
+
+
+def ended(ledger, folder, outcome=None, *, started=True):
+    job = ledger.claim("me")
+    prepare(folder, spec_of(job))
+    if started:
+        (folder / "lock").touch()
+    if outcome is not None:
+        write_outcome(folder, spec_of(job, "/anywhere"), outcome)
+    settle(ledger, job, folder, died=ledger.lose)
+    return ledger.job(job.id)
+
+
+def test_an_answer_becomes_a_row(ledger, tmp_path):
+    done = ended(ledger, tmp_path / "a", {"status": "done", "displacement": [1e-6] * 6})
+    assert done.status == "done"
+    assert ledger.row(done.row).displacement == (1e-6,) * 6
+
+
+def test_settling_twice_makes_one_row(ledger, tmp_path):
+    job = ledger.claim("me")
+    prepare(tmp_path / "a", spec_of(job))
+    write_outcome(tmp_path / "a", spec_of(job), {"status": "done", "displacement": [1e-6] * 6})
+    for _ in range(2):
+        settle(ledger, job, tmp_path / "a", died=ledger.lose)
+    assert len(ledger.rows("bar")) == 1
+
+
+@pytest.mark.parametrize(
+    "outcome",
+    [
+        {"status": "done"},
+        {"status": "done", "displacement": [1, 2, 3]},
+        {"status": "done", "displacement": [None] * 6},
+        {"status": "done", "displacement": "abcdef"},
+        {"status": "done", "displacement": [0] * 6, "compliance": [[1]]},
+        {"status": "failed"},
+        {"status": "failed", "error": {"kind": "half"}},
+    ],
+)
+def test_an_answer_nobody_can_use_fails_the_job(ledger, tmp_path, outcome):
+    failed = ended(ledger, tmp_path / "a", outcome)
+    assert (failed.status, failed.error["kind"]) == ("failed", "bad_answer")
+    assert ledger.rows("bar") == []
+
+
+def test_a_solver_that_left_nothing_has_died(ledger, tmp_path):
+    waiting = ended(ledger, tmp_path / "a")
+    assert (waiting.status, waiting.lost) == ("waiting", 1)
+
+
+def test_an_attempt_that_never_had_a_solver_is_given_back(ledger, tmp_path):
+    waiting = ended(ledger, tmp_path / "a", started=False)
+    assert (waiting.status, waiting.lost) == ("waiting", 0)
+
+
+def test_a_solver_that_was_asked_to_end_is_given_back(ledger, tmp_path):
+    waiting = ended(ledger, tmp_path / "a", {"status": "cancelled"})
+    assert (waiting.status, waiting.lost) == ("waiting", 0)
+
+
+def test_an_attempt_the_job_has_left_behind_is_refused(ledger, tmp_path):
+    job = ledger.claim("me")
+    prepare(tmp_path / "a", spec_of(job))
+    write_outcome(tmp_path / "a", spec_of(job), {"status": "done", "displacement": [0] * 6})
+    ledger.cancel(job.id)
+    with pytest.raises(StaleAttemptError):
+        settle(ledger, job, tmp_path / "a", died=ledger.lose)
+    assert ledger.rows("bar") == []
