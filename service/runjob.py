@@ -11,6 +11,7 @@ and ``remedy`` is reported with them.
 """
 
 import argparse
+import contextlib
 import importlib
 import math
 import os
@@ -18,7 +19,7 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,8 @@ def main(folder: str | Path, solve: Solve | None = None) -> int:
     folder = Path(folder)
     spec = read_spec(folder)
     try:
-        numbers = (solve or _chosen_solve())(spec, _Reporter(folder))
+        with _hearing_sigterm():
+            numbers = (solve or _chosen_solve())(spec, _Reporter(folder))
         write_outcome(folder, spec, {"status": "done", **_checked(numbers)})
         return DONE
     except Cancelled:
@@ -171,6 +173,20 @@ def _raise_cancelled(signum: int, frame: object) -> None:
     raise Cancelled
 
 
+@contextlib.contextmanager
+def _hearing_sigterm() -> Iterator[None]:
+    """Let SIGTERM interrupt what is inside, if the command line has kept it waiting so far.
+
+    Outside it waits, so that it can neither come before anybody catches it nor tear the
+    writing of the outcome.
+    """
+    before = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _hold_lock(folder: Path, inherited: int | None) -> int | None:
     """Return the descriptor of the attempt's lock, held and with our pid in it."""
     if inherited is None:
@@ -186,12 +202,13 @@ def _hold_lock(folder: Path, inherited: int | None) -> int | None:
 
 def command_line(arguments: Sequence[str] | None = None) -> int:
     """Run as the program: hold the lock, lower the priority, end on SIGTERM."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    signal.signal(signal.SIGTERM, _raise_cancelled)
     parser = argparse.ArgumentParser(prog="python -m service.runjob", description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--lock-descriptor", type=int, help="open file of the lock, held")
     parser.add_argument("--niceness", type=int, default=0)
     options = parser.parse_args(arguments)
-    signal.signal(signal.SIGTERM, _raise_cancelled)
     if _hold_lock(options.folder, options.lock_descriptor) is None:
         print(f"a solver is at work in {options.folder} already", file=sys.stderr)
         return IN_USE
