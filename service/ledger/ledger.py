@@ -207,12 +207,18 @@ class Ledger:
     # -- rows -------------------------------------------------------------------------------
 
     def insert_rows(
-        self, component: str, fingerprint: str, new: Iterable[NewRow]
+        self,
+        component: str,
+        fingerprint: str,
+        new: Iterable[NewRow],
+        *,
+        dry_run: bool = False,
     ) -> tuple[int, int]:
         """Insert rows, all or none, and return how many were new and how many known.
 
         A row of the same component, fingerprint, source, wrench, displacement and uncertainty
-        is known, so inserting a table twice changes nothing the second time.
+        is known, so inserting a table twice changes nothing the second time. With `dry_run`
+        only the numbers are found out.
 
         Raises
         ------
@@ -220,9 +226,9 @@ class Ledger:
             If a number is not finite or a length is wrong; then nothing was inserted.
         """
         wanted = list(new)
-        with self._db.writing() as db:
+        with self._db.writing(keep=not dry_run) as db:
             inserted = rows.add_many(db, component, fingerprint, wanted, time.time())
-        if inserted:
+        if inserted and not dry_run:
             self._listeners.tell(Change(component, rows=inserted))
         return inserted, len(wanted) - inserted
 

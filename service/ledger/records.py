@@ -85,6 +85,8 @@ class NewRow:
         95 % half-width of the displacement, m and rad.
     origin : str
         Free note, such as the file name and line.
+    fingerprint : str or None
+        The setup that was solved; None stands for the one the whole call is for.
     """
 
     wrench: Sequence[float]
@@ -93,6 +95,7 @@ class NewRow:
     compliance: Sequence[Sequence[float]] | None = None
     uncertainty: Sequence[float] | None = None
     origin: str = ""
+    fingerprint: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,6 +78,7 @@ def start_after(db: Connection, seq: int) -> None:
 def _values(
     component: str, fingerprint: str, row: NewRow, job: int | None, now: float
 ) -> tuple[object, ...]:
+    fingerprint = fingerprint if row.fingerprint is None else row.fingerprint
     wrench = pack6(row.wrench)
     displacement = pack6(row.displacement, "displacement")
     compliance = None if row.compliance is None else pack36(row.compliance)

@@ -79,8 +79,13 @@ class Connections:
         self._watcher = _connect(path)
 
     @contextmanager
-    def writing(self) -> Iterator[Connection]:
+    def writing(self, *, keep: bool = True) -> Iterator[Connection]:
         """Give the writing connection in a transaction that is committed at the end.
+
+        Parameters
+        ----------
+        keep : bool
+            False tries the transaction and takes it back.
 
         Raises
         ------
@@ -92,7 +97,7 @@ class Connections:
             self._writer.execute("BEGIN IMMEDIATE")
             try:
                 yield self._writer
-                self._writer.execute("COMMIT")
+                self._writer.execute("COMMIT" if keep else "ROLLBACK")
             except BaseException:
                 if self._writer.in_transaction:
                     self._writer.execute("ROLLBACK")

@@ -157,6 +157,7 @@ class _Conversion:
             uncertainty=uncertainty[good],
             source=self._texts("source"),
             note=self._texts("note"),
+            fingerprint=self._texts("fingerprint"),
             row=np.array(self._line, dtype=np.int64)[good],
             errors=listed(self._errors),
         )

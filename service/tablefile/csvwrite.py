@@ -22,7 +22,7 @@ def write_csv(table: TableRows, units: Mapping[str, str] | None = None) -> str:
     ----------
     table : TableRows
         Rows in SI. Uncertainty columns are there only if one is known (NaN is left empty), source
-        and note only if one is not empty.
+        note and fingerprint only if one is not empty.
     units : mapping, optional
         Any of ``force``, ``moment``, ``translation``, ``rotation`` to the unit to write in, such as
         ``{"force": "lbf", "translation": "mm"}``; SI otherwise. In SI each number is written with

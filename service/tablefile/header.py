@@ -2,7 +2,8 @@
 
 One form only: ``name [unit]`` (round brackets do as well). Names, in any case: ``fx fy fz mx my
 mz`` (missing ones are zero loads), ``ux uy uz rx ry rz`` (all needed), ``ux_err`` ... ``rz_err``
-(standard uncertainty or error bound, optional) and ``source``, ``note`` (text, no unit). Every
+(standard uncertainty or error bound, optional) and ``source``, ``note``, ``fingerprint`` (text, no
+unit; the fingerprint names the setup that a solve was made with). Every
 number column names its unit: a rotation without one may be radians or degrees, and a guess would
 be loaded without a word. An unknown column is a mistake, because a misspelt load would count as
 zero.
@@ -28,7 +29,7 @@ from service.tablefile.units import (
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 DISPLACEMENT = ("ux", "uy", "uz", "rx", "ry", "rz")
 UNCERTAINTY = tuple(f"{name}_err" for name in DISPLACEMENT)
-TEXTS = ("source", "note")
+TEXTS = ("source", "note", "fingerprint")
 NUMBERS = (*WRENCH, *DISPLACEMENT, *UNCERTAINTY)
 
 _QUANTITY: dict[str, Quantity] = {
@@ -112,7 +113,7 @@ def _unknown(name: str) -> str:
     hint = f"; did you mean {near[0]}? Units stand in brackets: fx [N]" if near else ""
     return (
         f"is not a column of a table{hint}. Rename or remove it; there are {' '.join(WRENCH)} "
-        f"{' '.join(DISPLACEMENT)}, a displacement's with _err, source and note"
+        f"{' '.join(DISPLACEMENT)}, a displacement's with _err, source, note, fingerprint"
     )
 
 

@@ -1,6 +1,6 @@
 """Tables as JSON: ``{"units": "SI", "rows": [{"wrench": [6], "displacement": [6], ...}]}``.
 
-A row may have ``uncertainty`` (six numbers, null where unknown), ``source`` and ``note``.
+A row may have ``uncertainty`` (six numbers, null where unknown), ``source``, ``note`` and ``fingerprint``.
 Always SI.
 """
 
@@ -40,7 +40,7 @@ class _Rows:
 
     place: list[int] = field(default_factory=list)
     numbers: list[tuple[float, ...]] = field(default_factory=list)  # 18 a row
-    texts: list[tuple[str, str]] = field(default_factory=list)
+    texts: list[tuple[str, ...]] = field(default_factory=list)
     errors: list[RowError] = field(default_factory=list)
 
 
@@ -130,7 +130,7 @@ def _take(rows: _Rows, place: int, row: Any) -> None:
         return
     rows.place.append(place)
     rows.numbers.append(numbers)
-    rows.texts.append((texts[0], texts[1]))
+    rows.texts.append(texts)
 
 
 def _six(
@@ -211,6 +211,7 @@ def _table(rows: _Rows) -> ParsedTable:
         uncertainty=block[good, 12:],
         source=tuple(texts[0] for texts in kept),
         note=tuple(texts[1] for texts in kept),
+        fingerprint=tuple(texts[2] for texts in kept),
         row=np.array(rows.place, dtype=np.int64)[good],
         errors=listed(rows.errors),
     )

@@ -21,7 +21,7 @@ Array = np.ndarray
 class TableRows(Protocol):
     """Rows that can be written: a `ParsedTable`, a surrogate's rows, anything of this form.
 
-    A ``note``, one text a row, may be there as well.
+    ``note`` and ``fingerprint``, one text a row, may be there as well.
     """
 
     @property
@@ -46,8 +46,12 @@ class TableRows(Protocol):
 
 
 def texts_of(table: TableRows) -> dict[str, list[str]]:
-    """Return ``source`` and ``note`` as lists of plain texts, those that say anything."""
-    given = {"source": table.source, "note": getattr(table, "note", ())}
+    """Return source, note and fingerprint as lists of plain texts, those that say anything."""
+    given = {
+        "source": table.source,
+        "note": getattr(table, "note", ()),
+        "fingerprint": getattr(table, "fingerprint", ()),
+    }
     texts = {name: [str(text) for text in column] for name, column in given.items()}
     return {name: column for name, column in texts.items() if any(column)}
 
@@ -91,7 +95,7 @@ class ParsedTable:
         Shape (n, 6), m and rad.
     uncertainty : numpy.ndarray
         Shape (n, 6), m and rad; NaN where the file gives none.
-    source, note : tuple of str
+    source, note, fingerprint : tuple of str
         One a row; empty where the file gives none.
     row : numpy.ndarray
         Shape (n,), where each row stood: see `RowError.row`.
@@ -104,6 +108,7 @@ class ParsedTable:
     uncertainty: Array
     source: tuple[str, ...]
     note: tuple[str, ...]
+    fingerprint: tuple[str, ...]
     row: Array
     errors: tuple[RowError, ...]
 
@@ -114,7 +119,7 @@ class ParsedTable:
 def refused(errors: list[RowError]) -> ParsedTable:
     """Return a table without rows: the file as a whole could not be read."""
     none = np.empty((0, 6))
-    return ParsedTable(none, none, none, (), (), np.empty(0, dtype=np.int64), listed(errors))
+    return ParsedTable(none, none, none, (), (), (), np.empty(0, dtype=np.int64), listed(errors))
 
 
 def listed(errors: list[RowError]) -> tuple[RowError, ...]:

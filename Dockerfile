@@ -1,0 +1,25 @@
+# One image that can serve (the default) or work: `docker run ... wrenchbook work --data /data`.
+FROM python:3.12-slim AS build
+WORKDIR /src
+COPY requirements.lock ./
+RUN python -m venv /opt/wrenchbook \
+    && /opt/wrenchbook/bin/pip install --no-cache-dir --require-hashes -r requirements.lock
+COPY pyproject.toml README.md LICENSE ./
+COPY fea fea
+COPY surrogate surrogate
+COPY service service
+COPY data data
+RUN /opt/wrenchbook/bin/pip install --no-cache-dir --no-deps --no-build-isolation .
+
+FROM python:3.12-slim
+RUN useradd --create-home --uid 10001 wrenchbook && install -d -o wrenchbook /data
+COPY --from=build /opt/wrenchbook /opt/wrenchbook
+ENV PATH=/opt/wrenchbook/bin:$PATH PYTHONUNBUFFERED=1 WRENCHBOOK_DATA=/data
+USER wrenchbook
+WORKDIR /home/wrenchbook
+VOLUME /data
+EXPOSE 8000
+HEALTHCHECK --interval=10s --timeout=3s --start-period=30s CMD \
+    python -c "import urllib.request as r; r.urlopen('http://127.0.0.1:8000/health/ready', timeout=2)"
+ENTRYPOINT ["wrenchbook"]
+CMD ["serve", "--host", "0.0.0.0"]

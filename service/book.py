@@ -1,0 +1,175 @@
+"""The book: the library, the ledger, the live tables and the dispatcher of one data directory."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from starlette.concurrency import run_in_threadpool
+
+from service.attempt import Progress, attempt_folder, read_progress
+from service.dispatcher import Dispatcher
+from service.engines import open_engine
+from service.ledger import Change, Job, Ledger
+from service.library import Component, Library
+from service.tables import Tables
+
+WAIT_POLL_S = 0.25
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Where a book lies and how many solves may run at once on this machine.
+
+    Parameters
+    ----------
+    folder:
+        The data directory; everything the server must not lose is in it.
+    solvers:
+        Solves at once; 0 leaves all solving to other processes (``wrenchbook work``).
+    engine:
+        Where they run, by name.
+    """
+
+    folder: Path
+    solvers: int = 2
+    engine: str = "local"
+
+
+class NoSetupError(ValueError):
+    """The component has no finite-element setup, so nothing can be solved for it."""
+
+
+class Book:
+    """One data directory, opened.
+
+    Several processes may open the same directory: they share jobs and rows through the ledger.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        settings.folder.mkdir(parents=True, exist_ok=True)
+        self._jobs_folder = settings.folder / "jobs"
+        self.ledger = Ledger(settings.folder / "ledger.sqlite")
+        self.library = Library(settings.folder / "components")
+        self.tables = Tables(self.ledger, self.library, settings.folder / "tables")
+        self._dispatcher: Dispatcher | None = None
+        self._changed: set[asyncio.Event] = set()
+        self._changed_lock = threading.Lock()
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def start(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
+        """Load the tables, recover the jobs that were running, and start solving."""
+        self._loop = loop
+        self.ledger.on_change(self._on_change)
+        self.tables.start()
+        self.start_solving()
+
+    def start_solving(self) -> None:
+        """Run the jobs of the ledger, without tables: all that `wrenchbook work` needs."""
+        if not self.settings.solvers:
+            return
+        engine = open_engine(self.settings.engine, self.settings.solvers)
+        self._dispatcher = Dispatcher(self.ledger, engine, self._bundle, self._jobs_folder)
+        self._dispatcher.start()
+
+    def close(self) -> None:
+        """Stop; the solves that run are ended and wait again for the next start."""
+        if self._dispatcher:
+            self._dispatcher.stop()
+        self.tables.stop()
+        self.ledger.close()
+
+    def order(self, name: str, wrench: tuple[float, ...]) -> Job:
+        """Accept a job for one wrench; the same job however often it is asked for.
+
+        Raises
+        ------
+        NoSetupError
+            If the component has no finite-element setup.
+        """
+        component = self._solvable(name)
+        return self.ledger.accept(name, component.fingerprint, wrench)[0]
+
+    def order_many(self, name: str, wrenches: np.ndarray) -> list[Job]:
+        """Accept jobs for wrenches of shape (n, 6), in one transaction."""
+        component = self._solvable(name)
+        return self.ledger.accept_many(name, component.fingerprint, wrenches.tolist())
+
+    async def wait(self, job_id: int, seconds: float) -> Job:
+        """Return the job once it has ended, or as it is after ``seconds``."""
+        return (await self.wait_all([job_id], seconds))[0]
+
+    async def wait_all(self, job_ids: list[int], seconds: float) -> list[Job]:
+        """Return the jobs once all have ended, or as they are after ``seconds``."""
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + seconds
+        changed = asyncio.Event()
+        with self._changed_lock:
+            self._changed.add(changed)
+        try:
+            while True:
+                changed.clear()
+                jobs = await run_in_threadpool(lambda: [self.ledger.job(one) for one in job_ids])
+                left = deadline - loop.time()
+                if left <= 0 or all(job.is_final for job in jobs):
+                    return jobs
+                await _wait_for(changed, min(left, WAIT_POLL_S))
+        finally:
+            with self._changed_lock:
+                self._changed.discard(changed)
+
+    def progress(self, job: Job) -> Progress | None:
+        """Return how far a running job is; None if its solver has not said anything yet."""
+        return read_progress(self.attempt_folder(job))
+
+    def attempt_folder(self, job: Job) -> Path:
+        """Return the folder of a job's latest attempt."""
+        return attempt_folder(self._jobs_folder, job.id, job.attempt)
+
+    def pending(self, name: str) -> np.ndarray:
+        """Return the wrenches of a component's open jobs, shape (n, 6), N and N·m."""
+        jobs = [
+            job
+            for status in ("waiting", "running")
+            for job in self.ledger.jobs(name, status, limit=100_000)
+        ]
+        return np.array([job.wrench for job in jobs], dtype=float).reshape(-1, 6)
+
+    def faults(self) -> list[str]:
+        """Return what keeps this book from doing its work; empty if nothing does."""
+        trouble = self._dispatcher.trouble if self._dispatcher else None
+        return [f"jobs do not run: {trouble}"] if trouble else []
+
+    def _solvable(self, name: str) -> Component:
+        component = self.library[name]
+        if not component.has_fea:
+            raise NoSetupError(
+                f"{name!r} has rows loaded from outside and no finite-element setup, so nothing "
+                "can be solved for it. Load more rows, or ask with on_thin 'estimate'."
+            )
+        return component
+
+    def _bundle(self, name: str) -> Path:
+        return self.library[name].folder
+
+    def _on_change(self, _: Change) -> None:
+        """Wake whoever waits for a job; called from the thread that committed."""
+        self.tables.notify()
+        loop = self._loop
+        if loop is None or loop.is_closed():
+            return
+        with self._changed_lock:
+            waiting = list(self._changed)
+        for event in waiting:
+            loop.call_soon_threadsafe(event.set)
+
+
+async def _wait_for(event: asyncio.Event, seconds: float) -> None:
+    try:
+        await asyncio.wait_for(event.wait(), seconds)
+    except TimeoutError:
+        return

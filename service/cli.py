@@ -1,0 +1,255 @@
+"""The command line: ``wrenchbook``. Every command but `serve`, `work` and `demo` is a client."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from service import show
+from service.client import Client, Displacement, Job, ProblemError, ServerUnreachable
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Displacements of deformable components from tables of finite-element results.",
+)
+out = Console()
+
+DEFAULT_DATA = Path("wrenchbook-data")
+Three = tuple[float, float, float]
+ZERO: Three = (0.0, 0.0, 0.0)
+
+Name = Annotated[str, typer.Argument(help="the component")]
+Force = Annotated[Three, typer.Option(help="F_x F_y F_z, N", metavar="FX FY FZ")]
+Moment = Annotated[Three, typer.Option(help="M_x M_y M_z, N·m", metavar="MX MY MZ")]
+Server = Annotated[
+    str, typer.Option(envvar="WRENCHBOOK_SERVER", help="address of a running server")
+]
+Data = Annotated[
+    Path | None,
+    typer.Option(help="work on this data directory with a private server of its own instead"),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="print the server's reply as JSON")]
+Budget = Annotated[int, typer.Option(min=1, help="most solves to spend")]
+Micro = Annotated[float | None, typer.Option(help="error bar to reach, translations, m")]
+MicroRad = Annotated[float | None, typer.Option(help="error bar to reach, rotations, rad")]
+
+DEFAULT_SERVER = "http://127.0.0.1:8000"
+
+
+@contextmanager
+def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Client]:
+    """Give a client of the running server, or of a private one on ``data``."""
+    if data is None:
+        with Client(server) as client:
+            yield client
+        return
+    from service.serving import private_server
+
+    with private_server(data, solvers) as client:
+        yield client
+
+
+@app.command()
+def serve(
+    data: Annotated[Path, typer.Option(help="data directory", envvar="WRENCHBOOK_DATA")] = (
+        DEFAULT_DATA
+    ),
+    host: Annotated[str, typer.Option(help="address to listen on")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one")] = 8000,
+    solvers: Annotated[int, typer.Option(min=0, help="solves at once")] = 2,
+    engine: Annotated[str, typer.Option(help="where solves run: local")] = "local",
+    log_level: Annotated[str, typer.Option(help="debug, info, warning or error")] = "info",
+) -> None:
+    """Serve the API and solve what is queued."""
+    from service.book import Settings
+    from service.engines import ENGINES
+    from service.serving import serve as run
+
+    if engine not in ENGINES:
+        raise typer.BadParameter(f"there is no engine {engine!r}; there are: {', '.join(ENGINES)}")
+    run(Settings(data, solvers, engine), host, port, log_level)
+
+
+@app.command()
+def work(
+    data: Annotated[Path, typer.Option(help="data directory", envvar="WRENCHBOOK_DATA")] = (
+        DEFAULT_DATA
+    ),
+    solvers: Annotated[int, typer.Option(min=1, help="solves at once")] = 2,
+) -> None:
+    """Only solve: take jobs from the data directory that a server accepts them in."""
+    from service.working import work as run
+
+    run(data, solvers)
+
+
+@app.command()
+def demo(
+    keep: Annotated[Path | None, typer.Option(help="keep the data directory here")] = None,
+) -> None:
+    """Show the main job end to end on real finite elements; about five minutes."""
+    from service.demo import run
+
+    raise typer.Exit(run(out, keep))
+
+
+@app.command()
+def query(
+    name: Name,
+    force: Force = ZERO,
+    moment: Moment = ZERO,
+    on_thin: Annotated[str, typer.Option(help="queue, wait, estimate or reject")] = "wait",
+    wait_s: Annotated[float, typer.Option(help="with wait: seconds")] = 60.0,
+    method: Annotated[str | None, typer.Option(help="griddata, linear or nearest")] = None,
+    detail: Annotated[bool, typer.Option(help="what each axis contributes")] = False,
+    as_json: AsJson = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """Ask for the displacement under a wrench."""
+    with connected(server, data) as client:
+        answer = client.displacement(
+            name, force, moment, on_thin=on_thin, wait_s=wait_s, method=method, detail=detail
+        )
+        _print_answer(answer, as_json)
+
+
+@app.command()
+def solve(
+    name: Name,
+    force: Force = ZERO,
+    moment: Moment = ZERO,
+    wait_s: Annotated[float, typer.Option(help="give up waiting after this long, s")] = 600.0,
+    as_json: AsJson = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """Solve a wrench with finite elements, whatever the table says."""
+    with connected(server, data) as client:
+        answer = client.solve(name, force, moment)
+        if answer.job is not None and answer.job.status != "done":
+            show.follow(out, client, [answer.job], wait_s)
+            answer = client.solve(name, force, moment)
+        _print_answer(answer, as_json)
+
+
+@app.command()
+def fill(
+    name: Name,
+    budget: Budget = 100,
+    translation: Micro = None,
+    rotation: MicroRad = None,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """Make a table thicker where its error bar is largest."""
+    if (translation is None) != (rotation is None):
+        raise typer.BadParameter("give --translation and --rotation together")
+    tolerance = (
+        {"translation": translation, "rotation": rotation} if translation and rotation else None
+    )
+    with connected(server, data) as client:
+        show.fill(out, client, name, budget, tolerance)
+
+
+@app.command("import")
+def import_(
+    name: Name,
+    file: Annotated[
+        Path, typer.Argument(help="a .csv or .json table", exists=True, dir_okay=False)
+    ],
+    dry_run: Annotated[bool, typer.Option(help="only check")] = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """Load a table from outside: all its rows, or none and the reasons."""
+    with connected(server, data) as client:
+        format_ = "json" if file.suffix.lower() == ".json" else "csv"
+        reply = client.import_table(name, file.read_bytes(), format=format_, dry_run=dry_run)
+    show.row_errors(out, reply["errors"])
+    verb = "would be inserted" if dry_run else "inserted"
+    out.print(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
+    raise typer.Exit(1 if reply["errors"] else 0)
+
+
+@app.command()
+def export(
+    name: Name,
+    file: Annotated[Path, typer.Argument(help="a .csv or .json file; - prints CSV")],
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """Write a table to a file."""
+    with connected(server, data) as client:
+        text = client.export_table(name, "json" if file.suffix.lower() == ".json" else "csv")
+    if str(file) == "-":
+        sys.stdout.write(text)
+        return
+    partial = file.with_name(file.name + ".part")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(file)
+    out.print(f"{file} written.")
+
+
+@app.command()
+def components(as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: Data = None) -> None:
+    """List the library."""
+    with connected(server, data) as client:
+        found = client.components()
+    if as_json:
+        _print_json(found)
+    else:
+        out.print(show.component_table(found))
+
+
+@app.command()
+def jobs(
+    component: Annotated[str | None, typer.Option(help="only this component's")] = None,
+    status: Annotated[str | None, typer.Option(help="only these, such as failed")] = None,
+    as_json: AsJson = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """List jobs, newest first."""
+    with connected(server, data) as client:
+        found: list[Job] = client.jobs(component, status)
+    if as_json:
+        _print_json([job.raw for job in found])
+    else:
+        out.print(show.job_table(found))
+
+
+def main() -> None:
+    """Run the command line; errors a user can mend are one message on stderr and status 1."""
+    try:
+        app()
+    except ProblemError as error:
+        Console(stderr=True).print(f"[red]{error.title}[/red]\n{error.detail}", highlight=False)
+        show.body_errors(Console(stderr=True), error.errors)
+        sys.exit(1)
+    except (ServerUnreachable, OSError, RuntimeError, ValueError) as error:
+        Console(stderr=True).print(f"[red]{error}[/red]", highlight=False)
+        sys.exit(1)
+
+
+def _print_answer(answer: Displacement, as_json: bool) -> None:
+    if as_json:
+        _print_json(answer.raw)
+    else:
+        out.print(show.answer_table(answer))
+
+
+def _print_json(reply: Any) -> None:
+    sys.stdout.write(json.dumps(reply, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,25 @@
+"""The wrench contract: the conventions every wrench and displacement on the wire follows."""
+
+from __future__ import annotations
+
+from typing import Final
+
+WRENCH_NAMES: Final = ("fx", "fy", "fz", "mx", "my", "mz")
+DISPLACEMENT_NAMES: Final = ("ux", "uy", "uz", "rx", "ry", "rz")
+
+CONTRACT: Final[dict[str, str]] = {
+    "units": "SI: N, N·m, m, rad",
+    "wrench": (
+        "force then moment, acting ON the deformable component at the interface reference point, "
+        "expressed in the undeformed interface frame"
+    ),
+    "displacement": (
+        "translation then rotation of the same point, in the same frame; the rotation is a "
+        "rotation vector r, applied as R0 · exp(r)"
+    ),
+    "moment": "spatial: fixed to the undeformed axes, it does not follow the section as it turns",
+    "sign": "a hanging weight in a z-up frame gives a negative F_z",
+    "rotation_limit": "20 degrees; rows beyond it are refused",
+}
+
+CONTRACT_TEXT: Final = "\n\n".join(f"**{word}**: {meaning}." for word, meaning in CONTRACT.items())

@@ -1,0 +1,162 @@
+"""The main job, end to end: a thin table, a solve, a fill, and the error against the run time."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from service import show
+from service.client import Client, Displacement, Job
+
+COMPONENT = "plate_thin"
+SOLVERS = 2
+BUDGET = 108
+CHECKED = 50
+SEED = 20170726
+SOLVE_S = 300.0
+WRENCH = ((150.0, -100.0, -900.0), (20.0, 30.0, 5.0))
+NAMES = show.NAMES
+
+
+def run(out: Console, keep: Path | None = None) -> int:
+    """Run the demonstration; return the exit status, 0 if all of it worked."""
+    from service.serving import private_server
+
+    started = time.monotonic()
+    room = nullcontext(str(keep)) if keep else tempfile.TemporaryDirectory(prefix="wrenchbook-")
+    with room as folder, private_server(Path(folder), SOLVERS) as client:
+        steps = (_ask_an_empty_table, _solve_it, _fill, _ask_again, _compare)
+        for number, step in enumerate(steps, start=1):
+            heading = (step.__doc__ or "").rstrip(".")
+            out.rule(f"[bold]{number}. {heading}", align="left")
+            complaint = step(out, client)
+            if complaint:
+                out.print(f"[red]The demonstration failed:[/red] {complaint}")
+                return 1
+    out.print(f"Done in {time.monotonic() - started:.0f} s.")
+    return 0
+
+
+def _ask_an_empty_table(out: Console, client: Client) -> str | None:
+    """Ask an empty table: the solve is queued."""
+    component = client.component(COMPONENT)
+    out.print(f"{component['title']}: {component['rows']} rows.")
+    answer = client.displacement(COMPONENT, *WRENCH)
+    out.print(show.answer_table(answer))
+    if answer.job is None or answer.coverage == "covered":
+        return "an empty table should have queued a solve"
+    return None
+
+
+def _solve_it(out: Console, client: Client) -> str | None:
+    """Follow the job, and ask the same wrench with on_thin 'wait'."""
+    job = client.displacement(COMPONENT, *WRENCH).job
+    if job is not None:
+        show.follow(out, client, [job], SOLVE_S)
+    answer = client.displacement(COMPONENT, *WRENCH, on_thin="wait", wait_s=SOLVE_S)
+    out.print(show.answer_table(answer))
+    return None if answer.source == "fea" else f"expected source fea, got {answer.source}"
+
+
+def _fill(out: Console, client: Client) -> str | None:
+    """Fill the table where its error bar is largest."""
+    spent = show.fill(out, client, COMPONENT, BUDGET, tolerance=None)
+    return None if spent else "no solve was spent"
+
+
+def _ask_again(out: Console, client: Client) -> str | None:
+    """Ask a wrench that no solve was made for: the table answers."""
+    force, moment = WRENCH
+    answer = client.displacement(COMPONENT, [0.9 * load for load in force], moment)
+    out.print(show.answer_table(answer))
+    return None if answer.coverage == "covered" else f"not covered: {answer.reason}"
+
+
+def _compare(out: Console, client: Client) -> str | None:
+    """Compare wrenches the table has never seen with direct FEA."""
+    wrenches = _random_wrenches(client.component(COMPONENT))
+    answers = [
+        client.displacement(COMPONENT, wrench[:3], wrench[3:], on_thin="estimate")
+        for wrench in wrenches
+    ]
+    orders = [client.solve(COMPONENT, wrench[:3], wrench[3:]) for wrench in wrenches]
+    jobs = show.follow(out, client, [_job(order) for order in orders], SOLVE_S * CHECKED)
+    pairs = [
+        (answer, job)
+        for answer, job in zip(answers, _in_order(jobs, orders), strict=True)
+        if job.status == "done" and answer.vector is not None
+    ]
+    failed = sum(job.status == "failed" for job in jobs)
+    if failed:
+        out.print(f"{failed} of {CHECKED} solves failed by name; they are left out below.")
+    if len(pairs) < CHECKED // 2:
+        return f"only {len(pairs)} of {CHECKED} wrenches could be compared"
+    out.print(_error_table(pairs))
+    out.print(_time_table(answers, jobs))
+    return None
+
+
+def _job(order: Displacement) -> Job:
+    assert order.job is not None
+    return order.job
+
+
+def _in_order(jobs: Sequence[Job], orders: Sequence[Displacement]) -> list[Job]:
+    by_id = {job.id: job for job in jobs}
+    return [by_id[_job(order).id] for order in orders]
+
+
+def _random_wrenches(component: dict) -> np.ndarray:
+    """Draw full six-component wrenches from half the load range, shape (50, 6), N and N·m."""
+    spans = np.array([*component["range"]["force"], *component["range"]["moment"]])
+    rng = np.random.default_rng(SEED)
+    return rng.uniform(0.5 * spans[:, 0], 0.5 * spans[:, 1], (CHECKED, 6)).round(6)
+
+
+def _error_table(pairs: Sequence[tuple[Displacement, Job]]) -> Table:
+    """Lay out the table's errors against FEA, per output."""
+    told = np.array([answer.vector for answer, _ in pairs])
+    bars = np.array([answer.error_vector for answer, _ in pairs])
+    true = np.array([[*job.raw["translation"], *job.raw["rotation"]] for _, job in pairs])
+    error, span = np.abs(told - true), np.ptp(true, axis=0)
+    table = Table(title=f"Table against FEA, {len(pairs)} full wrenches not in the table")
+    for heading in ("", "range", "RMS error", "largest error", "RMS / range", "inside error bar"):
+        table.add_column(heading, justify="right" if heading else "left")
+    for place, name in enumerate(NAMES):
+        one, unit = error[:, place], "m" if place < 3 else "rad"
+        rms = float(np.sqrt(np.mean(one**2)))
+        table.add_row(
+            name,
+            f"{span[place]:.3e} {unit}",
+            f"{rms:.3e} {unit}",
+            f"{one.max():.3e} {unit}",
+            f"{rms / span[place]:.2%}",
+            f"{np.mean(one <= bars[:, place]):.0%}",
+        )
+    return table
+
+
+def _time_table(answers: Sequence[Displacement], jobs: Sequence[Job]) -> Table:
+    """Lay out what an answer costs: from the table, and from a solve."""
+    looked_up = np.array([answer.elapsed_us for answer in answers])
+    solved = np.array([job.seconds for job in jobs if job.status == "done"]) * 1e6
+    table = Table(title="Run time of one answer")
+    for heading in ("", "median", "95 %"):
+        table.add_column(heading, justify="right" if heading else "left")
+    table.add_row(
+        "table", f"{np.median(looked_up):.0f} µs", f"{np.quantile(looked_up, 0.95):.0f} µs"
+    )
+    table.add_row(
+        "FEA, a process of its own",
+        f"{np.median(solved) / 1e6:.2f} s",
+        f"{np.quantile(solved, 0.95) / 1e6:.2f} s",
+    )
+    table.caption = f"The table is {np.median(solved) / np.median(looked_up):,.0f} times faster."
+    return table

@@ -1,0 +1,156 @@
+"""Components: list, show, add; DirectFEA solves and filling of a component's table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import orjson
+from fastapi import APIRouter, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import UploadFile
+from starlette.responses import Response
+
+from service.book import Book
+from service.contract import CONTRACT
+from service.http.displacement import job_reply
+from service.http.jobs import job_link
+from service.http.problems import ProblemError, bad_body
+from service.http.queries import read_body
+from service.http.schemas import body_schema
+from service.http.wire import FillOrder, SolveOrder, TableOnlyComponent
+from service.library import Component
+from surrogate.design import Design, next_wrenches
+from surrogate.rows import Tolerance
+
+router = APIRouter(prefix="/v1/components", tags=["components"])
+CATCH_UP_S = 30.0
+
+
+@router.get("", summary="The library")
+def list_components(request: Request) -> dict[str, Any]:
+    book: Book = request.app.state.book
+    return {"components": [_summary(book, book.library[name]) for name in book.library.names()]}
+
+
+@router.get("/{name}", summary="One component: contract, range, rows, coverage")
+def one_component(name: str, request: Request) -> dict[str, Any]:
+    book: Book = request.app.state.book
+    return component_body(book, book.library[name])
+
+
+@router.post("", status_code=201, summary="Add a component: a zip bundle, or JSON for a table only")
+async def add_component(request: Request) -> Response:
+    book: Book = request.app.state.book
+    kind = request.headers.get("content-type", "").partition(";")[0].strip()
+    if kind == "multipart/form-data":
+        component = await _add_bundle(book, request)
+    elif kind == "application/json":
+        body = read_body(TableOnlyComponent, await request.body())
+        component = await run_in_threadpool(_add_table_only, book, body)
+    else:
+        raise ProblemError(
+            415,
+            "media-type",
+            "Not a form this call takes",
+            f"The content type is {kind or 'missing'}. Send a bundle's zip as multipart/form-data "
+            "with the field 'bundle', or a table-only component as application/json.",
+        )
+    content = orjson.dumps(await run_in_threadpool(component_body, book, component))
+    headers = {"Location": f"/v1/components/{component.name}"}
+    return Response(content, 201, headers, "application/json")
+
+
+async def _add_bundle(book: Book, request: Request) -> Component:
+    async with request.form(max_files=1) as form:
+        upload = form.get("bundle")
+        if not isinstance(upload, UploadFile):
+            raise bad_body([{"loc": "bundle", "msg": "send the zip as the form's file 'bundle'"}])
+        return await run_in_threadpool(book.library.add_zip, upload.file)
+
+
+def _add_table_only(book: Book, body: TableOnlyComponent) -> Component:
+    spans = [
+        [[-one, one] if isinstance(one, int | float) else list(one) for one in three]
+        for three in (body.range.force, body.range.moment)
+    ]
+    tolerance = body.tolerance.model_dump() if body.tolerance else None
+    return book.library.add_table_only(body.name, body.title, spans[0], spans[1], tolerance)
+
+
+@router.post(
+    "/{name}/solve",
+    summary="DirectFEA: solve this wrench, whatever the table says",
+    openapi_extra=body_schema("SolveOrder"),
+)
+async def solve(name: str, request: Request) -> Response:
+    order = read_body(SolveOrder, await request.body())
+    book: Book = request.app.state.book
+    job = await run_in_threadpool(book.order, name, order.wrench())
+    if order.wait_s and not job.is_final:
+        job = await book.wait(job.id, order.wait_s)
+    fields = {"component": name, "translation": None, "rotation": None, "error": None}
+    return await job_reply(book, job, {**fields, "coverage": "thin", "source": None})
+
+
+@router.post(
+    "/{name}/fill",
+    summary="Queue the solves that lower the table's error most",
+    openapi_extra=body_schema("FillOrder"),
+)
+async def fill(name: str, request: Request) -> Response:
+    order = read_body(FillOrder, await request.body())
+    book: Book = request.app.state.book
+    reply = await run_in_threadpool(_fill, book, name, order)
+    return Response(orjson.dumps(reply), 202 if reply["jobs"] else 200, None, "application/json")
+
+
+def _fill(book: Book, name: str, order: FillOrder) -> dict[str, Any]:
+    """Design one round of solves on the newest table and accept them."""
+    book.tables.catch_up(name, CATCH_UP_S)
+    limit = Tolerance(**order.tolerance.model_dump()) if order.tolerance else None
+    design = next_wrenches(
+        book.tables.surrogate(name), order.budget, pending=book.pending(name), tolerance=limit
+    )
+    jobs = book.order_many(name, design.wrenches)
+    return {"component": name, "jobs": [job_link(job) for job in jobs], **_stage(design)}
+
+
+def _stage(design: Design) -> dict[str, str]:
+    return {"stage": design.stage, "reason": design.reason}
+
+
+def component_body(book: Book, component: Component) -> dict[str, Any]:
+    """Return all there is to say about a component."""
+    surrogate = book.tables.surrogate(component.name)
+    sources, counts = np.unique(surrogate.rows.source, return_counts=True)
+    return {
+        **_summary(book, component),
+        "fingerprint": component.fingerprint,
+        "contract": CONTRACT,
+        "sources": dict(zip(sources.tolist(), counts.tolist(), strict=True)),
+        "coverage": surrogate.coverage_summary(),
+        "jobs": book.ledger.counts(component.name),
+    }
+
+
+def _summary(book: Book, component: Component) -> dict[str, Any]:
+    surrogate = book.tables.surrogate(component.name)
+    low, high = component.load_range.low.tolist(), component.load_range.high.tolist()
+    limit = component.tolerance
+    return {
+        "name": component.name,
+        "title": component.title,
+        "has_fea": component.has_fea,
+        "linear": component.linear,
+        "shipped": component.shipped,
+        "range": {
+            "force": [list(span) for span in zip(low[:3], high[:3], strict=True)],
+            "moment": [list(span) for span in zip(low[3:], high[3:], strict=True)],
+        },
+        "tolerance": (
+            {"translation": limit.translation, "rotation": limit.rotation} if limit else None
+        ),
+        "rows": len(surrogate.rows),
+        "table_version": surrogate.version,
+    }

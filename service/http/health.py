@@ -1,0 +1,30 @@
+"""Health: is the process alive, and is it ready to answer."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Request
+from starlette.responses import JSONResponse
+
+from service.book import Book
+
+router = APIRouter(prefix="/health", tags=["health"])
+
+
+@router.get("/live", summary="The process answers")
+async def live() -> dict[str, str]:
+    return {"status": "live"}
+
+
+@router.get("/ready", summary="Tables are loaded, the ledger can be written, solvers are there")
+def ready(request: Request) -> JSONResponse:
+    book: Book = request.app.state.book
+    faults = book.faults()
+    body: dict[str, Any] = {
+        "status": "ready" if not faults else "not ready",
+        "components": len(book.library.names()),
+        "solvers": book.settings.solvers,
+        "faults": faults,
+    }
+    return JSONResponse(body, 200 if not faults else 503)

@@ -1,0 +1,111 @@
+"""Jobs: list, long-poll, cancel, retry, and the attempt's folder as a zip."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
+
+from service.book import Book
+from service.http.problems import ProblemError
+from service.ledger import Job, Status
+
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+
+JobId = int
+WaitSeconds = Annotated[
+    float, Query(ge=0, le=600, description="wait up to this long for the job to end")
+]
+
+
+def job_link(job: Job) -> dict[str, Any]:
+    """Return the short form of a job, as displacement answers carry it."""
+    return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}"}
+
+
+def job_body(book: Book, job: Job) -> dict[str, Any]:
+    """Return the full form of a job, with its progress and, when done, its displacement."""
+    body: dict[str, Any] = {
+        **job_link(job),
+        "component": job.component,
+        "force": job.wrench[:3],
+        "moment": job.wrench[3:],
+        "attempt": job.attempt,
+        "created": _time(job.created),
+        "started": _time(job.started),
+        "finished": _time(job.finished),
+        "error": job.error,
+    }
+    if job.status == "running":
+        progress = book.progress(job)
+        body["progress"] = asdict(progress) if progress else None
+    if job.status == "done" and job.row is not None:
+        row = book.ledger.row(job.row)
+        body |= {
+            "row": row.seq,
+            "translation": row.displacement[:3],
+            "rotation": row.displacement[3:],
+        }
+    return body
+
+
+@router.get("", summary="List jobs, newest first")
+def list_jobs(
+    request: Request,
+    component: str | None = None,
+    status: Status | None = None,
+    limit: Annotated[int, Query(ge=1, le=100_000)] = 1000,
+) -> dict[str, Any]:
+    book: Book = request.app.state.book
+    jobs = book.ledger.jobs(component, status, limit)
+    return {"jobs": [job_body(book, job) for job in jobs]}
+
+
+@router.get("/{job_id}", summary="One job; with wait_s, once it has ended or the time is up")
+async def one_job(job_id: JobId, request: Request, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
+    book: Book = request.app.state.book
+    job = await book.wait(job_id, wait_s)
+    return await run_in_threadpool(job_body, book, job)
+
+
+@router.delete("/{job_id}", summary="Cancel a job that has not ended")
+def cancel(job_id: JobId, request: Request) -> dict[str, Any]:
+    book: Book = request.app.state.book
+    return job_body(book, book.ledger.cancel(job_id))
+
+
+@router.post("/{job_id}/retry", summary="Queue a failed or cancelled job again")
+def retry(job_id: JobId, request: Request) -> dict[str, Any]:
+    book: Book = request.app.state.book
+    return job_body(book, book.ledger.retry(job_id))
+
+
+@router.get("/{job_id}/files", summary="Everything the last attempt left, as a zip")
+def attempt_files(job_id: JobId, request: Request) -> Response:
+    book: Book = request.app.state.book
+    folder = book.attempt_folder(book.ledger.job(job_id))
+    if not folder.is_dir():
+        raise ProblemError(
+            404, "no-files", "No files yet", f"Job {job_id} has not started: it has no files yet."
+        )
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file():
+                archive.write(path, path.relative_to(folder))
+    name = f"job-{job_id}.zip"
+    disposition = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return Response(buffer.getvalue(), 200, disposition, "application/zip")
+
+
+def _time(seconds: float | None) -> str | None:
+    """Return seconds since the epoch as ISO 8601 in UTC."""
+    if seconds is None:
+        return None
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")

@@ -1,0 +1,179 @@
+"""What the command line shows: tables of answers, jobs and components, and progress bars."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from service.client import Client, Displacement, Job, ProblemError
+
+NAMES = ("u_x", "u_y", "u_z", "r_x", "r_y", "r_z")
+POLL_S = 0.2
+
+
+def answer_table(answer: Displacement) -> Table:
+    """Lay out one answer with its error bar."""
+    table = Table(title=_headline(answer), title_justify="left", caption=answer.reason or None)
+    for heading in ("", "value", "error bar", "unit"):
+        table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
+    for place, name in enumerate(NAMES):
+        table.add_row(
+            name,
+            _number(answer.vector, place),
+            _number(answer.error_vector, place),
+            "m" if place < 3 else "rad",
+        )
+    return table
+
+
+def _headline(answer: Displacement) -> str:
+    words = [answer.component, answer.coverage]
+    if answer.source:
+        words.append(f"source: {answer.source}")
+    if answer.method:
+        words.append(f"method: {answer.method}")
+    if answer.elapsed_us is not None:
+        words.append(f"{answer.elapsed_us:.0f} µs")
+    if answer.job is not None:
+        words.append(f"job {answer.job.id}: {answer.job.status}")
+    return " · ".join(words)
+
+
+def _number(values: Any, place: int) -> str:
+    return "-" if values is None else f"{values[place]:.6e}"
+
+
+def component_table(components: Sequence[dict[str, Any]]) -> Table:
+    """Lay out the library."""
+    table = Table("name", "title", "rows", "analysis", "largest force, N", "largest moment, N·m")
+    for one in components:
+        kind = "table only" if not one["has_fea"] else "linear" if one["linear"] else "nonlinear"
+        force, moment = (
+            " ".join(f"{max(map(abs, span)):g}" for span in one["range"][word])
+            for word in ("force", "moment")
+        )
+        table.add_row(one["name"], one["title"], str(one["rows"]), kind, force, moment)
+    return table
+
+
+def job_table(jobs: Sequence[Job]) -> Table:
+    """Lay out jobs, with how far they are or why they failed."""
+    table = Table("id", "component", "status", "attempt", "wrench, N and N·m", "")
+    for job in jobs:
+        wrench = " ".join(f"{load:g}" for load in [*job.raw["force"], *job.raw["moment"]])
+        table.add_row(
+            str(job.id), job.component, job.status, str(job.raw["attempt"]), wrench, _state(job)
+        )
+    return table
+
+
+def _state(job: Job) -> str:
+    if job.raw.get("error"):
+        return f"{job.raw['error']['kind']}: {job.raw['error']['message']}"
+    progress = job.raw.get("progress") or {}
+    return f"{progress.get('fraction', 0):.0%} {progress.get('message', '')}" if progress else ""
+
+
+def row_errors(out: Console, errors: Sequence[dict[str, Any]]) -> None:
+    """Print the mistakes of a table file, one a line."""
+    for error in errors:
+        out.print(f"row {error['row']}, {error['field']}: {error['message']}", highlight=False)
+
+
+def body_errors(out: Console, errors: Sequence[dict[str, Any]]) -> None:
+    """Print the mistakes a problem answer lists, one a line."""
+    for error in errors:
+        out.print(f"  {error.get('loc', '')}: {error.get('msg', '')}", highlight=False)
+
+
+def bar(out: Console) -> Progress:
+    """Make a progress bar over solves."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[note]}"),
+        console=out,
+    )
+
+
+def follow(out: Console, client: Client, jobs: Sequence[Job], seconds: float) -> list[Job]:
+    """Show a bar until all jobs have ended, and return them as they are then.
+
+    Raises
+    ------
+    RuntimeError
+        If they have not ended after ``seconds``.
+    """
+    deadline = time.monotonic() + seconds
+    done: dict[int, Job] = {}
+    with bar(out) as progress:
+        task = progress.add_task("solving", total=len(jobs), note="")
+        while len(done) < len(jobs):
+            for job in jobs:
+                if job.id in done:
+                    continue
+                now = client.job(job.id, wait_s=POLL_S)
+                if now.ended:
+                    done[job.id] = now
+                progress.update(task, completed=len(done), note=_state(now))
+                if not now.ended:
+                    break
+            if time.monotonic() > deadline:
+                raise RuntimeError(
+                    f"{len(jobs) - len(done)} solves have not ended after {seconds:g} s; they go "
+                    "on in the server. Look with: wrenchbook jobs"
+                )
+    return list(done.values())
+
+
+def fill(
+    out: Console,
+    client: Client,
+    name: str,
+    budget: int,
+    tolerance: dict[str, float] | None,
+    round_size: int = 24,
+    seconds: float = 3600.0,
+) -> int:
+    """Fill a table round by round, with a bar each; return how many solves were spent.
+
+    Raises
+    ------
+    RuntimeError
+        If a round does not end in time.
+    """
+    spent = 0
+    while spent < budget:
+        order = client.fill(name, tolerance=tolerance, budget=min(round_size, budget - spent))
+        out.print(f"{order.stage}: {order.reason}", highlight=False)
+        if not order.jobs:
+            break
+        ended = follow(out, client, order.jobs, seconds)
+        spent += len(ended)
+        failed = [job for job in ended if job.status == "failed"]
+        for job in failed:
+            out.print(f"[red]job {job.id} failed[/red]: {_state(job)}", highlight=False)
+        if len(failed) == len(ended):
+            raise RuntimeError("every solve of this round failed; look at the jobs' files")
+    out.print(f"{spent} solves; {name} has {client.component(name)['rows']} rows.")
+    return spent
+
+
+__all__ = [
+    "ProblemError",
+    "answer_table",
+    "bar",
+    "body_errors",
+    "component_table",
+    "fill",
+    "follow",
+    "job_table",
+    "row_errors",
+]

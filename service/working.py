@@ -1,0 +1,23 @@
+"""A process that only solves: it shares a data directory's jobs with the server."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from pathlib import Path
+
+from service.book import Book, Settings
+
+
+def work(folder: Path, solvers: int) -> None:
+    """Solve what is queued in ``folder`` until SIGINT or SIGTERM."""
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    book = Book(Settings(folder, solvers))
+    try:
+        book.start_solving()
+        print(f"solving for {folder} with {solvers} solvers", flush=True)
+        stop.wait()
+    finally:
+        book.close()
