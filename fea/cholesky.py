@@ -1,18 +1,26 @@
 """Multifrontal Cholesky factorisation over nested substructures.
 
-Each substructure of `fea.dissection` is one dense front [[A, B], [B^T, C]]: A = L L^T, W = L^-1 B, and C - W^T W goes
-on to the parent. Only lower triangles of A and C are meaningful. A tangent that is not positive definite
-(an unstable state, or a step of Newton's method on its way) is factorised by LU of the pivot blocks instead.
+Each substructure of `fea.dissection` is one dense front [[A, B], [B^T, C]]: A = L L^T, W = L^-1 B,
+and C - W^T W goes on to the parent. Only lower triangles of A and C are meaningful. A tangent that
+is not positive definite (an unstable state, or a step of Newton's method on its way) is factorised
+by LU of the pivot blocks instead.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
-from scipy.linalg import blas, lapack
+from scipy.linalg.blas import get_blas_funcs
+from scipy.linalg.lapack import get_lapack_funcs
 
 from fea.dissection import Dissection, Substructure
 
 Array = np.ndarray
+
+_like = (np.empty((1, 1), order="F"),)
+_trsm, _syrk = get_blas_funcs(("trsm", "syrk"), _like)
+_potrf, _getrf, _getrs = get_lapack_funcs(("potrf", "getrf", "getrs"), _like)
 
 
 class NotDefinite(ArithmeticError):  # noqa: N818 - a finding about the matrix
@@ -27,8 +35,9 @@ class Factor:
     definite
         Whether the matrix is positive definite.
     pivot_ratio
-        The least ratio of a pivot to the diagonal entry it came from: what elimination left of the stiffness there.
-        Near roundoff it says that some motion has no stiffness. 0 if the matrix is not definite.
+        The least ratio of a pivot to the diagonal entry it came from: what elimination left of the
+        stiffness there. Near roundoff it says that some motion has no stiffness. 0 if the matrix
+        is not definite.
     weakest
         Position of the unknown with that ratio.
     """
@@ -80,16 +89,16 @@ class _CholeskyFront:
     __slots__ = ("L", "W")
 
     def __init__(self, A: Array, B: Array, C: Array) -> None:
-        self.L, info = lapack.dpotrf(A, lower=1, clean=0, overwrite_a=1)
+        self.L, info = _potrf(A, lower=1, clean=0, overwrite_a=1)
         if info:
             raise NotDefinite
         self.W = B
         if B.size:
-            self.W = blas.dtrsm(1.0, self.L, B, lower=1, overwrite_b=1)
+            self.W = _trsm(1.0, self.L, B, lower=1, overwrite_b=1)
 
     def condense(self, C: Array) -> Array:
         """Take from the boundary stiffness what the eliminated unknowns give way."""
-        return blas.dsyrk(-1.0, self.W, beta=1.0, c=C, trans=1, lower=1, overwrite_c=1)
+        return _syrk(-1.0, self.W, beta=1.0, c=C, trans=1, lower=1, overwrite_c=1)
 
     @property
     def pivots(self) -> Array:
@@ -97,7 +106,7 @@ class _CholeskyFront:
 
     def forward(self, x: Array, part: Substructure) -> None:
         own = slice(part.start, part.stop)
-        y = blas.dtrsm(1.0, self.L, x[own], lower=1)
+        y = _trsm(1.0, self.L, x[own], lower=1)
         x[own] = y
         if part.boundary.size:
             x[part.boundary] -= self.W.T @ y
@@ -107,7 +116,7 @@ class _CholeskyFront:
         y = x[own]
         if part.boundary.size:
             y = y - self.W @ x[part.boundary]
-        x[own] = blas.dtrsm(1.0, self.L, y, lower=1, trans_a=1)
+        x[own] = _trsm(1.0, self.L, y, lower=1, trans_a=1)
 
 
 class _LUFront:
@@ -117,11 +126,11 @@ class _LUFront:
 
     def __init__(self, A: Array, B: Array, C: Array) -> None:
         A = np.tril(A) + np.tril(A, -1).T
-        self.lu, self.swaps, info = lapack.dgetrf(A)
+        self.lu, self.swaps, info = _getrf(A)
         if info > 0:
             raise ZeroDivisionError("a pivot block is exactly singular")
         self.B = B
-        self.W = lapack.dgetrs(self.lu, self.swaps, B)[0] if B.size else B
+        self.W = _getrs(self.lu, self.swaps, B)[0] if B.size else B
 
     def condense(self, C: Array) -> Array:
         return C - self.B.T @ self.W
@@ -137,7 +146,7 @@ class _LUFront:
 
     def backward(self, x: Array, part: Substructure) -> None:
         own = slice(part.start, part.stop)
-        y = lapack.dgetrs(self.lu, self.swaps, x[own])[0]
+        y = _getrs(self.lu, self.swaps, x[own])[0]
         if part.boundary.size:
             y = y - self.W @ x[part.boundary]
         x[own] = y
@@ -181,7 +190,10 @@ def _cut_blocks(leaf: Array, eliminated: int) -> tuple[Array, Array, Array]:
 
 
 def _join(part: Substructure, condensed: dict[int, Array]) -> tuple[Array, Array, Array]:
-    """Add the condensed stiffness of two parts; the places are ascending, so lower triangles stay lower."""
+    """Add the condensed stiffness of two parts.
+
+    Places ascend, so lower triangles stay lower.
+    """
     own, rest = part.eliminated, part.boundary.size
     A = np.zeros((own, own), order="F")
     B = np.zeros((own, rest), order="F")
@@ -204,7 +216,7 @@ def _runs(places: Array) -> list[tuple[slice, slice]]:
     bounds = [0, *ends.tolist(), places.size]
     return [
         (slice(low, high), slice(int(places[low]), int(places[low]) + high - low))
-        for low, high in zip(bounds[:-1], bounds[1:], strict=True)
+        for low, high in pairwise(bounds)
     ]
 
 

@@ -1,10 +1,11 @@
 """The order of elimination: a tree of nested substructures.
 
-The cells are cut in two, again and again, by planes across their longest extent. A leaf is a few cells; each branch
-joins two substructures. A node is eliminated at the lowest substructure that holds all its cells, so what two halves
-share goes last and stays small. This needs the cells and their centres only, no graph of the matrix, and gives dense
-fronts that LAPACK factorises at full speed (`fea.cholesky`). On a 15,000 unknown plate that is several times faster
-than SuperLU in its best ordering, minimum degree on A^T + A.
+The cells are cut in two, again and again, by planes across their longest extent. A leaf is a few
+cells; each branch joins two substructures. A node is eliminated at the lowest substructure that
+holds all its cells, so what two halves share goes last and stays small. This needs the cells and
+their centres only, no graph of the matrix, and gives dense fronts that LAPACK factorises at full
+speed (`fea.cholesky`). On a 15,000 unknown plate that is several times faster than SuperLU in its
+best ordering, minimum degree on A^T + A.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ import numpy as np
 Array = np.ndarray
 
 _LEAF_CELLS = 12
-_CUT_WINDOW = 0.15  # of the cells, to either side of the middle: the widest gap within it is where the cut goes
+# Of the cells, to either side of the middle: the cut goes where the widest gap within it is.
+_CUT_WINDOW = 0.15
 
 
 @dataclass(eq=False)
@@ -34,7 +36,8 @@ class Substructure:
     children
         Numbers of the two parts in `Dissection.substructures`; empty for a leaf.
     places
-        For each child, where its boundary lies among this one's unknowns (eliminated first, then the boundary).
+        For each child, where its boundary lies among this one's unknowns (eliminated first, then
+        the boundary).
     """
 
     cells: Array
@@ -119,7 +122,7 @@ class _Builder:
         self.boundaries: list[Array] = []
 
     def cut(self, cells: Array, centres: Array) -> tuple[int, Array, Array]:
-        """Add the tree over `cells`; return its number, its boundary nodes and their uses within it."""
+        """Add the tree over `cells`; return its number, boundary nodes and their uses in it."""
         if cells.size <= _LEAF_CELLS:
             nodes = np.concatenate([self.cells[c] for c in cells]) if cells.size else cells
             return self._add(cells, (), nodes, np.ones(nodes.size, dtype=np.int64))

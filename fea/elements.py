@@ -1,8 +1,9 @@
 """Reference elements: shape functions and quadrature, in VTK node order.
 
-The shape functions and points are scikit-fem's. They are tabulated once for each kind and rule, in the node order of
-`fea.mesh`; the map to the real cell is then the isoparametric one of the cell's own nodes (`fea.gradients`), which
-sets neither the sign of a determinant nor the place of a midside node by convention.
+The shape functions and points are scikit-fem's. They are tabulated once for each kind and rule, in
+the node order of `fea.mesh`; the map to the real cell is then the isoparametric one of the cell's
+own nodes (`fea.gradients`), which sets neither the sign of a determinant nor the place of a
+midside node by convention.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ _SKFEM_NAMES = {
 
 # Gauss points along each direction of a hexahedron or quadrilateral.
 _GAUSS_POINTS = {"hex8": 2, "hex20": 3, "hex27": 3, "quad4": 2, "quad8": 3, "quad9": 3}
-# Polynomial degree that the points of a simplex integrate; 2 is the four-point rule of a tetrahedron.
+# Degree that the points of a simplex integrate; 2 is the four-point rule of a tetrahedron.
 _SIMPLEX_DEGREES = {"tet4": 1, "tet10": 2, "tri3": 2, "tri6": 4}
 # Degree in the triangle, points along the axis of a wedge.
 _WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (2, 3)}
@@ -153,11 +154,10 @@ def _gauss(count: int) -> tuple[Array, Array]:
 
 
 def _simplex(dimension: int, degree: int) -> tuple[Array, Array]:
-    import skfem
+    from skfem.quadrature import get_quadrature
+    from skfem.refdom import RefTet, RefTri
 
-    points, weights = skfem.quadrature.get_quadrature(
-        skfem.refdom.RefTet if dimension == 3 else skfem.refdom.RefTri, degree
-    )
+    points, weights = get_quadrature(RefTet if dimension == 3 else RefTri, degree)
     return np.ascontiguousarray(points.T), np.asarray(weights)
 
 
@@ -171,8 +171,8 @@ def _wedge(degree: int, count: int) -> tuple[Array, Array]:
 def _wedge15(points: Array) -> tuple[Array, Array]:
     """Serendipity wedge (not in scikit-fem), after Zienkiewicz and Taylor, volume 1, section 4.10.
 
-    With barycentric L_c and z = 2 zeta - 1 in -1..1: corner L (2L - 1) (1 +- z)/2 - L (1 - z^2)/2, midside of a
-    triangle edge 2 L_c L_d (1 +- z), midside of an upright edge L (1 - z^2).
+    With barycentric L_c and z = 2 zeta - 1 in -1..1: corner L (2L - 1) (1 +- z)/2 - L (1 - z^2)/2,
+    midside of a triangle edge 2 L_c L_d (1 +- z), midside of an upright edge L (1 - z^2).
     """
     x, y, z = points[:, 0], points[:, 1], 2 * points[:, 2] - 1
     corner = np.stack([1 - x - y, x, y])

@@ -9,13 +9,17 @@ class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a prog
     Attributes
     ----------
     kind
-        One of ``not_converged``, ``mechanism``, ``ill_conditioned``, ``inverted_elements``, ``snap_through``,
-        ``rotation_too_large``, ``bad_wrench``.
+        One of ``not_converged``, ``mechanism``, ``ill_conditioned``, ``inverted_elements``,
+        ``snap_through``, ``rotation_too_large``.
     message
         What happened, in an FEA engineer's words.
     remedy
         What to change.
+    history
+        The iterations up to the failure (`fea.solution.Iteration`).
     """
+
+    history: tuple = ()
 
     def __init__(self, kind: str, message: str, remedy: str) -> None:
         super().__init__(f"{kind}: {message} {remedy}")
@@ -28,59 +32,61 @@ class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a prog
 
 
 def not_converged(message: str) -> SolveFailed:
-    """Newton's method stopped short of an equilibrium."""
+    """Return the failure of a Newton's method that stopped short of an equilibrium."""
     return SolveFailed(
         "not_converged",
         message,
-        "Check that the load lies within what the part can carry; a smaller load or a finer mesh where it "
-        "bends most may help.",
+        "Check that the load lies within what the part can carry; a smaller load or a finer mesh "
+        "where it bends most may help.",
     )
 
 
 def mechanism(message: str) -> SolveFailed:
-    """The supports leave a motion that costs no energy."""
+    """Return the failure of supports that leave a motion without resistance."""
     return SolveFailed(
         "mechanism",
         message,
-        "Fix more of the part (three points that are not on a line hold a body), join parts that only touch, "
-        "and put at least two reduced-integration hex20 across each section, or use integration = 'full'.",
+        "Fix more of the part (three points that are not on a line hold a body), join parts that "
+        "only touch, and put at least two reduced-integration hex20 across each section, or use "
+        "integration = 'full'.",
     )
 
 
 def ill_conditioned(message: str) -> SolveFailed:
-    """Roundoff would reach the digits that the answer needs."""
+    """Return the failure of equations whose roundoff reaches the digits that count."""
     return SolveFailed(
         "ill_conditioned",
         message,
-        "Lessen the contrast of stiffnesses or the slenderness: thicker or fewer cells across thin walls, a "
-        "softer stand-in for nearly rigid parts.",
+        "Lessen the contrast of stiffnesses or the slenderness: thicker or fewer cells across thin "
+        "walls, a softer stand-in for nearly rigid parts.",
     )
 
 
 def inverted_elements(message: str) -> SolveFailed:
-    """A cell is turned inside out."""
+    """Return the failure of cells turned inside out."""
     return SolveFailed(
         "inverted_elements",
         message,
-        "If this is the undeformed mesh, repair it in the mesher (midside nodes too far from the middle of "
-        "their edge are the usual cause); if it came of the load, the load is too large for the part.",
+        "If this is the undeformed mesh, repair it in the mesher (midside nodes too far from the "
+        "middle of their edge are the usual cause); if it came of the load, the load is too large.",
     )
 
 
 def snap_through(message: str) -> SolveFailed:
-    """The part buckles or snaps over before the load is reached."""
+    """Return the failure of a part that buckles or snaps over before the load is reached."""
     return SolveFailed(
         "snap_through",
         message,
-        "The part has no unique answer at this load: keep the load range below the buckling load, or guide "
-        "the interface (locked) as the real assembly does.",
+        "The part has no unique answer at this load: keep the load range below the buckling load, "
+        "or guide the interface (locked) as the real assembly does.",
     )
 
 
 def rotation_too_large(degrees: float, limit: float) -> SolveFailed:
-    """The interface turns further than a table of rotation vectors may hold."""
+    """Return the failure of an interface that turns further than tables may hold."""
     return SolveFailed(
         "rotation_too_large",
         f"The interface turns by {degrees:.1f} degrees; tables hold at most {limit:.0f}.",
-        "Lower the load range, or stiffen the part: this is outside the small deformation that wrenchbook is for.",
+        "Lower the load range, or stiffen the part: this is outside the small deformation that "
+        "wrenchbook is for.",
     )

@@ -63,7 +63,8 @@ def area_weights(points: Array, group: FacetGroup) -> tuple[Array, Array]:
     nodes
         Shape (k,): the section's nodes, ascending.
     weights
-        Shape (k,), m^2; their sum is the area. Corner nodes of eight-node facets have negative weights.
+        Shape (k,), m^2; their sum is the area. Corner nodes of eight-node facets have negative
+        weights.
     """
     nodes = group.node_ids
     weights = np.zeros(nodes.size)

@@ -11,7 +11,7 @@ _SERIES_LIMIT = 1.0  # of the squared angle; the series is exact to roundoff bel
 
 
 def skew(vector: Array) -> Array:
-    """Return the matrices [v]x with [v]x a = v x a, shape (..., 3, 3) for vectors of shape (..., 3)."""
+    """Return the matrices [v]x with [v]x a = v x a: shapes (..., 3) -> (..., 3, 3)."""
     vector = np.asarray(vector)
     matrix = np.zeros((*vector.shape[:-1], 3, 3), dtype=vector.dtype)
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
@@ -34,7 +34,7 @@ def rotation_less_identity(vector: Array) -> Array:
 
 
 def spin_per_vector(vector: Array) -> Array:
-    """Return J with (spatial spin) = J(r) (change of r): the left Jacobian of SO(3), shape (3, 3)."""
+    """Return the left Jacobian of SO(3): (spatial spin) = J(r) (change of r), shape (3, 3)."""
     X = skew(vector)
     _, b, c = _coefficients(vector)
     return np.eye(3, dtype=X.dtype) + b * X + c * (X @ X)
@@ -47,7 +47,7 @@ def spin_slope(vector: Array, moment: Array) -> Array:
     for axis in range(3):
         shifted = np.asarray(vector, dtype=complex).copy()
         shifted[axis] += 1j * step
-        columns.append((spin_per_vector(shifted).T @ moment).imag / step)
+        columns.append(np.imag(spin_per_vector(shifted).T @ moment) / step)
     return np.stack(columns, axis=1)
 
 

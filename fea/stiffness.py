@@ -1,14 +1,15 @@
 """Internal forces and tangent stiffness of cells: total Lagrangian, St. Venant-Kirchhoff.
 
-The unknowns of a cell are ordered component first, (ux of all nodes, uy of all nodes, uz of all nodes), which lets
-both Gram products below run as matrix products without moving anything first.
+The unknowns of a cell are ordered component first, (ux of all nodes, uy of all nodes, uz of all
+nodes), which lets both Gram products below run as matrix products without moving anything first.
 
-With F = I + H, E = sym H + H^T H / 2, S = lambda tr(E) I + 2 mu E and g_a = F dN_a/dX the tangent is
+With F = I + H, E = sym H + H^T H / 2, S = lambda tr(E) I + 2 mu E and g_a = F dN_a/dX the tangent
+is
 
     K_ia,kb = lambda g_ia g_kb + mu g_ka g_ib + mu (F F^T)_ik dN_a . dN_b + delta_ik dN_a . S dN_b
 
-(integrated), which costs a third of B^T D B. The strain is never formed as (F^T F - I)/2: at small loads that
-loses every digit to roundoff.
+(integrated), which costs a third of B^T D B. The strain is never formed as (F^T F - I)/2: at small
+loads that loses every digit to roundoff.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Stiffness:
     def __len__(self) -> int:
         return len(self.first_lame)
 
-    def forces(self, displacement: Array) -> tuple[Array, float, float]:
+    def forces(self, displacement: Array, step: Array | None = None) -> tuple[Array, float, float]:
         """Return the internal forces, the strain energy and the least det F.
 
         Parameters
@@ -70,23 +71,30 @@ class Stiffness:
         energy, least = 0.0, np.inf
         for part in self._parts():
             state = _State(self, part, displacement[part])
+            if step is not None:
+                state.extrapolate(step[:, part])
             forces[part] = state.forces()
             energy += state.energy()
             least = min(least, float(np.linalg.det(state.F).min()))
         return forces, energy, least
 
-    def tangent(self, displacement: Array | None, out: Array) -> None:
+    def tangent(self, displacement: Array | None, step: Array | None, out: Array) -> None:
         """Write the tangent stiffness of all cells.
 
         Parameters
         ----------
         displacement
             Shape (cells, 3, nodes), m; None for the undeformed state.
+        step
+            Shape (cells, 3, nodes), m: the last step of Newton's method, see `Body.tangent`; None
+            for the tangent proper.
         out
             Shape (cells, size, size), N/m: written.
         """
         for part in self._parts():
             state = _State(self, part, None if displacement is None else displacement[part])
+            if step is not None:
+                state.extrapolate(step[:, part])
             state.tangent(out[part])
 
     def small_strain_forces(self, fields: Array) -> Array:
@@ -159,11 +167,19 @@ class _State:
             return
         H = displacement[:, None] @ self.slopes.swapaxes(2, 3)
         self.F = H + np.eye(3)
-        self.E = 0.5 * (H + H.swapaxes(2, 3) + H.swapaxes(2, 3) @ H)
-        self.trace = np.trace(self.E, axis1=2, axis2=3)
-        volumetric = (self.weights * self.first_lame * self.trace)[..., None, None]
-        shear = (2 * self.weights * self.shear)[..., None, None]
-        self.wS = volumetric * np.eye(3) + shear * self.E  # stress times weight
+        self.E = _green_strain(H)
+        self.wS = self._weighted_stress(self.E)
+
+    def extrapolate(self, step: Array) -> None:
+        """Replace the stress by its linear extrapolation from the state one step before."""
+        aim, change = (field[:, None] @ self.slopes.swapaxes(2, 3) for field in step)
+        E = _green_strain(aim) - 0.5 * (change.swapaxes(2, 3) @ change)
+        self.wS = self._weighted_stress(E)
+
+    def _weighted_stress(self, strain: Array) -> Array:
+        volumetric = self.weights * self.first_lame * np.trace(strain, axis1=2, axis2=3)
+        shear = 2 * self.weights * self.shear
+        return volumetric[..., None, None] * np.eye(3) + shear[..., None, None] * strain
 
     def energy(self) -> float:
         return 0.5 * float(np.vdot(self.wS, self.E))
@@ -187,7 +203,7 @@ class _State:
         K += self._shear_and_stress().transpose(0, 1, 3, 2, 4)
 
     def _shear_and_stress(self) -> Array:
-        """Integrate mu (F F^T)_ik dN_a . dN_b + delta_ik dN_a . S dN_b, shape (cells, 3, 3, nodes, nodes)."""
+        """Integrate mu (F F^T)_ik dN_a . dN_b + delta_ik dN_a . S dN_b as (cells, i, k, a, b)."""
         cells, points, _, nodes = self.slopes.shape
         stacked = self.slopes.reshape(cells, 3 * points, nodes)
         weights = self.weights * self.shear
@@ -205,3 +221,8 @@ class _State:
         for axis in range(3):
             total[:, axis, axis] += geometric
         return total
+
+
+def _green_strain(H: Array) -> Array:
+    """Return sym H + H^T H / 2 for displacement gradients H, shape (..., 3, 3)."""
+    return 0.5 * (H + H.swapaxes(-1, -2) + H.swapaxes(-1, -2) @ H)

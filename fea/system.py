@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,7 @@ from fea.failure import mechanism
 Array = np.ndarray
 
 _LEAST_PIVOT = 1e-13
-"""Stiffness left by elimination, relative to the diagonal, below which there is none but roundoff."""
+"""Stiffness left by elimination, relative to the diagonal, below which there is only roundoff."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +82,17 @@ class System:
             balance.state, wrench, balance.forces, balance.energy, balance.least_stretch
         )
 
-    def linearise(self, balance: Balance, reuse: Linearisation | None = None) -> Linearisation:
-        """Factorise the tangent at a state."""
+    def linearise(
+        self,
+        balance: Balance,
+        step: tuple[Array, Array] | None = None,
+        reuse: Linearisation | None = None,
+    ) -> Linearisation:
+        """Return the tangent at a state; for `step` and `reuse` see `Body.tangent`."""
+        if step is not None:
+            balance = replace(balance, forces=self.body.forces(balance.state.nodes, step)[0])
         tangent = self.body.tangent(
-            balance.state.nodes, None if reuse is None else reuse.tangent
+            balance.state.nodes, step, None if reuse is None else reuse.tangent
         )
         return Linearisation(self, balance, tangent)
 
@@ -98,12 +105,15 @@ class System:
         SolveFailed
             ``mechanism`` if the supports leave a motion free.
         """
-        state = self.coupling.start()
-        still = np.zeros_like(state.nodes)
-        balance = self._balance(state, np.zeros(6), still, 0.0, 1.0)
-        start = Linearisation(self, balance, self.body.tangent(None))
+        start = Linearisation(self, self.balance_at_rest, self.body.tangent(None))
         self._require_held(start)
         return start
+
+    @property
+    def balance_at_rest(self) -> Balance:
+        """The undeformed, unloaded state."""
+        state = self.coupling.start()
+        return self._balance(state, np.zeros(6), np.zeros_like(state.nodes), 0.0, 1.0)
 
     def _balance(
         self, state: State, wrench: Array, forces: Array, energy: float, least: float
@@ -172,6 +182,25 @@ class Linearisation:
         scaled = self.schur * scale[:, None] * scale
         return float(np.linalg.eigvalsh(0.5 * (scaled + scaled.T))[0])
 
+    @property
+    def stable(self) -> bool:
+        """Whether every small disturbance costs energy: body and interface both."""
+        return self.tangent.factor.definite and self._least_compliance > 0
+
+    @property
+    def _least_compliance(self) -> float:
+        """Least eigenvalue of the interface's compliance (to spins), scaled to a unit diagonal."""
+        active = self._system.coupling.active
+        if not active.size:
+            return 1.0
+        full = self.wrench_columns.T @ self.border_response
+        own = 0.5 * (full + full.T)[np.ix_(active, active)]
+        diagonal = np.diagonal(own)
+        if (diagonal <= 0).any():
+            return -1.0
+        scale = 1.0 / np.sqrt(diagonal)
+        return float(np.linalg.eigvalsh(own * scale[:, None] * scale)[0])
+
     def correction(self, balance: Balance) -> tuple[Array, Array]:
         """Return the changes of nodes and border that bring a nearby state into balance."""
         nodes, border = self.solve(balance.nodal[:, :, None], balance.border[:, None])
@@ -205,7 +234,7 @@ class Linearisation:
 
     @property
     def wrench_columns(self) -> Array:
-        """Change of the border's load per change of the wrench; loads on locked freedoms are none."""
+        """Change of the border's load per change of the wrench, none for locked freedoms."""
         coupling = self._system.coupling
         columns = np.zeros((coupling.border, 6))
         columns[:, coupling.active] = coupling.wrench_columns(self.state)[:, coupling.active]

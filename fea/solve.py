@@ -1,0 +1,175 @@
+"""Solve a component for wrenches: the front of this room."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from fea.body import Body
+from fea.component import Component, build
+from fea.coupling import Coupling, Distributed, Rigid
+from fea.failure import rotation_too_large
+from fea.linear import LinearResponse, linear_response
+from fea.parts import FREEDOMS, Bundle
+from fea.path import LoadPath
+from fea.solution import Progress, Solution
+from fea.system import Balance, System
+
+__all__ = ["MOST_DEGREES", "Solver", "solve"]
+
+Array = np.ndarray
+
+MOST_DEGREES = 20.0
+"""Rotation of the interface, degrees, beyond which an answer is refused."""
+
+
+def solve(
+    bundle: Bundle | Component, wrench: Sequence[float], progress: Progress | None = None
+) -> Solution:
+    """Build a component's solver and solve once; see `Solver`."""
+    return Solver(bundle).solve(wrench, progress)
+
+
+class Solver:
+    """A component made ready once, to be solved for any number of wrenches.
+
+    Parameters
+    ----------
+    bundle
+        A bundle, or the component built from it.
+
+    Raises
+    ------
+    BundleError
+        If the bundle cannot be built.
+    SolveFailed
+        ``inverted_elements``.
+    """
+
+    def __init__(self, bundle: Bundle | Component) -> None:
+        self.component = bundle if isinstance(bundle, Component) else build(bundle)
+        self._active = np.array(
+            [i for i, name in enumerate(FREEDOMS) if name not in self.component.locked], dtype=int
+        )
+        self._system = _system(self.component, self._active)
+
+    @property
+    def unknowns(self) -> int:
+        """Degrees of freedom solved for."""
+        return self._system.unknowns
+
+    @cached_property
+    def linear(self) -> LinearResponse:
+        """The response to small loads, from one factorisation.
+
+        Raises
+        ------
+        SolveFailed
+            ``mechanism`` or ``ill_conditioned``.
+        """
+        return linear_response(self._system)
+
+    @property
+    def compliance(self) -> Array:
+        """The 6x6 compliance at no load, m/N, rad/N, m/(N·m), rad/(N·m); symmetric."""
+        return self.linear.compliance
+
+    def solve(self, wrench: Sequence[float], progress: Progress | None = None) -> Solution:
+        """Solve for one wrench.
+
+        Parameters
+        ----------
+        wrench
+            Force and moment on the component at the interface point, in the undeformed interface
+            frame, shape (6,), N and N·m. What acts on locked freedoms does nothing.
+        progress
+            Called with the fraction done and a message.
+
+        Raises
+        ------
+        ValueError
+            If the wrench is not six finite numbers.
+        SolveFailed
+            If there is no answer that can be trusted; its `kind` says why, its `remedy` what to do.
+        """
+        started = time.perf_counter()
+        whole = np.array(wrench, dtype=float)
+        if whole.shape != (6,) or not np.isfinite(whole).all():
+            raise ValueError("a wrench is six finite numbers: force (N) and moment (N·m)")
+        acting = np.zeros(6)
+        acting[self._active] = whole[self._active]
+        if not self.component.analysis.nonlinear or not acting.any():
+            found = self._solve_linear(whole, acting)
+        else:
+            found = self._solve_nonlinear(whole, acting, progress)
+        if progress is not None:
+            progress(1.0, "done")
+        return replace(found, seconds=time.perf_counter() - started)
+
+    def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
+        linear = self.linear
+        displacement = linear.compliance @ acting
+        _require_small_rotation(displacement)
+        return Solution(
+            wrench=wrench,
+            displacement=displacement,
+            compliance=linear.compliance,
+            strain_energy=float(0.5 * acting @ linear.energies @ acting),
+            work=float(acting @ displacement),
+            unknowns=self.unknowns,
+            seconds=0.0,
+            history=(),
+            nodes=linear.fields @ acting @ self.component.axes,
+        )
+
+    def _solve_nonlinear(self, wrench: Array, acting: Array, progress: Progress | None) -> Solution:
+        path = LoadPath(self._system, acting, progress)
+        found = path.follow(lambda balance: _require_small_rotation(balance.state.interface))
+        balance: Balance = found.balance
+        return Solution(
+            wrench=wrench,
+            displacement=balance.state.interface,
+            compliance=found.tangent.compliance,
+            strain_energy=balance.energy,
+            work=path.work,
+            unknowns=self.unknowns,
+            seconds=0.0,
+            history=tuple(path.history),
+            nodes=balance.state.nodes @ self.component.axes,
+        )
+
+
+def _system(component: Component, active: Array) -> System:
+    """Set up the equations in the interface frame, its origin at the interface point."""
+    mesh = component.mesh
+    mesh = replace(mesh, points=(mesh.points - component.point) @ component.axes.T)
+    section = component.section
+    coupling: Coupling
+    if component.coupling == "rigid":
+        coupling = Rigid(mesh.points, section.node_ids, active)
+    else:
+        coupling = Distributed(mesh.points, section.node_ids, section.weights, active)
+    free = np.ones(len(mesh.points), dtype=bool)
+    free[component.fixed_nodes] = False
+    free[coupling.tied] = False
+    young = np.array([material.youngs_modulus for material in component.materials])
+    poisson = np.array([material.poisson_ratio for material in component.materials])
+    numbers = component.material_of_cells
+    body = Body(
+        mesh,
+        [young[n] for n in numbers],
+        [poisson[n] for n in numbers],
+        free,
+        component.analysis.integration,
+    )
+    return System(body, coupling)
+
+
+def _require_small_rotation(displacement: Array) -> None:
+    degrees = float(np.degrees(np.linalg.norm(displacement[3:])))
+    if degrees > MOST_DEGREES:
+        raise rotation_too_large(degrees, MOST_DEGREES)

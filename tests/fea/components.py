@@ -1,0 +1,40 @@
+"""Components made of boxes, for tests."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fea.component import Component
+from fea.parts import Analysis, Material
+from fea.section import section_of_facets
+
+
+def component(
+    mesh,
+    *,
+    fixed="z0",
+    section="z1",
+    young=210e9,
+    poisson=0.3,
+    coupling="rigid",
+    point=None,
+    axes=None,
+    locked=(),
+    nonlinear=False,
+    integration="reduced",
+):
+    """Clamp one facet group of a mesh and attach the interface to another."""
+    part = section_of_facets(mesh.points, mesh.facet_groups[section])
+    return Component(
+        bundle=None,
+        mesh=mesh,
+        materials=(Material("all", young, poisson),),
+        material_of_cells=tuple(np.zeros(len(block), dtype=int) for block in mesh.blocks),
+        fixed_nodes=mesh.facet_groups[fixed].node_ids,
+        section=part,
+        point=part.centre if point is None else np.asarray(point, dtype=float),
+        axes=np.eye(3) if axes is None else np.asarray(axes, dtype=float),
+        coupling=coupling,
+        locked=tuple(locked),
+        analysis=Analysis(nonlinear=nonlinear, integration=integration),
+    )
