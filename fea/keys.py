@@ -10,6 +10,7 @@ from fea.problems import Problem, suggest
 
 _NAMES = {str: "a text", bool: "true or false", list: "a list", dict: "a table"}
 _MISSING = object()
+_MOST = 10**9
 
 
 class Keys:
@@ -104,15 +105,16 @@ class Keys:
         return self.as_number(key, self._table[key], unit, above, below)
 
     def whole(self, key: str, least: int, required: bool = True) -> int | None:
-        """Return a whole number of at least `least`."""
+        """Return a whole number from `least` to a thousand million."""
         self._asked.append(key)
         if key not in self._table:
             if required:
-                self.wrong(key, f"missing; write a whole number of at least {least}")
+                self.wrong(key, f"missing; write a whole number from {least} up")
             return None
         value = self._table[key]
-        if type(value) is not int or value < least:
-            self.wrong(key, f"must be a whole number of at least {least}, not {_shown(value)}")
+        if type(value) is not int or not least <= value <= _MOST:
+            allowed = f"a whole number from {least} to {_MOST}"
+            self.wrong(key, f"must be {allowed}, not {_shown(value)}")
             return None
         return value
 

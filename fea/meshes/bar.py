@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fea.mesh import Mesh
-from fea.meshes.parameters import count, metres
+from fea.meshes.parameters import count, metres, too_many
 from fea.meshes.plane import rectangle
 from fea.meshes.sweep import sweep
 
@@ -36,8 +36,9 @@ class Bar:
     cells_across: int = count(2)
 
     def mistakes(self) -> list[tuple[str, str]]:
-        """Return (key, message) for what does not fit together: nothing can."""
-        return []
+        """Return (key, message) for what will not do: too many cells."""
+        key = "cells_along" if self.cells_along > self.cells_across else "cells_across"
+        return too_many(float(self.cells_along) * self.cells_across**2, key)
 
     def mesh(self) -> Mesh:
         """Return the mesh, of 20-node hexahedra."""

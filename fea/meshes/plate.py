@@ -1,4 +1,4 @@
-"""A flat rectangular plate with a square patch in its middle."""
+"""A flat rectangular plate with a round patch in its middle."""
 
 from __future__ import annotations
 
@@ -8,8 +8,16 @@ from itertools import pairwise
 import numpy as np
 
 from fea.mesh import Mesh
-from fea.meshes.parameters import count, metres
-from fea.meshes.plane import rectangle
+from fea.meshes.parameters import count, metres, too_many
+from fea.meshes.plane import (
+    Section,
+    bend_circle,
+    grid_quads,
+    quadratic,
+    rim_of_grid,
+    ring_quads,
+    round_corners,
+)
 from fea.meshes.sweep import sweep
 
 Array = np.ndarray
@@ -19,21 +27,25 @@ Array = np.ndarray
 class Plate:
     """Parameters of generator "plate"; lengths in metres.
 
-    The plate's middle is at x = y = 0; it reaches from z = 0 up to `thickness`. Grid lines run
-    along the edges of the patch and of the corner squares, so facets cover both exactly. Facet
-    groups: ``patch`` (the middle of the top face), ``corners`` (four squares of the bottom face),
-    ``rim`` (the four sides), ``top``, ``bottom``.
+    The plate's middle is at x = y = 0; it reaches from z = 0 up to `thickness`. Facets cover the
+    patch (whose outline has its exact area, see `fea.meshes.plane.disc`) and the corner squares.
+    Facet groups: ``patch`` (in the middle of the top face), ``corners`` (four squares of the
+    bottom face), ``rim`` (the four sides), ``top``, ``bottom``.
 
     Attributes
     ----------
     length, width, thickness
         Along x, y, z.
     patch
-        Side of the square patch.
+        Diameter of the round patch.
     corner
         Side of the corner squares.
-    cell_size
-        The largest side of a cell in the plane.
+    cells
+        Number of cells across the patch's core, and along each side between two corner squares.
+    rings
+        Number of rings of cells from the patch out to the corner squares.
+    corner_cells
+        Number of cells along each side of a corner square.
     layers
         Number of cells through the thickness.
     """
@@ -43,32 +55,39 @@ class Plate:
     thickness: float = metres()
     patch: float = metres()
     corner: float = metres(0.04)
-    cell_size: float = metres(0.025)
+    cells: int = count(6, least=2)
+    rings: int = count(3)
+    corner_cells: int = count(1)
     layers: int = count(2)
 
     def mistakes(self) -> list[tuple[str, str]]:
-        """Return (key, message) for what does not fit together."""
+        """Return (key, message) for what does not fit together, or makes too many cells."""
         side = min(self.length, self.width)
-        if self.patch + 2.0 * self.corner < side * (1.0 - 1e-9):
-            return []
+        if 1.1 * self.patch + 2.0 * self.corner < side:
+            return self._too_many()
         message = (
             f"patch ({self.patch:g} m) and two corner squares ({self.corner:g} m each) do not fit "
             f"along the shorter side ({side:g} m) with room between them; make one smaller"
         )
         return [("patch", message)]
 
+    def _too_many(self) -> list[tuple[str, str]]:
+        lines = self.cells + 2.0 * self.corner_cells
+        plan = lines**2 + 4.0 * self.cells * (self.rings + 1)
+        counts = ("cells", "rings", "corner_cells", "layers")
+        return too_many(plan * self.layers, max(counts, key=lambda name: getattr(self, name)))
+
     def mesh(self) -> Mesh:
         """Return the mesh, of 20-node hexahedra."""
-        x, y = self._lines(self.length), self._lines(self.width)
-        section = rectangle(x, y)
+        section = self._plan()
 
         def place(flat: Array, fraction: Array) -> Array:
             return np.column_stack([flat, self.thickness * fraction])
 
         plate = sweep(section, self.layers, place)
-        half = np.full(2, self.patch / 2.0)
+        on_patch = np.arange(self.cells**2 + 4 * self.cells)
         groups = {
-            "patch": plate.end(section.within(-half, half)),
+            "patch": plate.end(on_patch),
             "corners": plate.start(self._corner_quads(section.points[section.quads[:, :4]])),
             "rim": plate.side(),
             "top": plate.end(),
@@ -76,17 +95,56 @@ class Plate:
         }
         return Mesh(plate.points, (plate.cells,), facet_groups=groups)
 
-    def _lines(self, length: float) -> Array:
-        """Return the grid lines of one direction, symmetric about 0."""
-        stops = [self.patch / 2.0, length / 2.0 - self.corner, length / 2.0]
-        middle = self._steps(-stops[0], stops[0])
-        side = [self._steps(a, b)[1:] for a, b in pairwise(stops)]
-        right = np.concatenate(side)
-        return np.concatenate([-right[::-1], middle, right])
+    def _plan(self) -> Section:
+        """Return the plan: the patch, rings out to a rectangle, and a frame as wide as `corner`."""
+        disc, disc_quads = round_corners(self.patch / 2.0, self.cells)
+        grid = np.stack(
+            np.meshgrid(self._lines(self.length), self._lines(self.width), indexing="ij"), axis=-1
+        )
+        frame, of_frame, inner = self._frame(len(grid))
+        arcs = 4 * self.cells
+        circle, rectangle = disc[-arcs:], grid.reshape(-1, 2)[inner]
+        steps = np.arange(1, self.rings) / self.rings
+        between = [circle + step * (rectangle - circle) for step in steps]
+        on_frame = grid.reshape(-1, 2)[of_frame]
+        points = np.concatenate([disc, *between, on_frame])
 
-    def _steps(self, start: float, stop: float) -> Array:
-        cells = max(1, int(np.ceil((stop - start) / self.cell_size - 1e-9)))
-        return np.linspace(start, stop, cells + 1)
+        first = len(points) - len(on_frame)
+        number = np.full(len(grid) ** 2, -1)
+        number[of_frame] = first + np.arange(len(of_frame))
+        rows = [len(disc) - arcs + arcs * i + np.arange(arcs) for i in range(self.rings)]
+        rows.append(number[inner])
+        rings = [ring_quads(a, b) for a, b in pairwise(rows)]
+        section = quadratic(points, np.concatenate([disc_quads, *rings, number[frame]]))
+        bend_circle(section, self.cells)
+        return section
+
+    def _lines(self, length: float) -> Array:
+        """Return the grid lines of the frame in one direction, symmetric about 0."""
+        inner = length / 2.0 - self.corner
+        corner = np.linspace(inner, length / 2.0, self.corner_cells + 1)[1:]
+        middle = np.linspace(-inner, inner, self.cells + 1)
+        return np.concatenate([-corner[::-1], middle, corner])
+
+    def _frame(self, lines: int) -> tuple[Array, Array, Array]:
+        """Return the frame's part of a grid of `lines` x `lines` nodes.
+
+        Returns
+        -------
+        quads
+            Shape (q, 4): those outside the inner rectangle.
+        nodes
+            Their nodes, ascending.
+        inner
+            The nodes of the inner rectangle, counter-clockwise from its lowest corner.
+        """
+        first, last = self.corner_cells, self.corner_cells + self.cells
+        quads = grid_quads(lines, lines)
+        column, row = quads[:, 0] // lines, quads[:, 0] % lines
+        inside = (first <= column) & (column < last) & (first <= row) & (row < last)
+        column, row = np.divmod(rim_of_grid(self.cells), self.cells + 1)
+        inner = (first + column) * lines + first + row
+        return quads[~inside], np.unique(quads[~inside]), inner
 
     def _corner_quads(self, corners: Array) -> Array:
         middle = np.abs(corners.mean(axis=1))

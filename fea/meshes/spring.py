@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fea.mesh import Mesh
-from fea.meshes.parameters import count, metres, positive
+from fea.meshes.parameters import count, metres, positive, too_many
 from fea.meshes.plane import disc
 from fea.meshes.sweep import sweep
 
@@ -38,12 +38,14 @@ class Spring:
     mean_diameter: float = metres()
     free_length: float = metres()
     active_turns: float = positive("turns")
-    cells_per_turn: int = count(12, least=6)
-    core: int = count(2)
+    cells_per_turn: int = count(26, least=6)
+    core: int = count(1)
 
     def mistakes(self) -> list[tuple[str, str]]:
-        """Return (key, message) for what does not fit together."""
-        found = []
+        """Return (key, message) for what does not fit together, or makes too many cells."""
+        key = "cells_per_turn" if self.cells_per_turn > self.core else "core"
+        layers = self.cells_per_turn * self.active_turns
+        found = too_many(layers * (self.core**2 + 4.0 * self.core), key)
         if self.wire_diameter >= self.mean_diameter:
             found.append(("wire_diameter", "must be below mean_diameter, or the wire meets itself"))
         if self.free_length <= self.active_turns * self.wire_diameter:

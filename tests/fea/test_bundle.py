@@ -1,11 +1,16 @@
 """component.toml: every key checked, every mistake told at once."""
 
+import copy
+import pickle
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from fea.bundle import BundleError, bundle_of, read_bundle
+from fea.bundle import BundleError, Problem, bundle_of, read_bundle
 
 SHIPPED = Path(__file__).parents[2] / "data" / "components"
 
@@ -62,7 +67,7 @@ def test_every_key_of_a_full_bundle_is_read(tmp_path):
     bundle = read_bundle(write(tmp_path, PLATE))
     assert (bundle.name, bundle.title, bundle.folder) == ("plate", "A plate", tmp_path)
     assert bundle.mesh.generator == "plate"
-    assert bundle.mesh.parameters["cell_size"] == 0.025
+    assert bundle.mesh.parameters["corner"] == 0.04
     assert bundle.materials[0].youngs_modulus == 70e9
     assert bundle.supports.fixed == ("rim",)
     assert bundle.interface.coupling == "distributed"
@@ -143,10 +148,11 @@ ONE_MISTAKE = [
     ("translation = 1e-5", "translation = 0", "tolerance.translation", "above 0"),
     ("rotation = 1e-4", "", "tolerance.rotation", "missing"),
     ("length = 0.4", "length = -0.4", "mesh.length", "above 0 (m)"),
-    ("length = 0.4", "length = 0.4\nlayers = 0", "mesh.layers", "at least 1"),
+    ("length = 0.4", "length = 0.4\nlayers = 0", "mesh.layers", "from 1 to"),
+    ("length = 0.4", "length = 0.4\nlayers = 1" + 400 * "0", "mesh.layers", "from 1 to"),
     ("length = 0.4", "length = 0.4\nlayers = 2.0", "mesh.layers", "whole number"),
     ("length = 0.4", 'length = 0.4\nunit = "mm"', "mesh.unit", "unknown key"),
-    ("patch = 0.12", "patch = 0.39", "mesh.patch", "do not fit"),
+    ("patch = 0.12", "patch = 0.3", "mesh.patch", "do not fit"),
     ('generator = "plate"', 'generator = "plat"', "mesh.generator", "did you mean"),
 ]
 
@@ -245,7 +251,45 @@ def test_a_deck_is_read_and_its_file_must_be_there(tmp_path):
 
 
 def test_the_error_survives_a_pickle():
-    import pickle
+    error = BundleError([Problem("mesh.file", "is missing")])
+    assert pickle.loads(pickle.dumps(error)).problems == error.problems
 
-    error = BundleError([])
-    assert pickle.loads(pickle.dumps(error)).problems == []
+
+def places(table, path=()):
+    """The path of every value of a parsed file, tables and lists included."""
+    for key, value in table.items() if isinstance(table, dict) else enumerate(table):
+        yield (*path, key)
+        if isinstance(value, dict | list):
+            yield from places(value, (*path, key))
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=4,
+)
+
+
+@given(st.sampled_from(list(places(tomllib.loads(PLATE)))), VALUES)
+def test_any_value_at_any_place_gives_a_bundle_or_told_mistakes(path, value):
+    table = copy.deepcopy(tomllib.loads(PLATE))
+    at = table
+    for key in path[:-1]:
+        at = at[key]
+    at[path[-1]] = value
+    told = outcome(table)
+    assert len(told) == 16 or all(problem.where and problem.message for problem in told)
+
+
+def outcome(table):
+    """The fingerprint, or the mistakes."""
+    try:
+        return bundle_of(table, SHIPPED).fingerprint
+    except BundleError as error:
+        return error.problems
+
+
+@pytest.mark.parametrize(("key", "count"), [("layers", 10**9), ("cells", 5000)])
+def test_a_mesh_too_large_for_any_machine_is_refused_before_it_is_built(tmp_path, key, count):
+    found = mistakes(tmp_path, changed("patch = 0.12", f"patch = 0.12\n{key} = {count}"))
+    assert "2 million" in found[f"mesh.{key}"]
