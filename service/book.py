@@ -83,8 +83,10 @@ class Book:
         self.tables.stop()
         self.ledger.close()
 
-    def order(self, name: str, wrench: tuple[float, ...]) -> Job:
+    def order(self, name: str, wrench: tuple[float, ...], *, urgent: bool = False) -> Job:
         """Accept a job for one wrench; the same job however often it is asked for.
+
+        An urgent one, somebody waits for it, starts before those of a fill.
 
         Raises
         ------
@@ -92,7 +94,8 @@ class Book:
             If the component has no finite-element setup.
         """
         component = self._solvable(name)
-        return self.ledger.accept(name, component.fingerprint, wrench)[0]
+        priority = 1 if urgent else 0
+        return self.ledger.accept(name, component.fingerprint, wrench, priority=priority)[0]
 
     def order_many(self, name: str, wrenches: np.ndarray) -> list[Job]:
         """Accept jobs for wrenches of shape (n, 6), in one transaction."""

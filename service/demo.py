@@ -146,7 +146,7 @@ def _error_table(pairs: Sequence[tuple[Displacement, Job]]) -> Table:
 def _time_table(answers: Sequence[Displacement], jobs: Sequence[Job]) -> Table:
     """Lay out what an answer costs: from the table, and from a solve."""
     looked_up = np.array([answer.elapsed_us for answer in answers])
-    solved = np.array([job.seconds for job in jobs if job.status == "done"]) * 1e6
+    solved = np.array([job.seconds for job in jobs if job.status == "done"], dtype=float) * 1e6
     table = Table(title="Run time of one answer")
     for heading in ("", "median", "95 %"):
         table.add_column(heading, justify="right" if heading else "left")

@@ -189,11 +189,12 @@ def check_mesh(folder: Path) -> dict[str, Any]:
         run = subprocess.run(
             command, capture_output=True, text=True, timeout=CHECK_SECONDS, check=False
         )
-        report = json.loads(run.stdout.strip().splitlines()[-1])
     except subprocess.TimeoutExpired:
         raise _one_problem(
             "mesh", f"The mesh could not be read within {CHECK_SECONDS} s. Give a coarser one."
         ) from None
+    try:
+        report = json.loads(run.stdout.strip().splitlines()[-1])
     except (IndexError, ValueError):
         tail = run.stderr.strip()[-500:]
         raise _one_problem(

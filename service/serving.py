@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
 import uvicorn
 
@@ -85,7 +86,7 @@ def _bind(host: str, port: int) -> socket.socket:
     return bound
 
 
-def _address(server: subprocess.Popen[str], log: tempfile._TemporaryFileWrapper[str]) -> str:
+def _address(server: subprocess.Popen[str], log: TextIO) -> str:
     """Read the announced address; a silent server is ended after a minute."""
     assert server.stdout is not None
     watchdog = threading.Timer(START_S, server.kill)
@@ -99,9 +100,7 @@ def _address(server: subprocess.Popen[str], log: tempfile._TemporaryFileWrapper[
     raise _did_not_start(log)
 
 
-def _wait_until_ready(
-    client: Client, server: subprocess.Popen[str], log: tempfile._TemporaryFileWrapper[str]
-) -> None:
+def _wait_until_ready(client: Client, server: subprocess.Popen[str], log: TextIO) -> None:
     deadline = time.monotonic() + START_S
     while time.monotonic() < deadline and server.poll() is None:
         if client.is_ready():
@@ -110,7 +109,7 @@ def _wait_until_ready(
     raise _did_not_start(log)
 
 
-def _did_not_start(log: tempfile._TemporaryFileWrapper[str]) -> ServerDidNotStartError:
+def _did_not_start(log: TextIO) -> ServerDidNotStartError:
     log.seek(0)
     return ServerDidNotStartError(f"The server did not start. Its log ends:\n{log.read()[-2000:]}")
 

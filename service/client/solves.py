@@ -68,6 +68,11 @@ class Job:
         return ". ".join(str(word).rstrip(".") for word in words if word)
 
     @property
+    def seconds(self) -> float | None:
+        """Time its last attempt took, s; None while it has not ended."""
+        return self.raw.get("seconds")
+
+    @property
     def vector(self) -> Vector | None:
         """The displacement a done job found, shape (6,), m and rad."""
         return joined(self.raw.get("translation"), self.raw.get("rotation"))

@@ -86,7 +86,7 @@ def _add_table_only(book: Book, body: TableOnlyComponent) -> Component:
 async def solve(name: str, request: Request) -> Response:
     order = read_body(SolveOrder, await request.body())
     book: Book = request.app.state.book
-    job = await run_in_threadpool(book.order, name, order.wrench())
+    job = await run_in_threadpool(book.order, name, order.wrench(), urgent=order.wait_s > 0)
     if order.wait_s and not job.is_final:
         job = await book.wait(job.id, order.wait_s)
     fields = {"component": name, "translation": None, "rotation": None, "error": None}

@@ -63,7 +63,7 @@ async def _when_thin(
             "for the best guess.",
             coverage=answer.coverage,
         )
-    job = await run_in_threadpool(book.order, name, query.wrench)
+    job = await run_in_threadpool(book.order, name, query.wrench, urgent=query.on_thin == "wait")
     if query.on_thin == "wait" and not job.is_final:
         job = await book.wait(job.id, query.wait_s)
     return await job_reply(book, job, fields)

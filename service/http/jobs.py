@@ -40,6 +40,7 @@ def job_body(book: Book, job: Job) -> dict[str, Any]:
         "created": _time(job.created),
         "started": _time(job.started),
         "finished": _time(job.finished),
+        "seconds": job.finished - job.started if job.finished and job.started else None,
         "error": job.error,
     }
     if job.status == "running":

@@ -1,7 +1,7 @@
 """Tables as JSON: ``{"units": "SI", "rows": [{"wrench": [6], "displacement": [6], ...}]}``.
 
-A row may have ``uncertainty`` (six numbers, null where unknown), ``source``, ``note`` and ``fingerprint``.
-Always SI.
+A row may have ``uncertainty`` (six numbers, null where unknown), ``source``, ``note`` and
+``fingerprint``. Always SI.
 """
 
 from __future__ import annotations
