@@ -15,7 +15,6 @@ from surrogate.rows import Floats, LoadRange
 LARGEST = {0: 1.0, 1: 0.4, 2: 0.2, 3: 0.1}
 
 LINE = 33  # points at which the line of one moment alone is looked at
-LEAN = 2.0  # an error on a ridge is about twice that at the rows beside it
 
 SOUND, LARGE, DEGENERATE = 0, 1, 2
 
@@ -45,15 +44,15 @@ class AxisTable:
         How many points the axis needs not to be thin.
     """
 
-    def __init__(self, rows: AxisRows, load_range: LoadRange, *, bars: bool = True) -> None:
-        """Triangulate the rows, at least one; `bars` False leaves the error bars zero."""
+    def __init__(self, rows: AxisRows, load_range: LoadRange) -> None:
+        """Triangulate the rows, at least one, and calibrate their error bars."""
         self.rows, self.axis = rows, rows.axis
         self.scale = tuple(load_range.scale[list(rows.axis.inputs)].tolist())
         self.interpolant = Interpolant(rows.points)
         self.values = rows.displacement[:, list(rows.axis.outputs)]
         self.doubt = rows.uncertainty[:, list(rows.axis.outputs)]
         self.fewest = 2 * (self.interpolant.dimension + 1)
-        self.bars = calibrate(self.interpolant, self.values, self.doubt) if bars else None
+        self.bars = calibrate(self.interpolant, self.values, self.doubt)
         self.pieces = self._pieces(self.bars)
         self.anchors = list(map(tuple, self.interpolant.anchors.tolist()))
         self.weak = self._weak_spots()
@@ -67,14 +66,12 @@ class AxisTable:
             return self.interpolant.delaunay.find_simplex
         return self.interpolant.locate
 
-    def _pieces(self, bars: SimplexBars | None) -> Floats:
+    def _pieces(self, bars: SimplexBars) -> Floats:
         shape = self.interpolant
         pieces = np.zeros((len(shape.simplices), 8, 5))
         anchor = shape.simplices[:, -1]
         pieces[:, :4, :3] = shape.gradients(self.values)
         pieces[:, :4, 3] = self.values[anchor]
-        if bars is None:
-            return pieces
         pieces[:, 4:, :3] = shape.gradients(self.doubt)
         pieces[:, 4:, 3] = self.doubt[anchor] + bars.flat
         reach = ((shape.points[shape.simplices] - shape.anchors[:, None]) ** 2).sum(axis=2)
@@ -95,18 +92,17 @@ class AxisTable:
         The composition reads every answer there, and a kink at zero load (a contact, a clearance)
         makes all those readings err to one side, which adding up in quadrature would not see.
         """
-        if self.bars is None:
-            return (0.0, 0.0, 0.0)
         line = np.zeros((LINE, 3))
         line[:, 1] = np.linspace(-1, 1, LINE)
         found = self.interpolant.locate(line)
-        crossed = found[found >= 0]
+        crossed = np.unique(found[found >= 0])
         if not len(crossed):
             return (0.0, 0.0, 0.0)
         # Its middle four fifths: the simplices at the line's ends, on the hull, err by more.
         along = np.sort(self.bars.lean[crossed, 1:], axis=0)
         middle = along[len(along) // 10 : len(along) - len(along) // 10]
-        return tuple((LEAN * middle.mean(axis=0)).tolist())
+        mean, doubt = middle.mean(axis=0), middle.std(axis=0) / np.sqrt(len(middle))
+        return tuple((np.sign(mean) * np.maximum(np.abs(mean) - doubt, 0.0)).tolist())
 
     def parts(self) -> Floats:
         """Return what part of the load range each simplex takes, shape (m,)."""

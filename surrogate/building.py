@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,24 +15,23 @@ from surrogate.leftout import LeftOut, across_axes, acting_together
 from surrogate.rows import Floats, LoadRange, Rows
 
 FULL_FOLDS = 4
+MANY_FULL = 400  # full-wrench rows above which only the first fold is held out
 
 
 def build_composition(
     rows: Rows, load_range: LoadRange, fit: ComplianceFit, off_axis: OffAxis
 ) -> Composition:
     """Build the three axes with calibrated error bars, and calibrate what they leave out."""
-    composition = _axes(rows, load_range, fit, off_axis, bars=True)
+    composition = _axes(rows, load_range, fit, off_axis)
     left_out = _left_out(composition, rows, load_range, fit, off_axis)
     return Composition(composition.tables, composition.zero, left_out)
 
 
-def _axes(
-    rows: Rows, load_range: LoadRange, fit: ComplianceFit, off_axis: OffAxis, *, bars: bool
-) -> Composition:
+def _axes(rows: Rows, load_range: LoadRange, fit: ComplianceFit, off_axis: OffAxis) -> Composition:
     tables = []
     for axis in AXES:
         chosen = axis_rows(rows, load_range, axis, fit, off_axis)
-        tables.append(AxisTable(chosen, load_range, bars=bars) if len(chosen.points) else None)
+        tables.append(AxisTable(chosen, load_range) if len(chosen.points) else None)
     silent = LeftOut(tuple(load_range.scale.tolist()))
     return Composition(tables, zero_displacement(rows, load_range), silent)
 
@@ -56,35 +56,48 @@ def _left_out(
     full = np.flatnonzero(~clean.any(axis=1))
     if not len(full):
         return left_out
-    shown, missed = _missed(rows, full, load_range, fit, off_axis)
-    if not len(shown):
+    held = _hold_out_full(composition, rows, full, load_range, fit, off_axis)
+    if not len(held.shown):
         return left_out
     # What the axes' own bars explain already is not counted twice: the two add in quadrature.
-    explained = composition.many(rows.wrench[shown]).error
-    missed = np.sqrt(np.maximum(missed**2 - explained**2, 0.0))
-    together, power = acting_together(left_out, rows.wrench[shown], missed)
-    return replace(left_out, together=together, power=power, shown=len(shown))
+    missed = np.sqrt(np.maximum(held.missed**2 - held.bars**2, 0.0))
+    together, power = acting_together(left_out, rows.wrench[held.shown], missed)
+    return replace(left_out, together=together, power=power, shown=len(held.shown))
 
 
-def _missed(
+class _Held(NamedTuple):
+    """Full-wrench rows predicted without themselves: places (h,), errors and axis bars (h, 6)."""
+
+    shown: np.ndarray
+    missed: Floats
+    bars: Floats
+
+
+def _hold_out_full(
+    composition: Composition,
     rows: Rows,
     full: np.ndarray,
     load_range: LoadRange,
     fit: ComplianceFit,
     off_axis: OffAxis,
-) -> tuple[np.ndarray, Floats]:
-    """Return which full-wrench rows could be predicted without themselves, and the errors (h, 6).
+) -> _Held:
+    """Predict full-wrench rows, in folds, so that none that joined the axes is asked about itself.
 
-    They are held out in folds, so that a row that joined the axes is not asked about itself.
+    Its own residual would be in the bars around it. Of many rows one fold says enough.
     """
-    folds = 1 if off_axis == "exclude" else min(FULL_FOLDS, len(full))
-    shown, missed = [np.empty(0, dtype=np.intp)], [np.empty((0, 6))]
-    for fold in range(folds):
+    if off_axis == "exclude":
+        return _predicted(composition, rows, full)
+    folds = min(FULL_FOLDS, len(full))
+    parts = []
+    for fold in range(folds if len(full) <= MANY_FULL else 1):
         held = full[fold::folds]
-        rest = np.setdiff1d(np.arange(len(rows)), held)
-        composed = _axes(rows.take(rest), load_range, fit, off_axis, bars=False).many(
-            rows.wrench[held]
-        )
-        shown.append(held[composed.told])
-        missed.append((rows.displacement[held] - composed.displacement)[composed.told])
-    return np.concatenate(shown), np.concatenate(missed)
+        rest = rows.take(np.setdiff1d(np.arange(len(rows)), held))
+        parts.append(_predicted(_axes(rest, load_range, fit, off_axis), rows, held))
+    return _Held(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def _predicted(composition: Composition, rows: Rows, held: np.ndarray) -> _Held:
+    composed = composition.many(rows.wrench[held])
+    missed = rows.displacement[held] - composed.displacement
+    told = composed.told
+    return _Held(held[told], missed[told], composed.error[told])

@@ -30,7 +30,7 @@ NOISE_LEVEL = 0.92
 FOLDS = 12
 LEAVE_ONE_OUT = 48  # up to so many points each is held out alone
 FEWEST = 5  # held-out errors below which nothing can be calibrated
-ENOUGH = 20  # held-out errors from which a quantile is taken at its word
+CAUTION = 6.0  # a quantile of h errors is enlarged by this over h
 
 # Shares of (own curvature, local curvature, global curvature, local flat, global flat, floor):
 # "own" is of a simplex' vertices alone, "local" leans on the whole axis as well, and the floor, the
@@ -66,7 +66,7 @@ class SimplexBars:
     held_out : int
         How many held-out errors stand behind them; 0 if there were too few to calibrate.
     lean : ndarray, shape (m, q), in the outputs' units
-        Mean signed held-out error (true less predicted) at each simplex' vertices, 0 if unknown.
+        Held-out error (true less predicted) largest in size at each simplex' vertices.
     """
 
     flat: Floats
@@ -152,27 +152,29 @@ def calibrate(interpolant: Interpolant, values: Floats, uncertainty: Floats) -> 
 
 
 def _lean(held: HeldOut, vertices: Indices, n: int) -> Floats:
-    signed, known = np.zeros((n, held.errors.shape[1])), np.zeros(n)
-    signed[held.places], known[held.places] = held.errors, 1.0
-    counts = np.maximum(known[vertices].sum(axis=1), 1.0)
-    return signed[vertices].sum(axis=1) / counts[:, None]
+    """Return the held-out error largest in size, with its sign, at each simplex' vertices."""
+    signed = np.zeros((n, held.errors.shape[1]))
+    signed[held.places] = held.errors
+    corners = signed[vertices]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    return np.where(high > -low, high, low)
 
 
 def conformal_factor(errors: Floats, bars: Floats, level: float = LEVEL) -> Floats:
     """Return, per column, the factor on bars (h, q) that covers a level of the errors (h, q).
 
-    The quantile of their ratios is taken at ceil(level (h + 1)) of h; where h is too small for
-    that, the largest ratio is enlarged the more, the fewer there are. It is infinite if too many
-    bars are zero where errors are not.
+    The quantile of their ratios is taken at ceil(level (h + 1)) of h, the largest if h is too
+    small for that, and enlarged the more, the fewer there are. It is infinite if too many bars are
+    zero where errors are not.
     """
     ratios = np.full(errors.shape, np.inf)
     np.divide(errors, bars, out=ratios, where=bars > 0)
     ratios[errors == 0] = 0.0
     count = len(ratios)
-    if count >= ENOUGH:
-        rank = min(math.ceil(level * (count + 1)), count) - 1
-        return np.partition(ratios, rank, axis=0)[rank]
-    return ratios.max(axis=0, initial=0.0) * (1 + 6 / max(count, 1))
+    if not count:
+        return np.zeros(errors.shape[1])
+    rank = min(math.ceil(level * (count + 1)), count) - 1
+    return np.partition(ratios, rank, axis=0)[rank] * (1 + CAUTION / count)
 
 
 @dataclass(frozen=True)

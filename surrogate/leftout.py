@@ -18,10 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from surrogate.axes import AXES
-from surrogate.errorbar import conformal_factor
+from surrogate.errorbar import LEVEL, conformal_factor
 from surrogate.rows import Floats
 
 POWERS = (1.0, 0.5)
+ACROSS_LEVEL = 0.9
 
 
 @dataclass(frozen=True)
@@ -121,8 +122,10 @@ def across_axes(
         composed, bars, told = compose(wrench[shows])
         shows, composed, bars = shows[told], composed[told], bars[told]
         off, _ = _sizes(wrench[shows] / scale)
-        missed = np.abs(displacement[shows, axis] - composed[:, axis]) - bars[:, axis]
-        factors.append(float(_factor(np.maximum(missed, 0.0), off[:, axis])))
+        missed = (displacement[shows, axis] - composed[:, axis]) ** 2 - bars[:, axis] ** 2
+        # At this level what an axis' own bar leaves uncovered is not taken for an influence.
+        missed = np.sqrt(np.maximum(missed, 0.0))
+        factors.append(float(_factor(missed, off[:, axis], ACROSS_LEVEL)))
     return tuple(factors)
 
 
@@ -150,8 +153,8 @@ def acting_together(
     return tuple(factors), tuple(powers)
 
 
-def _factor(missed: Floats, size: Floats) -> np.float64:
-    """Return the factor on sizes (h,) which covers 95 % of what was missed (h,)."""
+def _factor(missed: Floats, size: Floats, level: float = LEVEL) -> np.float64:
+    """Return the factor on sizes (h,) which covers a level of what was missed (h,)."""
     if not len(missed):
         return np.float64(0.0)
-    return conformal_factor(missed[:, None], size[:, None])[0]
+    return conformal_factor(missed[:, None], size[:, None], level)[0]

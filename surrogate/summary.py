@@ -77,5 +77,5 @@ def _axis(name: str, inputs: list[str], table: AxisTable | None) -> dict[str, An
             OUTPUTS[output]: float(bar)
             for output, bar in zip(table.axis.outputs, typical, strict=True)
         },
-        "calibrated_on": table.bars.held_out if table.bars is not None else 0,
+        "calibrated_on": table.bars.held_out,
     }

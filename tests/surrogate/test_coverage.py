@@ -1,0 +1,160 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from surrogate.rows import LoadRange, Rows, Tolerance
+from surrogate.surrogate import Surrogate
+from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, smooth, table
+
+FULL = Surrogate.build(table(smooth, clean_wrenches(60, 1)), RANGE)
+
+
+def test_inside_the_rows_is_covered_without_a_word() -> None:
+    answer = FULL.answer([100.0, -200.0, 300.0, 40.0, 50.0, -60.0])
+    assert (answer.coverage, answer.reason, answer.method) == ("covered", "", "griddata")
+
+
+def test_beyond_the_rows_is_outside_and_says_which_load_of_which_axis() -> None:
+    answer = FULL.answer([1200.0, 0, 0, 0, 0, 0])
+    assert answer.coverage == "outside"
+    assert answer.method == "estimate"
+    assert answer.reason == "axis x: F_x = 1200 N lies outside the rows, which span -1000..1000 N"
+    assert answer.displacement is not None
+    assert answer.error is not None
+
+
+def test_in_the_span_but_beyond_the_hull_says_so() -> None:
+    scaled = np.zeros((40, 6))
+    scaled[:, [0, 4, 5]] = np.random.default_rng(1).dirichlet(np.ones(4), 40)[:, :3]
+    surrogate = Surrogate.build(table(smooth, scaled), RANGE)
+    answer = surrogate.answer([500.0, 0, 0, 0, 300.0, 120.0])
+    assert answer.coverage == "outside"
+    assert "axis x: F_x = 500 N, M_y = 300 N·m, M_z = 120 N·m together lie outside" in answer.reason
+
+
+def test_a_load_that_no_row_varies_is_outside_and_says_what_the_rows_hold() -> None:
+    wrench = np.zeros((9, 6))
+    wrench[:, 0] = np.linspace(-1000, 1000, 9)
+    surrogate = Surrogate.build(Rows.of(wrench, wrench * 1e-8), RANGE)
+    assert surrogate.answer([10.0, 0, 0, 0, 3.0, 0]).reason.startswith(
+        "axis x: M_y = 3 N·m: all rows hold M_y = 0 N·m"
+    )
+    assert "axis y: no rows to answer F_y = 5 N" in surrogate.answer([0, 5.0, 0, 0, 0, 0]).reason
+
+
+def test_an_empty_table_knows_nothing_and_says_so() -> None:
+    surrogate = Surrogate.build(Rows.empty(), RANGE)
+    answer = surrogate.answer([1.0, 0, 0, 0, 0, 0])
+    assert answer == (None, None, "outside", "the table has no rows", "estimate")
+    assert surrogate.batch(np.ones((2, 6))).coverage.tolist() == [2, 2]
+    assert [axis["coverage"] for axis in surrogate.explain([1.0] * 6)] == ["outside"] * 3
+
+
+def test_too_few_rows_are_thin() -> None:
+    wrench = np.zeros((3, 6))
+    wrench[:, 2] = [-5000, 0, 5000]
+    answer = Surrogate.build(Rows.of(wrench, wrench * 1e-8), RANGE).answer([0, 0, 7.0, 0, 0, 0])
+    assert answer.coverage == "thin"
+    assert answer.reason == "axis z: 3 rows, at least 4 are needed to tell the error"
+    assert answer.displacement is not None
+    assert answer.displacement[2] == pytest.approx(7e-8)
+
+
+def test_rows_far_apart_are_thin() -> None:
+    wrench = np.zeros((8, 6))
+    wrench[:, 2] = [-5000, -4900, -4800, -4700, -4600, -4500, -4400, 5000]
+    answer = Surrogate.build(Rows.of(wrench, wrench * 1e-8), RANGE).answer([0, 0, 7.0, 0, 0, 0])
+    assert answer.coverage == "thin"
+    assert "94% of the load range" in answer.reason
+
+
+def test_an_error_bar_over_the_tolerance_is_thin_and_names_the_output() -> None:
+    wrench = [100.0, -200.0, 300.0, 40.0, 50.0, -60.0]
+    error = FULL.answer(wrench).error
+    assert error is not None
+    strict = FULL.answer(wrench, Tolerance(1.0, max(error[3:]) * 0.99))
+    assert strict.coverage == "thin"
+    assert strict.method == "griddata"
+    assert "rad, is over the tolerance" in strict.reason
+    assert FULL.answer(wrench, Tolerance(1.0, max(error[3:]) * 1.01)).coverage == "covered"
+
+
+def test_the_surrogates_own_tolerance_holds_unless_another_is_asked_for() -> None:
+    rows = table(smooth, clean_wrenches(60, 1))
+    surrogate = Surrogate.build(rows, RANGE, tolerance=Tolerance(1e-12, 1e-12))
+    wrench = [100.0, -200.0, 300.0, 40.0, 50.0, -60.0]
+    assert surrogate.answer(wrench).coverage == "thin"
+    assert surrogate.answer(wrench, Tolerance(1, 1)).coverage == "covered"
+
+
+def test_a_row_of_just_this_wrench_is_covered_where_the_table_is_not() -> None:
+    wrench = np.array([[100.0, 20, 30, 4, 5, 6]])
+    doubt = np.full((1, 6), 1e-9)
+    surrogate = Surrogate.build(Rows.of(wrench, wrench * 1e-8, uncertainty=doubt), RANGE)
+    answer = surrogate.answer(wrench[0].tolist())
+    assert answer.coverage == "covered"
+    assert answer.method == "row"
+    assert answer.displacement == tuple((wrench[0] * 1e-8).tolist())
+    assert answer.error == (1e-9,) * 6
+    assert surrogate.batch(wrench).coverage.tolist() == [0]
+    assert surrogate.answer([100.0, 20, 30, 4, 5, 7]).coverage == "outside"
+
+
+def test_points_on_the_hull_are_inside() -> None:
+    steps = np.linspace(-1, 1, 4)
+    scaled = np.zeros((64, 6))
+    scaled[:, [2, 3, 4]] = np.array(np.meshgrid(steps, steps, steps)).reshape(3, -1).T
+    high = HIGH * [1, 1, 0.3, 0.7, 1.1, 1]
+    load_range = LoadRange(-high, high)
+    surrogate = Surrogate.build(Rows.of(scaled * high, smooth(scaled)), load_range)
+    rng = np.random.default_rng(2)
+    asked = np.zeros((500, 6))
+    asked[:, 2] = rng.choice([-1, 1], 500)  # the moments alone lie inside
+    asked[:, 4] = rng.uniform(-1, 1, 500)
+    only = asked.copy()
+    only[:, 4] = 0.0
+    for wrenches in (only * high,):
+        assert (surrogate.batch(wrenches).coverage == 0).all()
+    spans = asked * high
+    answers = [surrogate.explain(w)[2]["coverage"] for w in spans[:50].tolist()]
+    assert set(answers) == {"covered"}
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.floats(-3, 3, allow_subnormal=False), min_size=6, max_size=6),
+    st.integers(0, 3),
+)
+def test_outside_is_never_covered_and_no_nan_ever_leaves(x: list[float], axis: int) -> None:
+    wrench = np.array(x) * HIGH
+    answer = FULL.answer(wrench.tolist())
+    if (np.abs(x) > 1 + 1e-6).any():
+        assert answer.coverage == "outside"
+        assert answer.reason
+    for six in (answer.displacement, answer.error):
+        assert six is not None
+        assert np.isfinite(six).all()
+
+
+def test_detail_names_inputs_outputs_and_the_rows_used() -> None:
+    detail = FULL.explain([100.0, 0, 300.0, 0, 50.0, 0])
+    assert [axis["axis"] for axis in detail] == ["x", "y", "z"]
+    assert detail[0]["inputs"] == {"F_x": 100.0, "M_y": 50.0, "M_z": 0.0}
+    assert set(detail[2]["outputs"]) == {"u_z", "rx", "ry", "rz"}
+    assert len(detail[0]["rows"]) == 4
+    assert set(detail[0]["rows"]) <= set(range(1, 61))
+    assert set(detail[2]["rows"]) <= set(range(121, 181))
+    assert detail[1]["rows"] == []
+    assert {axis["coverage"] for axis in detail} == {"covered"}
+
+
+def test_the_summary_is_plain_values() -> None:
+    import json
+
+    summary = json.loads(json.dumps(FULL.coverage_summary(), allow_nan=False))
+    assert summary["rows"] == 180
+    assert [axis["dimensions"] for axis in summary["axes"]] == [3, 3, 3]
+    assert summary["axes"][0]["spans"]["F_x"] == [-1000, 1000]
+    assert summary["axes"][0]["part_of_range"] == pytest.approx(1.0)
+    assert json.dumps(Surrogate.build(Rows.empty(), RANGE).coverage_summary(), allow_nan=False)

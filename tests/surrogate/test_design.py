@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+
+from surrogate.axes import clean_rows
+from surrogate.design import first_design, next_wrenches
+from surrogate.rows import LoadRange, Rows, Tolerance
+from surrogate.surrogate import Surrogate
+from tests.surrogate.responses import HIGH, RANGE, full_wrenches, smooth, table
+
+EMPTY = Surrogate.build(Rows.empty(), RANGE)
+
+
+def test_the_first_design_has_centre_faces_corners_and_a_sequence_for_every_axis() -> None:
+    scaled = first_design(RANGE) / HIGH
+    assert len(scaled) == 67  # 3 x 25, no load and the six pure moments asked but once
+    assert not scaled[0].any()
+    assert (np.abs(scaled).sum(axis=1) == 1).sum() == 12
+    assert (np.abs(scaled[:, [0, 4, 5]]) == 1).all(axis=1).sum() == 8
+    assert (np.abs(scaled) <= 1).all()
+    assert len(np.unique(scaled, axis=0)) == 67
+
+
+def test_only_the_three_loads_of_one_axis_are_non_zero() -> None:
+    surrogate = Surrogate.build(table(smooth, first_design(RANGE) / HIGH), RANGE)
+    for design in (next_wrenches(EMPTY, 100), next_wrenches(surrogate, 100)):
+        rows = Rows.of(design.wrenches, np.zeros_like(design.wrenches))
+        assert len(rows) >= 67
+        assert clean_rows(rows, RANGE).any(axis=1).all()
+
+
+def test_a_small_budget_is_spent_on_all_axes_alike() -> None:
+    first = next_wrenches(EMPTY, 13)
+    assert first.stage == "first"
+    assert (np.abs(first.wrenches) > 0).any(axis=0).all()
+
+
+def test_rows_and_pending_wrenches_are_not_asked_again() -> None:
+    first = next_wrenches(EMPTY, 20).wrenches
+    surrogate = Surrogate.build(table(smooth, first[:10] / HIGH), RANGE)
+    rest = next_wrenches(surrogate, 1000, pending=first[10:])
+    assert len(rest.wrenches) == 47
+    together = np.concatenate((first, rest.wrenches))
+    assert len(np.unique(together / HIGH, axis=0)) == 67
+
+
+def test_an_axis_without_loads_is_left_out_and_a_planar_one_gets_a_planar_design() -> None:
+    high = np.array([0, 0, 5000.0, 0, 200.0, 0])  # F_z and M_y
+    scaled = first_design(LoadRange(-high, high))
+    assert (scaled[:, [0, 1, 3, 5]] == 0).all()
+    assert 15 <= len(scaled) <= 20
+    assert len(first_design(LoadRange(np.zeros(6), np.zeros(6)))) == 0
+
+
+def test_a_one_sided_range_is_stretched_to_no_load_where_the_composition_reads_moments() -> None:
+    low, high = -HIGH, HIGH.copy()
+    high[2], low[2] = -2000, -5000
+    design = first_design(LoadRange(low, high))
+    assert design[:, 2].min() == -5000
+    assert design[:, 2].max() == 0
+    surrogate = Surrogate.build(Rows.of(design, smooth(design / HIGH)), LoadRange(low, high))
+    assert surrogate.answer([0, 0, -3000.0, 100.0, 50.0, 0]).coverage == "covered"
+
+
+def test_refinement_asks_where_the_error_bar_is_largest_and_spreads_out() -> None:
+    surrogate = Surrogate.build(table(smooth, first_design(RANGE) / HIGH), RANGE)
+    one = next_wrenches(surrogate, 1)
+    assert one.stage == "refine"
+    many = next_wrenches(surrogate, 30)
+    np.testing.assert_array_equal(many.wrenches[0], one.wrenches[0])
+    assert len(np.unique(many.wrenches, axis=0)) == 30
+    after = next_wrenches(surrogate, 30, pending=one.wrenches).wrenches
+    assert not (np.abs(after - one.wrenches) < 1e-9).all(axis=1).any()
+
+
+def test_refinement_lowers_the_error_and_ends_at_the_tolerance() -> None:
+    tolerance = Tolerance(4e-4, 8e-4)
+    scaled = first_design(RANGE) / HIGH
+    asked, errors, stages = full_wrenches(500, 1), [], []
+    for _ in range(8):
+        surrogate = Surrogate.build(table(smooth, scaled), RANGE, tolerance=tolerance)
+        answers = surrogate.batch(asked * HIGH)
+        errors.append(np.abs(answers.displacement - smooth(asked)).mean())
+        design = next_wrenches(surrogate, 40)
+        stages.append(design.stage)
+        if design.stage == "met":
+            break
+        scaled = np.concatenate((scaled, design.wrenches / HIGH))
+    assert stages[-1] == "met"
+    assert len(design.wrenches) == 0
+    assert (answers.coverage == 0).mean() > 0.95
+    assert errors[-1] <= errors[0]
+
+
+def test_a_linear_component_needs_one_solve() -> None:
+    linear = Surrogate.build(Rows.empty(), RANGE, linear=True)
+    design = next_wrenches(linear, 10)
+    assert design.stage == "first"
+    assert len(design.wrenches) == 1
+    assert len(next_wrenches(linear, 10, pending=design.wrenches).wrenches) == 0
+    matrix = np.eye(6)[None] * 1e-8
+    rows = Rows.of(design.wrenches, design.wrenches * 1e-8, compliance=matrix)
+    assert next_wrenches(Surrogate.build(rows, RANGE, linear=True), 10).stage == "met"
+    bare = Rows.of(design.wrenches, design.wrenches * 1e-8)
+    assert len(next_wrenches(Surrogate.build(bare, RANGE, linear=True), 10).wrenches) == 5
+
+
+@pytest.mark.parametrize("budget", [0, 1, 7])
+def test_no_more_than_the_budget_is_asked(budget: int) -> None:
+    assert len(next_wrenches(EMPTY, budget).wrenches) == budget
+    surrogate = Surrogate.build(table(smooth, first_design(RANGE) / HIGH), RANGE)
+    assert len(next_wrenches(surrogate, budget).wrenches) == budget

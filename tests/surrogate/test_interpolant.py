@@ -1,0 +1,113 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.interpolate import griddata
+
+from surrogate.interpolant import Interpolant
+
+
+def interpolate(points: np.ndarray, values: np.ndarray, x: np.ndarray) -> np.ndarray:
+    shape = Interpolant(points)
+    found = shape.locate(x)
+    weights = shape.barycentric(np.maximum(found, 0), x)
+    answer = np.einsum("ki,ki->k", weights, values[shape.simplices[np.maximum(found, 0)]])
+    return np.where(found < 0, np.nan, answer)
+
+
+def test_it_equals_griddata_in_three_dimensions() -> None:
+    rng = np.random.default_rng(1)
+    points, values = rng.uniform(-1, 1, (500, 3)), rng.normal(size=500)
+    x = rng.uniform(-1, 1, (3000, 3))
+    theirs = griddata(points, values, x, rescale=False)
+    np.testing.assert_allclose(interpolate(points, values, x), theirs, rtol=0, atol=1e-12)
+    assert 0.5 < np.isfinite(theirs).mean() < 1
+
+
+@pytest.mark.parametrize("flat", [0, 1, 2])
+def test_a_planar_table_equals_griddata_in_its_plane(flat: int) -> None:
+    rng = np.random.default_rng(2)
+    plane = rng.uniform(-1, 1, (200, 2))
+    values, x = rng.normal(size=200), rng.uniform(-0.8, 0.8, (500, 2))
+    ours = interpolate(np.insert(plane, flat, 0.3, axis=1), values, np.insert(x, flat, 0.3, axis=1))
+    np.testing.assert_allclose(ours, griddata(plane, values, x), rtol=0, atol=1e-12)
+
+
+def test_a_one_force_table_is_linear_interpolation() -> None:
+    rng = np.random.default_rng(3)
+    along, values = rng.uniform(-1, 1, 40), rng.normal(size=40)
+    x = np.linspace(along.min(), along.max(), 99)
+    line = np.array([0.6, 0.0, 0.8])
+    ours = interpolate(along[:, None] * line, values, x[:, None] * line)
+    order = np.argsort(along)
+    np.testing.assert_allclose(ours, np.interp(x, along[order], values[order]), rtol=0, atol=1e-12)
+
+
+def test_a_slanted_plane_is_two_dimensional_and_empty_beside_itself() -> None:
+    rng = np.random.default_rng(4)
+    points = rng.uniform(-1, 1, (60, 3))
+    points[:, 2] = 0.4 * points[:, 0] - 0.7 * points[:, 1]
+    shape = Interpolant(points)
+    middle = points.mean(axis=0)
+    assert shape.dimension == 2
+    assert shape.locate(np.array([middle, middle + np.array([0, 0, 1e-3])])).tolist()[1] == -1
+    assert shape.locate(middle[None])[0] >= 0
+
+
+def test_a_single_point_answers_itself_only() -> None:
+    shape = Interpolant([[0.1, 0.2, 0.3]])
+    assert shape.dimension == 0
+    assert shape.locate([[0.1, 0.2, 0.3], [0.1, 0.2, 0.4]]).tolist() == [0, -1]
+
+
+def test_points_on_the_hull_of_a_grid_are_inside() -> None:
+    steps = np.linspace(-1, 1, 5) * 0.7
+    grid = np.array(np.meshgrid(steps, steps, steps)).reshape(3, -1).T
+    rng = np.random.default_rng(5)
+    faces = rng.uniform(-0.7, 0.7, (3000, 3))
+    faces[np.arange(3000), rng.integers(0, 3, 3000)] = rng.choice([-0.7, 0.7], 3000)
+    shape = Interpolant(grid)
+    assert (shape.locate(faces) >= 0).all()
+    assert (shape.locate(grid) >= 0).all()
+    assert (shape.locate(faces * 1.001) < 0).all()
+
+
+def test_a_grid_with_its_cospherical_cells_reproduces_an_affine_function() -> None:
+    steps = np.linspace(-1, 1, 4)
+    grid = np.array(np.meshgrid(steps, steps, steps)).reshape(3, -1).T
+    x = np.random.default_rng(6).uniform(-1, 1, (500, 3))
+    slope = np.array([1.0, -2.0, 0.5])
+    np.testing.assert_allclose(interpolate(grid, grid @ slope + 3, x), x @ slope + 3, atol=1e-12)
+
+
+def test_inputs_over_twelve_orders_of_magnitude_do_not_break_it() -> None:
+    rng = np.random.default_rng(7)
+    points = rng.choice([-1.0, 1.0], (300, 3)) * 10 ** rng.uniform(-12, 0, (300, 3))
+    shape = Interpolant(points)
+    found = shape.locate(points * 0.999)
+    assert (found >= 0).mean() > 0.99
+    weights = shape.barycentric(np.maximum(found, 0), points * 0.999)
+    assert np.isfinite(weights).all()
+
+
+def test_almost_flat_points_fall_back_to_fewer_dimensions() -> None:
+    rng = np.random.default_rng(8)
+    points = rng.uniform(-1, 1, (30, 3))
+    points[:, 2] *= 1e-13
+    assert Interpolant(points).dimension == 2
+    points[:, 1] *= 1e-13
+    assert Interpolant(points).dimension == 1
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 3), st.floats(1e-3, 1e3))
+def test_affine_functions_are_exact_in_all_dimensions_and_at_any_scaling(
+    seed: int, dimension: int, scaling: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    directions = np.linalg.qr(rng.normal(size=(3, 3)))[0][:dimension]
+    points = scaling * rng.uniform(-1, 1, (20, dimension)) @ directions
+    x = rng.dirichlet(np.ones(20), 10) @ points
+    slope = rng.normal(size=3)
+    ours = interpolate(points, points @ slope + 1, x)
+    # An extremely thin simplex has large barycentric maps; rounding grows with them.
+    np.testing.assert_allclose(ours, x @ slope + 1, atol=1e-9 * max(1.0, scaling))

@@ -1,0 +1,124 @@
+import os
+import tempfile
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from surrogate import store
+from surrogate.rows import LoadRange, Rows
+from surrogate.store import SCHEMA_VERSION, TableFileError, TableMeta, read_table, write_table
+from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, smooth, table
+
+META = TableMeta(component="plate", last_seq=41, load_range=RANGE, fingerprint="abc", title="Plate")
+NUMBERS = st.floats(-1e9, 1e9)
+WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=8)
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> Rows:
+    n = draw(st.integers(0, 4))
+    doubtful = st.one_of(NUMBERS, st.just(float("nan")))
+    return Rows.of(
+        draw(arrays(float, (n, 6), elements=NUMBERS)),
+        draw(arrays(float, (n, 6), elements=NUMBERS)),
+        seq=draw(arrays(np.int64, n)),
+        compliance=draw(arrays(float, (n, 6, 6), elements=doubtful)),
+        uncertainty=draw(arrays(float, (n, 6), elements=doubtful)),
+        source=draw(st.lists(WORDS, min_size=n, max_size=n)),
+        fingerprint=draw(st.lists(WORDS, min_size=n, max_size=n)),
+    )
+
+
+def assert_same(one: Rows, other: Rows) -> None:
+    for name in ("seq", "wrench", "displacement", "compliance", "uncertainty"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), strict=True)
+    assert one.source.tolist() == other.source.tolist()
+    assert one.fingerprint.tolist() == other.fingerprint.tolist()
+
+
+@settings(max_examples=40, deadline=None)
+@given(tables(), st.integers(0, 2**62), WORDS)
+def test_what_is_written_is_read_back(rows: Rows, last_seq: int, title: str) -> None:
+    meta = TableMeta("bar", last_seq, RANGE, "f00", title)
+    with tempfile.TemporaryDirectory() as folder:
+        write_table(Path(folder) / "bar.h5", rows, meta)
+        found, about = read_table(Path(folder) / "bar.h5")
+    assert_same(found, rows)
+    assert (about.component, about.last_seq, about.title) == ("bar", last_seq, title)
+    assert about.fingerprint == "f00"
+    np.testing.assert_array_equal(about.load_range.high, HIGH)
+
+
+def test_a_table_says_its_units_and_its_contract(tmp_path: Path) -> None:
+    write_table(tmp_path / "plate.h5", table(smooth, clean_wrenches(10, 1)), META)
+    with h5py.File(tmp_path / "plate.h5") as file:
+        assert file.attrs["schema_version"] == SCHEMA_VERSION
+        assert file.attrs["last_seq"] == 41
+        assert "ON the deformable component" in str(file.attrs["contract"])
+        assert file["rows/wrench"].attrs["units"] == "N, N, N, N·m, N·m, N·m"
+        assert str(file["rows/displacement"].attrs["units"]).startswith("m, m, m, rad")
+
+
+@pytest.mark.parametrize("moment", ["_sync", "_write_rows"])
+def test_a_crash_while_writing_leaves_the_old_table_and_no_litter(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    path = tmp_path / "plate.h5"
+    old = table(smooth, clean_wrenches(10, 1))
+    write_table(path, old, META)
+
+    def crash(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(store, moment, crash)
+    with pytest.raises(KeyboardInterrupt):
+        write_table(path, table(smooth, clean_wrenches(20, 2)), META)
+    assert os.listdir(tmp_path) == ["plate.h5"]
+    assert_same(read_table(path)[0], old)
+
+
+def test_a_newer_table_is_refused_and_says_what_to_do(tmp_path: Path) -> None:
+    newer = TableMeta("plate", 1, RANGE, schema_version=SCHEMA_VERSION + 1)
+    write_table(tmp_path / "plate.h5", Rows.empty(), newer)
+    with pytest.raises(TableFileError, match="Install the newer wrenchbook"):
+        read_table(tmp_path / "plate.h5")
+
+
+def test_a_foreign_file_is_refused_and_says_what_to_do(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["x"] = [1, 2, 3]
+    with pytest.raises(TableFileError, match="wrenchbook import"):
+        read_table(tmp_path / "other.h5")
+    (tmp_path / "text.h5").write_text("no table")
+    with pytest.raises(TableFileError, match="Restore it"):
+        read_table(tmp_path / "text.h5")
+
+
+def test_a_damaged_table_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "plate.h5"
+    write_table(path, table(smooth, clean_wrenches(50, 1)), META)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(TableFileError):
+        read_table(path)
+    with h5py.File(path, "w") as file:
+        file.attrs["format"] = store.FORMAT
+        file.attrs["schema_version"] = 1
+    with pytest.raises(TableFileError):
+        read_table(path)
+
+
+def test_no_file_is_not_a_damaged_table(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        read_table(tmp_path / "none.h5")
+
+
+def test_a_folder_that_is_not_there_changes_nothing(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="none"):
+        write_table(tmp_path / "none" / "plate.h5", Rows.empty(), META)
+    assert LoadRange(RANGE.low, RANGE.high).high.tolist() == HIGH.tolist()

@@ -1,0 +1,158 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from surrogate.rows import Rows, Tolerance
+from surrogate.surrogate import Surrogate
+from tests.surrogate.responses import (
+    HIGH,
+    RANGE,
+    clean_wrenches,
+    coupled,
+    full_wrenches,
+    smooth,
+    table,
+)
+
+COMPLIANCE = np.diag([1e-8, 2e-8, 3e-8, 1e-7, 2e-7, 3e-7])
+
+
+@pytest.mark.parametrize("method", [None, "griddata", "nearest"])
+@pytest.mark.parametrize("tolerance", [None, Tolerance(1e-4, 2e-4)])
+def test_a_batch_gives_the_numbers_of_single_answers(
+    method: str | None, tolerance: Tolerance | None
+) -> None:
+    scaled = np.concatenate((clean_wrenches(60, 1), full_wrenches(30, 2)))
+    surrogate = Surrogate.build(table(coupled, scaled), RANGE)
+    asked = full_wrenches(200, 3) * 1.1
+    asked[::3, 3] = 0.0
+    asked[1::3, [0, 5]] = 0.0
+    asked[::5, 2:] = 0.0
+    asked[::7, :3] = 0.0
+    asked[-30:] = scaled[-30:]
+    batch = surrogate.batch(asked * HIGH, tolerance, method)
+    names = ("covered", "thin", "outside")
+    for place, wrench in enumerate((asked * HIGH).tolist()):
+        one = surrogate.answer(wrench, tolerance, method)
+        assert names[batch.coverage[place]] == one.coverage
+        np.testing.assert_allclose(batch.displacement[place], one.displacement, atol=1e-12)
+        np.testing.assert_allclose(batch.error[place], one.error, atol=1e-12)
+    assert set(np.unique(batch.coverage)) == ({0, 2} if tolerance is None else {0, 1, 2})
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_permuting_the_rows_changes_nothing(seed: int) -> None:
+    rows = table(coupled, np.concatenate((clean_wrenches(30, 1), full_wrenches(10, 2))))
+    order = np.random.default_rng(seed).permutation(len(rows))
+    asked = full_wrenches(40, 3) * HIGH
+    one = Surrogate.build(rows, RANGE).batch(asked)
+    other = Surrogate.build(rows.take(order), RANGE).batch(asked)
+    np.testing.assert_allclose(other.displacement, one.displacement, atol=1e-15)
+    np.testing.assert_array_equal(other.coverage, one.coverage)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_a_clean_row_returns_itself(seed: int) -> None:
+    def own(x: np.ndarray) -> np.ndarray:  # nothing moves across axes
+        return smooth(x)
+
+    rows = table(own, np.concatenate((clean_wrenches(25, seed), np.zeros((1, 6)))))
+    surrogate = Surrogate.build(rows, RANGE)
+    for row in (3, 30, 70):
+        axis = row // 25
+        found = surrogate.explain(rows.wrench[row].tolist())[axis]["outputs"]
+        outputs = [axis, 3, 4, 5]
+        expected = rows.displacement[row, outputs]
+        np.testing.assert_allclose(list(found.values()), expected, rtol=0, atol=1e-12)
+
+
+def test_linear_components_answer_by_their_stored_compliance_in_the_whole_range() -> None:
+    wrench = np.array([[10.0, 0, 0, 0, 0, 0]])
+    rows = Rows.of(wrench, wrench @ COMPLIANCE, compliance=COMPLIANCE[None], source=["fea"])
+    surrogate = Surrogate.build(rows, RANGE, linear=True)
+    asked = [900.0, -900.0, 4000.0, 400.0, 300.0, -100.0]
+    answer = surrogate.answer(asked)
+    assert (answer.coverage, answer.method, answer.error) == ("covered", "linear", (0.0,) * 6)
+    np.testing.assert_allclose(answer.displacement, COMPLIANCE @ asked, rtol=1e-14)
+    beyond = surrogate.answer([1001.0, 0, 0, 0, 0, 0])
+    assert beyond.coverage == "outside"
+    assert beyond.reason == "F_x = 1001 N is outside the load range, -1000..1000 N"
+    assert surrogate.answer(asked, method="griddata").coverage == "outside"
+
+
+def test_six_independent_rows_of_a_linear_component_tell_its_compliance() -> None:
+    wrench = np.diag(HIGH)
+    surrogate = Surrogate.build(Rows.of(wrench, wrench @ COMPLIANCE), RANGE, linear=True)
+    answer = surrogate.answer([10.0, 20, 30, 4, 5, 6])
+    assert (answer.coverage, answer.method) == ("covered", "linear")
+    np.testing.assert_allclose(answer.displacement, COMPLIANCE @ [10, 20, 30, 4, 5, 6], rtol=1e-12)
+    assert min(answer.error or ()) > 0  # measured once each, of unknown accuracy
+    few = Surrogate.build(Rows.of(wrench[:5], wrench[:5] @ COMPLIANCE), RANGE, linear=True)
+    assert few.default == "griddata"
+
+
+def test_the_bar_of_a_fitted_compliance_holds_its_residual() -> None:
+    rng = np.random.default_rng(1)
+    wrench = full_wrenches(200, 1) * HIGH
+    noise = 1e-6 * rng.normal(size=(200, 6))
+    surrogate = Surrogate.build(Rows.of(wrench, wrench @ COMPLIANCE + noise), RANGE, linear=True)
+    answer = surrogate.answer([10.0, 20, 30, 4, 5, 6])
+    assert answer.method == "linear"
+    assert 1.5e-6 < min(answer.error or ()) < 3e-6
+
+
+def test_the_linear_method_can_be_asked_of_any_table_and_says_what_no_row_tells() -> None:
+    rows = table(smooth, clean_wrenches(20, 1)[:20])
+    answer = Surrogate.build(rows, RANGE).answer([0, 5.0, 0, 0, 0, 0], method="linear")
+    assert answer.coverage == "outside"
+    assert answer.reason == "no row tells the influence of F_y"
+    assert answer.error is None
+
+
+def test_an_unknown_method_is_refused_with_the_ones_there_are() -> None:
+    surrogate = Surrogate.build(table(smooth, clean_wrenches(20, 1)), RANGE)
+    for ask in (surrogate.answer, surrogate.explain):
+        with pytest.raises(ValueError, match="griddata, linear, nearest"):
+            ask([1.0] * 6, None, "spline")
+    with pytest.raises(ValueError, match="unknown method 'spline'"):
+        surrogate.batch(np.ones((1, 6)), method="spline")
+
+
+def test_the_nearest_row_answers_with_a_bar_that_holds() -> None:
+    scaled = full_wrenches(400, 1)
+    surrogate = Surrogate.build(table(smooth, scaled), RANGE)
+    asked = full_wrenches(300, 2) * 0.7
+    batch = surrogate.batch(asked * HIGH, method="nearest")
+    assert (np.abs(batch.displacement - smooth(asked)) <= batch.error).mean() >= 0.9
+    answer = surrogate.answer((scaled[5] * HIGH).tolist(), method="nearest")
+    np.testing.assert_allclose(answer.displacement, smooth(scaled)[5])
+
+
+@pytest.mark.parametrize("repeat", [1, 2, 5])
+def test_duplicates_grids_lines_and_single_rows_all_build(repeat: int) -> None:
+    steps = np.linspace(-1, 1, 3)
+    grid = np.zeros((27, 6))
+    grid[:, [0, 4, 5]] = np.array(np.meshgrid(steps, steps, steps)).reshape(3, -1).T
+    for scaled in (grid, grid[grid[:, 4] == 0], grid[9:10], np.zeros((1, 6)), np.eye(6)):
+        rows = table(smooth, np.repeat(scaled, repeat, axis=0))
+        surrogate = Surrogate.build(rows, RANGE)
+        batch = surrogate.batch(full_wrenches(20, 1) * HIGH)
+        assert np.isfinite(batch.displacement).all()
+        inner = surrogate.answer((scaled[len(scaled) // 2] * HIGH).tolist())
+        np.testing.assert_allclose(
+            inner.displacement, rows.displacement[len(rows) // 2], rtol=0, atol=1e-15
+        )
+
+
+def test_inputs_over_twelve_orders_of_magnitude_answer_finite_numbers() -> None:
+    rng = np.random.default_rng(1)
+    scaled = clean_wrenches(80, 1)
+    scaled *= 10 ** rng.uniform(-12, 0, scaled.shape)
+    surrogate = Surrogate.build(table(smooth, scaled), RANGE)
+    asked = full_wrenches(100, 2) * 10 ** rng.uniform(-12, 0, (100, 6))
+    batch = surrogate.batch(asked * HIGH)
+    assert np.isfinite(batch.displacement).all()
+    assert np.isfinite(batch.error).all()
