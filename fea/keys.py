@@ -77,6 +77,10 @@ class Keys:
 
     def choice(self, key: str, among: Sequence[str], required: bool = True) -> str | None:
         """Return one of the words `among`."""
+        if required and key not in self._table:
+            self._asked.append(key)
+            self.wrong(key, f"missing; write one of {', '.join(among)}")
+            return None
         value = self.text(key, required)
         if value is not None and value not in among:
             self.wrong(key, f'"{value}" is none of {", ".join(among)}{suggest(value, among)}')

@@ -38,11 +38,6 @@ class Section:
         _, index, count = np.unique(each[:, 2], return_index=True, return_counts=True)
         return each[index[count == 1]]
 
-    def within(self, low: Array, high: Array) -> Array:
-        """Return the numbers of the quadrilaterals whose middle lies in a box, shape (i,)."""
-        middle = self.points[self.quads[:, :4]].mean(axis=1)
-        return np.flatnonzero(((middle > low) & (middle < high)).all(axis=1))
-
 
 def quadratic(points: Array, quads: Array) -> Section:
     """Return the section of straight-sided `quads` with their midside nodes put in.
