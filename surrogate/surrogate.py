@@ -179,6 +179,11 @@ class Surrogate:
                 axis["coverage"], axis["reason"] = "thin", f"axis {axis['axis']}: {reason}"
         return careful.axes
 
+    def source_of(self, wrench: Sequence[float]) -> str | None:
+        """Return the source of the row that has just this wrench; None if there is none."""
+        place = self._place.get(tuple(wrench))
+        return None if place is None else str(self.rows.source[place])
+
     def coverage_summary(self) -> dict[str, Any]:
         """Return how the table covers the load range, as JSON-able values."""
         return summarise(self)

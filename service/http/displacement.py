@@ -23,6 +23,7 @@ from surrogate.surrogate import Surrogate
 
 router = APIRouter(tags=["displacement"])
 COVERAGE = ("covered", "thin", "outside")
+EXACT = "One row of the table has exactly this wrench."
 
 
 @router.post(
@@ -42,7 +43,7 @@ async def displacement(name: str, request: Request) -> Response:
     except ValueError as error:
         raise unknown_method(error) from None
     elapsed_us = (perf_counter_ns() - started) / 1e3
-    fields = _fields(name, surrogate, answer, elapsed_us)
+    fields = _fields(name, surrogate, query.wrench, answer, elapsed_us)
     if query.detail:
         fields["axes"] = surrogate.explain(query.wrench, query.tolerance, query.method)
     if answer.coverage == "covered" or query.on_thin == "estimate":
@@ -161,7 +162,13 @@ def _fill_in(book: Book, reply: dict[str, Any]) -> None:
             reply["coverage"][link["index"]] = "covered"
 
 
-def _fields(name: str, surrogate: Surrogate, answer: Answer, elapsed_us: float) -> dict[str, Any]:
+def _fields(
+    name: str,
+    surrogate: Surrogate,
+    wrench: tuple[float, ...],
+    answer: Answer,
+    elapsed_us: float,
+) -> dict[str, Any]:
     value, error = answer.displacement, answer.error
     fields: dict[str, Any] = {
         "component": name,
@@ -176,6 +183,9 @@ def _fields(name: str, surrogate: Surrogate, answer: Answer, elapsed_us: float) 
     }
     if answer.reason:
         fields["reason"] = answer.reason
+    if answer.method == "row":
+        fields["source"] = surrogate.source_of(wrench)
+        fields["reason"] = EXACT
     return fields
 
 
@@ -190,7 +200,7 @@ def _row_fields(row: LedgerRow) -> dict[str, Any]:
         "source": row.source,
         "method": "row",
         "row": row.seq,
-        "reason": "A solve of exactly this wrench is in the table.",
+        "reason": EXACT,
     }
 
 
