@@ -21,7 +21,7 @@ def write_csv(table: TableRows, units: Mapping[str, str] | None = None) -> str:
     Parameters
     ----------
     table : TableRows
-        Rows in SI. Uncertainty columns are there only if one is known (NaN is left empty), source
+        Rows in SI. Uncertainty columns are there only if one is known (NaN is left empty), source,
         note and fingerprint only if one is not empty.
     units : mapping, optional
         Any of ``force``, ``moment``, ``translation``, ``rotation`` to the unit to write in, such as

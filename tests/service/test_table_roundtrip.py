@@ -38,6 +38,7 @@ def tables(draw: st.DrawFn) -> ParsedTable:
         uncertainty=block(*[bounds] * 6),
         source=words(),
         note=words(),
+        fingerprint=words(),
         row=np.arange(count),
         errors=(),
     )
@@ -47,7 +48,8 @@ def same(first: ParsedTable, second: ParsedTable) -> None:
     assert second.errors == ()
     for name in ("wrench", "displacement", "uncertainty"):
         assert np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True)
-    assert (first.source, first.note) == (second.source, second.note)
+    for name in ("source", "note", "fingerprint"):
+        assert getattr(first, name) == getattr(second, name)
 
 
 @given(tables())
@@ -83,7 +85,7 @@ def test_an_export_in_other_units_is_read_back_within_1e_12(rows):
     unknown = np.full((count, 6), np.nan)
     empty = ("",) * count
     table = ParsedTable(
-        block[:, :6], block[:, 6:], unknown, empty, empty, np.arange(count), errors=()
+        block[:, :6], block[:, 6:], unknown, empty, empty, empty, np.arange(count), errors=()
     )
     again = read_csv(write_csv(table, UNITS))
     assert again.errors == ()
