@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from surrogate.axes import AxisRows
-from surrogate.errorbar import SimplexBars, calibrate
+from surrogate.errorbar import RowBars, calibrate
 from surrogate.interpolant import Indices, Interpolant
 from surrogate.rows import Floats, LoadRange
 
@@ -30,14 +30,15 @@ class AxisTable:
     """The piecewise affine map of one axis.
 
     In simplex s, with dx the distance of the scaled inputs from the simplex' anchor, `pieces[s]`
-    times (dx_1, dx_2, dx_3, 1, |dx|^2) is the four outputs and then their four error bars: the
-    bubble of the error bar is affine less |dx|^2, so one small product gives all eight.
+    times (dx_1, dx_2, dx_3, 1) is thirteen numbers: the four outputs, the flat part of their four
+    error bars, the curvature of the four, and the bubble of the error bar plus |dx|^2. So one
+    small product tells the outputs and, with flat + curvature * bubble, the bars.
 
     Attributes
     ----------
     rows : AxisRows
     interpolant : Interpolant
-    pieces : ndarray, shape (m, 8, 5)
+    pieces : ndarray, shape (m, 13, 4)
     weak : list of int, length m
         SOUND, LARGE or DEGENERATE, per simplex.
     fewest : int
@@ -66,18 +67,15 @@ class AxisTable:
             return self.interpolant.delaunay.find_simplex
         return self.interpolant.locate
 
-    def _pieces(self, bars: SimplexBars) -> Floats:
+    def _pieces(self, bars: RowBars) -> Floats:
         shape = self.interpolant
-        pieces = np.zeros((len(shape.simplices), 8, 5))
-        anchor = shape.simplices[:, -1]
-        pieces[:, :4, :3] = shape.gradients(self.values)
-        pieces[:, :4, 3] = self.values[anchor]
-        pieces[:, 4:, :3] = shape.gradients(self.doubt)
-        pieces[:, 4:, 3] = self.doubt[anchor] + bars.flat
+        vertices = np.concatenate((self.values, self.doubt + bars.flat, bars.curvature), axis=1)
+        pieces = np.empty((len(shape.simplices), 13, 4))
+        pieces[:, :12, :3] = shape.gradients(vertices)
+        pieces[:, :12, 3] = vertices[shape.simplices[:, -1]]
         reach = ((shape.points[shape.simplices] - shape.anchors[:, None]) ** 2).sum(axis=2)
-        slope = np.einsum("md,mdi->mi", reach[:, :-1], shape.weights)
-        pieces[:, 4:, :3] += bars.curvature[:, :, None] * slope[:, None]
-        pieces[:, 4:, 4] = -bars.curvature
+        pieces[:, 12, :3] = np.einsum("md,mdi->mi", reach[:, :-1], shape.weights)
+        pieces[:, 12, 3] = 0.0
         return pieces
 
     def _weak_spots(self) -> list[int]:
@@ -98,8 +96,10 @@ class AxisTable:
         crossed = np.unique(found[found >= 0])
         if not len(crossed):
             return (0.0, 0.0, 0.0)
+        corners = self.bars.signed[self.interpolant.simplices[crossed], 1:]
+        low, high = corners.min(axis=1), corners.max(axis=1)
         # Its middle four fifths: the simplices at the line's ends, on the hull, err by more.
-        along = np.sort(self.bars.lean[crossed, 1:], axis=0)
+        along = np.sort(np.where(high > -low, high, low), axis=0)
         middle = along[len(along) // 10 : len(along) - len(along) // 10]
         mean, doubt = middle.mean(axis=0), middle.std(axis=0) / np.sqrt(len(middle))
         return tuple((np.sign(mean) * np.maximum(np.abs(mean) - doubt, 0.0)).tolist())
@@ -114,9 +114,7 @@ class AxisTable:
     def read(self, simplices: Indices, x: Floats) -> Reading:
         """Return outputs and bars at scaled inputs (k, 3) in the simplices (k,) they lie in."""
         apart = x - self.interpolant.anchors[simplices]
-        terms = np.empty((len(x), 5))
-        terms[:, :3] = apart
-        terms[:, 3] = 1.0
-        terms[:, 4] = (apart**2).sum(axis=1)
-        both = np.einsum("kij,kj->ki", self.pieces[simplices], terms)
-        return Reading(both[:, :4], np.abs(both[:, 4:]))
+        terms = np.concatenate((apart, np.ones((len(x), 1))), axis=1)
+        told = np.einsum("kij,kj->ki", self.pieces[simplices], terms)
+        bubble = told[:, 12] - (apart**2).sum(axis=1)
+        return Reading(told[:, :4], np.abs(told[:, 4:8] + told[:, 8:12] * bubble[:, None]))

@@ -185,11 +185,15 @@ def _read(table: AxisTable, x: Floats) -> tuple[Floats, Floats, NDArray[np.bool_
     return reading.outputs, reading.bars**2, known
 
 
-def _piece(table: AxisTable, simplex: int, point: tuple[float, float, float]) -> list[float]:
+def _piece(table: AxisTable, simplex: int, point: tuple[float, float, float]) -> tuple[float, ...]:
     """Return the four outputs and four error bars at one point, as floats."""
     x, y, z = point
     a, b, c = table.anchors[simplex]
     x -= a
     y -= b
     z -= c
-    return table.pieces[simplex].dot((x, y, z, 1.0, x * x + y * y + z * z)).tolist()
+    u, rx, ry, rz, fu, fx, fy, fz, cu, cx, cy, cz, bubble = (
+        table.pieces[simplex].dot((x, y, z, 1.0)).tolist()
+    )
+    bubble -= x * x + y * y + z * z
+    return u, rx, ry, rz, fu + cu * bubble, fx + cx * bubble, fy + cy * bubble, fz + cz * bubble

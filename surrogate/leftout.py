@@ -23,6 +23,7 @@ from surrogate.rows import Floats
 
 POWERS = (1.0, 0.5)
 ACROSS_LEVEL = 0.9
+CAUTION = 12.0  # products of loads are seldom large in few rows
 
 
 @dataclass(frozen=True)
@@ -113,19 +114,17 @@ def across_axes(
     (k, 6), the composed displacements (k, 6), their error bars (k, 6) and which are told. Only
     what the axes' own bars do not explain counts.
     """
+    composed, bars, told = compose(wrench)
+    off, _ = _sizes(wrench / scale)
+    # At this level what an axis' own bar leaves uncovered is not taken for an influence.
+    missed = np.sqrt(np.maximum((displacement - composed) ** 2 - bars**2, 0.0))
     factors = []
     for axis in range(3):
-        shows = np.flatnonzero(clean.any(axis=1) & ~clean[:, axis])
-        if not len(shows):
-            factors.append(0.0)
-            continue
-        composed, bars, told = compose(wrench[shows])
-        shows, composed, bars = shows[told], composed[told], bars[told]
-        off, _ = _sizes(wrench[shows] / scale)
-        missed = (displacement[shows, axis] - composed[:, axis]) ** 2 - bars[:, axis] ** 2
-        # At this level what an axis' own bar leaves uncovered is not taken for an influence.
-        missed = np.sqrt(np.maximum(missed, 0.0))
-        factors.append(float(_factor(missed, off[:, axis], ACROSS_LEVEL)))
+        # Each other axis' rows by themselves: one of the two may have no influence at all.
+        shown = [told & clean[:, other] & ~clean[:, axis] for other in range(3) if other != axis]
+        factors.append(
+            max(float(_factor(missed[rows, axis], off[rows, axis], ACROSS_LEVEL)) for rows in shown)
+        )
     return tuple(factors)
 
 
@@ -157,4 +156,4 @@ def _factor(missed: Floats, size: Floats, level: float = LEVEL) -> np.float64:
     """Return the factor on sizes (h,) which covers a level of what was missed (h,)."""
     if not len(missed):
         return np.float64(0.0)
-    return conformal_factor(missed[:, None], size[:, None], level)[0]
+    return conformal_factor(missed[:, None], size[:, None], level, CAUTION)[0]

@@ -40,7 +40,10 @@ def test_a_load_that_no_row_varies_is_outside_and_says_what_the_rows_hold() -> N
     assert surrogate.answer([10.0, 0, 0, 0, 3.0, 0]).reason.startswith(
         "axis x: M_y = 3 N·m: all rows hold M_y = 0 N·m"
     )
-    assert "axis y: no rows to answer F_y = 5 N" in surrogate.answer([0, 5.0, 0, 0, 0, 0]).reason
+    assert (
+        "axis y: F_y = 5 N: all rows hold F_y = 0 N"
+        in surrogate.answer([0, 5.0, 0, 0, 0, 0]).reason
+    )
 
 
 def test_an_empty_table_knows_nothing_and_says_so() -> None:
@@ -114,11 +117,9 @@ def test_points_on_the_hull_are_inside() -> None:
     asked[:, 4] = rng.uniform(-1, 1, 500)
     only = asked.copy()
     only[:, 4] = 0.0
-    for wrenches in (only * high,):
-        assert (surrogate.batch(wrenches).coverage == 0).all()
-    spans = asked * high
-    answers = [surrogate.explain(w)[2]["coverage"] for w in spans[:50].tolist()]
-    assert set(answers) == {"covered"}
+    assert (surrogate.batch(only * high).coverage == 0).all()
+    states = {surrogate.explain(w)[2]["coverage"] for w in (asked * high).tolist()}
+    assert states == {"covered"}
 
 
 @settings(max_examples=60, deadline=None)

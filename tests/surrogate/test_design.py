@@ -12,7 +12,7 @@ EMPTY = Surrogate.build(Rows.empty(), RANGE)
 
 def test_the_first_design_has_centre_faces_corners_and_a_sequence_for_every_axis() -> None:
     scaled = first_design(RANGE) / HIGH
-    assert len(scaled) == 67  # 3 x 25, no load and the six pure moments asked but once
+    assert len(scaled) == 67  # 3 x 27; no load and the twelve pure moments asked but once
     assert not scaled[0].any()
     assert (np.abs(scaled).sum(axis=1) == 1).sum() == 12
     assert (np.abs(scaled[:, [0, 4, 5]]) == 1).all(axis=1).sum() == 8

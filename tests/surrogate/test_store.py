@@ -1,4 +1,3 @@
-import os
 import tempfile
 from pathlib import Path
 
@@ -78,7 +77,7 @@ def test_a_crash_while_writing_leaves_the_old_table_and_no_litter(
     monkeypatch.setattr(store, moment, crash)
     with pytest.raises(KeyboardInterrupt):
         write_table(path, table(smooth, clean_wrenches(20, 2)), META)
-    assert os.listdir(tmp_path) == ["plate.h5"]
+    assert [file.name for file in tmp_path.iterdir()] == ["plate.h5"]
     assert_same(read_table(path)[0], old)
 
 

@@ -41,7 +41,7 @@ def test_a_batch_gives_the_numbers_of_single_answers(
     assert set(np.unique(batch.coverage)) == ({0, 2} if tolerance is None else {0, 1, 2})
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_permuting_the_rows_changes_nothing(seed: int) -> None:
     rows = table(coupled, np.concatenate((clean_wrenches(30, 1), full_wrenches(10, 2))))

@@ -1,0 +1,75 @@
+"""Rows of an axis predicted from the others: the errors that error bars are calibrated on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from surrogate.interpolant import Indices, Interpolant
+from surrogate.rows import Floats
+
+FOLDS = 12
+LEAVE_ONE_OUT = 24  # up to so many points each is held out alone
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Errors at points predicted from the others; only points inside the others' hull.
+
+    Attributes
+    ----------
+    places : ndarray of int, shape (h,)
+    errors : ndarray, shape (h, q)
+        True less predicted.
+    bubbles : ndarray, shape (h,)
+    vertices : ndarray of int, shape (h, dimension + 1)
+        The points each was predicted from.
+    shares : ndarray, shape (h, dimension + 1)
+        Their barycentric weights.
+    uncertainty : ndarray, shape (h, q)
+        Stored uncertainty of the prediction.
+    """
+
+    places: Indices
+    errors: Floats
+    bubbles: Floats
+    vertices: Indices
+    shares: Floats
+    uncertainty: Floats
+
+
+def hold_out(interpolant: Interpolant, values: Floats, uncertainty: Floats) -> HeldOut:
+    """Predict each point of `interpolant` from triangulations without it.
+
+    Few points are left out one at a time, many in folds drawn with a fixed seed.
+    """
+    points, n = interpolant.points, len(interpolant.points)
+    folds = n if n <= LEAVE_ONE_OUT else FOLDS
+    fold_of = np.random.default_rng(20170726).permutation(n) % max(folds, 1)
+    width = interpolant.dimension + 1
+    parts: list[tuple[Indices, Floats, Floats, Indices, Floats, Floats]] = [
+        (
+            np.empty(0, dtype=np.intp),
+            np.empty((0, values.shape[1])),
+            np.empty(0),
+            np.empty((0, width), dtype=np.intp),
+            np.empty((0, width)),
+            np.empty((0, values.shape[1])),
+        )
+    ]
+    for fold in range(folds if n > width else 0):
+        rest = np.flatnonzero(fold_of != fold)
+        reduced = Interpolant(points[rest])
+        if reduced.dimension != interpolant.dimension:
+            continue
+        places = np.flatnonzero(fold_of == fold)
+        found = reduced.locate(points[places])
+        places, found = places[found >= 0], found[found >= 0]
+        shares = reduced.barycentric(found, points[places])
+        vertices = rest[reduced.simplices[found]]
+        predicted = np.einsum("ki,kiq->kq", shares, values[vertices])
+        doubt = np.einsum("ki,kiq->kq", np.abs(shares), uncertainty[vertices])
+        bubbles = np.maximum(reduced.bubbles(found, points[places]), 0.0)
+        parts.append((places, values[places] - predicted, bubbles, vertices, shares, doubt))
+    return HeldOut(*(np.concatenate(part) for part in zip(*parts, strict=True)))
