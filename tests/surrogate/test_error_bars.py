@@ -31,19 +31,48 @@ def calibration(rows: Rows, response: Response, **how: object) -> tuple[np.ndarr
     return (true <= bars).mean(axis=0), np.median(bars, axis=0) / np.median(true, axis=0)
 
 
-@pytest.mark.parametrize("per_axis", [56, 200, 600])
-@pytest.mark.parametrize("seed", [1, 2])
-def test_bars_hold_and_are_sharp_on_a_smooth_response(per_axis: int, seed: int) -> None:
-    inside, ratio = calibration(table(smooth, clean_wrenches(per_axis, seed)), smooth)
+# What does not meet the contract yet, for every run to see.
+KINK_HOLD = "moments alone lie on the kink, with no row there: rotation errors all have one sign"
+KINK_SHARP = "bars spread from the few simplices that the kink cuts to those beside it: up to 31 x"
+NOISE_SHARP = (
+    "a held-out error holds the row's own noise, the answer's error does not: 5.2 to 8.2 x"
+)
+
+SIZES = [(n, seed) for n in (56, 200, 600) for seed in (1, 2)]
+
+
+def misses(why: str, cases: list, missed: set) -> list:
+    """Return the cases, those that miss the contract marked as expected failures."""
+    mark = pytest.mark.xfail(strict=True, reason=why)
+    return [pytest.param(*case, marks=[mark] if case in missed else []) for case in cases]
+
+
+@pytest.mark.parametrize(("per_axis", "seed"), SIZES)
+def test_bars_hold_on_a_smooth_response(per_axis: int, seed: int) -> None:
+    inside, _ = calibration(table(smooth, clean_wrenches(per_axis, seed)), smooth)
     assert inside.min() >= 0.9
-    assert np.median(ratio) <= 5 if per_axis == 56 else ratio.max() <= 5
 
 
-@pytest.mark.parametrize("per_axis", [56, 100])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(
+    ("per_axis", "seed"), misses("few rows: rotation bars up to 5.6 x", SIZES, {(56, 1)})
+)
+def test_bars_are_sharp_on_a_smooth_response(per_axis: int, seed: int) -> None:
+    _, ratio = calibration(table(smooth, clean_wrenches(per_axis, seed)), smooth)
+    assert ratio.max() <= 5
+
+
+@pytest.mark.parametrize(
+    ("per_axis", "seed"), misses(KINK_HOLD, SIZES, {(200, 2), (600, 1), (600, 2)})
+)
 def test_bars_hold_on_a_kinked_response(per_axis: int, seed: int) -> None:
     inside, _ = calibration(table(kinked, clean_wrenches(per_axis, seed)), kinked)
     assert inside.min() >= 0.9
+
+
+@pytest.mark.parametrize(("per_axis", "seed"), misses(KINK_SHARP, SIZES, set(SIZES)))
+def test_bars_are_sharp_on_a_kinked_response(per_axis: int, seed: int) -> None:
+    _, ratio = calibration(table(kinked, clean_wrenches(per_axis, seed)), kinked)
+    assert ratio.max() <= 5
 
 
 def test_bars_hold_on_a_kink_at_no_force_with_the_pure_moments_that_fill_asks_for() -> None:
@@ -55,31 +84,48 @@ def test_bars_hold_on_a_kink_at_no_force_with_the_pure_moments_that_fill_asks_fo
     assert inside.min() >= 0.9
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_bars_hold_and_are_sharp_under_noise(seed: int) -> None:
+def noisy(per_axis: int, seed: int) -> Rows:
+    noise = np.random.default_rng(seed).normal(size=(3 * per_axis, 6)) * 3e-4
+    return table(lambda x: smooth(x) + noise, clean_wrenches(per_axis, seed))
+
+
+@pytest.mark.parametrize(("per_axis", "seed"), SIZES)
+def test_bars_hold_under_noise(per_axis: int, seed: int) -> None:
     """Against the truth, not the noisy rows, which a bar over noisy rows must hold as well."""
-    noise = np.random.default_rng(seed).normal(size=(1200, 6)) * 3e-4
-    rows = table(lambda x: smooth(x) + noise, clean_wrenches(400, seed))
-    inside, ratio = calibration(rows, smooth)
+    inside, _ = calibration(noisy(per_axis, seed), smooth)
     assert inside.min() >= 0.9
-    assert np.median(ratio) <= 5.5
+
+
+@pytest.mark.parametrize(("per_axis", "seed"), misses(NOISE_SHARP, SIZES, set(SIZES)))
+def test_bars_are_sharp_under_noise(per_axis: int, seed: int) -> None:
+    _, ratio = calibration(noisy(per_axis, seed), smooth)
+    assert ratio.max() <= 5
 
 
 def test_few_rows_make_wide_bars() -> None:
     inside, _ = calibration(table(smooth, clean_wrenches(20, 1)), smooth)
-    assert inside.min() >= 0.9
+    assert inside.min() >= 0.95
 
 
-@pytest.mark.parametrize("full", [20, 80])
-@pytest.mark.parametrize("off_axis", ["correct", "exclude"])
+FULL = [(n, off) for n in (20, 80) for off in ("correct", "exclude")]
+
+
+@pytest.mark.parametrize(
+    ("full", "off_axis"), misses("20 rows hold u_z at 89 % only", FULL, {(20, "correct")})
+)
 def test_full_wrench_rows_show_what_straight_influence_leaves_out(full: int, off_axis: str) -> None:
-    """The contract is kept by 80 full-wrench rows; by 20 for the outputs together, not for each."""
     scaled = np.concatenate((clean_wrenches(60, 1), full_wrenches(full, 2)))
     without, _ = calibration(table(coupled, scaled[:180]), coupled)
     inside, _ = calibration(table(coupled, scaled), coupled, off_axis=off_axis)
     assert without.min() < 0.8  # no bar can know this without such rows
-    assert inside.mean() >= 0.9
-    assert inside.min() >= (0.9 if full == 80 else 0.85)
+    assert inside.min() >= 0.9
+
+
+@pytest.mark.parametrize(("full", "off_axis"), misses("bars up to 7.3 x", FULL, set(FULL)))
+def test_bars_with_full_wrench_rows_are_sharp(full: int, off_axis: str) -> None:
+    scaled = np.concatenate((clean_wrenches(60, 1), full_wrenches(full, 2)))
+    _, ratio = calibration(table(coupled, scaled), coupled, off_axis=off_axis)
+    assert ratio.max() <= 5
 
 
 def test_rows_of_another_axis_show_the_influence_across_axes() -> None:
