@@ -58,6 +58,11 @@ class Body:
         return len(self.points)
 
     @cached_property
+    def extent(self) -> float:
+        """Diagonal of the box around the body, m."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+    @cached_property
     def dissection(self) -> Dissection:
         """The order of elimination of the free nodes."""
         cells = [nodes for block in self.cells for nodes in block]
@@ -225,7 +230,9 @@ class Tangent:
             if not touched.size:
                 continue
             own = gather(fields, cells[touched])
-            forces = matrices[touched] @ own.reshape(touched.size, -1, fields.shape[2])
+            forces = matrices[touched] @ own.reshape(
+                touched.size, matrices.shape[1], fields.shape[2]
+            )
             np.add.at(total, cells[touched], np.moveaxis(forces.reshape(own.shape), 1, 2))
         return total
 
@@ -233,8 +240,8 @@ class Tangent:
         """Solve for nodal loads of shape (n, 3, k); what acts on nodes that are held is ignored."""
         order = self._body.dissection.nodes
         found = np.zeros_like(loads)
-        columns = loads[order].reshape(-1, loads.shape[2])
-        found[order] = self.factor.solve(columns).reshape(-1, 3, loads.shape[2])
+        columns = loads[order].reshape(3 * order.size, loads.shape[2])
+        found[order] = self.factor.solve(columns).reshape(order.size, 3, loads.shape[2])
         return found
 
 

@@ -51,12 +51,11 @@ class Factor:
         except NotDefinite:
             self._fronts = _eliminate(dissection, leaves, _LUFront)
             self.definite = False
-        self.pivot_ratio, self.weakest = 0.0, -1
-        if self.definite and self.unknowns:
-            pivots = np.concatenate([front.pivots for front in self._fronts])
-            ratios = pivots / diagonal
+        self.pivot_ratio, self.weakest = 1.0, -1
+        if self.unknowns:
+            ratios = np.concatenate([front.pivots for front in self._fronts]) / diagonal
             self.weakest = int(ratios.argmin())
-            self.pivot_ratio = float(ratios[self.weakest])
+            self.pivot_ratio = float(ratios[self.weakest]) if self.definite else 0.0
 
     def solve(self, loads: Array) -> Array:
         """Solve for several load cases.
@@ -127,8 +126,9 @@ class _LUFront:
     def __init__(self, A: Array, B: Array, C: Array) -> None:
         A = np.tril(A) + np.tril(A, -1).T
         self.lu, self.swaps, info = _getrf(A)
-        if info > 0:
-            raise ZeroDivisionError("a pivot block is exactly singular")
+        if info > 0:  # exactly singular: the factor is of use for naming the place only
+            pivots = np.einsum("ii->i", self.lu)
+            pivots[pivots == 0] = np.finfo(float).tiny
         self.B = B
         self.W = _getrs(self.lu, self.swaps, B)[0] if B.size else B
 

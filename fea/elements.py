@@ -99,7 +99,7 @@ def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
         If the kind is unknown.
     """
     points, weights = _quadrature(kind, integration)
-    values, slopes = _tabulate(kind, points)
+    values, slopes = tabulate(kind, points)
     return ReferenceElement(kind, values, slopes, weights)
 
 
@@ -111,7 +111,8 @@ def node_places(kind: str) -> Array:
     return places
 
 
-def _tabulate(kind: str, points: Array) -> tuple[Array, Array]:
+def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
+    """Return shape functions (points, nodes) and slopes (points, nodes, dimension) at points."""
     if kind == "wedge15":
         return _wedge15(points)
     import skfem

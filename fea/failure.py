@@ -27,8 +27,8 @@ class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a prog
         self.message = message
         self.remedy = remedy
 
-    def __reduce__(self) -> tuple[type[SolveFailed], tuple[str, str, str]]:
-        return SolveFailed, (self.kind, self.message, self.remedy)
+    def __reduce__(self) -> tuple:
+        return SolveFailed, (self.kind, self.message, self.remedy), self.__dict__
 
 
 def not_converged(message: str) -> SolveFailed:

@@ -18,10 +18,12 @@ Report = Callable[[int, float], None]
 CONVERGED = 1e-6
 """Size of a last correction, relative to the displacement; what is left after it is its square."""
 
+MOST_ITERATIONS = 16
+
 _NEARLY = 1e-3
-_MOST_ITERATIONS = 16
 _MOST_IDLE = 3
 _FAR_ROTATION = 2.0  # rad: a rotation vector is of no use near half a turn
+_FAR = 1e3  # times the size of the part
 
 
 class Stuck(Exception):  # noqa: N818 - the caller tries a smaller load step
@@ -57,7 +59,11 @@ class Equilibrium(NamedTuple):
 
 
 def find_equilibrium(
-    system: System, balance: Balance, tangent: Linearisation, report: Report
+    system: System,
+    balance: Balance,
+    tangent: Linearisation,
+    report: Report,
+    most: int = MOST_ITERATIONS,
 ) -> Equilibrium:
     """Iterate from a state out of balance.
 
@@ -74,6 +80,8 @@ def find_equilibrium(
         A linearisation at, or near, that state.
     report
         Called after each iteration.
+    most
+        Iterations after which to give up.
 
     Raises
     ------
@@ -81,9 +89,10 @@ def find_equilibrium(
         If it does not converge.
     """
     proper, sizes = False, []
-    for iteration in range(1, _MOST_ITERATIONS + 1):
+    for iteration in range(1, most + 1):
         nodes, border = tangent.correction(balance)
         change = nodes + tangent.border.ties @ border
+        _require_near(change, border, system.body.extent)
         state = system.coupling.moved(balance.state, nodes, border)
         size = _relative_size(change, state)
         aim = (balance.state.nodes + change, change)
@@ -97,7 +106,7 @@ def find_equilibrium(
         proper = size <= _NEARLY
         reuse = tangent if iteration > 1 else None
         tangent = system.linearise(balance, None if proper else aim, reuse)
-    raise Stuck(f"no equilibrium after {_MOST_ITERATIONS} iterations")
+    raise Stuck(f"no equilibrium after {most} iterations")
 
 
 def _relative_size(change: Array, state: State) -> float:
@@ -106,9 +115,15 @@ def _relative_size(change: Array, state: State) -> float:
     return step / whole if whole > 0 else 0.0
 
 
+def _require_near(change: Array, border: Array, extent: float) -> None:
+    largest = np.abs(change).max(initial=0.0)
+    if not (np.isfinite(border).all() and largest < _FAR * extent):
+        raise Stuck("the iteration ran away")
+
+
 def _require_sane(balance: Balance) -> None:
-    if not np.isfinite(balance.norm) or not np.isfinite(balance.state.interface).all():
-        raise Stuck("the iteration ran away to numbers that are not finite")
+    if not np.isfinite(balance.norm):
+        raise Stuck("the iteration ran away to forces that are not finite")
     if np.linalg.norm(balance.state.interface[3:]) > _FAR_ROTATION:
         raise Stuck("the iteration turned the interface by more than 115 degrees")
 

@@ -13,17 +13,23 @@ from fea.failure import (
     not_converged,
     snap_through,
 )
-from fea.newton import Equilibrium, Stuck, find_equilibrium
+from fea.newton import MOST_ITERATIONS, Equilibrium, Stuck, find_equilibrium
 from fea.rotation import rotation, rotation_vector
 from fea.solution import Iteration, Progress
 from fea.system import Balance, Linearisation, System
 
 Array = np.ndarray
 
+FIRST_STEP = 1.0
+"""Load factor tried first."""
+GROWTH = 2.0
+"""How much longer the next step is after one that converged quickly."""
+
 _LEAST_STEP = 1.0 / 512
-_FEW_ITERATIONS = 8  # a step that took no more lets the next one be twice as long
+_FEW_ITERATIONS = 8
 _SECANT_MARGIN = 0.25
-_SOFTENED = 5.0  # times the compliance it started with: a load limit is near
+_SOFTENED = 5.0  # times the compliance it started with: a load limit is near,
+_NEAR_LIMIT = 8  # and that many least steps are fine enough to say so
 
 
 class LoadPath:
@@ -46,11 +52,13 @@ class LoadPath:
     def __init__(self, system: System, wrench: Array, progress: Progress | None = None) -> None:
         self._system = system
         self._wrench = wrench
+        self._size = float(np.abs(wrench).max())
+        self._direction = wrench / self._size  # its squares do not overflow
         self._progress = progress
         self.history: list[Iteration] = []
         self.work = 0.0
         self._factor = 0.0
-        self._step = 1.0
+        self._step = FIRST_STEP
         self._balance = system.balance_at_rest
         self._tangent = system.undeformed
 
@@ -86,8 +94,13 @@ class LoadPath:
             target = 1.0
         start = self._system.reload(self._balance, target * self._wrench)
         try:
+            most = MOST_ITERATIONS if self._factor == 0 else _FEW_ITERATIONS + 1
             found = find_equilibrium(
-                self._system, start, self._tangent, lambda i, norm: self._report(target, i, norm)
+                self._system,
+                start,
+                self._tangent,
+                lambda number, norm: self._report(target, number, norm),
+                most,
             )
         except Stuck as stuck:
             if stuck.at_roundoff:
@@ -116,34 +129,39 @@ class LoadPath:
         advance = self._advance(found)
         start, end = self._slope(self._tangent), self._slope(found.tangent)
         # The factor as a cubic in the advance, by its values and slopes at both ends, integrated.
-        self.work += 0.5 * (self._factor + target) * advance
-        self.work += advance**2 * (1 / start - 1 / end) / 12
+        mean = 0.5 * (self._factor + target) + advance * (1 / start - 1 / end) / 12
+        self.work += self._size * advance * mean
         self._balance, self._tangent, self._factor = found.balance, found.tangent, target
         if found.iterations <= _FEW_ITERATIONS:
-            self._step *= 2
+            self._step *= GROWTH
 
     def _halve(self, reason: str, failure: Callable[[str], SolveFailed]) -> None:
         """Take a step back; give up with `failure` when it was as small as can be."""
         self._step = 0.5 * min(self._step, 1.0 - self._factor)
-        if self._step < _LEAST_STEP:
+        softened = self._softened > _SOFTENED
+        if self._step < _LEAST_STEP * (_NEAR_LIMIT if softened else 1):
             raise failure(f"Beyond load factor {self._factor:.3g} {reason}.")
 
     def _stuck(self, message: str) -> SolveFailed:
-        softened = self._slope(self._tangent) / self._slope(self._system.undeformed)
-        if softened > _SOFTENED:
-            return snap_through(f"{message} There it is {softened:.1f} times as soft as unloaded.")
+        if self._softened > _SOFTENED:
+            times = f"{self._softened:.1f} times as soft as unloaded"
+            return snap_through(f"{message} There the part is {times}.")
         return not_converged(message)
 
+    @property
+    def _softened(self) -> float:
+        return self._slope(self._tangent) / self._slope(self._system.undeformed)
+
     def _slope(self, tangent: Linearisation) -> float:
-        """Work-conjugate displacement per unit of the load factor: wrench . d(displacement)."""
+        """Advance of the interface along the wrench's direction per unit of the load factor."""
         response = tangent.border_response @ self._wrench
-        return float(self._wrench @ (tangent.wrench_columns.T @ response))
+        return float(self._direction @ (tangent.wrench_columns.T @ response))
 
     def _advance(self, found: Equilibrium) -> float:
-        """Work-conjugate displacement of a step: force . translation + moment . spin."""
+        """Advance in a step, conjugate to the wrench: translation and spin along its direction."""
         before, after = self._balance.state.interface, found.balance.state.interface
         spin = rotation_vector(rotation(after[3:]) @ rotation(before[3:]).T)
-        return float(self._wrench[:3] @ (after - before)[:3] + self._wrench[3:] @ spin)
+        return float(self._direction @ np.concatenate([(after - before)[:3], spin]))
 
     def _report(self, target: float, iteration: int, norm: float) -> None:
         self.history.append(Iteration(target, iteration, norm))

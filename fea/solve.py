@@ -166,7 +166,7 @@ def _system(component: Component, active: Array) -> System:
         free,
         component.analysis.integration,
     )
-    return System(body, coupling)
+    return System(body, coupling, component.mesh.points)
 
 
 def _require_small_rotation(displacement: Array) -> None:

@@ -60,9 +60,12 @@ class System:
         The cells; its free nodes are those neither fixed nor tied by the coupling.
     coupling
         How the wrench gets in.
+    places
+        Shape (n, 3), m: where the nodes are in the mesh's own axes, for messages.
     """
 
-    def __init__(self, body: Body, coupling: Coupling) -> None:
+    def __init__(self, body: Body, coupling: Coupling, places: Array | None = None) -> None:
+        self._places = body.points if places is None else places
         self.body = body
         self.coupling = coupling
 
@@ -134,7 +137,7 @@ class System:
 
     def _place(self, position: int) -> str:
         node = self.body.dissection.nodes[position // 3] if position >= 0 else 0
-        return "(" + ", ".join(f"{x:.4g}" for x in self.body.points[node]) + ")"
+        return "(" + ", ".join(f"{x:.4g}" for x in self._places[node]) + ")"
 
 
 class Linearisation:
@@ -260,4 +263,5 @@ class Linearisation:
 
 def contract(first: Array, second: Array) -> Array:
     """Sum over nodes and components: (n, 3, j), (n, 3, k) -> (j, k)."""
-    return first.reshape(-1, first.shape[2]).T @ second.reshape(-1, second.shape[2])
+    size = 3 * len(first)
+    return first.reshape(size, first.shape[2]).T @ second.reshape(size, second.shape[2])

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from fea.elements import node_places
+from fea.elements import node_places, tabulate
 from fea.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 
 # Corner cells as doubled reference places: a cube cut into six tetrahedra or two wedges.
 _KUHN = [(0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2), (0, 2, 1), (2, 1, 0)]
 
 
-def box(kind="hex20", divisions=(2, 2, 2), lengths=(1.0, 1.0, 1.0), warp=None):
+def box(kind="hex20", divisions=(2, 2, 2), lengths=(1.0, 1.0, 1.0), warp=None, straight=False):
     """Mesh a box with its corner at the origin; `warp` maps points (n, 3) to points (n, 3).
 
+    With `straight` only the corners are warped and the other nodes put midway.
     Facet groups: x0, x1, y0, y1, z0, z1.
     """
     divisions = np.asarray(divisions)
@@ -30,7 +31,18 @@ def box(kind="hex20", divisions=(2, 2, 2), lengths=(1.0, 1.0, 1.0), warp=None):
     if warp is not None:
         points = warp(points)
     block = CellBlock(kind, cells_flat.reshape(cells.shape))
+    if straight:
+        points = _straighten(points, block)
     return Mesh(points, (block,), {"all": (np.arange(len(cells)),)}, groups, {})
+
+
+def _straighten(points, block):
+    corner_kind = {"hex": "hex8", "tet": "tet4", "wed": "wedge6"}[block.kind[:3]]
+    values, _ = tabulate(corner_kind, node_places(block.kind))
+    corners = points[block.nodes[:, : values.shape[1]]]
+    points = points.copy()
+    points[block.nodes] = values @ corners
+    return points
 
 
 def _cells(kind, divisions, shape):

@@ -1,0 +1,132 @@
+"""Every failure has a name and a remedy, and none hides behind a number."""
+
+import pickle
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fea.failure import SolveFailed, not_converged
+from fea.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from fea.solve import Solver
+from tests.fea.boxes import box
+from tests.fea.components import component
+
+
+def failure_of(part, wrench=(1, 1, 1, 1, 1, 1)):
+    with pytest.raises(SolveFailed) as caught:
+        Solver(part).solve(wrench)
+    assert caught.value.remedy
+    return caught.value
+
+
+def arch(coupling="rigid", **changes):
+    """A shallow sine arch, clamped at both ends, loaded at its crown."""
+    mesh = box(
+        "hex20",
+        (20, 2, 2),
+        (1.0, 0.05, 0.01),
+        warp=lambda p: p + np.outer(0.04 * np.sin(np.pi * p[:, 0]), [0, 0, 1]),
+    )
+    top = mesh.facet_groups["z1"].blocks[0].nodes
+    crown = top[np.abs(mesh.points[top][:, :, 0].mean(axis=1) - 0.5) < 0.06]
+    ends = np.concatenate([mesh.facet_groups[name].blocks[0].nodes for name in ("x0", "x1")])
+    groups = {
+        name: FacetGroup((FacetBlock("quad8", f),)) for name, f in (("c", crown), ("e", ends))
+    }
+    mesh = replace(mesh, facet_groups=groups)
+    options = {"fixed": "e", "section": "c", "young": 70e9, "nonlinear": True, **changes}
+    return component(mesh, coupling=coupling, **options)
+
+
+@pytest.mark.parametrize("nonlinear", [False, True])
+@pytest.mark.parametrize("coupling", ["rigid", "distributed"])
+def test_supports_on_one_line_are_a_mechanism(coupling, nonlinear):
+    part = component(box("hex20", (2, 2, 3)), coupling=coupling, nonlinear=nonlinear)
+    points = part.mesh.points
+    hinge = np.flatnonzero((points[:, 2] < 1e-9) & (points[:, 1] < 1e-9))
+    failure = failure_of(replace(part, fixed_nodes=hinge))
+    assert failure.kind == "mechanism"
+    assert "Fix more of the part" in failure.remedy
+
+
+@pytest.mark.parametrize("coupling", ["rigid", "distributed"])
+def test_a_part_that_touches_nothing_is_a_mechanism_and_is_located(coupling):
+    one, other = box("hex20", (2, 2, 2)), box("hex20", (1, 1, 1))
+    points = np.concatenate([one.points, other.points + np.array([5.0, 0, 0])])
+    nodes = np.concatenate([one.blocks[0].nodes, other.blocks[0].nodes + len(one.points)])
+    mesh = Mesh(points, (CellBlock("hex20", nodes),), facet_groups=one.facet_groups)
+    failure = failure_of(component(mesh, coupling=coupling, point=[-9, 0, 0]))
+    assert failure.kind == "mechanism"
+    assert re.match(r"Near \((5|5\.5|6), ", failure.message)
+
+
+def test_one_reduced_hex20_across_a_section_is_a_mechanism_but_full_integration_holds():
+    mesh = box("hex20", (1, 1, 6), (0.1, 0.1, 1.0))
+    failure = failure_of(component(mesh, coupling="distributed"))
+    assert failure.kind == "mechanism"
+    assert "at least two" in failure.remedy
+    held = component(mesh, poisson=0.0, integration="full")
+    bending = 210e9 * 0.1**4 / 12
+    assert Solver(held).compliance[4, 4] == pytest.approx(1 / bending, rel=2e-2)
+
+
+def test_a_rotation_over_twenty_degrees_is_refused_in_both_analyses():
+    for nonlinear in (False, True):
+        part = component(box("hex20", (2, 2, 16), (0.01, 0.01, 1.0)), nonlinear=nonlinear)
+        bending = 210e9 * 0.01**4 / 12
+        assert failure_of(part, [0, 0, 0, bending * 0.5, 0, 0]).kind == "rotation_too_large"
+        Solver(part).solve([0, 0, 0, bending * 0.3, 0, 0])
+
+
+def test_an_arch_that_snaps_through_is_named_and_never_answered_from_the_other_side():
+    built = Solver(arch("distributed"))
+    below = built.solve([0, 0, -2000, 0, 0, 0])
+    assert below.displacement[2] == pytest.approx(-4.47e-3, rel=1e-2)
+    with pytest.raises(SolveFailed) as caught:
+        built.solve([0, 0, -4000, 0, 0, 0])
+    assert caught.value.kind == "snap_through"
+    assert len(caught.value.history) > 20
+
+
+def test_an_arch_that_would_tip_over_sideways_is_held_by_its_guide():
+    with pytest.raises(SolveFailed, match="unstable"):
+        Solver(arch()).solve([0, 0, -4000, 0, 0, 0])
+    held = Solver(arch(locked=("ry",))).solve([0, 0, -4000, 0, 0, 0])
+    assert held.displacement[2] == pytest.approx(-7.75e-3, rel=1e-2)
+
+
+def test_a_column_is_answered_below_eulers_load_and_refused_above():
+    mesh = box("hex20", (2, 2, 16), (0.01, 0.01, 1.0))
+    euler = np.pi**2 * 210e9 * 0.01**4 / 12 / 4
+    built = Solver(component(mesh, nonlinear=True))
+    found = built.solve([0, 0, -0.95 * euler, 0, 0, 0])
+    assert np.abs(found.displacement[[0, 1, 3, 4]]).max() < 1e-9
+    with pytest.raises(SolveFailed) as caught:
+        built.solve([0, 0, -1.05 * euler, 0, 0, 0])
+    assert caught.value.kind == "snap_through"
+
+
+def test_loads_beyond_all_reason_fail_by_name():
+    part = component(box("hex20", (2, 2, 4), (0.1, 0.1, 0.4)), nonlinear=True)
+    for size in (1e9, 1e12, 1e200):
+        failure = failure_of(part, [size, 0, -size, 0, 0, 0])
+        assert failure.kind in {
+            "not_converged",
+            "snap_through",
+            "rotation_too_large",
+            "inverted_elements",
+        }
+
+
+def test_a_failure_travels_between_processes():
+    failure = not_converged("It stopped.")
+    failure.history = ((1.0, 1, 2.0),)
+    copy = pickle.loads(pickle.dumps(failure))
+    assert (copy.kind, copy.message, copy.remedy) == (
+        failure.kind,
+        failure.message,
+        failure.remedy,
+    )
+    assert copy.history == failure.history

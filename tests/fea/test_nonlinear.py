@@ -1,0 +1,149 @@
+"""Nonlinear analysis: large rotations, tangents, the load path."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from fea import path
+from fea.solve import Solver
+from tests.fea.boxes import box
+from tests.fea.components import component
+
+YOUNG = 70e9
+COUPLINGS = ["rigid", "distributed"]
+
+
+def strip(coupling="rigid", **changes):
+    """A thin cantilever along z, 1 m by 10 mm by 10 mm, without Poisson's effect."""
+    mesh = box("hex20", (2, 2, 32), (0.01, 0.01, 1.0))
+    options = {"young": YOUNG, "poisson": 0.0, "nonlinear": True, **changes}
+    return component(mesh, coupling=coupling, **options)
+
+
+def plate(coupling="distributed", **changes):
+    """A plate clamped at one edge, loaded at the other, bent well beyond its thickness."""
+    mesh = box("hex20", (5, 4, 2), (0.3, 0.2, 0.003))
+    options = {"young": YOUNG, "poisson": 0.33, "nonlinear": True, **changes}
+    return component(mesh, fixed="x0", section="x1", coupling=coupling, **options)
+
+
+BENDING = YOUNG * 0.01**4 / 12
+PLATE_WRENCH = np.array([300.0, 150.0, -25.0, 2.0, 4.0, 3.0])
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS)
+def test_a_tip_moment_bends_a_strip_into_a_circle(coupling):
+    angle = np.radians(19)
+    found = Solver(strip(coupling)).solve([0, 0, 0, 0, BENDING * angle, 0])
+    ux, _, uz, _, ry, _ = found.displacement
+    assert ry == pytest.approx(angle, rel=2e-4)
+    assert ux == pytest.approx((1 - np.cos(angle)) / angle, rel=2e-4)
+    assert uz == pytest.approx(np.sin(angle) / angle - 1, rel=2e-4)
+
+
+def elastica(force):
+    """Integrate theta'' = -force cos(theta) / (E I), theta(0) = 0, theta'(1) = 0."""
+
+    def shoot(curvature):
+        def slope(_, y):
+            return [y[1], -force / BENDING * np.cos(y[0]), np.sin(y[0]), np.cos(y[0]) - 1]
+
+        return solve_ivp(slope, (0, 1), [0, curvature, 0, 0], rtol=1e-10, atol=1e-12).y[:, -1]
+
+    curvature = brentq(lambda k: shoot(k)[1], 0, 2 * force / BENDING)
+    theta, _, sideways, along = shoot(curvature)
+    return sideways, along, theta
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS)
+def test_a_tip_force_bends_a_strip_into_the_elastica(coupling):
+    force = 0.65 * BENDING
+    sideways, along, theta = elastica(force)
+    found = Solver(strip(coupling)).solve([force, 0, 0, 0, 0, 0])
+    assert found.displacement[0] == pytest.approx(sideways, rel=3e-4)
+    assert found.displacement[2] == pytest.approx(along, rel=5e-4)
+    assert found.displacement[4] == pytest.approx(theta, rel=3e-4)
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS)
+def test_the_compliance_is_the_derivative_of_the_displacement(coupling):
+    built = Solver(plate(coupling))
+    found = built.solve(PLATE_WRENCH)
+    linear = built.solve(1e-6 * PLATE_WRENCH)
+    assert np.abs(found.displacement / (1e6 * linear.displacement) - 1).max() > 0.1
+    for load in range(6):
+        step = np.zeros(6)
+        step[load] = 1e-3 * (1.0 if load < 3 else 0.1)
+        ahead, behind = (built.solve(PLATE_WRENCH + s * step).displacement for s in (1, -1))
+        slope = (ahead - behind) / (2 * step[load])
+        scale = np.sqrt(np.abs(np.diagonal(found.compliance) * found.compliance[load, load]))
+        assert np.abs((found.compliance[:, load] - slope) / scale).max() < 1e-5
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS)
+def test_small_loads_give_the_linear_answer_down_to_1e_minus_12_of_the_range(coupling):
+    built = Solver(plate(coupling))
+    expected = built.compliance @ PLATE_WRENCH
+    for size in (1e-6, 1e-9, 1e-12):
+        found = built.solve(size * PLATE_WRENCH)
+        scale = np.abs(expected).reshape(2, 3).max(axis=1).repeat(3)
+        gap = np.abs(found.displacement / size - expected) / scale
+        assert gap.max() < 1e-3 * max(size, 1e-6) / 1e-6
+        assert found.work == pytest.approx(found.strain_energy, rel=1e-5)
+
+
+def test_the_answer_does_not_depend_on_the_load_steps(monkeypatch):
+    built = Solver(plate())
+    at_once = built.solve(PLATE_WRENCH)
+    monkeypatch.setattr(path, "FIRST_STEP", 0.1)
+    in_steps = built.solve(PLATE_WRENCH)
+    assert len({step.load_factor for step in in_steps.history}) > 3
+    np.testing.assert_allclose(in_steps.displacement, at_once.displacement, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(in_steps.strain_energy, at_once.strain_energy, rtol=1e-9)
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS)
+def test_external_work_becomes_strain_energy(coupling, monkeypatch):
+    built = Solver(plate(coupling))
+    force = [*PLATE_WRENCH[:3], 0, 0, 0]  # dead forces have a potential, spatial moments have not
+    found = built.solve(force)
+    assert found.work == pytest.approx(found.strain_energy, rel=0.02)
+    monkeypatch.setattr(path, "FIRST_STEP", 0.02)
+    monkeypatch.setattr(path, "GROWTH", 1.0)
+    assert built.solve(force).work == pytest.approx(found.strain_energy, rel=1e-5)
+
+
+def test_the_history_and_the_progress_tell_each_iteration():
+    told = []
+    found = Solver(plate()).solve(PLATE_WRENCH, lambda done, text: told.append((done, text)))
+    assert [step.iteration for step in found.history] == list(range(1, len(found.history) + 1))
+    assert {step.load_factor for step in found.history} == {1.0}
+    assert found.history[-1].residual_norm < 1e-4
+    fractions = [done for done, _ in told]
+    assert fractions == sorted(fractions)
+    assert told[-1][0] == 1.0
+    assert told[0][1] == "load factor 1.00, iteration 1"
+
+
+def test_a_spatial_moment_about_several_axes_is_not_conservative_but_in_balance():
+    """Turning the order of two large moments changes nothing: both act in full at the end."""
+    built = Solver(strip())
+    both = built.solve([0, 0, 0, 0.15 * BENDING, 0.2 * BENDING, 0.0])
+    assert both.displacement[3] == pytest.approx(0.15, rel=2e-3)
+    assert both.displacement[4] == pytest.approx(0.2, rel=2e-3)
+    # The tip's moment acts about fixed axes, so the bent strip is also twisted by it.
+    assert abs(both.displacement[5]) < 1e-3 * 0.2
+
+
+@pytest.mark.parametrize("kind", ["hex8", "hex27", "tet10", "wedge15", "tet4"])
+def test_every_kind_of_cell_converges(kind):
+    mesh = box(kind, (5, 4, 2), (0.3, 0.2, 0.01))
+    part = component(mesh, fixed="x0", section="x1", young=YOUNG, nonlinear=True)
+    linear = Solver(replace(part, analysis=replace(part.analysis, nonlinear=False)))
+    wrench = [0, 0, -800, 0, 0, 20]
+    found, small = Solver(part).solve(wrench), linear.solve(wrench)
+    assert found.displacement[2] == pytest.approx(small.displacement[2], rel=0.1)
+    assert found.displacement[2] != pytest.approx(small.displacement[2], rel=1e-7)
