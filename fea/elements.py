@@ -176,34 +176,37 @@ def _wedge15(points: Array) -> tuple[Array, Array]:
     midside of a triangle edge 2 L_c L_d (1 +- z), midside of an upright edge L (1 - z^2).
     """
     x, y, z = points[:, 0], points[:, 1], 2 * points[:, 2] - 1
-    corner = np.stack([1 - x - y, x, y])
-    corner_slope = np.array([[-1.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])[:, None, :]
-    up = np.array([0.0, 0.0, 2.0])
-    values, slopes = [], []
-
-    def add(value: Array, slope: Array) -> None:
-        values.append(value)
-        slopes.append(slope)
-
-    for side in (-1, 1):
-        for c in range(3):
-            L, dL = corner[c], corner_slope[c]
-            add(
-                L * (2 * L - 1) * (1 + side * z) / 2 - L * (1 - z**2) / 2,
-                ((4 * L - 1) * (1 + side * z) / 2 - (1 - z**2) / 2)[:, None] * dL
-                + (L * (2 * L - 1) * side / 2 + L * z)[:, None] * up,
-            )
-    for side in (-1, 1):
-        for c, d in ((0, 1), (1, 2), (2, 0)):
-            product = corner[c] * corner[d]
-            slope = corner[c][:, None] * corner_slope[d] + corner[d][:, None] * corner_slope[c]
-            add(
-                2 * product * (1 + side * z),
-                2 * slope * (1 + side * z)[:, None] + (2 * side * product)[:, None] * up,
-            )
-    for c in range(3):
-        add(
-            corner[c] * (1 - z**2),
-            (1 - z**2)[:, None] * corner_slope[c] - (2 * z * corner[c])[:, None] * up,
-        )
+    L = np.stack([1 - x - y, x, y])
+    dL = np.array([[-1.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])[:, None, :]
+    both = [
+        *(_wedge_corner(L[c], dL[c], z, side) for side in (-1, 1) for c in range(3)),
+        *(
+            _wedge_edge(L[c], dL[c], L[d], dL[d], z, side)
+            for side in (-1, 1)
+            for c, d in ((0, 1), (1, 2), (2, 0))
+        ),
+        *(_wedge_upright(L[c], dL[c], z) for c in range(3)),
+    ]
+    values, slopes = zip(*both, strict=True)
     return np.stack(values, axis=1), np.stack(slopes, axis=1)
+
+
+_UP = np.array([0.0, 0.0, 2.0])  # dz/dzeta
+
+
+def _wedge_corner(L: Array, dL: Array, z: Array, side: int) -> tuple[Array, Array]:
+    value = L * (2 * L - 1) * (1 + side * z) / 2 - L * (1 - z**2) / 2
+    flat = ((4 * L - 1) * (1 + side * z) - (1 - z**2)) / 2
+    return value, flat[:, None] * dL + (L * (2 * L - 1) * side / 2 + L * z)[:, None] * _UP
+
+
+def _wedge_edge(
+    L: Array, dL: Array, M: Array, dM: Array, z: Array, side: int
+) -> tuple[Array, Array]:
+    slope = L[:, None] * dM + M[:, None] * dL
+    height = (1 + side * z)[:, None]
+    return 2 * L * M * (1 + side * z), 2 * slope * height + (2 * side * L * M)[:, None] * _UP
+
+
+def _wedge_upright(L: Array, dL: Array, z: Array) -> tuple[Array, Array]:
+    return L * (1 - z**2), (1 - z**2)[:, None] * dL - (2 * z * L)[:, None] * _UP

@@ -18,6 +18,9 @@ Report = Callable[[int, float], None]
 CONVERGED = 1e-6
 """Size of a last correction, relative to the displacement; what is left after it is its square."""
 
+BALANCED = 1e-5
+"""Forces out of balance after it, relative to the nodal forces at supports and interface."""
+
 MOST_ITERATIONS = 16
 
 _NEARLY = 1e-3
@@ -99,7 +102,7 @@ def find_equilibrium(
         balance = system.balance(state, balance.wrench)
         report(iteration, balance.norm)
         _require_sane(balance)
-        if proper and size <= CONVERGED:
+        if proper and size <= CONVERGED and balance.norm <= BALANCED * balance.scale:
             return Equilibrium(balance, tangent, iteration)
         sizes.append(size)
         _require_progress(sizes)

@@ -92,16 +92,8 @@ class LoadPath:
         target = min(1.0, self._factor + self._step)
         if target > 1.0 - 0.5 * _LEAST_STEP:
             target = 1.0
-        start = self._system.reload(self._balance, target * self._wrench)
         try:
-            most = MOST_ITERATIONS if self._factor == 0 else _FEW_ITERATIONS + 1
-            found = find_equilibrium(
-                self._system,
-                start,
-                self._tangent,
-                lambda number, norm: self._report(target, number, norm),
-                most,
-            )
+            found = self._iterate(target)
         except Stuck as stuck:
             if stuck.at_roundoff:
                 raise ill_conditioned(f"At load factor {target:.3g} {stuck}.") from None
@@ -117,6 +109,15 @@ class LoadPath:
             self._accept(found, target)
             return found
         return None
+
+    def _iterate(self, target: float) -> Equilibrium:
+        start = self._system.reload(self._balance, target * self._wrench)
+        most = MOST_ITERATIONS if self._factor == 0 else _FEW_ITERATIONS + 1
+
+        def report(iteration: int, norm: float) -> None:
+            self._report(target, iteration, norm)
+
+        return find_equilibrium(self._system, start, self._tangent, report, most)
 
     def _explained(self, found: Equilibrium, target: float) -> bool:
         """Whether a step's secant lies between the tangents at its ends, more or less."""

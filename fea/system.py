@@ -50,6 +50,11 @@ class Balance:
         """Euclidean norm of the nodal forces out of balance, N."""
         return float(np.linalg.norm(self.nodal))
 
+    @property
+    def scale(self) -> float:
+        """Euclidean norm of all nodal forces, those of supports and interface with them, N."""
+        return float(np.linalg.norm(self.forces))
+
 
 class System:
     """The equations of one component.

@@ -22,7 +22,8 @@ def spring():
 def rod(shortening):
     """Return force (N) and turn (rad) of the reference spring, its upper end free to turn.
 
-    Love/Kirchhoff: thin inextensible rod of length L, n turns, pitch angle g; a = GJ/EI = 1/(1 + nu):
+    Love/Kirchhoff: a thin inextensible rod of length L, n turns, pitch angle g, and
+    a = GJ/EI = 1/(1 + nu):
     turn = 2 pi n (1 - (cos g0 cos g + a sin g0 sin g) / (cos^2 g + a sin^2 g)),
     force = GJ (2 pi n sin g0 - (2 pi n - turn) sin g) / (L r cos g), r = L cos g / (2 pi n - turn).
     """
