@@ -11,6 +11,8 @@ from fea.system import Linearisation, System, contract
 
 Array = np.ndarray
 
+_MOST_CORRECTIONS = 4
+_SMALL = 1e-7  # of a correction; what it leaves is about its square
 _ROUNDOFF = 1e-6
 """Asymmetry or energy gap, relative, above which the compliance is not to be trusted."""
 
@@ -68,15 +70,15 @@ def linear_response(system: System) -> LinearResponse:
 
 
 def _refined(system: System, start: Linearisation) -> tuple[Array, Array]:
-    """Return nodal fields and border of the unit loads, improved once.
+    """Return nodal fields and border of the unit loads, improved until corrections are small.
 
     The residual comes from the stresses, which are exact to a few digits more than the stiffness
-    matrix on slender parts; one correction brings the answer to that.
+    matrix on slender parts. One correction is enough but for extreme ones.
     """
     loads = start.wrench_columns
     border = start.border
     nodes, moved = start.solve(np.zeros((system.body.size, 3, loads.shape[1])), loads)
-    for _ in range(1):
+    for _ in range(_MOST_CORRECTIONS):
         fields = nodes + border.ties @ moved
         forces = system.body.small_strain_forces(fields)
         nodal = (forces + border.columns @ moved) * system.body.free[:, None, None]
@@ -84,4 +86,6 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array]:
         rest += border.block @ moved - loads
         more_nodes, more = start.solve(nodal, rest)
         nodes, moved = nodes - more_nodes, moved - more
+        if np.abs(more_nodes).max(initial=0.0) <= _SMALL * np.abs(nodes).max(initial=0.0):
+            break
     return nodes + border.ties @ moved, moved
