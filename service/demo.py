@@ -17,7 +17,7 @@ from service.client import Client, Displacement, Job
 
 COMPONENT = "plate_thin"
 SOLVERS = 2
-BUDGET = 108
+BUDGET = 144
 CHECKED = 50
 SEED = 20170726
 SOLVE_S = 300.0

@@ -20,6 +20,7 @@ from surrogate.surrogate import Surrogate
 log = logging.getLogger(__name__)
 
 POLL_S = 0.02
+REST = 1.0  # seconds of rest after each second of building: requests share the interpreter
 SAVE_AFTER_QUIET_S = 1.0
 
 
@@ -48,6 +49,7 @@ class Tables:
         self._unsaved: dict[str, float] = {}
         self._grown = threading.Condition()
         self._wake = threading.Event()
+        self._rest_until = 0.0
         self._stopping = False
         self._thread = threading.Thread(target=self._follow, name="tables", daemon=True)
 
@@ -131,7 +133,7 @@ class Tables:
             self._wake.clear()
             try:
                 now = self._ledger.version()
-                if now != seen:
+                if now != seen and time.monotonic() >= self._rest_until:
                     self._take_new_rows()
                     seen = now
                 self._save(SAVE_AFTER_QUIET_S)
@@ -152,13 +154,14 @@ class Tables:
                 self._grown.notify_all()
 
     def _build(self, component: Component, rows: Rows) -> None:
-        started = time.perf_counter()
+        started = time.monotonic()
         surrogate = _surrogate(component, rows)
         with self._grown:
             self._surrogates[component.name] = surrogate
         if len(rows):
             self._unsaved[component.name] = time.monotonic()
-        seconds = time.perf_counter() - started
+        seconds = time.monotonic() - started
+        self._rest_until = time.monotonic() + REST * seconds
         log.debug("%s: version %d, %.3f s", component.name, surrogate.version, seconds)
 
     def _save(self, quiet_s: float) -> None:

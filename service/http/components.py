@@ -36,6 +36,7 @@ def list_components(request: Request) -> dict[str, Any]:
 @router.get("/{name}", summary="One component: contract, range, rows, coverage")
 def one_component(name: str, request: Request) -> dict[str, Any]:
     book: Book = request.app.state.book
+    book.tables.catch_up(name, CATCH_UP_S)
     return component_body(book, book.library[name])
 
 

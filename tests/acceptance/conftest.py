@@ -1,0 +1,54 @@
+"""Real servers in processes of their own."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from service.client import Client
+
+
+class RealServer:
+    """`wrenchbook serve` on a folder, to be killed and started again."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.process = None
+        self.client = None
+
+    def start(self, solvers=2):
+        command = [sys.executable, "-m", "service.cli", "serve", "--data", str(self.folder)]
+        command += ["--port", "0", "--solvers", str(solvers), "--log-level", "warning"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        address = self.process.stdout.readline().split()[-1]
+        self.client = Client(address, timeout=60)
+        deadline = time.monotonic() + 60
+        while not self.client.is_ready():
+            assert time.monotonic() < deadline
+            assert self.process.poll() is None
+            time.sleep(0.05)
+        return self.client
+
+    def kill(self):
+        os.kill(self.process.pid, signal.SIGKILL)
+        self._gone()
+
+    def stop(self):
+        if self.process and self.process.poll() is None:
+            self.process.terminate()
+            self._gone()
+
+    def _gone(self):
+        self.process.wait(60)
+        self.process.stdout.close()
+        self.client.close()
+
+
+@pytest.fixture
+def server(tmp_path):
+    real = RealServer(tmp_path / "book")
+    yield real
+    real.stop()

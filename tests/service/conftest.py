@@ -1,0 +1,34 @@
+"""A server in this process, with a stand-in for finite elements."""
+
+from pathlib import Path
+
+import pytest
+from starlette.testclient import TestClient
+
+from service.app import create_app
+from service.book import Settings
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture
+def stand_in(monkeypatch):
+    """Choose the solver of the server's subprocesses, by its name in stand_in.py."""
+
+    def choose(name: str) -> None:
+        monkeypatch.setenv("WRENCHBOOK_SOLVE", f"stand_in:{name}")
+        monkeypatch.setenv("PYTHONPATH", str(HERE))
+
+    choose("quick")
+    return choose
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path / "book"
+
+
+@pytest.fixture
+def http(folder, stand_in):
+    with TestClient(create_app(Settings(folder, solvers=2))) as client:
+        yield client

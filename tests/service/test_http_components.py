@@ -1,0 +1,199 @@
+import io
+import zipfile
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+SHIPPED = Path(str(files("data"))) / "components"
+TABLE_ONLY = {"name": "rig", "title": "rig", "range": {"force": [1, 2, 3], "moment": [1, 1, 1]}}
+
+
+def bundle_zip(text, name="component.toml"):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr(name, text)
+    return buffer.getvalue()
+
+
+def upload(http, content):
+    return http.post("/v1/components", files={"bundle": ("b.zip", content, "application/zip")})
+
+
+def bar_text(**changes):
+    text = (SHIPPED / "bar" / "component.toml").read_text().replace('"bar"', '"beam"', 1)
+    for old, new in changes.values():
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
+def test_the_library_lists_the_shipped_components(http):
+    names = [one["name"] for one in http.get("/v1/components").json()["components"]]
+    assert {"bar", "plate", "plate_thin", "spring"} <= set(names)
+
+
+def test_a_component_tells_contract_range_rows_and_coverage(http):
+    body = http.get("/v1/components/plate").json()
+    assert body["contract"]["units"].startswith("SI")
+    assert body["range"]["force"][2] == [-5000.0, 5000.0]
+    assert body["rows"] == 0
+    assert "axes" in body["coverage"]
+
+
+def test_a_table_only_component_is_made_by_one_post(http):
+    reply = http.post("/v1/components", json=TABLE_ONLY)
+    assert reply.status_code == 201
+    assert reply.headers["location"] == "/v1/components/rig"
+    assert reply.json()["range"]["force"] == [[-1.0, 1.0], [-2.0, 2.0], [-3.0, 3.0]]
+    assert http.get("/v1/components/rig").json()["has_fea"] is False
+
+
+def test_a_name_is_taken_once(http):
+    assert http.post("/v1/components", json=TABLE_ONLY).status_code == 201
+    reply = http.post("/v1/components", json={**TABLE_ONLY, "title": "another"})
+    assert reply.status_code == 409
+    assert http.get("/v1/components/rig").json()["title"] == "rig"
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        ({"name": "../x"}, "name"),
+        ({"name": ""}, "name"),
+        ({"range": {"force": [1, 1], "moment": [1, 1, 1]}}, "range.force"),
+        ({"range": {"force": [1, 1, -1], "moment": [1, 1, 1]}}, "range.force"),
+        ({"range": {"force": [1, 1, [2, 1]], "moment": [1, 1, 1]}}, "range.force"),
+        ({"colour": "red"}, "colour"),
+    ],
+)
+def test_a_bad_table_only_component_is_422_with_the_place(http, folder, change, place):
+    reply = http.post("/v1/components", json={**TABLE_ONLY, **change})
+    assert reply.status_code == 422, reply.text
+    assert any(error["loc"].startswith(place) for error in reply.json()["errors"])
+    assert list((folder / "components").iterdir()) == []
+
+
+def test_a_bundle_is_uploaded_as_a_zip(http):
+    reply = upload(http, bundle_zip(bar_text(), "beam/component.toml"))
+    assert reply.status_code == 201, reply.text
+    assert reply.json()["linear"] is True
+    assert "beam" in [one["name"] for one in http.get("/v1/components").json()["components"]]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("youngs_modulus = 210e9", "youngs_modulus = -1.0", "youngs_modulus"),
+        ('section = "end"', 'section = "ende"', "end"),
+        ('fixed = ["start"]', 'fixed = ["strat"]', "start"),
+        ("nonlinear = false", "nonlinear = 1", "nonlinear"),
+        ("[mesh]", "[mesh", "line"),
+    ],
+)
+def test_a_bundle_with_a_mistake_is_refused_by_key_and_nothing_is_added(
+    http, folder, old, new, words
+):
+    reply = upload(http, bundle_zip(bar_text(change=(old, new))))
+    assert reply.status_code == 422, reply.text
+    problem = reply.json()
+    assert words in str(problem["errors"])
+    assert "Nothing was added" in problem["detail"]
+    assert list((folder / "components").iterdir()) == []
+    assert http.get("/v1/components/beam").status_code == 404
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"not a zip",
+        bundle_zip("x", "readme.txt"),
+        bundle_zip("x", "../component.toml"),
+        bundle_zip("x", "/component.toml"),
+    ],
+)
+def test_an_archive_that_is_no_bundle_is_refused(http, folder, content):
+    reply = upload(http, content)
+    assert reply.status_code == 422
+    assert list((folder / "components").iterdir()) == []
+
+
+def test_another_media_type_is_refused_with_those_that_are_taken(http):
+    reply = http.post("/v1/components", content=b"x", headers={"content-type": "text/plain"})
+    assert reply.status_code == 415
+    assert "multipart/form-data" in reply.json()["detail"]
+
+
+def test_fill_queues_the_first_design_within_its_budget(http):
+    reply = http.post("/v1/components/plate_thin/fill", json={"budget": 7})
+    body = reply.json()
+    assert reply.status_code == 202
+    assert body["stage"] == "first"
+    assert len({job["id"] for job in body["jobs"]}) == 7
+
+
+def test_a_second_fill_asks_for_other_wrenches(http, stand_in):
+    stand_in("endless")
+    first = http.post("/v1/components/plate_thin/fill", json={"budget": 5}).json()["jobs"]
+    second = http.post("/v1/components/plate_thin/fill", json={"budget": 5}).json()["jobs"]
+    assert not {job["id"] for job in first} & {job["id"] for job in second}
+
+
+def test_fill_of_a_table_without_a_setup_is_409(http):
+    http.post("/v1/components", json=TABLE_ONLY)
+    assert http.post("/v1/components/rig/fill", json={}).status_code == 409
+
+
+def test_solve_answers_from_fea_whatever_the_table_says(http):
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 20}
+    reply = http.post("/v1/components/plate_thin/solve", json=body)
+    assert reply.status_code == 200
+    assert reply.json()["source"] == "fea"
+    assert reply.json()["translation"] == pytest.approx([1e-6, 2e-6, 3e-6])
+
+
+def test_a_job_is_listed_polled_and_cancelled(http, stand_in):
+    stand_in("endless")
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0]}
+    job = http.post("/v1/components/plate_thin/solve", json=body).json()["job"]
+    listed = http.get("/v1/jobs", params={"component": "plate_thin"}).json()["jobs"]
+    assert [one["id"] for one in listed] == [job["id"]]
+    cancelled = http.delete(job["url"]).json()
+    assert cancelled["status"] == "cancelled"
+    assert http.get(job["url"], params={"wait_s": 5}).json()["status"] == "cancelled"
+
+
+def test_a_running_job_tells_its_progress(http, stand_in):
+    stand_in("endless")
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0]}
+    job = http.post("/v1/components/plate_thin/solve", json=body).json()["job"]
+    for _ in range(100):
+        progress = http.get(job["url"], params={"wait_s": 0.1}).json().get("progress")
+        if progress:
+            break
+    assert progress == {"fraction": 0.25, "message": "still going"}
+    http.delete(job["url"])
+
+
+def test_the_files_of_an_attempt_come_as_a_zip(http):
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 20}
+    job = http.post("/v1/components/plate_thin/solve", json=body).json()["job"]
+    content = http.get(f"{job['url']}/files").content
+    assert {"spec.json", "result.json"} <= set(zipfile.ZipFile(io.BytesIO(content)).namelist())
+
+
+@pytest.mark.parametrize("path", ["/v1/jobs/99", "/v1/jobs/99/files", "/v1/components/nope", "/no"])
+def test_what_is_not_there_is_a_404_problem(http, path):
+    reply = http.get(path)
+    assert reply.status_code == 404
+    assert reply.headers["content-type"] == "application/problem+json"
+    assert reply.json()["detail"]
+
+
+def test_health_and_openapi_answer(http):
+    assert http.get("/health/live").json() == {"status": "live"}
+    assert http.get("/health/ready").json()["status"] == "ready"
+    calls = http.get("/openapi.json").json()["paths"]
+    assert "/v1/components/{name}/displacement" in calls
+    reply = calls["/v1/components/{name}/displacement"]["post"]["responses"]["200"]
+    assert "acting ON the deformable component" in str(reply)

@@ -1,0 +1,223 @@
+import time
+
+import numpy as np
+import pytest
+
+CALL = "/v1/components/plate_thin/displacement"
+WRENCH = {"force": [10.0, 0.0, -20.0], "moment": [0.0, 3.0, 0.0]}
+
+
+def ask(http, **fields):
+    return http.post(CALL, json={**WRENCH, **fields})
+
+
+def wait_for(http, job):
+    reply = http.get(f"/v1/jobs/{job}", params={"wait_s": 20}).json()
+    assert reply["status"] == "done", reply
+    return reply
+
+
+def load_plane_table(http, name="plane"):
+    """Load a table-only component with u = 1e-6 w on the corners of every axis."""
+    body = {"name": name, "title": "made up", "range": {"force": [100] * 3, "moment": [10] * 3}}
+    assert http.post("/v1/components", json=body).status_code == 201
+    rows = [{"wrench": [0.0] * 6, "displacement": [0.0] * 6}]
+    for loads in ((0, 4, 5), (1, 5, 3), (2, 3, 4)):
+        for corner in np.ndindex(2, 2, 2):
+            wrench = np.zeros(6)
+            wrench[list(loads)] = (2 * np.array(corner) - 1) * [100.0, 10.0, 10.0]
+            rows.append({"wrench": wrench.tolist(), "displacement": (1e-6 * wrench).tolist()})
+    reply = http.post(f"/v1/components/{name}/table", json={"rows": rows})
+    assert reply.status_code == 200, reply.text
+    return rows
+
+
+def test_an_empty_table_queues_one_job_and_says_so(http):
+    reply = ask(http)
+    body = reply.json()
+    assert reply.status_code == 202
+    assert reply.headers["location"] == body["job"]["url"] == f"/v1/jobs/{body['job']['id']}"
+    assert body["translation"] is None
+    assert body["rotation"] is None
+    assert body["coverage"] == "outside"
+    assert body["reason"]
+
+
+def test_the_same_wrench_is_the_same_job_however_often_it_is_asked(http, stand_in):
+    stand_in("endless")
+    jobs = {ask(http).json()["job"]["id"] for _ in range(5)}
+    assert len(jobs) == 1
+    assert len(http.get("/v1/jobs").json()["jobs"]) == 1
+
+
+def test_wait_answers_with_the_solve_of_just_this_wrench(http):
+    reply = ask(http, on_thin="wait", wait_s=20)
+    body = reply.json()
+    assert reply.status_code == 200
+    assert body["source"] == "fea"
+    assert body["translation"] == pytest.approx([1e-5, 0.0, -2e-5], rel=1e-12)
+    assert body["rotation"] == pytest.approx([0.0, 3e-6, 0.0], rel=1e-12)
+
+
+def test_wait_that_is_too_short_answers_202(http, stand_in):
+    stand_in("endless")
+    started = time.monotonic()
+    reply = ask(http, on_thin="wait", wait_s=0.2)
+    assert reply.status_code == 202
+    assert time.monotonic() - started < 5.0
+
+
+def test_a_solved_wrench_is_answered_at_once_afterwards(http):
+    job = ask(http).json()["job"]["id"]
+    wait_for(http, job)
+    reply = ask(http)
+    assert reply.status_code == 200
+    assert reply.json()["source"] == "fea"
+
+
+def test_estimate_queues_nothing(http):
+    reply = ask(http, on_thin="estimate")
+    assert reply.status_code == 200
+    assert reply.json()["coverage"] == "outside"
+    assert http.get("/v1/jobs").json()["jobs"] == []
+
+
+def test_reject_is_a_problem_that_names_the_coverage(http):
+    reply = ask(http, on_thin="reject")
+    assert reply.status_code == 409
+    assert reply.headers["content-type"] == "application/problem+json"
+    assert reply.json()["coverage"] == "outside"
+    assert http.get("/v1/jobs").json()["jobs"] == []
+
+
+def test_a_failed_solve_is_a_problem_with_kind_and_remedy(http, stand_in):
+    stand_in("diverges")
+    reply = ask(http, on_thin="wait", wait_s=20)
+    body = reply.json()
+    assert reply.status_code == 424
+    assert body["error"]["kind"] == "not_converged"
+    assert "smaller load steps" in body["detail"]
+    assert f"/v1/jobs/{body['job']['id']}/retry" in body["detail"]
+
+
+def test_a_retried_job_is_solved(http, stand_in):
+    stand_in("diverges")
+    job = ask(http, on_thin="wait", wait_s=20).json()["job"]["id"]
+    stand_in("quick")
+    assert http.post(f"/v1/jobs/{job}/retry").status_code == 200
+    wait_for(http, job)
+
+
+def test_a_table_without_a_setup_never_queues(http):
+    load_plane_table(http)
+    reply = http.post(
+        "/v1/components/plane/displacement", json={"force": [500, 0, 0], "moment": [0, 0, 0]}
+    )
+    assert reply.status_code == 409
+    assert "finite-element setup" in reply.json()["detail"]
+
+
+def test_a_covered_wrench_is_answered_from_the_table_with_an_error_bar(http):
+    load_plane_table(http)
+    reply = http.post(
+        "/v1/components/plane/displacement", json={"force": [30, -20, 10], "moment": [1, 2, -3]}
+    )
+    body = reply.json()
+    assert reply.status_code == 200
+    assert body["coverage"] == "covered"
+    assert body["source"] == "table"
+    assert body["method"] == "griddata"
+    assert body["translation"] == pytest.approx([30e-6, -20e-6, 10e-6], rel=1e-9)
+    assert body["rotation"] == pytest.approx([1e-6, 2e-6, -3e-6], rel=1e-9)
+    assert all(bar >= 0 for bar in body["error"]["translation"] + body["error"]["rotation"])
+    assert body["elapsed_us"] > 0
+
+
+def test_detail_tells_per_axis_inputs_outputs_and_rows(http):
+    load_plane_table(http)
+    body = http.post(
+        "/v1/components/plane/displacement",
+        json={"force": [30, 0, 0], "moment": [0, 1, 0], "detail": True},
+    ).json()
+    x = body["axes"][0]
+    assert x["axis"] == "x"
+    assert x["inputs"] == {"F_x": 30.0, "M_y": 1.0, "M_z": 0.0}
+    assert x["rows"]
+
+
+@pytest.mark.parametrize(
+    ("body", "place"),
+    [
+        ('{"force":[0,0,NaN],"moment":[0,0,0]}', "body"),
+        ('{"force":[0,0,1e999],"moment":[0,0,0]}', "body"),
+        ('{"force":[0,0,1,2,3],"moment":[0,0,0]}', "force"),
+        ('{"force":["1",0,0],"moment":[0,0,0]}', "force.0"),
+        ('{"force":[true,0,0],"moment":[0,0,0]}', "force.0"),
+        ('{"force":[null,0,0],"moment":[0,0,0]}', "force.0"),
+        ('{"force":[0,0,1],"moment":[0,0,0],"forse":1}', "forse"),
+        ('{"force":[0,0,1],"on_thin":"maybe"}', "on_thin"),
+        ('{"force":[0,0,1],"method":"magic"}', "method"),
+        ('{"force":[0,0,1],"tolerance":{"translation":-1,"rotation":1}}', "tolerance.translation"),
+        ("{}", "body"),
+        ("[1,2,3]", "body"),
+        ("", "body"),
+        ("\xff", "body"),
+    ],
+)
+def test_a_bad_body_is_422_with_the_place_and_changes_nothing(http, body, place):
+    reply = http.post(CALL, content=body.encode("latin-1"))
+    assert reply.status_code == 422, reply.text
+    assert reply.headers["content-type"] == "application/problem+json"
+    problem = reply.json()
+    assert problem["errors"][0]["loc"] == place
+    assert problem["errors"][0]["msg"]
+    assert http.get("/v1/jobs").json()["jobs"] == []
+
+
+def test_an_unknown_component_is_404_and_names_those_there_are(http):
+    reply = http.post("/v1/components/nope/displacement", json=WRENCH)
+    assert reply.status_code == 404
+    assert "plate_thin" in reply.json()["detail"]
+
+
+def test_a_batch_answers_in_order_and_queues_what_is_thin(http):
+    wrenches = [[1.0, 0, 0, 0, 0, 0], [0, 2.0, 0, 0, 0, 0]]
+    reply = http.post(f"{CALL}s", json={"wrenches": wrenches, "on_thin": "wait", "wait_s": 30})
+    body = reply.json()
+    assert reply.status_code == 200
+    assert body["coverage"] == ["covered", "covered"]
+    assert np.allclose(body["displacements"], 1e-6 * np.array(wrenches), rtol=1e-12)
+    assert [job["index"] for job in body["jobs"]] == [0, 1]
+
+
+def test_a_batch_gives_the_same_numbers_as_single_calls(http):
+    load_plane_table(http)
+    wrenches = np.random.default_rng(3).uniform(-5, 5, (20, 6)).tolist()
+    body = http.post("/v1/components/plane/displacements", json={"wrenches": wrenches}).json()
+    for wrench, displacement, error in zip(
+        wrenches, body["displacements"], body["errors"], strict=True
+    ):
+        one = http.post(
+            "/v1/components/plane/displacement",
+            json={"force": wrench[:3], "moment": wrench[3:]},
+        ).json()
+        assert one["translation"] + one["rotation"] == pytest.approx(displacement, abs=1e-15)
+        assert one["error"]["translation"] + one["error"]["rotation"] == pytest.approx(
+            error, abs=1e-15
+        )
+
+
+@pytest.mark.parametrize(
+    "wrenches", [[[1, 2, 3]], [[1, 2, 3, 4, 5, "6"]], [[1, 2, 3, 4, 5, None]], "no", [1, 2]]
+)
+def test_a_bad_batch_is_422_and_changes_nothing(http, wrenches):
+    reply = http.post(f"{CALL}s", json={"wrenches": wrenches})
+    assert reply.status_code == 422
+    assert reply.json()["errors"]
+    assert http.get("/v1/jobs").json()["jobs"] == []
+
+
+def test_an_empty_batch_is_answered_with_nothing(http):
+    body = http.post(f"{CALL}s", json={"wrenches": []}).json()
+    assert body["displacements"] == []
+    assert body["jobs"] == []
