@@ -31,12 +31,12 @@ from fea.read_parts import (
     read_deck,
     read_interface,
     read_material,
-    read_mesh,
     read_name,
     read_range,
     read_supports,
     read_tolerance,
 )
+from fea.read_source import read_mesh
 
 __all__ = [
     "Analysis",

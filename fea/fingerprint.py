@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,11 @@ def _mesh(source: MeshSource | None) -> object:
         return None
     if source.file is not None:
         # The ending chooses the reader; the rest of the name changes nothing.
-        return {"file": _bytes(source.file), "ending": source.file.suffix, "unit": source.unit}
+        told: dict[str, object] = {"file": _bytes(source.file), "ending": source.file.suffix}
+        if source.geometry is not None:
+            return told | {"geometry": asdict(source.geometry)}
+        order = {} if source.order is None else {"order": source.order}
+        return told | {"unit": source.unit} | order
     return {"generator": source.generator, "parameters": dict(source.parameters or {})}
 
 
@@ -76,8 +81,14 @@ def _analysis(analysis: Analysis) -> object:
 def _deck(deck: Deck | None) -> object:
     if deck is None:
         return None
-    file = _bytes(deck.file)
-    return {"file": file, "command": list(deck.command), "output": dict(deck.output)}
+    return {
+        "file": _bytes(deck.file),
+        "files": {file.name: _bytes(file) for file in deck.files},
+        "command": list(deck.command),
+        "output": dict(deck.output),
+        "unit": deck.unit,
+        "moment": deck.moment,
+    }
 
 
 def _bytes(path: Path) -> str:

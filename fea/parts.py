@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ FREEDOMS = ("ux", "uy", "uz", "rx", "ry", "rz")
 """The interface's six degrees of freedom, in the order of the wrench contract."""
 
 COUPLINGS = ("rigid", "distributed")
+MOMENTS = ("spatial", "conjugate")
 INTEGRATIONS = ("reduced", "full")
 
 UNITS: Mapping[str, float] = {
@@ -29,20 +30,75 @@ UNITS: Mapping[str, float] = {
 """Length units a mesh file may be in, each in metres."""
 
 
+GEOMETRY_ENDINGS = (".step", ".stp")
+"""Endings of files that hold geometry to be meshed, not a mesh."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which faces of a geometry make a group, or which of its bodies make a region.
+
+    A face or body belongs if any of these names it.
+
+    Attributes
+    ----------
+    numbers
+        By their numbers in the report of ``wrenchbook check``.
+    near
+        For each point (x, y, z), m, the face nearest to it, or the body it lies in.
+    plane
+        Axis (0, 1, 2) and coordinate, m: every plane face there. Faces only.
+    radius
+        Every cylindrical face of that radius, m. Faces only.
+    """
+
+    numbers: tuple[int, ...] = ()
+    near: tuple[tuple[float, float, float], ...] = ()
+    plane: tuple[int, float] | None = None
+    radius: float | None = None
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """How to mesh a geometry file.
+
+    Attributes
+    ----------
+    size
+        Edge length of the cells, m.
+    curvature
+        Least number of cells round a full turn of a curved face; 0 leaves it to `size`.
+    groups, regions
+        Faces that make each facet group, bodies that make each cell group.
+    """
+
+    size: float
+    curvature: int = 0
+    groups: Mapping[str, Choice] = field(default_factory=dict)
+    regions: Mapping[str, Choice] = field(default_factory=dict)
+
+
 @dataclass(frozen=True)
 class MeshSource:
-    """Where the mesh comes from: a file, or a generator with its parameters.
+    """Where the mesh comes from: a mesh file, a geometry file, or a generator with its parameters.
 
     Attributes
     ----------
     file, unit
-        The mesh file (a path within the bundle) and its length unit, a key of `UNITS`.
+        The file (a path within the bundle) and its length unit, a key of `UNITS`; a geometry file
+        holds its own.
+    geometry
+        How to mesh the file, if it is a geometry file.
+    order
+        2 gives the cells of a first-order mesh file their midside nodes; None leaves them.
     generator, parameters
         The name of a generator of `fea.meshes` and all its parameters, defaults filled in.
     """
 
     file: Path | None = None
     unit: str = "m"
+    geometry: Geometry | None = None
+    order: int | None = None
     generator: str | None = None
     parameters: Mapping[str, Any] | None = None
 
@@ -129,16 +185,31 @@ class Deck:
     Attributes
     ----------
     file
-        The deck, with $FX $FY $FZ $MX $MY $MZ where the wrench goes.
+        The deck, with $FX $FY $FZ $MX $MY $MZ where the wrench goes. Its axes are the interface
+        frame's.
     command
         The program and its arguments; ``{job}`` stands for the deck's name without its ending.
     output
         The reader of the solver's output and what that reader is told.
+    files
+        Other files of the bundle that the deck or the command needs; copied next to the deck.
+    unit
+        The deck's length unit, a key of `UNITS`: the moments go in as N times it, the translation
+        is read in it. Forces are newtons.
+    timeout
+        Seconds after which one run of the command is ended.
+    moment
+        What the deck takes as moment: "spatial", about fixed axes, or "conjugate", that which
+        works on the rotation vector.
     """
 
     file: Path
     command: tuple[str, ...]
     output: Mapping[str, str]
+    files: tuple[Path, ...] = ()
+    unit: str = "m"
+    timeout: float = 3600.0
+    moment: str = "spatial"
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,24 +8,21 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import MISSING, fields
 from pathlib import Path
 
 import numpy as np
 
+from fea.bundlefile import bundle_file
 from fea.keys import Keys
-from fea.meshes import GENERATORS
 from fea.parts import (
     COUPLINGS,
     FREEDOMS,
     INTEGRATIONS,
-    UNITS,
     Analysis,
     Deck,
     Interface,
     LoadRange,
     Material,
-    MeshSource,
     Supports,
     Tolerance,
 )
@@ -44,67 +41,6 @@ def read_name(top: Keys) -> str | None:
         )
         return None
     return name
-
-
-def read_mesh(keys: Keys | None, folder: Path) -> MeshSource | None:
-    """Return ``[mesh]``: a file and its unit, or a generator and its parameters."""
-    if keys is None:
-        return None
-    if "generator" in keys and "file" in keys:
-        keys.wrong("generator", 'name a "file" or a "generator", not both')
-    source = _generated(keys) if "generator" in keys else _from_file(keys, folder)
-    keys.close()
-    return source
-
-
-def _from_file(keys: Keys, folder: Path) -> MeshSource | None:
-    if "file" not in keys:
-        keys.wrong("file", 'missing; name a mesh "file" or a "generator"')
-    file = _file(keys, "file", folder, required="file" in keys)
-    unit = keys.choice("unit", tuple(UNITS), required="file" in keys)
-    return MeshSource(file=file, unit=unit) if file is not None and unit is not None else None
-
-
-def _generated(keys: Keys) -> MeshSource | None:
-    keys.raw("file", str, required=False)
-    name = keys.choice("generator", tuple(GENERATORS))
-    if name is None:
-        return None
-    generator = GENERATORS[name]
-    before = len(keys.problems)
-    parameters = {}
-    for entry in fields(generator):
-        required = entry.default is MISSING
-        if "least" in entry.metadata:
-            value = keys.whole(entry.name, entry.metadata["least"], required)
-        else:
-            value = keys.number(entry.name, entry.metadata["unit"], above=0.0, required=required)
-        parameters[entry.name] = entry.default if value is None else value
-    if len(keys.problems) > before:
-        return None
-    for key, message in generator(**parameters).mistakes():
-        keys.wrong(key, message)
-    return MeshSource(generator=name, parameters=parameters)
-
-
-def _file(keys: Keys, key: str, folder: Path, required: bool = True) -> Path | None:
-    """Return the path of a file of the bundle that exists and lies within its folder."""
-    name = keys.text(key, required)
-    if name is None:
-        return None
-    if "\0" in name:
-        keys.wrong(key, "must not hold a null character")
-        return None
-    path = folder / name
-    # Resolved, so that a symbolic link out of the folder is refused too.
-    if Path(name).is_absolute() or not path.resolve().is_relative_to(folder.resolve()):
-        keys.wrong(key, f'"{name}" is outside the bundle; put the file into its folder')
-    elif not path.is_file():
-        there = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
-        keys.wrong(key, f'there is no file "{name}" in the bundle (it has {", ".join(there)})')
-    else:
-        return path
-    return None
 
 
 def read_material(keys: Keys) -> Material | None:
@@ -257,7 +193,7 @@ def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
     """Return ``[deck]``."""
     if keys is None:
         return None
-    file = _file(keys, "file", folder)
+    file = bundle_file(keys, "file", folder)
     command = keys.texts("command", least=1)
     output = keys.table("output")
     told = {} if output is None else _output(output)
