@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fea.cad import mesh_geometry
 from fea.faces import facets_within, outer_surface
 from fea.mesh import Mesh
 from fea.meshes import GENERATORS
 from fea.meshfile import read_mesh
+from fea.order import first_order_problems, second_order
 from fea.parts import Analysis, Bundle, Interface, Material, MeshSource
 from fea.problems import BundleError, Problem, suggest
 from fea.quality import cell_problems
@@ -55,8 +57,8 @@ class Component:
     analysis: Analysis
 
 
-def build(bundle: Bundle) -> Component:
-    """Build the mesh of `bundle` and resolve the groups it names.
+def build(bundle: Bundle, mesh: Mesh | None = None) -> Component:
+    """Build the mesh of `bundle`, unless it is given, and resolve the groups it names.
 
     Raises
     ------
@@ -67,8 +69,8 @@ def build(bundle: Bundle) -> Component:
     if bundle.mesh is None or bundle.interface is None or bundle.supports is None:
         message = "missing; a component without a [mesh] is a table and cannot be solved"
         raise BundleError([Problem("mesh", message)])
-    mesh = mesh_of(bundle.mesh)
-    problems = cell_problems(mesh)
+    mesh = mesh_of(bundle.mesh) if mesh is None else mesh
+    problems = cell_problems(mesh) + first_order_problems(mesh)
     material_of_cells = _materials(mesh, bundle.materials, problems)
     fixed = _fixed_nodes(mesh, bundle.supports.fixed, problems)
     section = _section(mesh, bundle.interface, problems)
@@ -97,10 +99,13 @@ def mesh_of(source: MeshSource) -> Mesh:
     Raises
     ------
     BundleError
-        If the mesh file cannot be read.
+        If the file cannot be read, or its geometry not be meshed.
     """
+    if source.file is not None and source.geometry is not None:
+        return mesh_geometry(source.file, source.geometry)
     if source.file is not None:
-        return read_mesh(source.file, source.unit)
+        mesh = read_mesh(source.file, source.unit)
+        return mesh if source.order is None else second_order(mesh)
     if source.generator is None or source.parameters is None:
         raise ValueError("a mesh source needs a file or a generator with its parameters")
     return GENERATORS[source.generator](**source.parameters).mesh()

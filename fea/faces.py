@@ -37,6 +37,13 @@ def _with_midsides(
     )
 
 
+EDGES: dict[str, tuple[tuple[int, int], ...]] = {
+    **dict.fromkeys(("hex8", "hex20", "hex27"), _HEX_EDGES),
+    **dict.fromkeys(("tet4", "tet10"), _TET_EDGES),
+    **dict.fromkeys(("wedge6", "wedge15"), _WEDGE_EDGES),
+}
+"""Local corners of each edge; midside nodes follow the corners in this order."""
+
 _HEX20_FACES = _with_midsides(_HEX_FACES, _HEX_EDGES, 8)
 
 FACES: dict[str, tuple[tuple[int, ...], ...]] = {

@@ -1,0 +1,153 @@
+"""The faces and bodies of a geometry file, numbered so that a bundle can name them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fea.cad.session import METRES, opened
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Face:
+    """One face.
+
+    Attributes
+    ----------
+    number
+        What ``faces = [...]`` names it by.
+    kind
+        "Plane", "Cylinder", "Cone", "Sphere", "Torus", "BSpline surface", ...
+    area
+        m^2.
+    centre
+        Area centre, m.
+    normal
+        Outward unit normal of a plane face; None for others.
+    radius
+        Of a cylinder, m; None for others.
+    low, high
+        Corners of the box around it, m.
+    """
+
+    number: int
+    kind: str
+    area: float
+    centre: tuple[float, float, float]
+    normal: tuple[float, float, float] | None
+    radius: float | None
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Body:
+    """One solid body: its number, volume (m^3), centre of mass and box (m)."""
+
+    number: int
+    volume: float
+    centre: tuple[float, float, float]
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+
+def list_shape(path: Path) -> tuple[tuple[Face, ...], tuple[Body, ...]]:
+    """Return the faces and bodies of a geometry file.
+
+    Raises
+    ------
+    BundleError
+        If it cannot be read.
+    """
+    with opened(path) as gmsh:
+        return faces_of(gmsh), bodies_of(gmsh)
+
+
+def bodies_of(gmsh: Any) -> tuple[Body, ...]:
+    """Return the solid bodies of the open file."""
+    return tuple(
+        Body(
+            number,
+            gmsh.model.occ.getMass(3, number) * METRES**3,
+            _metres(gmsh.model.occ.getCenterOfMass(3, number)),
+            *_box(gmsh, 3, number),
+        )
+        for _, number in gmsh.model.getEntities(3)
+    )
+
+
+def faces_of(gmsh: Any) -> tuple[Face, ...]:
+    """Return the faces of the bodies of the open file."""
+    bounding = {
+        tag
+        for _, body in gmsh.model.getEntities(3)
+        for _, tag in gmsh.model.getBoundary([(3, body)], oriented=False)
+    }
+    return tuple(_face(gmsh, number) for number in sorted(bounding))
+
+
+def _face(gmsh: Any, number: int) -> Face:
+    # An older gmsh knows it as getType.
+    kind = getattr(gmsh.model, "getEntityType", None) or gmsh.model.getType
+    name = kind(2, number)
+    return Face(
+        number,
+        name,
+        gmsh.model.occ.getMass(2, number) * METRES**2,
+        _metres(gmsh.model.occ.getCenterOfMass(2, number)),
+        _outward(gmsh, number) if name == "Plane" else None,
+        _radius(gmsh, number) if name == "Cylinder" else None,
+        *_box(gmsh, 2, number),
+    )
+
+
+def _box(gmsh: Any, dimension: int, number: int) -> tuple[Any, Any]:
+    box = gmsh.model.occ.getBoundingBox(dimension, number)
+    return _metres(box[:3]), _metres(box[3:])
+
+
+def _metres(place: Any) -> tuple[float, float, float]:
+    x, y, z = (float(each) * METRES for each in place)
+    return x, y, z
+
+
+def _middle(gmsh: Any, number: int) -> list[float]:
+    """Return the middle of a face's ranges of parameters."""
+    low, high = gmsh.model.getParametrizationBounds(2, number)
+    return [0.5 * (a + b) for a, b in zip(low, high, strict=True)]
+
+
+def _radius(gmsh: Any, number: int) -> float:
+    largest, smallest, _, _ = gmsh.model.getPrincipalCurvatures(number, _middle(gmsh, number))
+    return METRES / max(abs(float(largest[0])), abs(float(smallest[0])))
+
+
+def _outward(gmsh: Any, number: int) -> tuple[float, float, float]:
+    """Return a plane's normal, away from its body (the first of them where two share it)."""
+    normal = np.array(gmsh.model.getNormal(number, _middle(gmsh, number)))
+    inside = _point_on(gmsh, number)
+    body = int(gmsh.model.getAdjacencies(2, number)[0][0])
+    step = 1e-4 * np.sqrt(gmsh.model.occ.getMass(2, number))
+    if gmsh.model.isInside(3, body, (inside + step * normal).tolist()):
+        normal = -normal
+    x, y, z = (round(float(each), 12) + 0.0 for each in normal)
+    return x, y, z
+
+
+def _point_on(gmsh: Any, number: int) -> Array:
+    """Return a point within the edges of a face (its centre may lie in a hole), mm."""
+    low, high = gmsh.model.getParametrizationBounds(2, number)
+    for share in _SHARES:
+        place = [a + s * (b - a) for a, b, s in zip(low, high, share, strict=True)]
+        if gmsh.model.isInside(2, number, place, parametric=True):
+            return np.array(gmsh.model.getValue(2, number, place))
+    return np.array(gmsh.model.occ.getCenterOfMass(2, number))
+
+
+# The middle, then points that fill the square evenly (additive recurrence of the plastic number).
+_SHARES = [((0.5 + 0.7548776662 * i) % 1, (0.5 + 0.5698402910 * i) % 1) for i in range(200)]
