@@ -16,7 +16,8 @@ from typing import Any
 
 SPEC, LOCK, LOG = "spec.json", "lock", "log.txt"
 PROGRESS, OUTCOME = "progress.json", "result.json"
-_KEPT = {SPEC, LOCK, LOG, OUTCOME}
+DECK = "deck"  # what an outside solver was given and wrote
+_KEPT = {SPEC, LOCK, LOG, OUTCOME, DECK}
 
 
 class BadOutcomeError(Exception):
@@ -105,7 +106,7 @@ def read_outcome(folder: Path, spec: Spec) -> dict[str, Any] | None:
 
 
 def tidy(folder: Path) -> None:
-    """Leave of a done attempt only its spec, log and outcome."""
+    """Leave of a done attempt only its spec, log and outcome, and an outside solver's files."""
     for entry in folder.iterdir():
         if entry.name in _KEPT:
             continue

@@ -12,6 +12,7 @@ and ``remedy`` is reported with them.
 
 import argparse
 import contextlib
+import functools
 import importlib
 import math
 import os
@@ -61,7 +62,7 @@ def main(folder: str | Path, solve: Solve | None = None) -> int:
     spec = read_spec(folder)
     try:
         with _hearing_sigterm():
-            numbers = (solve or _chosen_solve())(spec, _Reporter(folder))
+            numbers = (solve or _chosen_solve(folder))(spec, _Reporter(folder))
         write_outcome(folder, spec, {"status": "done", **_checked(numbers)})
         return DONE
     except Cancelled:
@@ -73,8 +74,8 @@ def main(folder: str | Path, solve: Solve | None = None) -> int:
         return FAILED
 
 
-def solve_embedded(spec: Spec, report: Report) -> Mapping[str, Any]:
-    """Solve with the finite elements of this project."""
+def solve_embedded(spec: Spec, report: Report, folder: Path | None = None) -> Mapping[str, Any]:
+    """Solve with the finite elements of this project, or a deck's solver in `folder`."""
     from fea.bundle import read_bundle
     from fea.solve import solve
 
@@ -86,7 +87,7 @@ def solve_embedded(spec: Spec, report: Report) -> Mapping[str, Any]:
             f"(fingerprint {spec.fingerprint} then, {bundle.fingerprint} now)",
             "ask for the wrench again: that makes a job for the component as it is now",
         )
-    solution = solve(bundle, spec.wrench, progress=report)
+    solution = solve(bundle, spec.wrench, progress=report, folder=folder)
     names = ("displacement", "compliance", "strain_energy", "work")
     return {name: getattr(solution, name) for name in (*names, "seconds", "unknowns", "history")}
 
@@ -110,10 +111,10 @@ class _Reporter:
             print(f"progress not written: {error}", file=sys.stderr)
 
 
-def _chosen_solve() -> Solve:
+def _chosen_solve(folder: Path) -> Solve:
     name = os.environ.get(SOLVE_VARIABLE)
     if not name:
-        return solve_embedded
+        return functools.partial(solve_embedded, folder=folder)
     try:
         module, function = name.split(":")
         return getattr(importlib.import_module(module), function)

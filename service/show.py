@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from service.client import Client, Displacement, Job, ProblemError
@@ -96,7 +96,7 @@ def bar(out: Console) -> Progress:
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
-        MofNCompleteColumn(),
+        TextColumn("{task.completed:.0f}/{task.total}"),
         TimeElapsedColumn(),
         TextColumn("{task.fields[note]}"),
         console=out,
@@ -122,7 +122,7 @@ def follow(out: Console, client: Client, jobs: Sequence[Job], seconds: float) ->
                 now = client.job(job.id, wait_s=POLL_S)
                 if now.ended:
                     done[job.id] = now
-                progress.update(task, completed=len(done), note=_state(now))
+                progress.update(task, completed=len(done) + now.progress % 1, note=_state(now))
                 if not now.ended:
                     break
             if time.monotonic() > deadline:
