@@ -9,10 +9,13 @@ import numpy as np
 from surrogate.axes import AxisRows
 from surrogate.errorbar import RowBars, calibrate
 from surrogate.interpolant import Indices, Interpolant
+from surrogate.momentline import MomentLine
 from surrogate.rows import Floats, LoadRange
 
 # The largest part of the load range, by dimension, that one simplex may take before it is `thin`.
 LARGEST = {0: 1.0, 1: 0.4, 2: 0.2, 3: 0.1}
+
+CHUNK = 2048  # points read at once
 
 LINE = 33  # points at which the line of one moment alone is looked at
 
@@ -57,9 +60,11 @@ class AxisTable:
         self.pieces = self._pieces(self.bars)
         self.anchors = list(map(tuple, self.interpolant.anchors.tolist()))
         self.weak = self._weak_spots()
+        self.weak_at = np.array(self.weak)
         self.sound = len(rows.points) >= self.fewest
         self.find = self._finder()
         self.lean = self._line_lean()
+        self.line = MomentLine(self) if self.interpolant.dimension == 3 else None
 
     def _finder(self):
         """Return the cheapest point location: qhull's own in three dimensions."""
@@ -113,8 +118,15 @@ class AxisTable:
 
     def read(self, simplices: Indices, x: Floats) -> Reading:
         """Return outputs and bars at scaled inputs (k, 3) in the simplices (k,) they lie in."""
-        apart = x - self.interpolant.anchors[simplices]
+        outputs, bars = np.empty((len(x), 4)), np.empty((len(x), 4))
+        for start in range(0, len(x), CHUNK):  # what is gathered for one chunk fits the cache
+            part = slice(start, start + CHUNK)
+            outputs[part], bars[part] = self._read_part(simplices[part], x[part])
+        return Reading(outputs, bars)
+
+    def _read_part(self, simplices: Indices, x: Floats) -> tuple[Floats, Floats]:
+        apart = x - self.interpolant.anchors.take(simplices, axis=0)
         terms = np.concatenate((apart, np.ones((len(x), 1))), axis=1)
-        told = np.einsum("kij,kj->ki", self.pieces[simplices], terms)
-        bubble = told[:, 12] - (apart**2).sum(axis=1)
-        return Reading(told[:, :4], np.abs(told[:, 4:8] + told[:, 8:12] * bubble[:, None]))
+        told = np.einsum("kij,kj->ki", self.pieces.take(simplices, axis=0), terms)
+        bubble = told[:, 12] - np.einsum("ki,ki->k", apart, apart)
+        return told[:, :4], np.abs(told[:, 4:8] + told[:, 8:12] * bubble[:, None])

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from surrogate.axes import AXES
 from surrogate.axistable import AxisTable
 from surrogate.leftout import LeftOut
+from surrogate.order import curve_order
 from surrogate.rows import Floats
 
 _INPUTS = tuple(axis.inputs for axis in AXES)
@@ -168,7 +169,7 @@ class Composition:
         both = (x[:, 1] != 0) & ~only
         outputs[only, 1:], squares[only, 1:] = base[only], 0.0
         if both.any():
-            turned, doubt, known = _read(table, alone[both])
+            turned, doubt, known = _read_alone(table, alone[both])
             told[used[both]] &= known
             base[both] = turned[:, 1:]
             squares[both, 1:] += doubt[:, 1:]
@@ -179,10 +180,22 @@ class Composition:
 
 def _read(table: AxisTable, x: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return outputs (k, 4), squared bars (k, 4) and whether a sound simplex holds each point."""
-    found = table.interpolant.locate(x)
-    known = (found >= 0) & (np.asarray(table.weak)[found] == 0)
-    reading = table.read(np.maximum(found, 0), x)
-    return reading.outputs, reading.bars**2, known
+    order = curve_order(x)
+    ordered = x.take(order, axis=0)
+    found = table.interpolant.locate(ordered)
+    reading = table.read(np.maximum(found, 0), ordered)
+    outputs, squares, known = np.empty((len(x), 4)), np.empty((len(x), 4)), np.empty(len(x), bool)
+    outputs[order], squares[order] = reading.outputs, reading.bars**2
+    known[order] = (found >= 0) & (table.weak_at[found] == 0)
+    return outputs, squares, known
+
+
+def _read_alone(table: AxisTable, x: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return the same where the axis' first moment acts alone."""
+    if table.line is None:
+        return _read(table, x)
+    reading = table.line.read(x[:, 1])
+    return reading.outputs, reading.bars**2, reading.known
 
 
 def _piece(table: AxisTable, simplex: int, point: tuple[float, float, float]) -> tuple[float, ...]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay, QhullError
 
+from surrogate.order import curve_order
 from surrogate.rows import Floats
 
 Indices = NDArray[np.intp]
@@ -72,7 +73,7 @@ class Interpolant:
         else:
             # In three dimensions the points themselves, so that it is scipy's triangulation.
             self.delaunay = Delaunay(self.points if self.dimension == 3 else flat)
-            self._find = lambda x: self.delaunay.find_simplex(x).astype(np.intp)
+            self._find = self._find_in_order
             self.simplices = self.delaunay.simplices.astype(np.intp)
             maps = self.delaunay.transform[:, : self.dimension]
             self.weights = maps if self.dimension == 3 else maps @ self.basis
@@ -108,6 +109,13 @@ class Interpolant:
         if missed.any():
             inward = points[missed] + 1e-10 * (self.origin - points[missed])
             found[missed] = self._find_flat(inward)
+        return found
+
+    def _find_in_order(self, flat: Floats) -> Indices:
+        """Walk to the points, shape (k, d), in an order that makes the walks short."""
+        order = curve_order(flat)
+        found = np.empty(len(flat), dtype=np.intp)
+        found[order] = self.delaunay.find_simplex(flat[order])
         return found
 
     def _find_flat(self, points: Floats) -> Indices:
