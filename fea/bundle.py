@@ -12,6 +12,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from fea.deck.table import read_deck
 from fea.fingerprint import fingerprint
 from fea.keys import Keys
 from fea.parts import (
@@ -28,7 +31,6 @@ from fea.parts import (
 from fea.problems import BundleError, Problem
 from fea.read_parts import (
     read_analysis,
-    read_deck,
     read_interface,
     read_material,
     read_name,
@@ -108,6 +110,7 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
         "deck": read_deck(top.table("deck", required=False), folder),
     }
     _check_whole(top)
+    _check_frame(top, parts["deck"], parts["interface"])
     top.close()
     if top.problems:
         raise BundleError(top.problems)
@@ -135,3 +138,15 @@ def _check_whole(top: Keys) -> None:
         for key in _SOLVER_TABLES:
             if key in top:
                 top.wrong(key, "needs a [mesh] as well; without one a component is a table only")
+
+
+def _check_frame(top: Keys, deck: Deck | None, interface: Interface | None) -> None:
+    """Note what an [interface] says that a deck would not heed."""
+    if deck is None or interface is None:
+        return
+    if (interface.axes != np.eye(3)).any():
+        message = "a [deck] is not turned; write it in the interface frame and leave axes out"
+        top.wrong("interface.axes", message)
+    if interface.locked:
+        message = "a [deck] is not changed; hold these freedoms in the deck and leave locked out"
+        top.wrong("interface.locked", message)

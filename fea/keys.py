@@ -160,15 +160,17 @@ class Keys:
         numbers = [self.as_number(f"{key}[{i}]", value, unit) for i, value in enumerate(values)]
         return None if None in numbers else numbers  # type: ignore[return-value]
 
-    def texts(self, key: str, required: bool = True, least: int = 0) -> tuple[str, ...] | None:
-        """Return a list of texts, at least `least` of them, none twice."""
+    def texts(
+        self, key: str, required: bool = True, least: int = 0, repeats: bool = False
+    ) -> tuple[str, ...] | None:
+        """Return a list of texts, at least `least` of them; none twice, unless with `repeats`."""
         values = self.raw(key, list, required)
         if values is None:
             return None
         bad = [value for value in values if type(value) is not str or not value.strip()]
         if bad:
             self.wrong(key, f"must be a list of texts; {_shown(bad[0])} is not one")
-        elif len(set(values)) < len(values):
+        elif not repeats and len(set(values)) < len(values):
             self.wrong(key, "names something twice; keep one of the two")
         elif len(values) < least:
             self.wrong(key, f"must name at least {least}")

@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 
-from fea.bundlefile import bundle_file
 from fea.keys import Keys
 from fea.parts import (
     COUPLINGS,
     FREEDOMS,
     INTEGRATIONS,
     Analysis,
-    Deck,
     Interface,
     LoadRange,
     Material,
@@ -187,21 +184,3 @@ def read_tolerance(keys: Keys | None) -> Tolerance | None:
     if translation is None or rotation is None:
         return None
     return Tolerance(translation, rotation)
-
-
-def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
-    """Return ``[deck]``."""
-    if keys is None:
-        return None
-    file = bundle_file(keys, "file", folder)
-    command = keys.texts("command", least=1)
-    output = keys.table("output")
-    told = {} if output is None else _output(output)
-    keys.close()
-    return None if file is None or command is None else Deck(file, command, told)
-
-
-def _output(keys: Keys) -> dict[str, str]:
-    read = {key: keys.text(key) for key in ("reader", "point", "rotation")}
-    keys.close()
-    return {key: value for key, value in read.items() if value is not None}

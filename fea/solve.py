@@ -6,12 +6,14 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from fea.body import Body
 from fea.component import Component, build
 from fea.coupling import Coupling, Distributed, Rigid
+from fea.deck import solve_deck
 from fea.failure import rotation_too_large
 from fea.linear import LinearResponse, linear_response
 from fea.parts import FREEDOMS, Bundle
@@ -28,9 +30,20 @@ MOST_DEGREES = 20.0
 
 
 def solve(
-    bundle: Bundle | Component, wrench: Sequence[float], progress: Progress | None = None
+    bundle: Bundle | Component,
+    wrench: Sequence[float],
+    progress: Progress | None = None,
+    folder: Path | None = None,
 ) -> Solution:
-    """Build a component's solver and solve once; see `Solver`."""
+    """Build a component's solver and solve once; see `Solver`, or `solve_deck` if it has a deck.
+
+    Parameters
+    ----------
+    folder
+        Where an outside solver's files stay; None deletes them.
+    """
+    if isinstance(bundle, Bundle) and bundle.deck is not None:
+        return solve_deck(bundle, wrench, progress, folder, _require_small_rotation)
     return Solver(bundle).solve(wrench, progress)
 
 

@@ -1,0 +1,74 @@
+"""What can be told of a deck without running it."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+from fea.deck.readers import reader_named
+from fea.deck.running import missing_placeholders
+from fea.parts import Deck
+from fea.problems import BundleError, Problem
+
+
+def deck_report(deck: Deck) -> dict[str, Any]:
+    """Return what `fea.check` reports of a deck.
+
+    A program that is not installed here is a warning and no mistake of the bundle: solves may run
+    elsewhere, and one that does not says so.
+
+    Returns
+    -------
+    dict
+        ``"deck"``: its ``file``, ``program`` (the path found, or None), ``reader``, ``moment``,
+        ``unit`` and ``timeout``; ``"warnings"``: texts.
+
+    Raises
+    ------
+    BundleError
+        If the deck lacks a placeholder, or what its reader depends on.
+    """
+    content = deck.file.read_bytes()
+    problems = [_missing(name) for name in missing_placeholders(content)]
+    text = "\n".join(_text(file) for file in (deck.file, *deck.files))
+    mistakes = reader_named(deck.output["reader"]).mistakes(text, deck)
+    problems += [Problem("deck.file", f"{deck.file.name} {mistake}") for mistake in mistakes]
+    if problems:
+        raise BundleError(problems)
+    program = _found(deck)
+    report = {
+        "file": deck.file.name,
+        "program": program,
+        "reader": deck.output["reader"],
+        "moment": deck.moment,
+        "unit": deck.unit,
+        "timeout": deck.timeout,
+    }
+    return {"deck": report, "warnings": [] if program else [_not_here(deck.command[0])]}
+
+
+def _missing(placeholder: str) -> Problem:
+    message = (
+        f"has no {placeholder}; put it where that load goes, or into a comment line that says what "
+        "takes the load instead"
+    )
+    return Problem("deck.file", message)
+
+
+def _found(deck: Deck) -> str | None:
+    program = deck.command[0]
+    own = [file for file in deck.files if Path(program) == Path(file.name)]
+    if own and "/" in program:
+        return program
+    return shutil.which(program)
+
+
+def _not_here(program: str) -> str:
+    return (
+        f'the program "{program}" is not on the PATH of this machine; install it where solves run'
+    )
+
+
+def _text(file: Path) -> str:
+    return file.read_text(encoding="utf-8", errors="replace")

@@ -1,0 +1,145 @@
+"""One run of a deck: fill in the loads, run the command, read the motion."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import signal
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fea.deck import failures
+from fea.deck.command import OutOfTime, run_command
+from fea.deck.readers import Complaint, OutputError, Reader, Reading, Run, reader_named
+from fea.parts import UNITS, Deck
+from fea.solution import Progress
+
+Array = np.ndarray
+
+LOADS = ("FX", "FY", "FZ", "MX", "MY", "MZ")
+"""The placeholders, each with a $ before it, in the order of the wrench contract."""
+
+PRINTED = "printed.txt"
+"""What the program wrote to its standard output and errors."""
+
+_PLACEHOLDER = re.compile(rb"\$([FM][XYZ])\b")
+_MOST_QUOTED = 400  # characters
+
+
+def missing_placeholders(deck: bytes) -> list[str]:
+    """Return the placeholders that a deck's text does not have."""
+    there = {found.decode() for found in _PLACEHOLDER.findall(deck)}
+    return [f"${load}" for load in LOADS if load not in there]
+
+
+def filled(deck: bytes, loads: Sequence[float]) -> bytes:
+    """Return a deck's text with six numbers in place of the placeholders.
+
+    A number has 20 characters at the most, which is all that CalculiX reads of one.
+
+    Raises
+    ------
+    SolveFailed
+        ``bad_deck`` if a placeholder is missing: its load would have no effect.
+    """
+    missing = missing_placeholders(deck)
+    if missing:
+        raise failures.bad_deck(
+            f"The deck has no {', '.join(missing)}, so that load would be lost.",
+            "Put each placeholder where its load goes; where a guide takes the load, into a "
+            "comment line that says so.",
+        )
+    pairs = zip(LOADS, loads, strict=True)
+    values = {load.encode(): f"{value:.12e}".encode() for load, value in pairs}
+    return _PLACEHOLDER.sub(lambda found: values[found[1]], deck)
+
+
+def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tuple[Array, int]:
+    """Run a deck once, in a folder made for it.
+
+    Parameters
+    ----------
+    deck
+        What to run.
+    wrench
+        Shape (6,), N and N·m, with the moment that the deck takes.
+    folder
+        Where its files are put and stay; must not exist yet.
+    progress
+        Called while it runs, as far as the reader can tell.
+
+    Returns
+    -------
+    displacement, unknowns
+        Shape (6,), m and rad; degrees of freedom, 0 if unknown.
+
+    Raises
+    ------
+    SolveFailed
+        ``bad_deck``, ``no_solver``, ``timed_out``, ``solver_failed``, ``not_converged`` or
+        ``bad_output``.
+    """
+    metres = UNITS[deck.unit]
+    loads = np.concatenate([wrench[:3], wrench[3:] / metres])
+    text = filled(deck.file.read_bytes(), loads.tolist())
+    folder.mkdir(parents=True)
+    for file in deck.files:
+        shutil.copy(file, folder / file.name)
+    (folder / deck.file.name).write_bytes(text)
+    run = Run(folder, deck.file.stem, folder / PRINTED)
+    reading = _run(deck, run, reader_named(deck.output["reader"]), progress)
+    displacement = np.array(reading.displacement, dtype=float)
+    if displacement.shape != (6,) or not np.isfinite(displacement).all():
+        message = f"The reader gave no six finite numbers but {reading.displacement}."
+        raise failures.bad_output(message, folder)
+    return np.concatenate([displacement[:3] * metres, displacement[3:]]), reading.unknowns
+
+
+def _run(deck: Deck, run: Run, reader: Reader, progress: Progress) -> Reading:
+    command = [word.replace("{job}", run.job) for word in deck.command]
+
+    def watch() -> None:
+        stage = reader.stage(run)
+        if stage is not None:
+            progress(*stage)
+
+    try:
+        code = run_command(command, run.folder, run.printed, deck.timeout, watch)
+    except OutOfTime:
+        raise failures.timed_out(command[0], deck.timeout) from None
+    except OSError as error:
+        raise failures.no_solver(command[0], error.strerror or str(error)) from None
+    _require_success(command[0], code, reader.complaint(run), run)
+    try:
+        return reader.read(run, deck.output)
+    except OutputError as error:
+        raise failures.bad_output(str(error), run.folder) from None
+
+
+def _require_success(program: str, code: int, complaint: Complaint | None, run: Run) -> None:
+    if complaint is not None and complaint.not_converged:
+        raise failures.not_converged(program, complaint.quoted)
+    if complaint is not None:
+        raise failures.solver_failed(program, _how(code), complaint.quoted, run.folder)
+    if code != 0:
+        raise failures.solver_failed(program, _how(code), _tail(run.printed), run.folder)
+
+
+def _how(code: int) -> str:
+    if code == 0:
+        return "reported an error"
+    if code > 0:
+        return f"ended with exit code {code}"
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = f"signal {-code}"
+    memory = " (out of memory?)" if -code == signal.SIGKILL else ""
+    return f"was ended by {name}{memory}"
+
+
+def _tail(printed: Path) -> str:
+    text = printed.read_text(encoding="utf-8", errors="replace").strip()
+    return text[-_MOST_QUOTED:] or "nothing"

@@ -1,0 +1,209 @@
+"""Solving a component by its deck: from a spatial wrench to a `Solution`."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fea.deck import failures
+from fea.deck.running import run_deck
+from fea.parts import Bundle, Deck, LoadRange
+from fea.rotation import spin_per_vector
+from fea.solution import Progress, Solution
+
+Array = np.ndarray
+
+FOLDER = "deck"
+"""Subfolder of the work folder; below it each run of the command has a folder of its own."""
+
+_MOMENT_GAP = 1e-5
+"""Part of the moment by which the one that acted may be off the one asked for."""
+
+_MOST_RUNS = 12  # 20 degrees take half of them
+_LINEAR_GAP = 1e-5  # CalculiX prints seven digits
+_RECIPROCAL_GAP = 1e-4
+
+
+def solve_deck(
+    bundle: Bundle,
+    wrench: Sequence[float],
+    progress: Progress | None = None,
+    folder: Path | None = None,
+    accept: Callable[[Array], None] = lambda displacement: None,
+) -> Solution:
+    """Solve a component for one wrench with its deck.
+
+    A linear component runs the deck seven times: for the wrench, and for six single loads, which
+    make its compliance and show whether the deck is linear at all. A nonlinear one runs it once
+    where it takes spatial moments, else until the conjugate moment fits the rotation (two or three
+    times for small rotations); its compliance and strain energy are unknown: NaN.
+
+    Parameters
+    ----------
+    bundle
+        With a deck.
+    wrench
+        Shape (6,), N and N·m: at the interface point, in the undeformed interface frame.
+    progress
+        Called with the fraction done and a message.
+    folder
+        Where the files of every run stay, below ``deck``; without one they are deleted.
+    accept
+        Raises if a displacement (shape (6,), m and rad) is beyond what may be answered.
+
+    Raises
+    ------
+    ValueError
+        If the wrench is not six finite numbers, or the bundle has no deck.
+    SolveFailed
+        As `fea.deck.running.run_deck`; also ``not_linear``, ``not_reciprocal``, or
+        ``not_converged`` if no conjugate moment fits.
+    """
+    started = time.perf_counter()
+    whole = np.array(wrench, dtype=float)
+    if whole.shape != (6,) or not np.isfinite(whole).all():
+        raise ValueError("a wrench is six finite numbers: force (N) and moment (N·m)")
+    if bundle.deck is None:
+        raise ValueError("the bundle has no deck")
+    told = progress or (lambda fraction, message: None)
+    with _work_folder(folder) as place:
+        runs = _Runs(bundle.deck, place, told, accept)
+        if bundle.analysis.nonlinear:
+            displacement, compliance = _bent(runs, whole), np.full((6, 6), np.nan)
+        else:
+            displacement, compliance = _straight(runs, whole, bundle.range)
+    accept(displacement)
+    told(1.0, "done")
+    work = np.nan if bundle.analysis.nonlinear else float(whole @ displacement)
+    return Solution(
+        wrench=whole,
+        displacement=displacement,
+        compliance=compliance,
+        strain_energy=0.5 * work,
+        work=work,
+        unknowns=runs.unknowns,
+        seconds=time.perf_counter() - started,
+        history=(),
+        nodes=np.empty((0, 3)),
+    )
+
+
+class _Runs:
+    """The runs of one solve."""
+
+    def __init__(
+        self, deck: Deck, folder: Path, progress: Progress, accept: Callable[[Array], None]
+    ) -> None:
+        self.deck = deck
+        self.accept = accept
+        self.unknowns = 0
+        self._folder = folder
+        self._progress = progress
+
+    def run(self, name: str, wrench: Array, begin: float, end: float) -> Array:
+        """Run the deck; its part of the progress is from `begin` to `end`."""
+
+        def progress(fraction: float, message: str) -> None:
+            self._progress(begin + (end - begin) * fraction, f"{name}: {message}")
+
+        progress(0.0, "starting")
+        displacement, self.unknowns = run_deck(self.deck, wrench, self._folder / name, progress)
+        return displacement
+
+
+def _bent(runs: _Runs, wrench: Array) -> Array:
+    """Return the displacement of a nonlinear deck under a spatial wrench.
+
+    The virtual work of a spatial moment M is M . J(r) dr, with J the left Jacobian of the rotation
+    vector r; so the moment conjugate to r is J(r)^T M. It depends on the answer: Broyden's method
+    finds it, begun with the unit matrix, as J is near it.
+    """
+    if runs.deck.moment == "spatial":
+        return runs.run("wrench", wrench, 0.0, 1.0)
+    moment, size = wrench[3:], float(np.linalg.norm(wrench[3:]))
+    acting, inverse = moment.copy(), np.eye(3)
+    step, before, gap = np.zeros(3), np.zeros(3), np.inf
+    displacement = np.zeros(6)
+    for number in range(_MOST_RUNS):
+        name = f"wrench-{number + 1}"
+        told = np.concatenate([wrench[:3], acting])
+        displacement = runs.run(name, told, 1.0 - 0.5**number, 1.0 - 0.5 ** (number + 1))
+        excess = acting - spin_per_vector(displacement[3:]).T @ moment
+        gap = float(np.linalg.norm(excess))
+        if gap <= _MOMENT_GAP * size:
+            return displacement
+        if number:
+            inverse = _broyden(inverse, step, excess - before)
+        step, before = -inverse @ excess, excess
+        acting = acting + step
+    runs.accept(displacement)
+    raise failures.moment_unsettled(_MOST_RUNS, gap / size)
+
+
+def _broyden(inverse: Array, step: Array, change: Array) -> Array:
+    """Return the inverse Jacobian after a step that changed the excess so (the "good" update)."""
+    row = step @ inverse
+    scale = float(row @ change)
+    if abs(scale) < 1e-3 * float(step @ step):
+        return inverse
+    return inverse + np.outer(step - inverse @ change, row) / scale
+
+
+def _straight(runs: _Runs, wrench: Array, expected: LoadRange) -> tuple[Array, Array]:
+    """Return displacement and compliance of a linear deck."""
+    displacement = runs.run("wrench", wrench, 0.0, 1.0 / 7.0)
+    # Loads of the size expected, so that nothing in the deck is far from what it was made for.
+    sizes = np.maximum(np.abs(expected.low), np.abs(expected.high))
+    columns = []
+    for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
+        load = np.zeros(6)
+        load[i] = sizes[i]
+        columns.append(runs.run(name, load, (i + 1) / 7.0, (i + 2) / 7.0) / sizes[i])
+    compliance = np.stack(columns, axis=1)
+    _require_linear(compliance, wrench, displacement)
+    _require_reciprocal(compliance)
+    return displacement, compliance
+
+
+def _require_linear(compliance: Array, wrench: Array, displacement: Array) -> None:
+    # Each entry against the largest of its kind: a motion that symmetry forbids is only roundoff.
+    largest = (np.abs(compliance) @ np.abs(wrench)).reshape(2, 3).max(axis=1)
+    gaps = np.abs(compliance @ wrench - displacement).reshape(2, 3).max(axis=1)
+    if (gaps > _LINEAR_GAP * largest).any():
+        raise failures.not_linear(float((gaps / np.maximum(largest, 1e-300)).max()))
+
+
+def _require_reciprocal(compliance: Array) -> None:
+    """Raise unless the compliance is one that an elastic body can have: Betti, and work done."""
+    own = np.diagonal(compliance)
+    if (own < 0.0).any():
+        i = int(np.argmin(own))
+        raise failures.not_reciprocal(f"Load {i + 1} of 6 moves the interface against itself.")
+    size = np.sqrt(np.outer(own, own))
+    gap = np.abs(compliance - compliance.T) - _RECIPROCAL_GAP * size
+    i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
+    if gap[i, j] > 0.0:
+        raise failures.not_reciprocal(
+            f"Load {j + 1} of 6 moves freedom {i + 1} by {compliance[i, j]:.6e} a unit, load "
+            f"{i + 1} freedom {j + 1} by {compliance[j, i]:.6e}: in an elastic body these agree."
+        )
+
+
+@contextlib.contextmanager
+def _work_folder(folder: Path | None) -> Iterator[Path]:
+    """Make the folder of this solve; a number is added if an earlier one is there."""
+    if folder is None:
+        with tempfile.TemporaryDirectory(prefix="wrenchbook-deck-") as temporary:
+            yield Path(temporary)
+        return
+    place, number = Path(folder) / FOLDER, 1
+    while place.exists():
+        number += 1
+        place = Path(folder) / f"{FOLDER}-{number}"
+    place.mkdir(parents=True)
+    yield place.resolve()

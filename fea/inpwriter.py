@@ -1,0 +1,180 @@
+"""Write a component as a CalculiX input deck: ``python -m fea.inpwriter BUNDLE > plate.inp``.
+
+The deck is complete: mesh, materials, supports, a rigid interface and one step that takes the
+wrench from $FX $FY $FZ $MX $MY $MZ. It is the start of a ``[deck]`` that an expert then goes on
+with (contact, plasticity, bolts), and the example that ``data/components/plate_ccx`` ships.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tomllib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from fea.bundle import BundleError, bundle_of, read_bundle
+from fea.component import Component, build
+from fea.mesh import CellBlock
+from fea.parts import FREEDOMS, Bundle
+from fea.problems import Problem
+
+PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
+"""Where the wrench goes, in the order of the wrench contract."""
+
+# Their nodes are in the same order as those of `fea.mesh`.
+_ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10", "wedge15": "C3D15"}
+_PER_LINE = 10  # CalculiX reads at most 16 numbers a line
+
+# The increments are halved by CalculiX where they are too large. Its default tolerance leaves up to
+# 5e-3 in small rotations.
+_NONLINEAR = (
+    "*STEP, NLGEOM, INC=1000",
+    "*STATIC",
+    "0.5, 1., 1e-5, 0.5",
+    "*CONTROLS, PARAMETERS=FIELD",
+    "1e-7, 1e-7",
+)
+_LINEAR = ("*STEP", "*STATIC")
+
+
+def deck_of(component: Component, comments: Iterable[str] = ()) -> str:
+    """Return the deck of a component with a rigid coupling, in metres, newtons and pascals.
+
+    Its global axes are the interface frame's, so the wrench and the motion need no turning. The
+    printed motion is that of the sets REF (translation) and ROT (rotation vector), as the reader
+    "calculix-dat" takes it.
+
+    Parameters
+    ----------
+    component
+        What to write.
+    comments
+        Lines to put first.
+
+    Raises
+    ------
+    BundleError
+        If CalculiX has no counterpart: a distributed coupling, whose mean motion it does not
+        report, or cells it has no element for.
+    """
+    _require_counterparts(component)
+    lines = [*(f"** {comment}" for comment in comments), *_body(component), *_step(component)]
+    return "\n".join(lines) + "\n"
+
+
+def _require_counterparts(component: Component) -> None:
+    problems = []
+    if component.coupling != "rigid":
+        message = (
+            f'CalculiX does not report the motion of a "{component.coupling}" coupling; write the '
+            'deck of the component with coupling = "rigid"'
+        )
+        problems.append(Problem("interface.coupling", message))
+    for block in component.mesh.blocks:
+        if block.kind not in _ELEMENTS:
+            known = ", ".join(_ELEMENTS)
+            message = f"CalculiX has no element for {block.kind} cells; mesh with one of {known}"
+            problems.append(Problem("mesh", message))
+    if problems:
+        raise BundleError(problems)
+
+
+def _body(component: Component) -> Iterator[str]:
+    """Yield everything above the step."""
+    points = component.mesh.points @ component.axes.T
+    place = _numbers(component.axes @ component.point)
+    ref, rot = len(points) + 1, len(points) + 2
+    yield "*NODE, NSET=ALL"
+    yield from (f"{i}, {_numbers(point)}" for i, point in enumerate(points, start=1))
+    yield f"*NODE, NSET=REF\n{ref}, {place}"
+    yield f"*NODE, NSET=ROT\n{rot}, {place}"
+    yield from _elements(component)
+    for i, material in enumerate(component.materials):
+        yield f"*MATERIAL, NAME=M{i}"
+        yield f"*ELASTIC\n{_numbers([material.youngs_modulus, material.poisson_ratio])}"
+        yield f"*SOLID SECTION, ELSET=E{i}, MATERIAL=M{i}"
+    yield "*NSET, NSET=FIXED"
+    yield from _rows(component.fixed_nodes + 1)
+    yield "*NSET, NSET=SECTION"
+    yield from _rows(component.section.node_ids + 1)
+    yield f"*RIGID BODY, NSET=SECTION, REF NODE={ref}, ROT NODE={rot}"
+    yield "*BOUNDARY\nFIXED, 1, 3"
+    for name in component.locked:
+        yield f"{_place(name)}, {_axis(name)}"
+
+
+def _elements(component: Component) -> Iterator[str]:
+    """Yield the cells, one set for each material."""
+    number = 1
+    for block, materials in zip(component.mesh.blocks, component.material_of_cells, strict=True):
+        for i in range(len(component.materials)):
+            chosen = block.nodes[materials == i]
+            if len(chosen):
+                yield f"*ELEMENT, TYPE={_element(block, component)}, ELSET=E{i}"
+            for cell in chosen + 1:
+                yield from _rows([number, *cell], more=True)
+                number += 1
+
+
+def _element(block: CellBlock, component: Component) -> str:
+    full = block.kind == "hex20" and component.analysis.integration == "full"
+    return "C3D20" if full else _ELEMENTS[block.kind]
+
+
+def _step(component: Component) -> Iterator[str]:
+    yield from _NONLINEAR if component.analysis.nonlinear else _LINEAR
+    yield "*CLOAD"
+    for name, placeholder in zip(FREEDOMS, PLACEHOLDERS, strict=True):
+        if name in component.locked:
+            yield f"** {placeholder} acts on a freedom that is held"
+        else:
+            yield f"{_place(name)}, {_axis(name)}, {placeholder}"
+    yield from ["*NODE PRINT, NSET=REF", "U", "*NODE PRINT, NSET=ROT", "U", "*END STEP"]
+
+
+def _place(freedom: str) -> str:
+    return "REF" if freedom.startswith("u") else "ROT"
+
+
+def _axis(freedom: str) -> int:
+    return "xyz".index(freedom[1]) + 1
+
+
+def _numbers(values: Iterable[float]) -> str:
+    """Return numbers with all the digits that CalculiX reads, which is 20 characters each."""
+    return ", ".join(f"{value:.12e}" for value in values)
+
+
+def _rows(numbers: Iterable[int], more: bool = False) -> Iterator[str]:
+    """Yield whole numbers, some a line; with `more` a comma says that a line goes on."""
+    words = [str(number) for number in numbers]
+    lines = [", ".join(words[i : i + _PER_LINE]) for i in range(0, len(words), _PER_LINE)]
+    for i, line in enumerate(lines):
+        yield line + ("," if more and i + 1 < len(lines) else "")
+
+
+def _bundle(path: Path) -> Bundle:
+    if path.is_dir():
+        return read_bundle(path)
+    return bundle_of(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the deck of the bundle that the arguments name; return the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m fea.inpwriter", description=__doc__)
+    parser.add_argument("bundle", type=Path, help="a bundle's folder, or a .toml file like its own")
+    path = parser.parse_args(arguments).bundle
+    try:
+        component = build(_bundle(path))
+        made = f"Made by: python -m fea.inpwriter {path.name}"
+        units = "Metres, newtons, pascals; the axes are those of the interface frame."
+        sys.stdout.write(deck_of(component, (component.bundle.title, made, units)))
+    except (BundleError, OSError, tomllib.TOMLDecodeError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
