@@ -135,47 +135,55 @@ class Composition:
         told = np.ones(len(wrenches), dtype=bool)
         lean = np.zeros((len(wrenches), 3))
         for axis, table in enumerate(self.tables):
-            inputs = wrenches[:, list(_INPUTS[axis])]
-            used = np.flatnonzero((inputs != 0).any(axis=1))
+            force, first, second = (wrenches[:, load] for load in _INPUTS[axis])
+            loaded = (force != 0) | (first != 0) | (second != 0)
+            used = slice(None) if loaded.all() else np.flatnonzero(loaded)
             if table is None or not table.sound:
                 told[used] = False
-            elif len(used):
-                self._add_axis_many(table, axis, inputs, used, moved, spread, told, lean)
+            elif loaded.any():
+                x = np.stack((force[used], first[used], second[used]), axis=1) / table.scale
+                share = _share(table, x, self.zero[3:])
+                told[used] &= share.known
+                moved[used, axis] = share.outputs[:, 0]
+                moved[used, 3:] += share.outputs[:, 1:]
+                spread[used, axis] += share.squares[:, 0]
+                spread[used, 3:] += share.squares[:, 1:]
+                lean[used] += share.both[:, None] * np.array(table.lean)
         spread[:, 3:] += lean**2
         self.left_out.widen_many(wrenches, spread)
         return Composed(moved, np.sqrt(spread), told)
 
-    def _add_axis_many(
-        self,
-        table: AxisTable,
-        axis: int,
-        inputs: Floats,
-        used: NDArray[np.intp],
-        moved: Floats,
-        spread: Floats,
-        told: NDArray[np.bool_],
-        lean: Floats,
-    ) -> None:
-        """Add one axis' share to the wrenches it answers, and mark those it cannot."""
-        x = inputs[used] / table.scale
-        outputs, squares, known = _read(table, x)
-        told[used] &= known
-        moved[used, axis] = outputs[:, 0]
-        spread[used, axis] += squares[:, 0]
-        # Without its first moment the axis' part less r(0), with that moment alone nothing.
-        alone = np.array([0.0, 1.0, 0.0]) * x
-        base = np.tile(self.zero[3:], (len(used), 1))
-        only = (x[:, 0] == 0) & (x[:, 2] == 0)
-        both = (x[:, 1] != 0) & ~only
-        outputs[only, 1:], squares[only, 1:] = base[only], 0.0
-        if both.any():
-            turned, doubt, known = _read_alone(table, alone[both])
-            told[used[both]] &= known
-            base[both] = turned[:, 1:]
-            squares[both, 1:] += doubt[:, 1:]
-            lean[used[both]] += table.lean
-        moved[used, 3:] += outputs[:, 1:] - base
-        spread[used, 3:] += squares[:, 1:]
+
+class _Share(NamedTuple):
+    """One axis' share: outputs (k, 4), rotations counted from their base; squared bars; flags."""
+
+    outputs: Floats
+    squares: Floats
+    known: NDArray[np.bool_]
+    both: NDArray[np.bool_]
+
+
+def _share(table: AxisTable, x: Floats, zero: tuple[float, ...]) -> _Share:
+    """Return what one axis adds at scaled inputs (k, 3) of which none is all zero.
+
+    Without its first moment that is the axis' part less r(0), with that moment alone nothing.
+    """
+    outputs, squares, known = _read(table, x)
+    only = (x[:, 0] == 0) & (x[:, 2] == 0)
+    both = (x[:, 1] != 0) & ~only
+    if both.all():
+        base, doubt, sound = _read_alone(table, x)
+        outputs[:, 1:] -= base[:, 1:]
+        squares[:, 1:] += doubt[:, 1:]
+        return _Share(outputs, squares, known & sound, both)
+    outputs[~both, 1:] -= zero
+    outputs[only, 1:], squares[only, 1:] = 0.0, 0.0
+    if both.any():
+        base, doubt, sound = _read_alone(table, x[both])
+        outputs[both, 1:] -= base[:, 1:]
+        squares[both, 1:] += doubt[:, 1:]
+        known[both] &= sound
+    return _Share(outputs, squares, known, both)
 
 
 def _read(table: AxisTable, x: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
@@ -193,7 +201,7 @@ def _read(table: AxisTable, x: Floats) -> tuple[Floats, Floats, NDArray[np.bool_
 def _read_alone(table: AxisTable, x: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return the same where the axis' first moment acts alone."""
     if table.line is None:
-        return _read(table, x)
+        return _read(table, np.array([0.0, 1.0, 0.0]) * x)
     reading = table.line.read(x[:, 1])
     return reading.outputs, reading.bars**2, reading.known
 
