@@ -1,0 +1,12 @@
+"""Check a bundle before anything is solved: ``python -m fea.check [--text] FOLDER``.
+
+`report` says what an FEA engineer wants to know of a mesh and its supports, and every mistake in a
+bundle, as a dictionary; `as_text` writes it out for people. It meshes and looks; it solves nothing.
+"""
+
+from fea.check.report import main, report
+from fea.check.text import as_text
+
+check = report
+
+__all__ = ["as_text", "check", "main", "report"]

@@ -1,0 +1,94 @@
+"""The rigid bodies a mesh falls into, and the nodes that only look joined."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from fea.check.cells import edge_lengths
+from fea.faces import FACES, corners_of, outer_surface
+from fea.mesh import Mesh
+
+Array = np.ndarray
+
+_SAME_PLACE = 1e-2
+"""Share of the shortest edge within which two nodes count as in one place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Cells that hang together by whole faces.
+
+    Attributes
+    ----------
+    count
+        How many bodies there are; numbered from the one with the most cells.
+    cells
+        Number of cells of each, shape (count,).
+    nodes
+        The nodes of each.
+    """
+
+    count: int
+    cells: Array
+    nodes: list[Array]
+
+
+def bodies_of(mesh: Mesh) -> Bodies:
+    """Group the cells that share faces; cells that share only an edge or a point do not join."""
+    faces, owners = _faces(mesh)
+    total = sum(len(block) for block in mesh.blocks)
+    size = total + int(faces.max(initial=-1)) + 1
+    graph = coo_array((np.ones(len(faces), dtype=np.int8), (owners, total + faces)), (size, size))
+    count, label = connected_components(graph, directed=False)
+    label = label[:total]
+    sizes = np.bincount(label, minlength=count)
+    order = np.argsort(-sizes, kind="stable")
+    rank = np.empty(count, dtype=np.int64)
+    rank[order] = np.arange(count)
+    return Bodies(count, sizes[order], _nodes_of(mesh, rank[label], count))
+
+
+def _faces(mesh: Mesh) -> tuple[Array, Array]:
+    """Return a number for each face of each cell, equal where its corners are, and the cell."""
+    corners, owners, first = [], [], 0
+    for block in mesh.blocks:
+        for face in FACES[block.kind]:
+            several = corners_of("tri" if len(face) in (3, 6) else "quad")
+            row = np.full((len(block), 4), -1)
+            row[:, :several] = block.nodes[:, face[:several]]
+            corners.append(np.sort(row, axis=1))
+            owners.append(first + np.arange(len(block)))
+        first += len(block)
+    _, number = np.unique(np.concatenate(corners), axis=0, return_inverse=True)
+    return number.ravel(), np.concatenate(owners)
+
+
+def _nodes_of(mesh: Mesh, label: Array, count: int) -> list[Array]:
+    pairs, first = [], 0
+    for block in mesh.blocks:
+        own = np.repeat(label[first : first + len(block)], block.nodes.shape[1])
+        pairs.append(np.column_stack([own, block.nodes.ravel()]))
+        first += len(block)
+    both = np.unique(np.concatenate(pairs), axis=0)
+    cuts = np.searchsorted(both[:, 0], np.arange(1, count))
+    return np.split(both[:, 1], cuts)
+
+
+def coincident_nodes(mesh: Mesh) -> Array:
+    """Return pairs of surface nodes in one place, shape (k, 2): joined to the eye only."""
+    surface = outer_surface(mesh.blocks).node_ids
+    shortest = min(float(edge_lengths(mesh.points, b).min()) for b in mesh.blocks if len(b))
+    tree = KDTree(mesh.points[surface])
+    pairs = tree.query_pairs(_SAME_PLACE * shortest, output_type="ndarray")
+    return np.sort(surface[pairs], axis=1) if len(pairs) else np.empty((0, 2), dtype=np.int64)
+
+
+def gap(mesh: Mesh, nodes: Array, others: Array) -> float:
+    """Return the least distance between two sets of nodes, m."""
+    tree = KDTree(mesh.points[nodes])
+    return float(tree.query(mesh.points[others])[0].min())

@@ -1,0 +1,150 @@
+"""The shape of the cells: how far they are from the ones that elements are good at.
+
+Four measures, each with the worst cell and where it is:
+
+``scaled_jacobian``
+    Least over the corners of the volume its three edges span, over that of the ideal cell with
+    edges of those lengths: 1 for cubes, regular tetrahedra and right wedges on regular triangles,
+    0 for flat cells (the measure of Knupp, "Algebraic mesh quality metrics", 2001).
+``jacobian_ratio``
+    Least over largest det(dx/dxi) over a cell's nodes and quadrature points: 1 for straight
+    parallelepipeds and straight tetrahedra; 0 or less is a cell that folds over.
+``aspect_ratio``
+    Longest over shortest edge.
+``edge_curvature``
+    Distance of a midside node from the middle of its edge over the edge's length: 0.1 on a circle
+    cut in eight, 0.21 on one cut in four, 0.25 for a node at the quarter point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fea.elements import node_places, tabulate
+from fea.faces import EDGES
+from fea.mesh import CellBlock, Mesh
+from fea.quality import determinants
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One measure: its value for each cell, and from where on it is bad."""
+
+    name: str
+    of: Callable[[Array, CellBlock], Array]
+    limit: float
+    larger_is_worse: bool
+    words: str
+
+
+def scaled_jacobian(points: Array, block: CellBlock) -> Array:
+    """Return the least scaled Jacobian of each cell's corners, shape (m,)."""
+    triples, ideal = _corner_edges(block.kind)
+    at = points[block.nodes]
+    edges = at[:, triples[:, 1:]] - at[:, triples[:, :1]]
+    volume = np.linalg.det(edges)
+    length = np.linalg.norm(edges, axis=3).prod(axis=2)
+    scaled = np.divide(volume, length, out=np.zeros_like(volume), where=length > 0)
+    return np.minimum(scaled.min(axis=1) / ideal, 1.0)
+
+
+def jacobian_ratio(points: Array, block: CellBlock) -> Array:
+    """Return the least over the largest determinant of each cell, shape (m,)."""
+    _, slopes = tabulate(block.kind, node_places(block.kind))
+    at_nodes = np.linalg.det(np.einsum("mad,qai->mqdi", points[block.nodes], slopes, optimize=True))
+    every = np.concatenate([determinants(points, block), at_nodes], axis=1)
+    largest = np.abs(every).max(axis=1)
+    return np.divide(every.min(axis=1), largest, out=np.zeros(len(block)), where=largest > 0)
+
+
+def aspect_ratio(points: Array, block: CellBlock) -> Array:
+    """Return the longest over the shortest edge of each cell, shape (m,)."""
+    lengths = edge_lengths(points, block)
+    shortest = np.maximum(lengths.min(axis=1), 1e-300)
+    return lengths.max(axis=1) / shortest
+
+
+def edge_curvature(points: Array, block: CellBlock) -> Array:
+    """Return the largest relative offset of a midside node of each cell, shape (m,)."""
+    pairs = np.array(EDGES[block.kind])
+    corners = pairs.max() + 1
+    if block.nodes.shape[1] < corners + len(pairs):
+        return np.zeros(len(block))
+    ends = points[block.nodes[:, pairs]]
+    middle = points[block.nodes[:, corners : corners + len(pairs)]]
+    offset = np.linalg.norm(middle - ends.mean(axis=2), axis=2)
+    return (offset / np.maximum(edge_lengths(points, block), 1e-300)).max(axis=1)
+
+
+def edge_lengths(points: Array, block: CellBlock) -> Array:
+    """Return the straight lengths of each cell's edges, shape (m, edges), m."""
+    ends = points[block.nodes[:, EDGES[block.kind]]]
+    return np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
+
+
+MEASURES = (
+    Measure("scaled_jacobian", scaled_jacobian, 0.1, False, "nearly flat at a corner"),
+    Measure("jacobian_ratio", jacobian_ratio, 0.1, False, "strongly distorted or folded over"),
+    Measure("aspect_ratio", aspect_ratio, 50.0, True, "long and thin"),
+    Measure("edge_curvature", edge_curvature, 0.25, True, "bent too far along an edge"),
+)
+
+
+def quality(mesh: Mesh) -> dict[str, dict[str, Any]]:
+    """Return each measure's worst value, the place of that cell (m), and how many are bad."""
+    return {measure.name: _worst(mesh, measure) for measure in MEASURES}
+
+
+def quality_warnings(found: dict[str, dict[str, Any]]) -> list[str]:
+    """Return a sentence for each measure with cells beyond its limit."""
+    told = []
+    for measure in MEASURES:
+        one = found[measure.name]
+        if one["bad"]:
+            place = ", ".join(f"{x:.4g}" for x in one["at"])
+            told.append(
+                f"{one['bad']} cells are {measure.words} ({measure.name.replace('_', ' ')} "
+                f"{'over' if measure.larger_is_worse else 'under'} {measure.limit:g}; the worst, a "
+                f"{one['kind']} near ({place}) m, has {one['worst']:.3g}); stresses and stiffness "
+                "there are not to be trusted"
+            )
+    return told
+
+
+def _worst(mesh: Mesh, measure: Measure) -> dict[str, Any]:
+    sign = 1.0 if measure.larger_is_worse else -1.0
+    bad = 0
+    worst, kind, place = -np.inf, "", np.zeros(3)
+    for block in mesh.blocks:
+        values = sign * measure.of(mesh.points, block)
+        bad += int((values > sign * measure.limit).sum())
+        if len(values) and values.max() > worst:
+            cell = int(values.argmax())
+            worst, kind = float(values[cell]), block.kind
+            place = mesh.points[block.nodes[cell]].mean(axis=0)
+    return {
+        "worst": sign * worst,
+        "at": place.tolist(),
+        "kind": kind,
+        "bad": bad,
+        "limit": measure.limit,
+    }
+
+
+def _corner_edges(kind: str) -> tuple[Array, float]:
+    """Return for each corner itself and its three neighbours, right-handed, and the ideal."""
+    places = node_places(kind)
+    pairs = EDGES[kind]
+    triples = []
+    for corner in range(int(np.max(pairs)) + 1):
+        ends = [b if a == corner else a for a, b in pairs if corner in (a, b)]
+        edges = places[ends] - places[corner]
+        triples.append([corner, *(ends if np.linalg.det(edges) > 0 else ends[::-1])])
+    ideal = {"tet": 0.5**0.5, "wed": 0.75**0.5, "hex": 1.0}[kind[:3]]
+    return np.array(triples), ideal

@@ -1,0 +1,161 @@
+"""Motions that supports leave free, found from the places of the nodes alone.
+
+Each body of the mesh counts as rigid, which it is at most, so every motion found here is a
+mechanism of the real part too; nothing is assembled or factorised. A body's motion is
+q = (t, L theta) about the mesh's centre with L the mesh's size, and moves a node at x by
+
+    N(x) q = t + theta x (x - centre).
+
+Supports say N q = 0, nodes that two bodies share say N q_1 = N q_2, a rigid coupling says the same
+of section and interface, a distributed one that the interface moves as the section does in the
+mean (least squares), and locked freedoms hold the interface. What satisfies all of this is the
+null space of a small dense matrix.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fea.check.bodies import Bodies
+from fea.component import Component
+from fea.parts import FREEDOMS
+
+Array = np.ndarray
+
+_ZERO = 1e-7
+"""Singular value, relative to the largest, that counts as none."""
+
+
+def free_motions(component: Component, bodies: Bodies) -> list[Array]:
+    """Return for each body the motions left to it.
+
+    Returns
+    -------
+    list of Array
+        Each of shape (k, 6): translation of the mesh's centre and rotation times the mesh's size,
+        orthonormal; k = 0 for a body that is held.
+    """
+    equations = _Equations(component, bodies)
+    equations.hold_supports()
+    equations.join_bodies()
+    equations.tie_interface()
+    free = equations.null_space()
+    found = []
+    for number in range(bodies.count):
+        _, size, rows = np.linalg.svd(free[:, 6 * number : 6 * number + 6])
+        found.append(rows[: int((size > 1e-6).sum())])
+    return found
+
+
+def describe(motion: Array, centre: Array, extent: float) -> str:
+    """Say a motion (6,) of `free_motions` in words."""
+    shift, turn = motion[:3], motion[3:] / extent
+    if np.linalg.norm(motion[3:]) < 1e-6:
+        return f"slide along {_direction(shift)}"
+    square = turn @ turn
+    at = centre + np.cross(turn, shift) / square
+    pitch = shift @ turn / square
+    line = f"turn about the line through {_place(at)} m along {_direction(turn)}"
+    return line if abs(pitch) < 1e-6 * extent else f"{line}, sliding along it"
+
+
+class _Equations:
+    """Rows of a matrix over the motions of all bodies, the interface's last."""
+
+    def __init__(self, component: Component, bodies: Bodies) -> None:
+        self.component = component
+        self.bodies = bodies
+        points = component.mesh.points
+        self.centre = middle(points)
+        self.extent = size_of(points)
+        self.rows: list[Array] = []
+        self.owner = np.full(len(points), -1)
+        for number in reversed(range(bodies.count)):
+            self.owner[bodies.nodes[number]] = number
+
+    def hold_supports(self) -> None:
+        for number, nodes in enumerate(self.bodies.nodes):
+            held = nodes[np.isin(nodes, self.component.fixed_nodes)]
+            if held.size:
+                self._add({number: _condensed(self._moves(held))})
+
+    def join_bodies(self) -> None:
+        if self.bodies.count == 1:
+            return
+        for number, nodes in enumerate(self.bodies.nodes):
+            shared = nodes[self.owner[nodes] != number]
+            for other in np.unique(self.owner[shared]).tolist():
+                moves = _condensed(self._moves(shared[self.owner[shared] == other]))
+                self._add({number: moves, other: -moves})
+
+    def tie_interface(self) -> None:
+        """Tie the interface to the section, and hold its locked freedoms."""
+        interface = self.bodies.count
+        section = self.component.section
+        owner = self.owner[section.node_ids]
+        share = {n: self._moves(section.node_ids[owner == n]) for n in np.unique(owner).tolist()}
+        if self.component.coupling == "rigid":
+            for number, moves in share.items():
+                tie = _condensed(moves)
+                self._add({number: tie, interface: -tie})
+        else:
+            weights = {n: np.repeat(section.weights[owner == n], 3) for n in share}
+            own = {n: (moves.T * weights[n]) @ moves for n, moves in share.items()}
+            whole = np.linalg.inv(sum(own.values(), np.zeros((6, 6))))
+            self._add({n: -whole @ one for n, one in own.items()} | {interface: np.eye(6)})
+        at_point = self._moves_of(self.component.point[None])
+        for name in self.component.locked:
+            freedom = FREEDOMS.index(name)
+            axis = self.component.axes[freedom % 3]
+            row = axis @ at_point if freedom < 3 else np.concatenate([np.zeros(3), axis])
+            self._add({interface: row[None]})
+
+    def null_space(self) -> Array:
+        matrix = np.concatenate(self.rows)
+        _, size, rows = np.linalg.svd(matrix, full_matrices=True)
+        rank = int((size > _ZERO * size[0]).sum())
+        return rows[rank:]
+
+    def _moves(self, nodes: Array) -> Array:
+        return self._moves_of(self.component.mesh.points[nodes])
+
+    def _moves_of(self, places: Array) -> Array:
+        """Return N of each place, stacked, shape (3 k, 6)."""
+        x, y, z = ((places - self.centre) / self.extent).T
+        moves = np.zeros((len(places), 3, 6))
+        moves[:, :, :3] = np.eye(3)
+        moves[:, 0, 4], moves[:, 0, 5] = z, -y
+        moves[:, 1, 3], moves[:, 1, 5] = -z, x
+        moves[:, 2, 3], moves[:, 2, 4] = y, -x
+        return moves.reshape(-1, 6)
+
+    def _add(self, parts: dict[int, Array]) -> None:
+        rows = np.zeros((len(next(iter(parts.values()))), 6 * (self.bodies.count + 1)))
+        for number, part in parts.items():
+            rows[:, 6 * number : 6 * number + 6] = part
+        self.rows.append(rows)
+
+
+def _condensed(moves: Array) -> Array:
+    """Return at most six rows with the same null space, of about unit size."""
+    return np.asarray(np.linalg.qr(moves / np.sqrt(len(moves)), mode="r"))
+
+
+def middle(points: Array) -> Array:
+    """Return the middle of the box around points, shape (3,), m."""
+    return 0.5 * (points.min(axis=0) + points.max(axis=0))
+
+
+def size_of(points: Array) -> float:
+    """Return the diagonal of the box around points, m."""
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def _direction(vector: Array) -> str:
+    unit = vector / np.linalg.norm(vector)
+    largest = unit[np.abs(unit).argmax()]
+    return _place(np.round(unit * np.sign(largest), 4) + 0.0)
+
+
+def _place(place: Array) -> str:
+    return "(" + ", ".join(f"{x:.4g}" for x in np.where(np.abs(place) < 1e-9, 0.0, place)) + ")"

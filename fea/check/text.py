@@ -1,0 +1,137 @@
+"""The report of `fea.check` as text for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+_MOST_LINES = 60
+_WIDTH = 100
+
+
+def as_text(report: Mapping[str, Any]) -> str:
+    """Write out a report of `fea.check.report`.
+
+    Returns
+    -------
+    str
+        Lines without a newline at the end; what is wrong comes last, where it is read first.
+    """
+    lines = [f"{report.get('name', 'bundle')}  {report.get('fingerprint', '')}".rstrip()]
+    if report.get("has_fea") is False:
+        lines.append("a table only: nothing to mesh or solve")
+    for write in (_geometry, _mesh, _groups, _quality, _set_up, _estimate):
+        lines += write(report)
+    lines += _complaints("warning", report["warnings"])
+    lines += _complaints("error", report["problems"])
+    count = len(report["problems"])
+    lines.append("ready to solve" if report["ok"] else f"{count} error{'s'[: count != 1]}")
+    return "\n".join(lines)
+
+
+def _geometry(report: Mapping[str, Any]) -> list[str]:
+    if "faces" not in report:
+        return []
+    lines = ["bodies:  number  volume cm^3  middle m"]
+    for body in report["bodies"][:_MOST_LINES]:
+        lines.append(
+            f"  {body['number']:>13}  {1e6 * body['volume']:>11.5g}  {_place(body['centre'])}"
+        )
+    lines.append("faces:   number  area mm^2    middle m                      what")
+    for face in report["faces"][:_MOST_LINES]:
+        head = f"  {face['number']:>13}  {1e6 * face['area']:>11.5g}  {_place(face['centre']):<28}"
+        lines.append(f"{head}  {_shape(face)}")
+    left = len(report["faces"]) - _MOST_LINES
+    return lines + ([f"  and {left} more"] if left > 0 else [])
+
+
+def _shape(face: Mapping[str, Any]) -> str:
+    if face["normal"] is not None:
+        return f"plane, normal {_place(face['normal'])}"
+    if face["radius"] is not None:
+        return f"cylinder, radius {1e3 * face['radius']:.5g} mm"
+    return str(face["kind"]).lower()
+
+
+def _mesh(report: Mapping[str, Any]) -> list[str]:
+    if "cells" not in report:
+        return []
+    cells = ", ".join(f"{count} {kind}" for kind, count in report["cells"].items())
+    lines = [f"mesh: {cells}; {report['nodes']} nodes, {report['unknowns']} unknowns"]
+    if len(report["parts"]) > 1:
+        for part in report["parts"]:
+            size = " x ".join(f"{1e3 * x:.4g}" for x in part["size"])
+            lines.append(
+                f"  part {part['part']}: {part['cells']} cells, {size} mm, middle at "
+                f"{_place(part['middle'])} m"
+            )
+    return lines
+
+
+def _groups(report: Mapping[str, Any]) -> list[str]:
+    if "groups" not in report:
+        return []
+    lines = []
+    for kind, found in report["groups"].items():
+        listed = ", ".join(f"{name} ({count})" for name, count in found.items()) or "none"
+        lines.append(f"groups of {kind}: {listed}")
+    return lines
+
+
+def _quality(report: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for name, one in report.get("quality", {}).items():
+        bad = f", {one['bad']} beyond {one['limit']:g}" if one["bad"] else ""
+        words = name.replace("_", " ")
+        lines.append(f"worst {words}: {one['worst']:.3g} near {_place(one['at'])} m{bad}")
+    return lines
+
+
+def _set_up(report: Mapping[str, Any]) -> list[str]:
+    if "section" not in report:
+        return []
+    section = report["section"]
+    area = "no area" if section["area"] is None else f"{1e6 * section['area']:.5g} mm^2"
+    held = f", locked {', '.join(section['locked'])}" if section["locked"] else ""
+    lines = [
+        f"material {m['region']}: E = {m['youngs_modulus']:.4g} Pa, nu = {m['poisson_ratio']:g}, "
+        f"{m['cells']} cells"
+        for m in report["materials"]
+    ]
+    return [
+        *lines,
+        f"supports: {report['supports']['nodes']} nodes fixed",
+        f"interface: {section['nodes']} nodes, {area}, {section['coupling']}{held}, "
+        f"point at {_place(section['point'])} m",
+    ]
+
+
+def _estimate(report: Mapping[str, Any]) -> list[str]:
+    if "estimate" not in report:
+        return []
+    one = report["estimate"]
+    return [
+        f"one solve: about {_time(one['linear_seconds'])} linear, "
+        f"{_time(one['nonlinear_seconds'])} nonlinear, {_size(one['memory_bytes'])} of memory "
+        f"({one['basis']})"
+    ]
+
+
+def _complaints(kind: str, entries: list[Mapping[str, str]]) -> list[str]:
+    return [f"{kind}: {entry['where']}: {entry['message']}" for entry in entries]
+
+
+def _place(place: Any) -> str:
+    """Write a place or direction; what is 12 digits below the rest is roundoff."""
+    least = 1e-12 * max(1.0, *map(abs, place))
+    return "(" + ", ".join(f"{x if abs(x) > least else 0.0:.5g}" for x in place) + ")"
+
+
+def _time(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.2g} s"
+    return f"{seconds / 60:.2g} min" if seconds < 7200 else f"{seconds / 3600:.2g} h"
+
+
+def _size(count: float) -> str:
+    return f"{count / 1e9:.2g} GB" if count >= 1e9 else f"{count / 1e6:.3g} MB"
