@@ -9,9 +9,8 @@ import numpy as np
 
 from fea.cholesky import Factor
 from fea.dissection import Dissection, dissect, unknowns_of
-from fea.gradients import cell_gradients
+from fea.material import filled_cells
 from fea.mesh import Mesh
-from fea.stiffness import Stiffness
 
 Array = np.ndarray
 
@@ -33,7 +32,7 @@ class Body:
     Raises
     ------
     SolveFailed
-        ``inverted_elements``.
+        ``inverted_elements`` or ``locking_material``.
     """
 
     def __init__(
@@ -46,11 +45,9 @@ class Body:
     ) -> None:
         self.points = mesh.points
         self.free = free
-        self.cells = [block.nodes for block in mesh.blocks]
-        self.parts = [
-            Stiffness(cell_gradients(mesh.points, block, integration), *_lame(E, nu))
-            for block, E, nu in zip(mesh.blocks, young, poisson, strict=True)
-        ]
+        filled = filled_cells(mesh, young, poisson, integration)
+        self.cells = [block.nodes for block, _ in filled]
+        self.parts = [stiffness for _, stiffness in filled]
 
     @property
     def size(self) -> int:
@@ -281,8 +278,3 @@ def gather(fields: Array, nodes: Array) -> Array:
 
 def _gather_pair(step: tuple[Array, Array] | None, nodes: Array) -> Array | None:
     return None if step is None else np.stack([gather(fields, nodes) for fields in step])
-
-
-def _lame(young: Array, poisson: Array) -> tuple[Array, Array]:
-    shear = young / (2 * (1 + poisson))
-    return 2 * shear * poisson / (1 - 2 * poisson), shear

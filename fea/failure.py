@@ -10,7 +10,7 @@ class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a prog
     ----------
     kind
         One of ``not_converged``, ``mechanism``, ``ill_conditioned``, ``inverted_elements``,
-        ``snap_through``, ``rotation_too_large``.
+        ``snap_through``, ``rotation_too_large``, ``locking_material``.
     message
         What happened, in an FEA engineer's words.
     remedy
@@ -79,6 +79,16 @@ def snap_through(message: str) -> SolveFailed:
         message,
         "The part has no unique answer at this load: keep the load range below the buckling load, "
         "or guide the interface (locked) as the real assembly does.",
+    )
+
+
+def locking_material(message: str) -> SolveFailed:
+    """Return the failure of cells that are no good for a nearly incompressible material."""
+    return SolveFailed(
+        "locking_material",
+        message,
+        "Mesh that region with 27-node hexahedra (hex27; in gmsh Mesh.SecondOrderIncomplete = 0), "
+        "which are right up to 0.4999.",
     )
 
 

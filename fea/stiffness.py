@@ -10,6 +10,9 @@ is
 
 (integrated), which costs a third of B^T D B. The strain is never formed as (F^T F - I)/2: at small
 loads that loses every digit to roundoff.
+
+Cells of a nearly incompressible material have `volume_modes` (`fea.volumetric`): tr(E) in the
+energy is then its projection onto them.
 """
 
 from __future__ import annotations
@@ -36,11 +39,15 @@ class Stiffness:
         Shape gradients and weights of the cells.
     first_lame, shear
         Shape (cells,), Pa: lambda and mu.
+    volume_modes
+        Shape (cells, points, modes), m^1.5: orthonormal functions onto which the volumetric
+        strain is projected, times the weights; None takes it as it is.
     """
 
     gradients: Gradients
     first_lame: Array
     shear: Array
+    volume_modes: Array | None = None
 
     @property
     def size(self) -> int:
@@ -145,9 +152,14 @@ class Stiffness:
         H = fields[:, :, None] @ self.gradients.slopes[part].swapaxes(2, 3)
         strain = 0.5 * (H + H.swapaxes(3, 4))
         stress = (2 * weights * self.shear[part, None])[..., None, None] * strain
-        volumetric = weights * self.first_lame[part, None] * np.trace(strain, axis1=3, axis2=4)
+        trace = np.trace(strain, axis1=3, axis2=4)
+        volumetric = _weighted(trace, weights, self.modes_of(part)) * self.first_lame[part, None]
         stress += volumetric[..., None, None] * np.eye(3)
         return strain, stress
+
+    def modes_of(self, part: slice) -> Array | None:
+        """Return the volume modes of a few cells."""
+        return None if self.volume_modes is None else self.volume_modes[part]
 
     def _parts(self) -> Iterator[slice]:
         for start in range(0, len(self), _CHUNK):
@@ -162,6 +174,7 @@ class _State:
         self.weights = cells.gradients.weights[part]
         self.first_lame = cells.first_lame[part, None]
         self.shear = cells.shear[part, None]
+        self.modes = cells.modes_of(part)
         self.undeformed = displacement is None
         if displacement is None:
             return
@@ -177,7 +190,8 @@ class _State:
         self.wS = self._weighted_stress(E)
 
     def _weighted_stress(self, strain: Array) -> Array:
-        volumetric = self.weights * self.first_lame * np.trace(strain, axis1=2, axis2=3)
+        trace = np.trace(strain, axis1=2, axis2=3)
+        volumetric = self.first_lame * _weighted(trace, self.weights, self.modes)
         shear = 2 * self.weights * self.shear
         return volumetric[..., None, None] * np.eye(3) + shear[..., None, None] * strain
 
@@ -197,10 +211,17 @@ class _State:
         g = (self.slopes if self.undeformed else self.F @ self.slopes).reshape(cells, points, size)
         K = out.reshape(cells, 3, nodes, 3, nodes)
         gram = ((g * self.weights[..., None]).swapaxes(1, 2) @ g).reshape(K.shape)
-        np.multiply(gram, self.first_lame[..., None, None, None], out=K)
+        volumetric = gram if self.modes is None else self._projected_gram(g).reshape(K.shape)
+        np.multiply(volumetric, self.first_lame[..., None, None, None], out=K)
         gram *= self.shear[..., None, None, None]
         K += gram.swapaxes(1, 3)
         K += self._shear_and_stress().transpose(0, 1, 3, 2, 4)
+
+    def _projected_gram(self, g: Array) -> Array:
+        """Integrate the products of the projected volumetric strains of unit displacements."""
+        assert self.modes is not None
+        projected = self.modes.swapaxes(1, 2) @ g
+        return projected.swapaxes(1, 2) @ projected
 
     def _shear_and_stress(self) -> Array:
         """Integrate mu (F F^T)_ik dN_a . dN_b + delta_ik dN_a . S dN_b as (cells, i, k, a, b)."""
@@ -221,6 +242,14 @@ class _State:
         for axis in range(3):
             total[:, axis, axis] += geometric
         return total
+
+
+def _weighted(trace: Array, weights: Array, modes: Array | None) -> Array:
+    """Return weights times the volumetric strain, or its projection: (..., cells, points)."""
+    if modes is None:
+        return weights * trace
+    parts = modes.swapaxes(1, 2) @ trace[..., None]
+    return (modes @ parts)[..., 0]
 
 
 def _green_strain(H: Array) -> Array:

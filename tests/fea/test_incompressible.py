@@ -1,0 +1,219 @@
+"""Nearly incompressible materials: projected volumetric strain, and cells that would lock."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fea.body import Body
+from fea.elements import reference_element
+from fea.failure import SolveFailed
+from fea.gradients import cell_gradients
+from fea.mesh import CellBlock, Mesh
+from fea.parts import Material
+from fea.solve import Solver
+from fea.stiffness import Stiffness
+from fea.volumetric import LARGEST_RATIO, volume_modes
+from tests.fea.boxes import box
+from tests.fea.components import component
+
+RNG = np.random.default_rng(11)
+RUBBER = 3e6
+
+
+def warped(points):
+    """Move the inner points of the unit cube only."""
+    bubble = np.prod(np.sin(np.pi * points), axis=1)[:, None]
+    return points + 0.08 * bubble * np.cos(3 * points + [0.2, 0.5, 0.9])
+
+
+def body_of(mesh, poisson, held):
+    counts = [len(block) for block in mesh.blocks]
+    young = [np.full(n, RUBBER) for n in counts]
+    return Body(mesh, young, [np.full(n, poisson) for n in counts], ~held, "full")
+
+
+def on_the_surface(mesh):
+    return ((mesh.points < 1e-9) | (mesh.points > 1 - 1e-9)).any(axis=1)
+
+
+def solve_with_boundary(body, boundary):
+    held = np.where(body.free[:, None], 0.0, boundary)
+    forces = body.small_strain_forces(held[:, :, None])
+    return held - body.tangent(None).solve(forces)[:, :, 0]
+
+
+def harmonic_gradient(points):
+    """Return grad exp(sqrt(2) x) sin(y) sin(z): keeps its volume, in balance for every ratio."""
+    x, y, z = points.T
+    growth, a = np.exp(np.sqrt(2) * x), np.sqrt(2)
+    along = a * growth * np.sin(y) * np.sin(z)
+    return np.stack([along, growth * np.cos(y) * np.sin(z), growth * np.sin(y) * np.cos(z)], axis=1)
+
+
+def displacement_error(kind, divisions, poisson, warp=None):
+    mesh = box(kind, divisions, warp=warp)
+    exact = harmonic_gradient(mesh.points)
+    found = solve_with_boundary(body_of(mesh, poisson, on_the_surface(mesh)), exact)
+    return np.abs(found - exact).max() / np.abs(exact).max()
+
+
+@pytest.mark.parametrize("poisson", [0.49, 0.4999])
+@pytest.mark.parametrize("kind", ["hex20", "hex27"])
+def test_a_distorted_patch_of_rubber_reproduces_every_constant_strain(kind, poisson):
+    if poisson > LARGEST_RATIO[kind]:
+        return
+    mesh = box(kind, (3, 3, 3), warp=warped, straight=True)
+    body = body_of(mesh, poisson, on_the_surface(mesh))
+    affine = mesh.points @ RNG.standard_normal((3, 3)) + [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(solve_with_boundary(body, affine), affine, atol=1e-10)
+
+
+def test_a_block_of_4x4x2_cells_is_right_to_a_tenth_of_a_percent_at_every_ratio():
+    for poisson in (0.3, 0.49, 0.4999, 0.499999):
+        assert displacement_error("hex27", (4, 4, 2), poisson) < 1e-3
+    rough = displacement_error("hex27", (4, 4, 2), 0.4999, warped)
+    assert rough < 2e-3
+
+
+def test_the_displacement_converges_at_third_order_next_to_incompressible():
+    errors = [displacement_error("hex27", (n, n, n), 0.4999, warped) for n in (2, 4)]
+    assert np.log2(errors[0] / errors[1]) > 2.6
+
+
+def bonded(kind, divisions, poisson, lengths=(0.1, 0.1, 0.05), **options):
+    mesh = box(kind, divisions, lengths)
+    return component(mesh, young=RUBBER, poisson=poisson, **options)
+
+
+@pytest.mark.parametrize("lengths", [(0.1, 0.1, 0.05), (0.1, 0.1, 0.01)])
+def test_a_bonded_rubber_block_does_not_lock(lengths):
+    """Bonded corners are singular: the gap is that of the mesh, and the same at every ratio."""
+    for poisson in (0.3, 0.49, 0.4999):
+        coarse, fine = (
+            np.diag(Solver(bonded("hex27", n, poisson, lengths)).compliance)
+            for n in ((4, 4, 2), (8, 8, 4))
+        )
+        assert np.abs(coarse / fine - 1).max() < 0.03
+
+
+def test_a_flat_rubber_strip_is_as_stiff_as_the_closed_form_of_a_layer():
+    """A strip between plates: what the pressure leaves out is of the order height over width."""
+    young, poisson, width, height = RUBBER, 0.4999, 0.4, 0.02
+    mesh = box("hex27", (16, 1, 3), (width, 0.02, height))
+    sides = np.union1d(mesh.facet_groups["y0"].node_ids, mesh.facet_groups["y1"].node_ids)
+    body = body_of(mesh, poisson, np.zeros(len(mesh.points), dtype=bool))
+    part = component(mesh, young=young, poisson=poisson, locked=("uy", "rx", "ry", "rz"))
+    # Plane strain: the sides are held across, which the supports of a component cannot say.
+    unknown = np.ones((len(mesh.points), 3), dtype=bool)
+    unknown[part.fixed_nodes] = unknown[part.section.node_ids] = False
+    unknown[sides, 1] = False
+    assert body.size == len(mesh.points)
+    stiffness = dense(body)
+    moved = np.zeros((len(mesh.points), 3))
+    moved[part.section.node_ids, 2] = 1.0
+    free = np.flatnonzero(unknown)
+    moved.ravel()[free] = -np.linalg.solve(
+        stiffness[np.ix_(free, free)], (stiffness @ moved.ravel())[free]
+    )
+    found = moved.ravel() @ stiffness @ moved.ravel()
+    assert found == pytest.approx(layer_stiffness(young, poisson, width, height) * 0.02, rel=0.01)
+
+
+def layer_stiffness(young, poisson, width, height):
+    """Pressure p'' = (12 G / (h^2 K)) p - 12 G / h^3 per unit travel, p = 0 at the edges (Gent)."""
+    shear, bulk = young / (2 * (1 + poisson)), young / (3 * (1 - 2 * poisson))
+    rate = np.sqrt(12 * shear / (bulk * height**2))
+    half = rate * width / 2
+    return bulk / height * width * (1 - np.tanh(half) / half) + 4 * shear * width / height
+
+
+def dense(body):
+    matrix = np.zeros((3 * body.size,) * 2)
+    for cells, matrices in zip(body.cells, body.tangent(None).matrices, strict=True):
+        for nodes, own in zip(cells, matrices, strict=True):
+            unknowns = (3 * nodes[None, :] + np.arange(3)[:, None]).ravel()
+            matrix[np.ix_(unknowns, unknowns)] += own
+    return matrix
+
+
+@pytest.mark.parametrize("kind", [kind for kind, limit in LARGEST_RATIO.items() if limit < 0.5])
+def test_cells_that_would_lock_are_refused_by_name(kind):
+    with pytest.raises(SolveFailed, match=r"0.4999; such cells lock") as caught:
+        Solver(bonded(kind, (2, 2, 2), 0.4999))
+    assert caught.value.kind == "locking_material"
+    assert "hex27" in caught.value.remedy
+    Solver(bonded(kind, (2, 2, 2), LARGEST_RATIO[kind])).solve([1, 0, 0, 0, 0, 0])
+
+
+def test_only_the_cells_of_the_soft_material_are_projected():
+    mesh = box("hex27", (2, 2, 2))
+    part = replace(
+        component(mesh),
+        materials=(Material("all", 210e9, 0.3), Material("all", RUBBER, 0.4999)),
+        material_of_cells=(np.array([0, 1] * 4),),
+    )
+    body = Solver(part)._system.body
+    assert [(len(part), part.volume_modes is None) for part in body.parts] == [
+        (4, True),
+        (4, False),
+    ]
+    assert sorted(map(tuple, np.concatenate(body.cells))) == sorted(
+        map(tuple, mesh.blocks[0].nodes)
+    )
+
+
+def rubber_cells(kind="hex27"):
+    mesh = box(kind, (2, 2, 1), warp=lambda p: p + 0.02 * RNG.standard_normal(p.shape))
+    block: CellBlock = mesh.blocks[0]
+    gradients = cell_gradients(mesh.points, block, "full")
+    modes = volume_modes(mesh.points, block, gradients.weights, "full")
+    lame = RNG.uniform(100, 200, len(block)), RNG.uniform(1, 2, len(block))
+    return mesh, Stiffness(gradients, *lame, modes)
+
+
+def test_the_modes_reproduce_every_linear_function_of_the_place():
+    mesh, stiffness = rubber_cells()
+    weights, modes = stiffness.gradients.weights, stiffness.volume_modes
+    points = reference_element("hex27", "full").values @ mesh.points[mesh.blocks[0].nodes]
+    linear = points @ [1.0, -2.0, 3.0] + 5.0
+    projected = (modes @ (modes.swapaxes(1, 2) @ linear[..., None]))[..., 0] / weights
+    np.testing.assert_allclose(projected, linear, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["hex20", "hex27"])
+def test_the_projected_tangent_is_the_derivative_of_the_forces_and_they_of_the_energy(kind):
+    mesh, stiffness = rubber_cells(kind)
+    shape = mesh.points[mesh.blocks[0].nodes].transpose(0, 2, 1).shape
+    u, v = (0.05 * RNG.standard_normal(shape) for _ in range(2))
+    step = 1e-6
+    ahead, behind = (stiffness.forces(u + s * step * v) for s in (1, -1))
+    matrices = np.empty((len(stiffness), stiffness.size, stiffness.size))
+    stiffness.tangent(u, None, matrices)
+    pushed = (matrices @ v.reshape(len(stiffness), -1, 1)).reshape(shape)
+    slope = (ahead[0] - behind[0]) / (2 * step)
+    np.testing.assert_allclose(pushed, slope, atol=1e-7 * np.abs(slope).max())
+    assert np.vdot(stiffness.forces(u)[0], v) == pytest.approx(
+        (ahead[1] - behind[1]) / (2 * step), rel=1e-6
+    )
+
+
+def test_a_rubber_block_sheared_far_converges_and_keeps_its_energy():
+    part = bonded("hex27", (4, 4, 2), 0.4999, nonlinear=True)
+    found = Solver(part).solve([150.0, 0, -500.0, 0, 0, 0])
+    assert found.displacement[0] > 0.5e-3
+    assert found.work == pytest.approx(found.strain_energy, rel=1e-4)
+    small = Solver(part).compliance @ found.wrench
+    assert np.abs(found.displacement[[0, 2]] / small[[0, 2]] - 1).max() < 0.1
+
+
+def test_a_mesh_of_several_kinds_names_the_one_that_locks():
+    brick, tet = box("hex27", (1, 1, 1)), box("tet10", (1, 1, 1))
+    points = np.concatenate([brick.points, tet.points + [0, 0, 1.0]])
+    blocks = (
+        brick.blocks[0],
+        CellBlock("tet10", tet.blocks[0].nodes + len(brick.points)),
+    )
+    mesh = Mesh(points, blocks, facet_groups=brick.facet_groups)
+    with pytest.raises(SolveFailed, match="6 tet10 cells"):
+        Solver(component(mesh, poisson=0.49))
