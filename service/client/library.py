@@ -87,8 +87,8 @@ class Library(Connection):
         name : str
             The component.
         table : path, str or bytes
-            A file as a `pathlib.Path`, or as a text its content; a text of one line is taken for a
-            path.
+            A file as a `pathlib.Path`, or as a text its content; a text of one line that is no
+            JSON is taken for a path.
         format : {"csv", "json", "parquet", "hdf5"}, optional
             By the file's suffix if not given; csv without one.
         dry_run : bool
@@ -105,7 +105,7 @@ class Library(Connection):
             If rows have mistakes (422): ``errors`` names each by row, field and reason; nothing is
             loaded then.
         """
-        if isinstance(table, str) and "\n" not in table and "\r" not in table:
+        if isinstance(table, str) and table.lstrip()[:1] != "{" and len(table.splitlines()) <= 1:
             table = Path(table)
         if isinstance(table, Path):
             format = format or _SUFFIXES.get(table.suffix.lower())  # noqa: A001

@@ -63,6 +63,12 @@ def body_schema(name: str) -> dict[str, Any]:
     return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
 
 
+def component_call(name: str) -> dict[str, Any]:
+    """Return `body_schema` with the path's parameter, for a call that reads both by hand."""
+    parameter = {"name": "name", "in": "path", "required": True, "schema": {"type": "string"}}
+    return {"parameters": [parameter], **body_schema(name)}
+
+
 def reply_schema(name: str) -> dict[int | str, dict[str, Any]]:
     """Return the ``responses`` of a call, with the wrench contract in the schema."""
     schema = {

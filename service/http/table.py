@@ -27,7 +27,7 @@ router = APIRouter(prefix="/v1/components/{name}/table", tags=["table"])
 
 Format = Literal["csv", "json"]
 MAX_TABLE_BYTES = 256 * 1024 * 1024
-CATCH_UP_S = 60.0
+CATCH_UP_S = 10.0
 _FORMATS = {"text/csv": "csv", "application/csv": "csv", "application/json": "json"}
 _MEDIA_TYPES = {"csv": "text/csv; charset=utf-8", "json": "application/json"}
 _READERS: dict[str, Callable[[bytes], ParsedTable]] = {"csv": read_csv, "json": read_json}

@@ -35,7 +35,7 @@ def _table() -> str:
         block[np.ix_(range(8), loads)] = corners
     displacements = 1e-4 * np.tanh(wrenches)
     rows = [
-        {"wrench": (wrench * [1e3] * 1 + 0.0).tolist(), "displacement": displacement.tolist()}
+        {"wrench": (1e3 * wrench).tolist(), "displacement": displacement.tolist()}
         for wrench, displacement in zip(wrenches, displacements, strict=True)
     ]
     return orjson.dumps({"rows": rows}).decode()
@@ -78,6 +78,8 @@ def test_the_query_route_against_a_bare_echo_route(tmp_path: Path) -> None:
         load_range = {"force": [1000.0] * 3, "moment": [1000.0] * 3}
         client.add_component({"name": "smooth", "title": "made up", "range": load_range})
         client.import_table("smooth", _table(), format="json")
+        while client.component("smooth")["rows"] < 3000 and time.monotonic() < deadline + 120:
+            time.sleep(0.5)
     paths = {
         "query": "/v1/components/smooth/displacement",
         "echo": "/echo",
