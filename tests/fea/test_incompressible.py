@@ -209,7 +209,7 @@ def test_a_rubber_block_sheared_far_converges_and_keeps_its_energy():
 
 def test_a_mesh_of_several_kinds_names_the_one_that_locks():
     brick, tet = box("hex27", (1, 1, 1)), box("tet10", (1, 1, 1))
-    points = np.concatenate([brick.points, tet.points + [0, 0, 1.0]])
+    points = np.concatenate([brick.points, tet.points + np.array([0, 0, 1.0])])
     blocks = (
         brick.blocks[0],
         CellBlock("tet10", tet.blocks[0].nodes + len(brick.points)),
