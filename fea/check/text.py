@@ -33,10 +33,10 @@ def _geometry(report: Mapping[str, Any]) -> list[str]:
     if "faces" not in report:
         return []
     lines = ["bodies:  number  volume cm^3  middle m"]
-    for body in report["bodies"][:_MOST_LINES]:
-        lines.append(
-            f"  {body['number']:>13}  {1e6 * body['volume']:>11.5g}  {_place(body['centre'])}"
-        )
+    lines += [
+        f"  {body['number']:>13}  {1e6 * body['volume']:>11.5g}  {_place(body['centre'])}"
+        for body in report["bodies"][:_MOST_LINES]
+    ]
     lines.append("faces:   number  area mm^2    middle m                      what")
     for face in report["faces"][:_MOST_LINES]:
         head = f"  {face['number']:>13}  {1e6 * face['area']:>11.5g}  {_place(face['centre']):<28}"

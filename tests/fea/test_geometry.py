@@ -1,0 +1,270 @@
+"""STEP files: faces named, groups chosen, one and the same mesh every time."""
+
+import copy
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from fea.bundle import BundleError, bundle_of
+from fea.cad import list_shape, mesh_geometry
+from fea.component import build, mesh_of
+from fea.gradients import area_weights
+from fea.parts import Choice, Geometry
+from fea.quality import volumes
+from fea.solve import Solver
+from tests.fea.geometry import draw_bracket, draw_two_bars, require_gmsh
+
+BRACKET = {
+    "name": "bracket",
+    "title": "B",
+    "mesh": {
+        "file": "bracket.step",
+        "size": 0.015,
+        "groups": {
+            "wall": {"plane": "x", "at": 0},
+            "hole": {"radius": 0.008},
+            "top": {"near": [0.004, 0.03, 0.058]},
+        },
+    },
+    "material": [{"region": "all", "youngs_modulus": 70e9, "poisson_ratio": 0.33}],
+    "supports": {"fixed": ["wall"]},
+    "interface": {"section": "hole", "coupling": "distributed"},
+    "analysis": {"nonlinear": False},
+    "range": {"force": [100, 100, 100], "moment": [1, 1, 1]},
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("geometry")
+    draw_bracket(made / "bracket.step")
+    draw_two_bars(made / "bars.step")
+    draw_two_bars(made / "apart.stp", space=1.0)
+    (made / "broken.step").write_text("ISO-10303-21; nothing")
+    return made
+
+
+def with_mesh(**keys):
+    table = copy.deepcopy(BRACKET)
+    table["mesh"] = {k: v for k, v in (table["mesh"] | keys).items() if v is not None}
+    return table
+
+
+def mistakes(table, folder):
+    with pytest.raises(BundleError) as caught:
+        mesh_of(bundle_of(table, folder).mesh)
+    return {problem.where: problem.message for problem in caught.value.problems}
+
+
+def test_faces_are_listed_in_metres_with_area_centre_and_outward_normal(folder):
+    faces, (body,) = list_shape(folder / "bracket.step")
+    assert len(faces) == 9
+    assert body.volume == pytest.approx(
+        80e-3 * 60e-3 * 8e-3 + 8e-3 * 60e-3 * 50e-3 - area(8) * 8e-3
+    )
+    (hole,) = (face for face in faces if face.kind == "Cylinder")
+    assert hole.radius == pytest.approx(0.008, rel=1e-9)
+    assert hole.normal is None
+    assert hole.centre == pytest.approx((0.055, 0.03, 0.004), abs=1e-9)
+    below = {f.normal: f for f in faces if f.centre[2] == pytest.approx(0, abs=1e-9)}
+    assert below[0.0, 0.0, -1.0].area == pytest.approx(80e-3 * 60e-3 - area(8))
+    assert sum(f.area * np.array(f.normal) for f in faces if f.normal) == pytest.approx(
+        0, abs=1e-12
+    )
+
+
+def area(radius):
+    return np.pi * (radius * 1e-3) ** 2
+
+
+def test_the_mesh_has_the_volume_of_the_body_and_the_areas_of_the_faces(folder):
+    mesh = mesh_of(bundle_of(with_mesh(), folder).mesh)
+    assert list(mesh.cell_counts) == ["tet10"]
+    _, (body,) = list_shape(folder / "bracket.step")
+    assert volumes(mesh.points, mesh.blocks[0]).sum() == pytest.approx(body.volume, rel=1e-3)
+    areas = {n: area_weights(mesh.points, g)[1].sum() for n, g in mesh.facet_groups.items()}
+    assert areas["wall"] == pytest.approx(0.06 * 0.058, rel=1e-12)
+    assert areas["top"] == pytest.approx(0.06 * 0.008, rel=1e-12)
+    assert areas["hole"] == pytest.approx(2 * np.pi * 0.008 * 0.008, rel=1e-3)
+
+
+def test_midside_nodes_lie_on_the_curved_faces(folder):
+    mesh = mesh_of(bundle_of(with_mesh(curvature=16), folder).mesh)
+    hole = mesh.points[mesh.facet_groups["hole"].node_ids]
+    np.testing.assert_allclose(np.hypot(hole[:, 0] - 0.055, hole[:, 1] - 0.03), 0.008, rtol=1e-6)
+    assert len(np.unique(hole[np.abs(hole[:, 2]) < 1e-9].round(9), axis=0)) >= 2 * 16
+
+
+def test_another_process_makes_the_same_mesh_to_the_last_bit(folder):
+    code = (
+        "import hashlib, sys; from pathlib import Path; from fea.cad import mesh_geometry;"
+        "from fea.parts import Geometry; m = mesh_geometry(Path(sys.argv[1]), Geometry(0.015));"
+        "print(hashlib.sha256(m.points.tobytes() + m.blocks[0].nodes.tobytes()).hexdigest())"
+    )
+    command = [sys.executable, "-c", code, str(folder / "bracket.step")]
+    told = {subprocess.run(command, capture_output=True, check=True).stdout for _ in range(2)}
+    assert len(told) == 1
+    assert len(told.pop()) == 65
+
+
+@pytest.mark.parametrize(
+    ("group", "where", "said"),
+    [
+        ({"plane": "z", "at": 0.1}, "plane", "no plane face at z = 0.1 m (there are at: 0, 0.008"),
+        ({"radius": 0.01}, "radius", "no cylinder of radius 0.01 m (there are: 0.008)"),
+        ({"near": [0, 0, 0]}, "near", "on the edge between face 1, 2, 3"),
+        ({"near": [[1, 0, 0], [0.004, 0.03, 0.058]]}, "near", "0.92 m off the nearest face"),
+        ({"faces": [3, 77]}, "faces", "no face 77; the geometry has 1 to 9"),
+    ],
+)
+def test_a_group_that_names_no_face_is_told_what_there_is(folder, group, where, said):
+    found = mistakes(with_mesh(groups={"wall": group}), folder)
+    assert said in found[f"mesh.groups.wall.{where}"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "where", "said"),
+    [
+        ({"size": None}, "mesh.size", "a number in m"),
+        ({"size": 0}, "mesh.size", "above 0"),
+        ({"size": 1e-5}, "mesh.size", "the most is 2 million"),
+        ({"unit": "mm"}, "mesh.unit", "its own length unit"),
+        ({"order": 1}, "mesh.order", "must be 2, not 1"),
+        ({"curvature": 2}, "mesh.curvature", "from 3"),
+        ({"groups": {"a": {}}}, "mesh.groups.a.faces", "choose by faces, near, plane or radius"),
+        ({"groups": {"a": 3}}, "mesh.groups.a", "must be a table"),
+        ({"groups": {"a": {"nearr": [0, 0, 0]}}}, "mesh.groups.a.nearr", 'did you mean "near"'),
+        ({"groups": {"a": {"near": [0, 0]}}}, "mesh.groups.a.near", "3 numbers in m"),
+        ({"groups": {"a": {"near": [[0, 0, "x"]]}}}, "mesh.groups.a.near[0][2]", "finite"),
+        ({"groups": {"a": {"plane": "x"}}}, "mesh.groups.a.at", "missing"),
+        ({"groups": {"a": {"at": 1}}}, "mesh.groups.a.plane", "missing"),
+        ({"groups": {"a": {"plane": "w", "at": 1}}}, "mesh.groups.a.plane", "none of x, y, z"),
+        ({"groups": {"a": {"faces": [0]}}}, "mesh.groups.a.faces", "from 1 up"),
+        ({"groups": {"a": {"faces": [1, 1]}}}, "mesh.groups.a.faces", "twice"),
+        ({"groups": {"a": {"radius": -1}}}, "mesh.groups.a.radius", "above 0"),
+        ({"groups": {"a": {"bodies": [1]}}}, "mesh.groups.a.bodies", "unknown key"),
+        ({"regions": {"all": {"bodies": [1]}}}, "mesh.regions.all", "another name"),
+        ({"regions": {"b": {"plane": "x", "at": 1}}}, "mesh.regions.b.plane", "unknown key"),
+        ({"regions": {"b": {"bodies": [2]}}}, "mesh.regions.b.bodies", "no body 2"),
+        ({"file": "broken.step"}, "mesh.file", "cannot be read as a STEP file"),
+    ],
+)
+def test_every_key_of_a_geometry_is_checked(folder, keys, where, said):
+    assert said in mistakes(with_mesh(**keys), folder)[where]
+
+
+def test_the_fingerprint_covers_the_file_and_every_key_of_its_meshing(folder):
+    def print_of(**keys):
+        return bundle_of(with_mesh(**keys), folder).fingerprint
+
+    groups = BRACKET["mesh"]["groups"]
+    prints = [
+        print_of(),
+        print_of(size=0.016),
+        print_of(curvature=12),
+        print_of(groups=groups | {"top": {"near": [0.004, 0.02, 0.058]}}),
+        print_of(regions={"b": {"bodies": [1]}}),
+        print_of(file="bars.step"),
+    ]
+    assert len(set(prints)) == len(prints)
+    assert print_of(order=2) == print_of(size=15e-3) == print_of()
+
+
+def test_reading_a_geometry_bundle_imports_no_gmsh(folder):
+    (folder / "component.toml").write_text(toml_of(BRACKET))
+    code = (
+        "import sys; from fea.bundle import read_bundle; read_bundle(sys.argv[1]);"
+        "sys.exit(any(m in sys.modules for m in ('gmsh', 'skfem', 'meshio')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(folder)], check=False, timeout=60)
+    assert done.returncode == 0
+
+
+def toml_of(table):
+    mesh = table["mesh"]
+    groups = "\n".join(f"{k} = {inline(v)}" for k, v in mesh["groups"].items())
+    material = "\n".join(f"{k} = {inline(v)}" for k, v in table["material"][0].items())
+    parts = [f"name = {inline(table['name'])}", f"title = {inline(table['title'])}"]
+    parts += [f"[mesh]\nfile = {inline(mesh['file'])}\nsize = {mesh['size']}"]
+    parts += [f"[mesh.groups]\n{groups}", f"[[material]]\n{material}"]
+    for name in ("supports", "interface", "analysis", "range"):
+        lines = "\n".join(f"{k} = {inline(v)}" for k, v in table[name].items())
+        parts.append(f"[{name}]\n{lines}")
+    return "\n".join(parts) + "\n"
+
+
+def inline(value):
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{k} = {inline(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(inline, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f'"{value}"' if isinstance(value, str) else repr(value)
+
+
+def test_without_the_extra_the_message_says_what_to_install(folder, monkeypatch):
+    monkeypatch.setitem(sys.modules, "gmsh", None)
+    assert 'pip install "wrenchbook[cad]"' in mistakes(with_mesh(), folder)["mesh.file"]
+
+
+def test_a_missing_system_library_is_named(folder, monkeypatch):
+    class Broken:
+        def find_spec(self, name, path=None, target=None):
+            if name == "gmsh":
+                raise OSError("libGLU.so.1: cannot open shared object file")
+
+    monkeypatch.delitem(sys.modules, "gmsh", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Broken(), *sys.meta_path])
+    said = mistakes(with_mesh(), folder)["mesh.file"]
+    assert "libGLU.so.1" in said
+    assert "apt install libgl1 libglu1-mesa" in said
+
+
+def test_a_file_of_surfaces_only_is_refused(tmp_path):
+    gmsh = require_gmsh()
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.occ.addRectangle(0, 0, 0, 1, 1)
+        gmsh.model.occ.synchronize()
+        gmsh.write(str(tmp_path / "flat.step"))
+    finally:
+        gmsh.finalize()
+    with pytest.raises(BundleError, match="no solid body"):
+        mesh_geometry(tmp_path / "flat.step", Geometry(0.1))
+
+
+def two_bars(file, folder, **interface):
+    table = with_mesh(
+        file=file,
+        size=0.01,
+        groups={"a": {"plane": "x", "at": 0}, "b": {"near": [0.1, 0.005, 0.005]}},
+        regions={"soft": {"near": [0.09, 0.005, 0.005]}},
+    )
+    table["supports"]["fixed"] = ["a"]
+    table["interface"] = {"section": "b", "coupling": "distributed"} | interface
+    table["material"] = [
+        {"region": "all", "youngs_modulus": 200e9, "poisson_ratio": 0.0},
+        {"region": "soft", "youngs_modulus": 50e9, "poisson_ratio": 0.0},
+    ]
+    return build(bundle_of(table, folder))
+
+
+def test_touching_bodies_are_glued_and_their_materials_told_apart(folder):
+    built = two_bars("bars.step", folder)
+    for number, nodes in zip(built.material_of_cells[0], built.mesh.blocks[0].nodes, strict=True):
+        assert number == (built.mesh.points[nodes].mean(axis=0)[0] > 0.05)
+    compliance = Solver(built).compliance
+    area = 1e-4
+    assert compliance[0, 0] == pytest.approx(0.05 / area * (1 / 200e9 + 1 / 50e9), rel=1e-9)
+
+
+def test_a_region_is_found_by_a_point_inside_its_body(folder):
+    choice = {"soft": Choice(near=((0.075, 0.005, 0.005),))}
+    mesh = mesh_geometry(folder / "bars.step", Geometry(0.02, regions=choice))
+    (cells,) = mesh.regions["soft"]
+    middles = mesh.points[mesh.blocks[0].nodes].mean(axis=1)[:, 0]
+    np.testing.assert_array_equal(np.sort(cells), np.flatnonzero(middles > 0.05))
