@@ -1,0 +1,87 @@
+"""Components without a bundle's folder: a mesh clamped at one facet group, loaded at another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from fea.bundle import read_bundle
+from fea.component import Component, build
+from fea.mesh import Mesh
+from fea.parts import Analysis, Bundle, Interface, LoadRange, Material, Supports
+from fea.section import section_of_facets
+
+Array = np.ndarray
+Warp = Callable[[Array], Array]
+
+
+def clamped(
+    mesh: Mesh,
+    fixed: str,
+    section: str,
+    material: tuple[float, float],
+    *,
+    coupling: str = "rigid",
+    nonlinear: bool = False,
+    point: Array | None = None,
+    axes: Array | None = None,
+) -> Component:
+    """Clamp one facet group of a mesh and attach the interface to another.
+
+    Parameters
+    ----------
+    mesh
+        In metres.
+    fixed, section
+        Names of facet groups.
+    material
+        Young's modulus (Pa) and Poisson's ratio.
+    coupling, nonlinear, point, axes
+        As in a bundle; the point is the section's area centre unless given.
+    """
+    part = section_of_facets(mesh.points, mesh.facet_groups[section])
+    place = part.centre if point is None else point
+    frame = np.eye(3) if axes is None else axes
+    materials = (Material("all", *material),)
+    analysis = Analysis(nonlinear=nonlinear)
+    anything = LoadRange(np.full(6, -np.inf), np.full(6, np.inf))
+    bundle = Bundle(
+        folder=Path(),
+        name="validation",
+        title="",
+        mesh=None,
+        materials=materials,
+        supports=Supports((fixed,)),
+        interface=Interface(section, place, frame, coupling),
+        analysis=analysis,
+        range=anything,
+        tolerance=None,
+        deck=None,
+        fingerprint="",
+    )
+    return Component(
+        bundle=bundle,
+        mesh=mesh,
+        materials=materials,
+        material_of_cells=tuple(np.zeros(len(block), dtype=int) for block in mesh.blocks),
+        fixed_nodes=mesh.facet_groups[fixed].node_ids,
+        section=part,
+        point=place,
+        axes=frame,
+        coupling=coupling,
+        locked=(),
+        analysis=analysis,
+    )
+
+
+def shipped(name: str, **parameters: float) -> Component:
+    """Return a component of the shipped library, its generator's `parameters` changed."""
+    bundle = read_bundle(Path(str(files("data"))) / "components" / name)
+    if parameters and bundle.mesh is not None:
+        own = dict(bundle.mesh.parameters or {})
+        bundle = replace(bundle, mesh=replace(bundle.mesh, parameters=own | parameters))
+    return build(bundle)
