@@ -204,6 +204,16 @@ class Tangent:
             scatter.add(matrices, leaves, diagonal)
         return Factor(self._body.dissection, leaves, diagonal[:-1])
 
+    @property
+    def scaled_norm(self) -> float:
+        """Bound of the 1-norm of the matrix scaled to a unit diagonal."""
+        scale = np.append(1.0 / np.sqrt(self.factor.diagonal), 0.0)
+        sums = np.zeros_like(scale)
+        for scatter, matrices in zip(self._body.scatter, self.matrices, strict=True):
+            own = (np.abs(matrices) @ scale[scatter.diagonal][..., None])[..., 0]
+            sums += np.bincount(scatter.diagonal.ravel(), own.ravel(), minlength=sums.size)
+        return float((scale * sums).max(initial=1.0))
+
     def times(self, fields: Array, nodes: Array) -> Array:
         """Multiply by displacement fields that are zero at all but the given nodes.
 

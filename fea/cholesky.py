@@ -40,11 +40,14 @@ class Factor:
         is not definite.
     weakest
         Position of the unknown with that ratio.
+    diagonal
+        Shape (unknowns,): that of the matrix.
     """
 
     def __init__(self, dissection: Dissection, leaves: dict[int, Array], diagonal: Array) -> None:
         self._dissection = dissection
         self.unknowns = dissection.unknowns
+        self.diagonal = diagonal
         try:
             self._fronts = _eliminate(dissection, leaves, _CholeskyFront)
             self.definite = True

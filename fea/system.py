@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from fea.body import Body, Tangent
+from fea.condition import scaled_condition, softest_energy, unheld
 from fea.coupling import Coupling, State
 from fea.failure import mechanism
 
@@ -111,11 +112,17 @@ class System:
         Raises
         ------
         SolveFailed
-            ``mechanism`` if the supports leave a motion free.
+            ``mechanism`` if the supports leave a motion free, ``ill_conditioned`` if roundoff
+            does.
         """
         start = Linearisation(self, self.balance_at_rest, self.body.tangent(None))
         self._require_held(start)
         return start
+
+    @cached_property
+    def condition(self) -> float:
+        """Estimated condition of the undeformed body's stiffness, scaled to a unit diagonal."""
+        return scaled_condition(self.undeformed.tangent)
 
     @property
     def balance_at_rest(self) -> Balance:
@@ -133,12 +140,12 @@ class System:
     def _require_held(self, start: Linearisation) -> None:
         factor = start.tangent.factor
         if factor.pivot_ratio < _LEAST_PIVOT:
-            raise mechanism(
-                f"Near {self._place(factor.weakest)} m the mesh can move without any "
-                "resistance (its stiffness is lost in roundoff)."
-            )
-        if not np.isfinite(start.compliance).all() or start.interface_ratio < _LEAST_PIVOT:
-            raise mechanism("The interface can move without any resistance.")
+            energy = softest_energy(self.body, start.tangent)
+            raise unheld(f"Near {self._place(factor.weakest)} m the mesh", energy)
+        if not np.isfinite(start.compliance).all():
+            raise unheld("The interface", 0.0)
+        if start.interface_ratio < _LEAST_PIVOT:
+            raise unheld("The interface", start.softest_interface_energy)
 
     def _place(self, position: int) -> str:
         node = self.body.dissection.nodes[position // 3] if position >= 0 else 0
@@ -183,12 +190,25 @@ class Linearisation:
     @property
     def interface_ratio(self) -> float:
         """Least eigenvalue of the condensed stiffness, scaled by the border's own diagonal."""
+        return self._softest_interface[0]
+
+    @property
+    def softest_interface_energy(self) -> float:
+        """Strain energy of the interface's softest motion, relative to that of the border alone."""
+        border = self._softest_interface[1]
+        field = self.border.ties @ border - self._solved @ border
+        energy = self._system.body.strain_energy_products(field[:, :, None])[0, 0]
+        return float(energy / (border @ (np.diagonal(self._block) * border)))
+
+    @property
+    def _softest_interface(self) -> tuple[float, Array]:
         own = np.diagonal(self._block)
         if not own.size or (own <= 0).any():
-            return 1.0
+            return 1.0, np.zeros(own.size)
         scale = 1.0 / np.sqrt(own)
         scaled = self.schur * scale[:, None] * scale
-        return float(np.linalg.eigvalsh(0.5 * (scaled + scaled.T))[0])
+        ratios, motions = np.linalg.eigh(0.5 * (scaled + scaled.T))
+        return float(ratios[0]), scale * motions[:, 0]
 
     @property
     def stable(self) -> bool:
