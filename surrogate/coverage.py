@@ -204,7 +204,7 @@ def _guess(composition: Composition, fit: ComplianceFit, axis: Axis, loads: Floa
     if table is not None:
         inputs = list(axis.inputs)
         x = loads[inputs] / np.array(table.scale)
-        nearest = int(((table.interpolant.points - x) ** 2).sum(axis=1).argmin())
+        nearest = int(table.interpolant.nearest(x[None])[0])
         start, near = table.rows.displacement[nearest], table.rows.members[nearest]
         from_loads[inputs] = table.interpolant.points[nearest] * np.array(table.scale)
         bars = table.rows.uncertainty[nearest].copy()

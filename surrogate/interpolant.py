@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import Delaunay, QhullError
+from scipy.spatial import Delaunay, KDTree, QhullError
 
 from surrogate.order import curve_order
 from surrogate.rows import Floats
@@ -125,6 +126,14 @@ class Interpolant:
         flat = centred @ self.basis.T
         off = np.abs(centred - flat @ self.basis).max(axis=1, initial=0.0)
         return np.where(off > self.slack, -1, self._find(flat))
+
+    def nearest(self, x: ArrayLike) -> Indices:
+        """Return the point nearest to each of some others, shape (k, 3) -> (k,)."""
+        return np.asarray(self._tree.query(x)[1], dtype=np.intp)
+
+    @cached_property
+    def _tree(self) -> KDTree:
+        return KDTree(self.points)
 
     def barycentric(self, simplices: Indices, x: Floats) -> Floats:
         """Return the barycentric coordinates, shape (k, d + 1), of points (k, 3)."""

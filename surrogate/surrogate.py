@@ -11,6 +11,12 @@ from numpy.typing import ArrayLike
 
 from surrogate.answers import METHODS, Answer, Batch, judged
 from surrogate.axes import CLEAN, OffAxis
+from surrogate.batches import (
+    nothing_known,
+    read_many_carefully,
+    read_many_linearly,
+    read_many_nearest,
+)
 from surrogate.building import build_composition
 from surrogate.compliance import ComplianceFit, fit_compliance
 from surrogate.composition import Composition
@@ -141,20 +147,8 @@ class Surrogate:
         """
         asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
         tolerance = tolerance or self.tolerance
-        if self._known_method(method) != "griddata":
-            return self._gather(asked, np.arange(len(asked)), tolerance, method)
-        displacement, error, told = self.composition.many(asked)
-        covered = told.copy()
-        if tolerance is not None:
-            most = np.repeat([tolerance.translation, tolerance.rotation], 3)
-            covered &= (error <= most).all(axis=1)
-        coverage = np.where(covered, COVERED, THIN).astype(np.uint8)
-        rest = np.flatnonzero(~told)
-        over = [p for p in np.flatnonzero(told & ~covered) if tuple(asked[p]) in self._place]
-        for places in (rest, over):
-            careful = self._gather(asked, places, tolerance, method)
-            displacement[places], error[places], coverage[places] = careful
-        return Batch(displacement, error, coverage)
+        known = self._known_method(method)
+        return self._judged_many(asked, self._read_many(asked, known), tolerance)
 
     def explain(
         self,
@@ -193,24 +187,40 @@ class Surrogate:
             raise ValueError(f"unknown method {method!r}: one of {', '.join(METHODS)}")
         return method or self.default
 
-    def _gather(
-        self,
-        asked: Floats,
-        places: ArrayLike,
-        tolerance: Tolerance | None,
-        method: str | None,
-    ) -> Batch:
-        """Answer the wrenches at some places one by one."""
-        answers = [
-            self.answer(w, tolerance, method)
-            for w in asked[np.asarray(places, dtype=np.intp)].tolist()
-        ]
-        blank = (np.nan,) * 6
-        return Batch(
-            np.array([a.displacement or blank for a in answers]).reshape(-1, 6),
-            np.array([a.error or blank for a in answers]).reshape(-1, 6),
-            np.array([NAMES.index(a.coverage) for a in answers], dtype=np.uint8),
-        )
+    def _read_many(self, asked: Floats, method: str) -> Batch:
+        """Answer many wrenches by a method; what the quick path cannot tell, carefully."""
+        small = np.array(self._small)
+        loads = np.where(np.abs(asked) > small, asked, 0.0)
+        if not len(self.rows) and method != "griddata":
+            return nothing_known(len(asked))
+        if method == "linear":
+            return read_many_linearly(self.fit, self.load_range, asked, small)
+        if method == "nearest":
+            return read_many_nearest(self.nearest, self.composition, self.fit, asked, loads)
+        displacement, error, told = self.composition.many(asked)
+        coverage = np.zeros(len(asked), dtype=np.uint8)
+        rest = np.flatnonzero(~told)
+        if len(rest):
+            careful = nothing_known(len(rest))
+            if len(self.rows):
+                careful = read_many_carefully(self.composition, self.fit, loads[rest])
+            displacement[rest], error[rest], coverage[rest] = careful
+        return Batch(displacement, error, coverage)
+
+    def _judged_many(self, asked: Floats, found: Batch, tolerance: Tolerance | None) -> Batch:
+        """Hold error bars against the tolerance; where not covered, take the row of the wrench."""
+        displacement, error, coverage = found
+        if tolerance is not None:
+            most = np.repeat([tolerance.translation, tolerance.rotation], 3)
+            coverage[(coverage == COVERED) & (error > most).any(axis=1)] = THIN
+        doubtful = np.flatnonzero(coverage != COVERED)
+        for place, wrench in zip(doubtful, map(tuple, asked[doubtful].tolist()), strict=True):
+            row = self._place.get(wrench)
+            if row is not None:
+                displacement[place] = self.rows.displacement[row]
+                error[place] = np.nan_to_num(self.rows.uncertainty[row])
+                coverage[place] = COVERED
+        return found
 
     def _without_traces(self, wrench: Sequence[float]) -> list[float]:
         """Return the wrench with loads below 1e-9 of the range taken as none."""
