@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a programming error
     """A solve that gave no answer that can be trusted.
@@ -10,16 +12,24 @@ class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a prog
     ----------
     kind
         One of ``not_converged``, ``mechanism``, ``ill_conditioned``, ``inverted_elements``,
-        ``snap_through``, ``rotation_too_large``, ``locking_material``.
+        ``snap_through``, ``rotation_too_large``, ``locking_material``; for a deck also those of
+        `fea.deck.failures`.
     message
         What happened, in an FEA engineer's words.
     remedy
         What to change.
     history
         The iterations up to the failure (`fea.solution.Iteration`).
+    load_factor
+        The part of the wrench at which the part snaps through or buckles, where it was found.
+    last
+        The last converged state: its load factor, and the displacement of each mesh point in the
+        mesh's own axes, shape (n, 3), m; None if there is none.
     """
 
     history: tuple = ()
+    load_factor: float | None = None
+    last: tuple[float, Any] | None = None
 
     def __init__(self, kind: str, message: str, remedy: str) -> None:
         super().__init__(f"{kind}: {message} {remedy}")
@@ -80,6 +90,27 @@ def snap_through(message: str) -> SolveFailed:
         "The part has no unique answer at this load: keep the load range below the buckling load, "
         "or guide the interface (locked) as the real assembly does.",
     )
+
+
+def gave_way(kind: str, factor: float) -> SolveFailed | None:
+    """Return the failure of a part whose equilibrium path ends below the load asked for.
+
+    Parameters
+    ----------
+    kind
+        Of the ending (`fea.arc.Ending`): ``"limit"`` or ``"bifurcation"``; None comes of others.
+    factor
+        The part of the wrench at which it ends.
+    """
+    if kind == "limit":
+        message = "The part snaps through at {} of this wrench, where its load has a maximum."
+    elif kind == "bifurcation":
+        message = "The part buckles at {} of this wrench, where its equilibrium becomes unstable."
+    else:
+        return None
+    failure = snap_through(message.format(f"{factor:.3g}"))
+    failure.load_factor = factor
+    return failure
 
 
 def locking_material(message: str) -> SolveFailed:

@@ -44,20 +44,22 @@ class Solution:
         Shape (6,), m and rad: translation and rotation vector.
     compliance
         Shape (6, 6): d displacement / d wrench at this wrench; rows and columns of locked freedoms
-        are zero.
+        are zero. NaN where it is unknown: a nonlinear deck.
     strain_energy
-        J.
+        J. NaN where it is unknown: a nonlinear deck.
     work
         J. Linear: wrench . displacement, twice the strain energy. Nonlinear: the external work
         along the load path (by quadrature over the converged load steps), about the strain energy.
+        NaN for a nonlinear deck.
     unknowns
-        Degrees of freedom solved for.
+        Degrees of freedom solved for; 0 where a deck's solver does not tell.
     seconds
         Wall time of this solve; what a `Solver` shares between solves is not counted again.
     history
         The iterations, in order; empty for a linear solve and a zero wrench.
     nodes
-        Shape (n, 3), m: displacement of each mesh point, in the mesh's own axes.
+        Shape (n, 3), m: displacement of each mesh point, in the mesh's own axes; none for a
+        deck.
     """
 
     wrench: Array

@@ -18,6 +18,7 @@ from fea.check.cells import quality, quality_warnings
 from fea.check.cost import estimate
 from fea.check.text import as_text
 from fea.component import Component, build, mesh_of
+from fea.deck.checking import deck_report
 from fea.mesh import Mesh
 from fea.parts import GEOMETRY_ENDINGS
 from fea.problems import Problem
@@ -34,7 +35,7 @@ def report(folder: str | Path) -> dict[str, Any]:
         ``has_fea``; ``faces`` and ``bodies`` of a geometry file; ``unknowns`` (three a node),
         ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.check.cells`), ``parts``,
         ``coincident_nodes``; ``materials``, ``section``, ``supports`` and ``estimate`` (see
-        `fea.check.cost`). Lengths in m.
+        `fea.check.cost`). Lengths in m. Instead of those, ``deck`` (see `fea.deck.checking`).
     """
     told: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
     folder = Path(folder)
@@ -58,7 +59,10 @@ def _look(folder: Path, told: dict[str, Any]) -> None:
         "fingerprint": bundle.fingerprint,
         "has_fea": bundle.has_fea,
     }
-    if bundle.mesh is not None:
+    if bundle.deck is not None:  # it answers in place of the embedded solver
+        told["deck"], warnings = deck_report(bundle.deck)
+        _warn(told, warnings)
+    elif bundle.mesh is not None:
         if bundle.mesh.geometry is not None:
             _list_geometry(bundle.mesh.file, told)
         _look_at_mesh(bundle, mesh_of(bundle.mesh), told)

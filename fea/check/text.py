@@ -20,13 +20,24 @@ def as_text(report: Mapping[str, Any]) -> str:
     lines = [f"{report.get('name', 'bundle')}  {report.get('fingerprint', '')}".rstrip()]
     if report.get("has_fea") is False:
         lines.append("a table only: nothing to mesh or solve")
-    for write in (_geometry, _mesh, _groups, _quality, _set_up, _estimate):
+    for write in (_deck, _geometry, _mesh, _groups, _quality, _set_up, _estimate):
         lines += write(report)
     lines += _complaints("warning", report["warnings"])
     lines += _complaints("error", report["problems"])
     count = len(report["problems"])
     lines.append("ready to solve" if report["ok"] else f"{count} error{'s'[: count != 1]}")
     return "\n".join(lines)
+
+
+def _deck(report: Mapping[str, Any]) -> list[str]:
+    if "deck" not in report:
+        return []
+    deck = report["deck"]
+    program = deck["program"] or "a program that is not here"
+    return [
+        f"deck: {deck['file']} in {deck['unit']}, run by {program} for {deck['timeout']:g} s at "
+        f"most, read by {deck['reader']}; its moments are {deck['moment']}"
+    ]
 
 
 def _geometry(report: Mapping[str, Any]) -> list[str]:

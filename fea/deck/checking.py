@@ -12,8 +12,8 @@ from fea.parts import Deck
 from fea.problems import BundleError, Problem
 
 
-def deck_report(deck: Deck) -> dict[str, Any]:
-    """Return what `fea.check` reports of a deck.
+def deck_report(deck: Deck) -> tuple[dict[str, Any], list[Problem]]:
+    """Return what can be told of a deck, and warnings.
 
     A program that is not installed here is a warning and no mistake of the bundle: solves may run
     elsewhere, and one that does not says so.
@@ -21,8 +21,10 @@ def deck_report(deck: Deck) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``"deck"``: its ``file``, ``program`` (the path found, or None), ``reader``, ``moment``,
-        ``unit`` and ``timeout``; ``"warnings"``: texts.
+        Its ``file``, ``program`` (the path found, or None), ``reader``, ``moment``, ``unit`` and
+        ``timeout`` (s).
+    list of Problem
+        What may keep a solve from working.
 
     Raises
     ------
@@ -37,7 +39,7 @@ def deck_report(deck: Deck) -> dict[str, Any]:
     if problems:
         raise BundleError(problems)
     program = _found(deck)
-    report = {
+    told = {
         "file": deck.file.name,
         "program": program,
         "reader": deck.output["reader"],
@@ -45,7 +47,7 @@ def deck_report(deck: Deck) -> dict[str, Any]:
         "unit": deck.unit,
         "timeout": deck.timeout,
     }
-    return {"deck": report, "warnings": [] if program else [_not_here(deck.command[0])]}
+    return told, [] if program else [_not_here(deck.command[0])]
 
 
 def _missing(placeholder: str) -> Problem:
@@ -64,10 +66,9 @@ def _found(deck: Deck) -> str | None:
     return shutil.which(program)
 
 
-def _not_here(program: str) -> str:
-    return (
-        f'the program "{program}" is not on the PATH of this machine; install it where solves run'
-    )
+def _not_here(program: str) -> Problem:
+    message = f'the program "{program}" is not on the PATH of this machine; install it where '
+    return Problem("deck.command", message + "solves run")
 
 
 def _text(file: Path) -> str:

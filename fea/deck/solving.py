@@ -12,7 +12,7 @@ import numpy as np
 
 from fea.deck import failures
 from fea.deck.running import run_deck
-from fea.parts import Bundle, Deck, LoadRange
+from fea.parts import FREEDOMS, Bundle, Deck, LoadRange
 from fea.rotation import spin_per_vector
 from fea.solution import Progress, Solution
 
@@ -27,6 +27,7 @@ _MOMENT_GAP = 1e-5
 _MOST_RUNS = 12  # 20 degrees take half of them
 _LINEAR_GAP = 1e-5  # CalculiX prints seven digits
 _RECIPROCAL_GAP = 1e-4
+_ROUNDOFF = 1e-9
 
 
 def solve_deck(
@@ -166,7 +167,7 @@ def _straight(runs: _Runs, wrench: Array, expected: LoadRange) -> tuple[Array, A
         columns.append(runs.run(name, load, (i + 1) / 7.0, (i + 2) / 7.0) / sizes[i])
     compliance = np.stack(columns, axis=1)
     _require_linear(compliance, wrench, displacement)
-    _require_reciprocal(compliance)
+    _require_reciprocal(compliance, sizes)
     return displacement, compliance
 
 
@@ -178,19 +179,26 @@ def _require_linear(compliance: Array, wrench: Array, displacement: Array) -> No
         raise failures.not_linear(float((gaps / np.maximum(largest, 1e-300)).max()))
 
 
-def _require_reciprocal(compliance: Array) -> None:
-    """Raise unless the compliance is one that an elastic body can have: Betti, and work done."""
-    own = np.diagonal(compliance)
-    if (own < 0.0).any():
-        i = int(np.argmin(own))
-        raise failures.not_reciprocal(f"Load {i + 1} of 6 moves the interface against itself.")
-    size = np.sqrt(np.outer(own, own))
-    gap = np.abs(compliance - compliance.T) - _RECIPROCAL_GAP * size
+def _require_reciprocal(compliance: Array, sizes: Array) -> None:
+    """Raise unless the compliance is one that an elastic body can have: Betti, and work done.
+
+    Compared is the work (J) that loads of these `sizes` do on each other's displacement, so a
+    freedom that is held may show roundoff.
+    """
+    work = compliance * np.outer(sizes, sizes)
+    own = np.diagonal(work)
+    floor = _ROUNDOFF * float(np.abs(own).max())
+    if (own < -floor).any():
+        freedom = FREEDOMS[int(np.argmin(own))]
+        raise failures.not_reciprocal(f"The load on {freedom} moves it backwards.")
+    own = np.maximum(own, 0.0)
+    gap = np.abs(work - work.T) - _RECIPROCAL_GAP * np.sqrt(np.outer(own, own))
     i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
-    if gap[i, j] > 0.0:
+    if gap[i, j] > floor:
+        one, other = FREEDOMS[i], FREEDOMS[j]
         raise failures.not_reciprocal(
-            f"Load {j + 1} of 6 moves freedom {i + 1} by {compliance[i, j]:.6e} a unit, load "
-            f"{i + 1} freedom {j + 1} by {compliance[j, i]:.6e}: in an elastic body these agree."
+            f"A unit load on {other} moves {one} by {compliance[i, j]:.6e}, one on {one} moves "
+            f"{other} by {compliance[j, i]:.6e}: in an elastic body the two agree."
         )
 
 

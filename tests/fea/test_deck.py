@@ -1,0 +1,404 @@
+"""Decks: the wrench goes in, the solver runs, the motion comes back; nothing fails in silence."""
+
+import os
+import re
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fea.bundle import BundleError
+from fea.deck import readers
+from fea.deck.checking import deck_report
+from fea.deck.running import filled
+from fea.failure import SolveFailed
+from fea.rotation import spin_per_vector
+from fea.solve import solve
+from tests.fea.decks import SOFT, WRENCH, component
+
+NUMBER = st.floats(allow_nan=False, allow_infinity=False)
+
+
+def failure(bundle, wrench=WRENCH, folder=None):
+    with pytest.raises(SolveFailed) as caught:
+        solve(bundle, wrench, folder=folder)
+    assert caught.value.remedy.endswith(".")
+    return caught.value
+
+
+def mistakes(folder, **deck):
+    with pytest.raises(BundleError) as caught:
+        component(folder, **deck)
+    return {problem.where: problem.message for problem in caught.value.problems}
+
+
+@given(st.lists(NUMBER, min_size=6, max_size=6))
+def test_a_number_goes_into_the_deck_with_12_decimals_and_20_characters_at_most(loads):
+    words = filled(b"$FX,$FY,$FZ\n$MX , $MY,$MZ", loads).replace(b"\n", b",").split(b",")
+    assert max(len(word.strip()) for word in words) <= 20
+    np.testing.assert_allclose([float(word) for word in words], loads, rtol=1e-12)
+
+
+def test_other_words_with_a_dollar_stay_and_a_placeholder_may_come_twice():
+    deck = b"$FX $FXY $FX $FY $FZ $MX $MY $MZ $A $fx \xff"
+    text = filled(deck, [1, 2, 3, 4, 5, 6])
+    assert text.startswith(b"1.000000000000e+00 $FXY 1.000000000000e+00 2.0")
+    assert text.endswith(b"$A $fx \xff")
+
+
+def test_a_deck_without_a_placeholder_is_refused_before_anything_runs(tmp_path):
+    bundle = component(tmp_path)
+    bundle.deck.file.write_text("$FX $FY $FZ $MX $MY")
+    found = failure(bundle)
+    assert found.kind == "bad_deck"
+    assert "no $MZ" in found.message
+
+
+def test_a_nonlinear_deck_answers_the_displacement_and_knows_no_compliance(tmp_path):
+    found = solve(component(tmp_path), WRENCH)
+    np.testing.assert_allclose(found.displacement, 1e-6 * np.array(WRENCH), rtol=1e-12)
+    assert found.compliance.shape == (6, 6)
+    assert np.isnan(found.compliance).all()
+    assert np.isnan([found.strain_energy, found.work]).all()
+    assert found.wrench.tolist() == WRENCH
+    assert found.seconds > 0
+
+
+def test_a_linear_deck_answers_its_compliance_as_well(tmp_path):
+    script = "answer(w[0] + w[4] / 2, 2 * w[1], 3 * w[2], w[3], w[4] + w[0] / 2, w[5] / 64)"
+    told = []
+    found = solve(
+        component(tmp_path, script, nonlinear=False),
+        [1e-4] * 6,
+        lambda fraction, message: told.append((fraction, message)),
+    )
+    expected = np.diag([1, 2, 3, 1, 1, 1 / 64])
+    expected[0, 4] = expected[4, 0] = 0.5
+    np.testing.assert_allclose(found.compliance, expected, atol=1e-15)
+    assert found.work == pytest.approx(found.displacement.sum() * 1e-4)
+    assert found.strain_energy == pytest.approx(found.work / 2)
+    assert told[0] == (0.0, "wrench: starting")
+    assert told[-1] == (1.0, "done")
+    assert [fraction for fraction, _ in told] == sorted(fraction for fraction, _ in told)
+
+
+def test_a_millimetre_deck_gets_newton_millimetres_and_is_read_in_millimetres(tmp_path):
+    in_metres = solve(component(tmp_path, nonlinear=False), WRENCH)
+    script = "answer(*(1e-3 * load for load in w[:3]), *(1e-9 * load for load in w[3:]))"
+    in_millimetres = solve(component(tmp_path, script, nonlinear=False, unit="mm"), WRENCH)
+    np.testing.assert_allclose(in_millimetres.displacement, in_metres.displacement, rtol=1e-12)
+    np.testing.assert_allclose(in_millimetres.compliance, in_metres.compliance, atol=1e-18)
+
+
+@pytest.mark.parametrize("degrees", [0.01, 1, 19.5])
+def test_a_conjugate_moment_is_found_for_the_spatial_one_that_was_asked_for(tmp_path, degrees):
+    """The script turns like three torsion springs of unequal stiffness, by its own moments."""
+    moment = np.array([10.0, 20.0, -30.0])
+    soft = np.array([2.0, 1.0, 0.5]) * np.radians(degrees) / 32
+    script = f"answer(0, 0, 0, *(c * m for c, m in zip({soft.tolist()}, w[3:])))"
+    bundle = component(tmp_path, script, moment="conjugate")
+    runs = set()
+    found = solve(bundle, [0, 0, 0, *moment], lambda f, m: runs.add(m.split(":")[0]))
+    turn = found.displacement[3:]
+    assert 0.8 * degrees < np.degrees(np.linalg.norm(turn)) < 1.1 * degrees
+    gap = turn - soft * (spin_per_vector(turn).T @ moment)
+    assert np.linalg.norm(gap) < 1e-5 * np.linalg.norm(turn)
+    assert len(runs - {"done"}) <= (2 if degrees < 0.1 else 5)
+
+
+def test_a_spatial_moment_and_a_moment_about_the_turn_itself_take_one_run(tmp_path):
+    count = f"open({str(tmp_path / 'count')!r}, 'a').write('x')\n"
+    solve(component(tmp_path, count + SOFT), WRENCH)
+    solve(component(tmp_path, count + SOFT, moment="conjugate"), [0, 0, 0, 0, 30, 0])
+    solve(component(tmp_path, count + SOFT, moment="conjugate"), [1, 2, 3, 0, 0, 0])
+    assert (tmp_path / "count").read_text() == "xxx"
+
+
+def test_moments_that_never_fit_are_a_failure(tmp_path):
+    # It turns one way or the other, by the last digits of its moment.
+    script = "answer(0, 0, 0, 0.2 * (-1) ** int(1e4 * w[3]), 0.1, 0.2)"
+    found = failure(component(tmp_path, script, moment="conjugate"))
+    assert found.kind == "not_converged"
+    assert "spatial" in found.remedy
+
+
+def test_a_rotation_beyond_20_degrees_is_refused(tmp_path):
+    assert failure(component(tmp_path, "answer(0, 0, 0, 0.36, 0, 0)")).kind == "rotation_too_large"
+
+
+def test_every_run_keeps_its_folder_with_all_that_was_there(tmp_path):
+    bundle = component(tmp_path, "print('hello')\nopen('field.bin', 'w').write('x')\n" + SOFT)
+    work = tmp_path / "attempt"
+    solve(bundle, WRENCH, folder=work)
+    (kept,) = (work / "deck").iterdir()
+    assert {file.name for file in kept.iterdir()} == {
+        "job.inp", "solver.py", "job.out", "field.bin", "printed.txt",
+    }  # fmt: skip
+    assert (kept / "printed.txt").read_text() == "hello\n"
+    assert (kept / "job.inp").read_text().split()[1] == "-2.000000000000e+00"
+    solve(bundle, WRENCH, folder=work)
+    assert {each.name for each in work.iterdir()} == {"deck", "deck-2"}
+
+
+def test_without_a_folder_nothing_is_left(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "scratch"))
+    (tmp_path / "scratch").mkdir()
+    solve(component(tmp_path), WRENCH)
+    failure(component(tmp_path, "sys.exit(1)"))
+    assert not list((tmp_path / "scratch").iterdir())
+
+
+def test_the_solver_sees_the_threads_it_may_use(tmp_path, monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    found = solve(
+        component(tmp_path, 'answer(int(os.environ["OMP_NUM_THREADS"]), *[0] * 5)'), WRENCH
+    )
+    assert found.displacement[0] == 3
+
+
+@pytest.mark.parametrize(
+    ("script", "kind", "said"),
+    [
+        ("print('licence is gone'); sys.exit(7)", "solver_failed", "exit code 7.*licence is gone"),
+        ("os.kill(os.getpid(), signal.SIGSEGV)", "solver_failed", "SIGSEGV"),
+        ("os.kill(os.getpid(), signal.SIGKILL)", "solver_failed", "SIGKILL .out of memory"),
+        ("pass", "bad_output", "no text file job.out"),
+        ("answer(1, 2, 3, 4, 5)", "bad_output", "has 5 numbers"),
+        ("answer(1, 2, 3, 4, 5, float('nan'))", "bad_output", 'has "nan"'),
+        ("answer(1, 2, 3, 4, 5, float('inf'))", "bad_output", 'has "inf"'),
+        ("open(job + '.out', 'w').write('1 2 3 4 5 six')", "bad_output", '"six" where a number'),
+        ("open(job + '.out', 'wb').write(bytes(range(256)))", "bad_output", "no text file"),
+    ],
+)
+def test_a_run_that_went_wrong_is_a_named_failure(tmp_path, script, kind, said):
+    found = failure(component(tmp_path, script), folder=tmp_path / "attempt")
+    assert found.kind == kind
+    assert re.search(said, found.message)
+    assert str(tmp_path) not in found.message + found.remedy
+    assert (tmp_path / "attempt" / "deck" / "wrench" / "printed.txt").is_file()
+
+
+@pytest.mark.parametrize("program", ["no-such-solver", "./solver.py", "/etc"])
+def test_a_program_that_cannot_be_started_is_a_named_failure(tmp_path, program):
+    found = failure(component(tmp_path, command=[program, "{job}"]))
+    assert found.kind == "no_solver"
+    assert f'"{program}"' in found.message
+
+
+def test_a_missing_ccx_is_told_with_its_debian_package(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    found = failure(component(tmp_path, command=["ccx", "{job}"]))
+    assert found.kind == "no_solver"
+    assert "calculix-ccx" in found.remedy
+
+
+def alive(pid):
+    """Whether a process runs; one that has ended and waits to be reaped does not."""
+    state = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True)
+    return state.stdout.strip()[:1] not in ("", "Z")
+
+
+def gone(pid, seconds=10.0):
+    deadline = time.monotonic() + seconds
+    while alive(pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return not alive(pid)
+
+
+# Starts a program, writes down both process ids, and works on for a minute.
+ENDLESS = """
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+open("pids.part", "w").write(f"{os.getpid()} {child.pid}")
+os.rename("pids.part", "pids")
+time.sleep(60)
+"""
+
+
+def pids_in(folder, seconds=20.0):
+    deadline = time.monotonic() + seconds
+    while not list(folder.rglob("pids")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    (file,) = folder.rglob("pids")
+    return [int(word) for word in file.read_text().split()]
+
+
+@pytest.mark.parametrize("deaf", ["", "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"])
+def test_a_run_out_of_time_is_ended_with_all_that_it_started(tmp_path, deaf):
+    started = time.monotonic()
+    found = failure(component(tmp_path, deaf + ENDLESS, timeout=1.0), folder=tmp_path / "attempt")
+    assert time.monotonic() - started < 8
+    assert found.kind == "timed_out"
+    assert "after 1 s" in found.message
+    assert all(gone(pid) for pid in pids_in(tmp_path / "attempt"))
+
+
+def test_what_a_solver_leaves_running_is_ended_as_well(tmp_path):
+    script = ENDLESS.replace("time.sleep(60)\n", "", -1) + SOFT
+    solve(component(tmp_path, script), WRENCH, folder=tmp_path / "attempt")
+    assert all(gone(pid) for pid in pids_in(tmp_path / "attempt"))
+
+
+@pytest.mark.parametrize("how", ["TERM", "KILL"])
+def test_the_solver_ends_with_the_program_that_runs_it(tmp_path, how):
+    component(tmp_path, ENDLESS)
+    code = (
+        "import pathlib, sys; from tests.fea import decks; from fea.solve import solve\n"
+        "folder = pathlib.Path(sys.argv[1])\n"
+        "solve(decks.component(folder, decks_script := (folder / 'script').read_text()), "
+        "decks.WRENCH, folder=folder / 'attempt')"
+    )
+    (tmp_path / "script").write_text(ENDLESS)
+    runner = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)])
+    try:
+        pids = pids_in(tmp_path / "attempt")
+        assert all(alive(pid) for pid in pids)
+        runner.send_signal({"TERM": 15, "KILL": 9}[how])
+        assert all(gone(pid) for pid in pids)
+    finally:
+        runner.kill()
+        runner.wait()
+
+
+def test_a_deck_that_is_not_linear_is_found_out(tmp_path):
+    cubic = "answer(*(1e-6 * load + 1e-9 * load**3 for load in w))"
+    found = failure(component(tmp_path, cubic, nonlinear=False))
+    assert found.kind == "not_linear"
+    assert "nonlinear = true" in found.remedy
+    preload = "answer(*(1e-6 * load + 1e-9 for load in w))"
+    assert failure(component(tmp_path, preload, nonlinear=False)).kind == "not_linear"
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        "answer(w[1] * 1e-6, w[0] * 2e-6, w[2] * 1e-6, 0, 0, 0)",
+        "answer(*(-1e-6 * load for load in w))",
+        "answer(1e-6 * w[0], 1e-6 * w[1], 1e-6 * w[2], 1e-6 * w[3], 1e-6 * w[4], 1e-7 * w[0])",
+    ],
+)
+def test_mixed_up_placeholders_of_a_linear_deck_are_found_out(tmp_path, script):
+    assert failure(component(tmp_path, script, nonlinear=False)).kind == "not_reciprocal"
+
+
+def test_a_linear_deck_may_hold_freedoms_and_print_roundoff(tmp_path):
+    script = "answer(0, 0, 1e-6 * w[2] + 1e-7 * w[5], 1e-22 * w[0], 0, 1e-7 * w[2] + 1e-6 * w[5])"
+    found = solve(component(tmp_path, script, nonlinear=False), WRENCH)
+    assert found.compliance[2, 5] == pytest.approx(1e-7)
+
+
+@pytest.mark.parametrize("wrench", [[1, 2, 3], [np.nan, 0, 0, 0, 0, 0], [np.inf] * 6])
+def test_a_wrench_is_six_finite_numbers(tmp_path, wrench):
+    with pytest.raises(ValueError, match="six finite numbers"):
+        solve(component(tmp_path), wrench)
+
+
+@pytest.mark.parametrize(
+    ("deck", "where", "said"),
+    [
+        ({"output": {"reader": "numbrs"}}, "deck.output.reader", 'did you mean "numbers"'),
+        ({"output": {"reader": "numbers"}}, "deck.output.file", "missing"),
+        ({"output": {"reader": "calculix-dat", "point": "R"}}, "deck.output.rotation", "missing"),
+        ({"files": ["nothere.inp"]}, "deck.files[0]", "there is no file"),
+        ({"files": ["../solver.py"]}, "deck.files[0]", "directly in the bundle's folder"),
+        ({"files": ["job.inp"]}, "deck.files[0]", "is the deck itself"),
+        ({"unit": "furlong"}, "deck.unit", "none of m, "),
+        ({"timeout": 0}, "deck.timeout", "above 0"),
+        ({"moment": "spatal"}, "deck.moment", 'did you mean "spatial"'),
+        ({"command": []}, "deck.command", "at least 1"),
+        ({"comand": []}, "deck.comand", 'did you mean "command"'),
+    ],
+)
+def test_a_mistake_in_the_deck_table_is_named(tmp_path, deck, where, said):
+    found = mistakes(tmp_path, **deck)
+    assert said in found[where]
+
+
+def test_what_a_deck_would_not_heed_is_a_mistake(tmp_path):
+    from fea.bundle import bundle_of
+
+    component(tmp_path)
+    deck = {"file": "job.inp", "command": ["x"], "output": {"reader": "numbers", "file": "f"}}
+    frame = {"section": "s", "coupling": "rigid", "axes": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]}
+    table = {
+        "name": "n", "title": "t", "deck": deck, "interface": frame | {"locked": ["ux"]},
+        "range": {"force": [1, 1, 1], "moment": [1, 1, 1]},
+    }  # fmt: skip
+    with pytest.raises(BundleError) as caught:
+        bundle_of(table, tmp_path)
+    assert [each.where for each in caught.value.problems] == ["interface.axes", "interface.locked"]
+
+
+def test_the_fingerprint_covers_all_that_can_change_a_decks_answer(tmp_path):
+    bundles = [
+        component(tmp_path),
+        component(tmp_path, SOFT + "\n"),
+        component(tmp_path, unit="mm"),
+        component(tmp_path, moment="conjugate"),
+        component(tmp_path, command=["ccx", "-i", "{job}", "-i"]),
+        component(tmp_path, output={"reader": "numbers", "file": "b"}),
+        component(tmp_path, nonlinear=False),
+    ]
+    assert len({bundle.fingerprint for bundle in bundles}) == len(bundles)
+    assert component(tmp_path, timeout=5).fingerprint == component(tmp_path).fingerprint
+
+
+def test_the_reader_chooses_the_moment_unless_the_deck_does(tmp_path):
+    ccx = {"reader": "calculix-dat", "point": "REF", "rotation": "ROT"}
+    assert component(tmp_path, output=ccx).deck.moment == "conjugate"
+    assert component(tmp_path, output=ccx, moment="spatial").deck.moment == "spatial"
+    assert component(tmp_path).deck.moment == "spatial"
+
+
+class Halves(readers.Numbers):
+    """A reader of another package."""
+
+    keys = ()
+
+    def read(self, run, told):
+        return readers.Reading((0.5,) * 3 + (0.125,) * 3)
+
+
+def test_another_package_can_offer_a_reader(tmp_path, monkeypatch):
+    from importlib.metadata import EntryPoint
+
+    entry = EntryPoint("halves", f"{__name__}:Halves", readers.ENTRY_POINTS)
+    monkeypatch.setattr(EntryPoint, "load", lambda self: Halves)
+    monkeypatch.setattr(readers, "_offered", lambda: [entry])
+    assert readers.reader_names() == ("calculix-dat", "halves", "numbers")
+    found = solve(component(tmp_path, output={"reader": "halves"}), [0] * 6, None)
+    assert found.displacement[0] == 0.5
+
+
+def test_the_check_says_where_the_program_is_and_how_the_deck_is_read(tmp_path):
+    told, warnings = deck_report(component(tmp_path).deck)
+    assert warnings == []
+    assert told["program"] == sys.executable
+    assert told["reader"] == "numbers"
+
+
+def test_the_check_warns_of_a_program_that_is_not_here(tmp_path):
+    told, warnings = deck_report(component(tmp_path, command=["no-such-solver"]).deck)
+    assert told["program"] is None
+    assert '"no-such-solver" is not on the PATH' in warnings[0].message
+
+
+def test_the_check_names_every_missing_placeholder_set_and_include(tmp_path):
+    ccx = {"reader": "calculix-dat", "point": "REF", "rotation": "ROT"}
+    bundle = component(tmp_path, output=ccx)
+    bundle.deck.file.write_text(
+        "*INCLUDE, INPUT=mesh.inp\n*node print , TOTALS=YES, nset=ref\nU\n$FX $FY $FZ $MX $MY"
+    )
+    with pytest.raises(BundleError) as caught:
+        deck_report(bundle.deck)
+    told = [problem.message for problem in caught.value.problems]
+    assert len(told) == 3
+    for said, message in zip(("no $MZ", 'the set "ROT"', '"mesh.inp"'), told, strict=True):
+        assert said in message
+
+
+def test_the_environment_of_this_test_has_a_ps(tmp_path):
+    assert alive(os.getpid())

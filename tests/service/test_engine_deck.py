@@ -1,0 +1,83 @@
+"""A deck's solver as an engine runs it: its files stay with the attempt, and it ends with it."""
+
+import subprocess
+import time
+
+import pytest
+
+from fea.deck import solving
+from service.attempt import DECK, Spec, prepare, read_outcome, tidy
+from service.engines.local import LocalEngine
+from tests.fea.decks import SOFT, WRENCH, component
+
+ENDLESS = (
+    "open('pid.part', 'w').write(str(os.getpid()))\nos.rename('pid.part', 'pid')\ntime.sleep(60)"
+)
+
+
+def submitted(tmp_path, script):
+    """An attempt on a deck solved by `script`, handed to an engine; engine, folder and spec."""
+    (tmp_path / "bundle").mkdir()
+    bundle = component(tmp_path / "bundle", script)
+    write_table(tmp_path / "bundle", bundle)
+    spec = Spec(3, 1, "scripted", str(tmp_path / "bundle"), bundle.fingerprint, tuple(WRENCH))
+    folder = tmp_path / "jobs" / "3" / "1"
+    prepare(folder, spec)
+    engine = LocalEngine(1)
+    engine.submit(folder)
+    return engine, folder, spec
+
+
+def write_table(folder, bundle):
+    command = ", ".join(f'"{word}"' for word in bundle.deck.command)
+    (folder / "component.toml").write_text(
+        'name = "scripted"\ntitle = "Solved by a script"\n'
+        f'[deck]\nfile = "job.inp"\nfiles = ["solver.py"]\ncommand = [{command}]\n'
+        'output = {reader = "numbers", file = "{job}.out"}\n'
+        "[range]\nforce = [10, 10, 10]\nmoment = [50, 50, 50]\n"
+    )
+
+
+def until(condition, seconds=20):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "did not come about"
+        time.sleep(0.02)
+
+
+def alive(pid):
+    state = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True)
+    return state.stdout.strip()[:1] not in ("", "Z")
+
+
+def test_the_folder_of_a_deck_stays_with_the_attempt_and_an_unknown_compliance_is_null(tmp_path):
+    engine, folder, spec = submitted(tmp_path, SOFT)
+    until(lambda: engine.poll(folder) != "running")
+    outcome = read_outcome(folder, spec)
+    assert outcome["status"] == "done", outcome
+    assert outcome["displacement"] == pytest.approx([1e-6 * load for load in WRENCH])
+    assert outcome["compliance"] is None
+    assert outcome["strain_energy"] is None
+    tidy(folder)
+    assert (folder / "deck" / "wrench" / "job.inp").is_file()
+    assert solving.FOLDER == DECK
+
+
+def test_a_failed_deck_is_told_by_its_kind_and_remedy(tmp_path):
+    engine, folder, spec = submitted(tmp_path, "print('no licence'); sys.exit(2)")
+    until(lambda: engine.poll(folder) != "running")
+    error = read_outcome(folder, spec)["error"]
+    assert error["kind"] == "solver_failed"
+    assert "no licence" in error["message"]
+    assert "deck/wrench" in error["remedy"]
+
+
+def test_a_cancelled_attempt_ends_the_decks_solver(tmp_path):
+    engine, folder, spec = submitted(tmp_path, ENDLESS)
+    until(lambda: list(folder.rglob("pid")))
+    pid = int(next(folder.rglob("pid")).read_text())
+    assert alive(pid)
+    engine.cancel(folder)
+    until(lambda: engine.poll(folder) != "running")
+    assert read_outcome(folder, spec) == {"status": "cancelled"}
+    until(lambda: not alive(pid))
