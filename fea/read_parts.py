@@ -88,7 +88,8 @@ def _axes(keys: Keys) -> np.ndarray | None:
     if None in read:
         return None
     axes = np.array(read)
-    if np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6:
+    # A direction that is far from a unit's length would overflow in the product.
+    if np.abs(axes).max() > 2.0 or np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6:
         keys.wrong("axes", "must be three unit directions square to each other (to 1e-6)")
     elif np.linalg.det(axes) < 0.0:
         keys.wrong("axes", "must be right-handed; turn one direction round")

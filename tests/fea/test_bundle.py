@@ -136,6 +136,7 @@ ONE_MISTAKE = [
     ("point = [0, 0, 0.01]", "point = [0, 0, nan]", "interface.point[2]", "finite"),
     ("[[1,0,0],[0,1,0],[0,0,1]]", "[[1,0,0],[0,1,0]]", "interface.axes", "three"),
     ("[[1,0,0],[0,1,0],[0,0,1]]", "[[1,0,0],[0,1,0],[0,1,1]]", "interface.axes", "square"),
+    ("[[1,0,0],[0,1,0],[0,0,1]]", "[[1e200,0,0],[0,1,0],[0,0,1]]", "interface.axes", "square"),
     ("[[1,0,0],[0,1,0],[0,0,1]]", "[[1,0,0],[0,1,0],[0,0,-1]]", "interface.axes", "right-handed"),
     ("nonlinear = true", "nonlinear = 1", "analysis.nonlinear", "true or false"),
     ("nonlinear = true", "nonlinaer = true", "analysis.nonlinaer", 'did you mean "nonlinear"'),
