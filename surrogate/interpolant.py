@@ -21,6 +21,22 @@ Indices = NDArray[np.intp]
 
 FLAT = 1e-9  # of the points' extent: what lies closer to a plane, a line or a point is in it
 SLIVER = 1e-10  # volume over cubed longest edge (or the like) below which a simplex is degenerate
+SHEAR = np.eye(3) + 1e-3 * np.array([[0.31, 0.77, -0.53], [0.19, -0.41, 0.97], [-0.61, 0.37, 0.23]])
+
+
+class ShearedDelaunay(Delaunay):
+    """The triangulation of points (n, d) that is Delaunay's once they are sheared."""
+
+    def __init__(self, points: Floats, shear: Floats) -> None:
+        super().__init__(points @ shear.T)
+        self._shear = shear
+
+    def find_simplex(
+        self, xi: ArrayLike, bruteforce: bool = False, tol: float | None = None
+    ) -> NDArray[np.int32]:
+        """Return the simplex of each point (k, d), not sheared, or -1."""
+        sheared = np.asarray(xi, dtype=float) @ self._shear.T
+        return super().find_simplex(sheared, bruteforce=bruteforce, tol=tol)
 
 
 class Interpolant:
@@ -72,12 +88,27 @@ class Interpolant:
         elif self.dimension == 1:
             self._connect_line(flat[:, 0])
         else:
-            # In three dimensions the points themselves, so that it is scipy's triangulation.
-            self.delaunay = Delaunay(self.points if self.dimension == 3 else flat)
-            self._find = self._find_in_order
-            self.simplices = self.delaunay.simplices.astype(np.intp)
-            maps = self.delaunay.transform[:, : self.dimension]
-            self.weights = maps if self.dimension == 3 else maps @ self.basis
+            self._connect_simplices(flat)
+
+    def _connect_simplices(self, flat: Floats) -> None:
+        """Triangulate; in three dimensions the points themselves, so that it is scipy's.
+
+        qhull joins the cells of a grid by flat tetrahedra where their diagonals differ: answers
+        would jump there. A slight shear leaves each cell one triangulation only, and barycentric
+        coordinates as they are.
+        """
+        given = self.points if self.dimension == 3 else flat
+        self.delaunay = Delaunay(given)
+        maps = self.delaunay.transform[:, : self.dimension]
+        flattened = _flat_count(given, self.delaunay)
+        if flattened:
+            shear = SHEAR[: self.dimension, : self.dimension]
+            sheared = ShearedDelaunay(given, shear)
+            if _flat_count(given, sheared) < flattened:
+                self.delaunay, maps = sheared, sheared.transform[:, : self.dimension] @ shear
+        self._find = self._find_in_order
+        self.simplices = self.delaunay.simplices.astype(np.intp)
+        self.weights = maps if self.dimension == 3 else maps @ self.basis
 
     def _connect_line(self, along: Floats) -> None:
         order = np.argsort(along)
@@ -169,6 +200,14 @@ def _span(points: Floats) -> tuple[int, Floats]:
     if varying.sum() == dimension:
         return dimension, np.eye(3)[varying]
     return dimension, np.linalg.svd(centred, full_matrices=False)[2]
+
+
+def _flat_count(points: Floats, delaunay: Delaunay) -> int:
+    """Return how many simplices of points (n, d) have no volume to speak of."""
+    edges = points[delaunay.simplices[:, :-1]] - points[delaunay.simplices[:, -1:]]
+    longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1)
+    volumes = np.abs(np.linalg.det(edges)) / math.factorial(points.shape[1])
+    return int((volumes < SLIVER * longest ** points.shape[1]).sum())
 
 
 def _interval(stations: Floats, along: Floats) -> Indices:
