@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,7 +33,7 @@ class ShearedDelaunay(Delaunay):
         self._shear = shear
 
     def find_simplex(
-        self, xi: ArrayLike, bruteforce: bool = False, tol: float | None = None
+        self, xi: ArrayLike, bruteforce: bool = False, tol: Any = None
     ) -> NDArray[np.int32]:
         """Return the simplex of each point (k, d), not sheared, or -1."""
         sheared = np.asarray(xi, dtype=float) @ self._shear.T
