@@ -1,8 +1,9 @@
-"""The command line: ``wrenchbook``. Every command but `serve`, `work` and `demo` is a client."""
+"""The command line: ``wrenchbook``. Every command but `serve`, `work`, `demo`, `validate` is a client."""
 
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -225,6 +226,19 @@ def jobs(
         _print_json([job.raw for job in found])
     else:
         out.print(show.job_table(found))
+
+
+@app.command()
+def validate(
+    topic: Annotated[
+        str, typer.Argument(help="patch, bar, plate, curved_beam, spring or all")
+    ] = "all",
+    markdown: Annotated[bool, typer.Option(help="print the tables as Markdown")] = False,
+) -> None:
+    """Verify the solver against closed forms, published numbers and CalculiX; minutes for all."""
+    # In a process of its own: this one never imports the finite elements.
+    words = [sys.executable, "-m", "fea.validate", topic, *(["--markdown"] * markdown)]
+    raise typer.Exit(subprocess.run(words, check=False).returncode)
 
 
 def main() -> None:
