@@ -13,7 +13,7 @@ import numpy as np
 from fea.body import Body
 from fea.component import Component, build
 from fea.coupling import Coupling, Distributed, Rigid
-from fea.deck import solve_deck
+from fea.deck.solving import solve_deck
 from fea.failure import rotation_too_large
 from fea.linear import LinearResponse, linear_response
 from fea.parts import FREEDOMS, Bundle
