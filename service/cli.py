@@ -1,4 +1,4 @@
-"""The command line: ``wrenchbook``. Every command but `serve`, `work`, `demo`, `validate` is a client."""
+"""The command line: ``wrenchbook``. All but `serve`, `work`, `demo` and `validate` are clients."""
 
 from __future__ import annotations
 
