@@ -6,14 +6,17 @@ from collections.abc import Callable
 
 import numpy as np
 
+from fea.arc import ArcPath
+from fea.coupling import State
 from fea.failure import (
     SolveFailed,
+    gave_way,
     ill_conditioned,
     inverted_elements,
     not_converged,
     snap_through,
 )
-from fea.newton import MOST_ITERATIONS, Equilibrium, Stuck, find_equilibrium
+from fea.newton import MOST_ITERATIONS, Equilibrium, Report, Stuck, find_equilibrium
 from fea.rotation import rotation, rotation_vector
 from fea.solution import Iteration, Progress
 from fea.system import Balance, Linearisation, System
@@ -25,11 +28,16 @@ FIRST_STEP = 1.0
 GROWTH = 2.0
 """How much longer the next step is after one that converged quickly."""
 
-_LEAST_STEP = 1.0 / 512
+_LEAST_STEP = 1.0 / 32
 _FEW_ITERATIONS = 8
 _SECANT_MARGIN = 0.25
-_SOFTENED = 5.0  # times the compliance it started with: a load limit is near,
-_NEAR_LIMIT = 8  # and that many least steps are fine enough to say so
+_SOFTENED = 5.0  # times the compliance it started with: a load limit is near
+
+
+class _Refused(Exception):  # noqa: N818 - load control gives up; the path's length may do
+    def __init__(self, failure: SolveFailed) -> None:
+        super().__init__(failure.message)
+        self.failure = failure
 
 
 class LoadPath:
@@ -39,7 +47,8 @@ class LoadPath:
     once. A step is taken back and halved if Newton's method gets stuck, if the state it finds is
     unstable or turned inside out, or if the tangents at both its ends do not explain how far it
     went: a load step that jumps onto another branch of equilibria moves further than either
-    tangent says.
+    tangent says. Where no step is short enough the path is followed by its length (`fea.arc`), to
+    the whole load or to the load at which the part gives way.
 
     Attributes
     ----------
@@ -62,31 +71,89 @@ class LoadPath:
         self._balance = system.balance_at_rest
         self._tangent = system.undeformed
 
-    def follow(self, check: Callable[[Balance], None]) -> Equilibrium:
+    def follow(self, check: Callable[[Balance], None], guess: State | None = None) -> Equilibrium:
         """Step to the full wrench.
 
         Parameters
         ----------
         check
             Called with each converged balance; raises SolveFailed to stop.
+        guess
+            A state near the one sought, such as that of a nearby wrench. What it leads to must
+            pass as one step from no load to the whole; else it is as if there were no guess.
 
         Raises
         ------
         SolveFailed
             ``not_converged``, ``snap_through`` or ``ill_conditioned``, or what `check` raises;
-            with the history.
+            with the history and the last state.
         """
         try:
-            while True:
+            found = None if guess is None else self._try_guess(guess)
+            while found is None or self._factor < 1.0:
                 found = self._try_step()
-                if found is None:
-                    continue
+                if found is not None:
+                    check(found.balance)
+            check(found.balance)
+            return found
+        except _Refused as refused:
+            return self._follow_length(check, refused.failure)
+
+    def last_state(self) -> tuple[float, Array]:
+        """Return the load factor of the last state found, and its nodes, shape (n, 3), m."""
+        return self._factor, self._balance.state.nodes
+
+    def _try_guess(self, guess: State) -> Equilibrium | None:
+        start = self._system.balance(guess, self._wrench)
+        try:
+            tangent = self._system.linearise(start)
+            found = find_equilibrium(
+                self._system, start, tangent, self._reporter(1.0), _FEW_ITERATIONS
+            )
+        except (Stuck, SolveFailed):
+            return None
+        sound = found.balance.least_stretch > 0 and found.tangent.stable
+        if not (sound and self._explained(found, 1.0)):
+            return None
+        self._accept(found, 1.0)
+        return found
+
+    def _follow_length(self, check: Callable[[Balance], None], refused: SolveFailed) -> Equilibrium:
+        """Follow the path by its length from the last state that load control found."""
+
+        def accept(found: Equilibrium, factor: float) -> None:
+            check(found.balance)
+            self._accept(found, factor)
+
+        here = Equilibrium(self._balance, self._tangent, 0)
+        path = ArcPath(
+            self._system,
+            self._direction,
+            self._size,
+            self._factor,
+            here,
+            self._step,
+            self._reporter,
+        )
+        ending = path.follow(accept)
+        if ending.kind == "reached":
+            found = self._settle(ending.found)
+            if found is not None:
                 check(found.balance)
-                if self._factor >= 1.0:
-                    return found
-        except SolveFailed as failure:
-            failure.history = tuple(self.history)
-            raise
+                return found
+        raise gave_way(ending.kind, ending.factor) or refused
+
+    def _settle(self, beyond: Equilibrium) -> Equilibrium | None:
+        """Go back from a state just beyond the whole load to the whole load."""
+        start = self._system.reload(beyond.balance, self._wrench)
+        try:
+            found = find_equilibrium(self._system, start, beyond.tangent, self._reporter(1.0))
+        except Stuck:
+            return None
+        if found.balance.least_stretch <= 0 or not found.tangent.stable:
+            return None
+        self._accept(found, 1.0)
+        return found
 
     def _try_step(self) -> Equilibrium | None:
         target = min(1.0, self._factor + self._step)
@@ -113,11 +180,7 @@ class LoadPath:
     def _iterate(self, target: float) -> Equilibrium:
         start = self._system.reload(self._balance, target * self._wrench)
         most = MOST_ITERATIONS if self._factor == 0 else _FEW_ITERATIONS + 1
-
-        def report(iteration: int, norm: float) -> None:
-            self._report(target, iteration, norm)
-
-        return find_equilibrium(self._system, start, self._tangent, report, most)
+        return find_equilibrium(self._system, start, self._tangent, self._reporter(target), most)
 
     def _explained(self, found: Equilibrium, target: float) -> bool:
         """Whether a step's secant lies between the tangents at its ends, more or less."""
@@ -139,9 +202,8 @@ class LoadPath:
     def _halve(self, reason: str, failure: Callable[[str], SolveFailed]) -> None:
         """Take a step back; give up with `failure` when it was as small as can be."""
         self._step = 0.5 * min(self._step, 1.0 - self._factor)
-        softened = self._softened > _SOFTENED
-        if self._step < _LEAST_STEP * (_NEAR_LIMIT if softened else 1):
-            raise failure(f"Beyond load factor {self._factor:.3g} {reason}.")
+        if self._step < _LEAST_STEP:
+            raise _Refused(failure(f"Beyond load factor {self._factor:.3g} {reason}."))
 
     def _stuck(self, message: str) -> SolveFailed:
         if self._softened > _SOFTENED:
@@ -164,8 +226,11 @@ class LoadPath:
         spin = rotation_vector(rotation(after[3:]) @ rotation(before[3:]).T)
         return float(self._direction @ np.concatenate([(after - before)[:3], spin]))
 
-    def _report(self, target: float, iteration: int, norm: float) -> None:
-        self.history.append(Iteration(target, iteration, norm))
-        if self._progress is not None:
-            done = self._factor + (target - self._factor) * (1 - 0.6**iteration)
-            self._progress(done, f"load factor {target:.2f}, iteration {iteration}")
+    def _reporter(self, target: float) -> Report:
+        def report(iteration: int, norm: float) -> None:
+            self.history.append(Iteration(target, iteration, norm))
+            if self._progress is not None:
+                done = self._factor + (min(target, 1.0) - self._factor) * (1 - 0.6**iteration)
+                self._progress(done, f"load factor {target:.2f}, iteration {iteration}")
+
+        return report

@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fea.coupling.state import State
+
 Array = np.ndarray
 
 Progress = Callable[[float, str], None]
@@ -49,8 +51,9 @@ class Solution:
         J. NaN where it is unknown: a nonlinear deck.
     work
         J. Linear: wrench . displacement, twice the strain energy. Nonlinear: the external work
-        along the load path (by quadrature over the converged load steps), about the strain energy.
-        NaN for a nonlinear deck.
+        along the load path by quadrature over the converged load steps, of fourth order. On the
+        path it equals the strain energy, so that their difference measures the steps, not the
+        answer. NaN for a nonlinear deck.
     unknowns
         Degrees of freedom solved for; 0 where a deck's solver does not tell.
     seconds
@@ -59,6 +62,11 @@ class Solution:
         The iterations, in order; empty for a linear solve and a zero wrench.
     nodes
         Shape (n, 3), m: displacement of each mesh point, in the mesh's own axes; none for a
+        deck.
+    notes
+        What an engineer should know about how the answer was found.
+    state
+        Where the equations were left, to start a nearby solve from; None for a linear solve and a
         deck.
     """
 
@@ -71,3 +79,5 @@ class Solution:
     seconds: float
     history: tuple[Iteration, ...]
     nodes: Array
+    notes: tuple[str, ...] = ()
+    state: State | None = None

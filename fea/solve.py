@@ -12,18 +12,22 @@ import numpy as np
 
 from fea.body import Body
 from fea.component import Component, build
-from fea.coupling import Coupling, Distributed, Rigid
+from fea.condition import ROUNDOFF
+from fea.coupling import Coupling, Distributed, Rigid, State
 from fea.deck.solving import solve_deck
-from fea.failure import rotation_too_large
+from fea.failure import SolveFailed, rotation_too_large
 from fea.linear import LinearResponse, linear_response
 from fea.parts import FREEDOMS, Bundle
 from fea.path import LoadPath
 from fea.solution import Progress, Solution
 from fea.system import Balance, System
+from fea.volumetric import pressure_notes
 
 __all__ = ["MOST_DEGREES", "Solver", "solve"]
 
 Array = np.ndarray
+
+_ROUNDOFF_WORTH_TELLING = 1e-6
 
 MOST_DEGREES = 20.0
 """Rotation of the interface, degrees, beyond which an answer is refused."""
@@ -91,7 +95,24 @@ class Solver:
         """The 6x6 compliance at no load, m/N, rad/N, m/(N·m), rad/(N·m); symmetric."""
         return self.linear.compliance
 
-    def solve(self, wrench: Sequence[float], progress: Progress | None = None) -> Solution:
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What an engineer should know about how this component is solved."""
+        told = pressure_notes(self._system.body.parts)
+        lost = self._system.condition * ROUNDOFF
+        if lost > _ROUNDOFF_WORTH_TELLING:
+            told += (
+                f"Scaled condition about {self._system.condition:.0e}: a single solution of the "
+                f"equations would be right to {lost:.0e}; it was corrected from its stresses.",
+            )
+        return told
+
+    def solve(
+        self,
+        wrench: Sequence[float],
+        progress: Progress | None = None,
+        start: State | None = None,
+    ) -> Solution:
         """Solve for one wrench.
 
         Parameters
@@ -101,6 +122,10 @@ class Solver:
             frame, shape (6,), N and N·m. What acts on locked freedoms does nothing.
         progress
             Called with the fraction done and a message.
+        start
+            `Solution.state` of a nearby wrench of the same component. It makes a nonlinear solve
+            faster and changes nothing else: what it leads to must pass the tests of a solve from
+            no load, and if it does not the solve starts from there.
 
         Raises
         ------
@@ -118,7 +143,7 @@ class Solver:
         if not self.component.analysis.nonlinear or not acting.any():
             found = self._solve_linear(whole, acting)
         else:
-            found = self._solve_nonlinear(whole, acting, progress)
+            found = self._solve_nonlinear(whole, acting, progress, start)
         if progress is not None:
             progress(1.0, "done")
         return replace(found, seconds=time.perf_counter() - started)
@@ -137,11 +162,20 @@ class Solver:
             seconds=0.0,
             history=(),
             nodes=linear.fields @ acting @ self.component.axes,
+            notes=self.notes,
         )
 
-    def _solve_nonlinear(self, wrench: Array, acting: Array, progress: Progress | None) -> Solution:
+    def _solve_nonlinear(
+        self, wrench: Array, acting: Array, progress: Progress | None, start: State | None
+    ) -> Solution:
         path = LoadPath(self._system, acting, progress)
-        found = path.follow(lambda balance: _require_small_rotation(balance.state.interface))
+        try:
+            found = path.follow(_require_small_turn, start)
+        except SolveFailed as failure:
+            failure.history = tuple(path.history)
+            factor, nodes = path.last_state()
+            failure.last = factor, nodes @ self.component.axes
+            raise
         balance: Balance = found.balance
         return Solution(
             wrench=wrench,
@@ -153,6 +187,8 @@ class Solver:
             seconds=0.0,
             history=tuple(path.history),
             nodes=balance.state.nodes @ self.component.axes,
+            notes=self.notes,
+            state=balance.state,
         )
 
 
@@ -186,3 +222,7 @@ def _require_small_rotation(displacement: Array) -> None:
     degrees = float(np.degrees(np.linalg.norm(displacement[3:])))
     if degrees > MOST_DEGREES:
         raise rotation_too_large(degrees, MOST_DEGREES)
+
+
+def _require_small_turn(balance: Balance) -> None:
+    _require_small_rotation(balance.state.interface)

@@ -15,11 +15,17 @@ Stokes problem", 2002).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from fea.elements import reference_element
 from fea.failure import locking_material
 from fea.mesh import CellBlock
+
+if TYPE_CHECKING:
+    from fea.stiffness import Stiffness
 
 Array = np.ndarray
 
@@ -67,6 +73,17 @@ def require_no_locking(block: CellBlock, poisson: Array) -> None:
 def projects(block: CellBlock, poisson: Array) -> Array:
     """Return for each cell whether its volumetric strain is projected, shape (cells,), bool."""
     return (poisson > NEARLY_INCOMPRESSIBLE) & (block.kind in PRESSURES)
+
+
+def pressure_notes(parts: Sequence[Stiffness]) -> tuple[str, ...]:
+    """Return, for an engineer, which cells project their volumetric strain."""
+    cells = sum(len(part) for part in parts if part.volume_modes is not None)
+    if not cells:
+        return ()
+    return (
+        f"{cells} cells of a nearly incompressible material (Poisson's ratio over "
+        f"{NEARLY_INCOMPRESSIBLE:g}) have a linear pressure of their own.",
+    )
 
 
 def volume_modes(points: Array, block: CellBlock, weights: Array, integration: str) -> Array:

@@ -1,0 +1,217 @@
+"""Past what load control can follow: the equilibrium path by its length.
+
+The load factor becomes an unknown and the length of a step is given instead (Riks 1979, with the
+plane normal to the predictor; Crisfield, "Non-linear finite element analysis of solids and
+structures", volume 1, chapter 9). The path can then be followed round a limit point, where load
+control finds nothing or, worse, a state on a far branch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from fea.newton import BALANCED, CONVERGED, Equilibrium, Report
+from fea.system import Balance, Linearisation, System
+
+Array = np.ndarray
+
+_MOST_STEPS = 80
+_MOST_ITERATIONS = 10
+_FEW_ITERATIONS = 5
+_GROWTH = 1.6
+_LEAST = 1.0 / 256  # of the first step
+_FINE = 1.0 / 8  # of the first step: short enough to tell a limit point from a bifurcation
+_REACH = 0.01  # of the part's size: the furthest that a node may go in one step
+_LONGEST = 8.0  # times the first step
+_STRAIGHT = 0.7  # cosine of a path that bends no more than it should in one step
+_NEARLY = 1e-3
+
+
+class Ending(NamedTuple):
+    """Why the path was not followed further.
+
+    Attributes
+    ----------
+    kind
+        ``"reached"``: the whole load, by stable states all along; ``"limit"``: the load has a
+        maximum on the path; ``"bifurcation"``: the states become unstable while the load still
+        grows; ``"lost"``: no equilibrium was found further on.
+    factor
+        Of the load: the greatest that was found to have a stable state on this path.
+    found
+        The last state found, beyond the whole load if it was reached.
+    """
+
+    kind: str
+    factor: float
+    found: Equilibrium
+
+
+class _Point(NamedTuple):
+    """One equilibrium on the path; `rate` is the motion per unit of the load's size."""
+
+    size: float
+    found: Equilibrium
+    rate: tuple[Array, Array]
+    speed: float
+
+
+class ArcPath:
+    """Follows the path of one wrench from an equilibrium on it.
+
+    Parameters
+    ----------
+    system
+        The equations.
+    direction
+        Shape (6,): the load per unit of the size.
+    whole
+        The size of the load asked for.
+    start
+        A stable equilibrium at the load factor `factor`, with its tangent.
+    step
+        Change of the load factor to begin with.
+    report
+        Called with a load factor; returns what is then told each iteration.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        direction: Array,
+        whole: float,
+        factor: float,
+        start: Equilibrium,
+        step: float,
+        report: Callable[[float], Report],
+    ) -> None:
+        self._system = system
+        self._direction = direction
+        self._whole = whole
+        self._report = report
+        self._point = self._point_at(factor * whole, start)
+        furthest = _REACH * system.body.extent * self._point.speed
+        farthest_node = np.abs(self._field(self._point)).max(initial=0.0)
+        self._first = min(step * whole * self._point.speed, furthest / max(farthest_node, 1e-300))
+        self._length = self._first
+
+    def follow(self, accept: Callable[[Equilibrium, float], None]) -> Ending:
+        """Step until the whole load is reached or cannot be.
+
+        Parameters
+        ----------
+        accept
+            Called with each stable state below the whole load, and its factor.
+        """
+        for _ in range(_MOST_STEPS):
+            ahead = self._step()
+            if ahead is None:
+                if self._length < _LEAST * self._first:
+                    break
+                continue
+            course = self._course(ahead)
+            if abs(course) < _STRAIGHT and self._length > _LEAST * self._first:
+                self._length *= 0.5
+                continue
+            turned = course < 0
+            if turned or not ahead.found.tangent.stable:
+                if not turned and self._length > _FINE * self._first:
+                    self._length *= 0.5
+                    continue
+                return self._ending(ahead, turned)
+            if ahead.size >= self._whole:
+                return Ending("reached", 1.0, ahead.found)
+            accept(ahead.found, ahead.size / self._whole)
+            self._point = ahead
+            if ahead.found.iterations <= _FEW_ITERATIONS:
+                self._length = min(_GROWTH * self._length, _LONGEST * self._first)
+        return Ending("lost", self._point.size / self._whole, self._point.found)
+
+    def _ending(self, ahead: _Point, turned: bool) -> Ending:
+        """Place the critical factor between two points, by a cubic in the path's length."""
+        if not turned:
+            middle = 0.5 * (self._point.size + ahead.size) / self._whole
+            return Ending("bifurcation", middle, self._point.found)
+        length = float(np.linalg.norm(self._between(ahead)))
+        place = np.linspace(0.0, 1.0, 201)
+        start, end = length / self._point.speed, -length / ahead.speed
+        cubic = (
+            self._point.size * (1 + 2 * place) * (1 - place) ** 2
+            + start * place * (1 - place) ** 2
+            + ahead.size * place**2 * (3 - 2 * place)
+            + end * place**2 * (place - 1)
+        )
+        return Ending("limit", float(cubic.max()) / self._whole, self._point.found)
+
+    def _step(self) -> _Point | None:
+        """Find the next point; None, with the length halved, if there is none that near."""
+        point = self._point
+        change = self._length / point.speed
+        size = point.size + change
+        normal = self._field(point) / point.speed
+        nodes, border = (change * part for part in point.rate)
+        found = self._correct(nodes, border, size, normal)
+        if found is None or found[1].balance.least_stretch <= 0:
+            self._length *= 0.5
+            return None
+        return self._point_at(*found)
+
+    def _correct(
+        self, nodes: Array, border: Array, size: float, normal: Array
+    ) -> tuple[float, Equilibrium] | None:
+        """Bring a predicted state into balance within the plane normal to the predictor."""
+        system, balance = self._system, self._point.found.balance
+        tangent = self._point.found.tangent
+        proper = False
+        for iteration in range(1, _MOST_ITERATIONS + 1):
+            change = nodes + tangent.border.ties @ border
+            state = system.coupling.moved(balance.state, nodes, border)
+            aim = (balance.state.nodes + change, change)
+            balance = system.balance(state, size * self._direction)
+            self._report(size / self._whole)(iteration, balance.norm)
+            step = np.abs(change).max() / max(np.abs(state.nodes).max(), 1e-300)
+            if not (np.isfinite(balance.norm) and np.isfinite(step)):
+                return None
+            if proper and step <= CONVERGED and balance.norm <= BALANCED * balance.scale:
+                return size, Equilibrium(balance, tangent, iteration)
+            proper = bool(step <= _NEARLY)
+            tangent = system.linearise(balance, None if proper else aim)
+            nodes, border, more = self._correction(tangent, balance, normal)
+            size += more
+        return None
+
+    def _correction(
+        self, tangent: Linearisation, balance: Balance, normal: Array
+    ) -> tuple[Array, Array, float]:
+        nodes, border = tangent.correction(balance)
+        rate = self._rate(tangent)
+        ties = tangent.border.ties
+        own = float(np.vdot(normal, nodes + ties @ border))
+        shift = -own / float(np.vdot(normal, rate[0] + ties @ rate[1]))
+        return nodes + shift * rate[0], border + shift * rate[1], shift
+
+    def _rate(self, tangent: Linearisation) -> tuple[Array, Array]:
+        """Return the motion of free nodes and border per unit of the load's size."""
+        loads = (tangent.wrench_columns @ self._direction)[:, None]
+        nodes, border = tangent.solve(np.zeros((self._system.body.size, 3, 1)), loads)
+        return nodes[:, :, 0], border[:, 0]
+
+    def _point_at(self, size: float, found: Equilibrium) -> _Point:
+        rate = self._rate(found.tangent)
+        field = rate[0] + found.tangent.border.ties @ rate[1]
+        return _Point(size, found, rate, float(np.linalg.norm(field)))
+
+    def _field(self, point: _Point) -> Array:
+        return point.rate[0] + point.found.tangent.border.ties @ point.rate[1]
+
+    def _between(self, ahead: _Point) -> Array:
+        return ahead.found.balance.state.nodes - self._point.found.balance.state.nodes
+
+    def _course(self, ahead: _Point) -> float:
+        """Return the cosine between a step and the way on with more load: negative past a limit."""
+        step = self._between(ahead)
+        whole = float(np.linalg.norm(step)) * ahead.speed
+        return float(np.vdot(self._field(ahead), step)) / whole if whole > 0 else 1.0
