@@ -3,11 +3,11 @@
 The factorisation's operations and the numbers it holds follow exactly from the tree of nested
 substructures (`fea.dissection`): a front that eliminates m of m + b unknowns takes
 m^3/3 + m^2 b + m b^2 multiply-adds and holds m (m + b) numbers. Time and memory are fitted to
-those on the shipped components and on cubes of up to 35,000 unknowns, one core of a 2024 server:
+those on the shipped components and on cubes of up to 35,000 unknowns, one core of a server:
 
     one factorisation [s] = 0.1 + 1.5e-7 x (entries of the cell matrices) + operations / 5e9
     linear solve          = 1.2 factorisations
-    nonlinear solve       = 10 factorisations (4 to 30 by load and part)
+    nonlinear solve       = 5 factorisations (3 to 20 by load and part)
     memory [bytes]        = 150e6 + 30 x (numbers in the factor + entries of the cell matrices)
 
 It is an estimate: expect it to be within a factor of two on a like machine.
@@ -25,7 +25,7 @@ from fea.dissection import dissect
 _MOST_CELLS = 100_000
 """Beyond this many cells the operations are guessed from the unknowns, as of a cube."""
 
-NONLINEAR_FACTORS = 10.0
+NONLINEAR_FACTORS = 5.0
 
 
 def estimate(component: Component) -> dict[str, Any]:
