@@ -4,7 +4,7 @@
 bundle, as a dictionary; `as_text` writes it out for people. It meshes and looks; it solves nothing.
 """
 
-from fea.check.report import main, report
+from fea.check.reporting import main, report
 from fea.check.text import as_text
 
 check = report

@@ -1,7 +1,7 @@
-"""``python -m fea.check``: see `fea.check.report.main`."""
+"""``python -m fea.check``: see `fea.check.reporting.main`."""
 
 import sys
 
-from fea.check.report import main
+from fea.check.reporting import main
 
 sys.exit(main(sys.argv[1:]))

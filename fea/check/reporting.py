@@ -35,7 +35,8 @@ def report(folder: str | Path) -> dict[str, Any]:
         ``has_fea``; ``faces`` and ``bodies`` of a geometry file; ``unknowns`` (three a node),
         ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.check.cells`), ``parts``,
         ``coincident_nodes``; ``materials``, ``section``, ``supports`` and ``estimate`` (see
-        `fea.check.cost`). Lengths in m. Instead of those, ``deck`` (see `fea.deck.checking`).
+        `fea.check.cost`). Lengths in m. Instead of all from ``faces`` on, ``deck`` (see
+        `fea.deck.checking`).
     """
     told: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
     folder = Path(folder)
