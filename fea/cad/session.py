@@ -14,7 +14,7 @@ METRES = 1e-3
 
 EXTRA = 'pip install "wrenchbook[cad]"'
 
-_LIBRARIES = "libgl1 libglu1-mesa libxrender1 libxcursor1 libxft2 libxinerama1"
+_LIBRARIES = "libgl1 libglu1-mesa libxrender1 libxcursor1 libxft2 libxinerama1 libgomp1"
 
 _SETTINGS = {
     "General.Terminal": 0,
