@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import json
 import os
+from email.message import Message
 from typing import Any, Self
 from urllib.parse import urlencode, urlsplit
 
@@ -16,14 +17,15 @@ _CLOSED = (http.client.RemoteDisconnected, ConnectionError, http.client.BadStatu
 
 
 class Reply:
-    """Status, content type and body of an answer that is no problem."""
+    """Status, content type, body and headers of an answer that is no problem."""
 
-    __slots__ = ("content", "kind", "status")
+    __slots__ = ("content", "headers", "kind", "status")
 
-    def __init__(self, status: int, kind: str, content: bytes) -> None:
+    def __init__(self, status: int, kind: str, content: bytes, headers: Message) -> None:
         self.status = status
         self.kind = kind
         self.content = content
+        self.headers = headers
 
     def json(self) -> Any:
         """Return the body as JSON."""
@@ -170,7 +172,7 @@ class Connection:
         kind = response.headers.get_content_type()
         if response.status >= 400:
             raise _problem(response.status, response.reason, kind, received)
-        return Reply(response.status, kind, received)
+        return Reply(response.status, kind, received, response.headers)
 
 
 def _query(query: dict[str, Any] | None) -> str:

@@ -9,10 +9,13 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from service.client.connection import Reply
 from service.client.rotation import rotation_matrix
 from service.client.solves import Job, joined
 
 Vector = NDArray[np.float64]
+
+COVERAGE = ("covered", "thin", "outside")
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +165,8 @@ class Displacements:
     coverage : numpy.ndarray
         Shape (n,), of ``covered``, ``thin``, ``outside``.
     jobs : dict of int to Job
-        The solves that are queued, by the number of the wrench, from 0.
+        The solves that are queued, by the number of the wrench, from 0; empty from a binary batch,
+        whose ``raw["jobs_queued"]`` says how many there are.
     table_version : int or None
         Version of the table that answered.
     elapsed_us : float or None
@@ -193,6 +197,26 @@ class Displacements:
             table_version=body.get("table_version"),
             elapsed_us=body.get("elapsed_us"),
             raw=dict(body),
+        )
+
+    @classmethod
+    def read_binary(cls, component: str, wrenches: Vector, reply: Reply) -> Self:
+        """Make one from the binary reply to `wrenches`: float64, shape (n, 13)."""
+        block = np.frombuffer(reply.content, dtype="<f8").reshape(len(wrenches), 13).astype(float)
+        version, elapsed, jobs = (
+            reply.headers.get(f"Wrenchbook-{name}")
+            for name in ("Table-Version", "Elapsed-Us", "Jobs")
+        )
+        return cls(
+            component=component,
+            wrenches=wrenches,
+            displacements=block[:, :6],
+            errors=block[:, 6:12],
+            coverage=np.array(COVERAGE)[block[:, 12].astype(int)],
+            jobs={},
+            table_version=None if version is None else int(version),
+            elapsed_us=None if elapsed is None else float(elapsed),
+            raw={"jobs_queued": int(jobs or 0)},
         )
 
     def __len__(self) -> int:

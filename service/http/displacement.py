@@ -15,6 +15,7 @@ from starlette.responses import Response
 
 from service.book import Book
 from service.contract import CONTRACT_TEXT
+from service.http.binary import is_binary, read_binary, write_binary
 from service.http.jobs import job_link
 from service.http.problems import ProblemError
 from service.http.queries import Batch, Query, read_batch, read_query, unknown_method
@@ -116,14 +117,18 @@ def solve_failed(job: Job) -> ProblemError:
 )
 async def displacements(request: Request) -> Response:
     name = request.path_params["name"]
-    batch = read_batch(await request.body())
+    binary, body = is_binary(request), await request.body()
+    batch = read_binary(body, dict(request.query_params)) if binary else read_batch(body)
     book: Book = request.app.state.book
     reply = await run_in_threadpool(_answer_batch, book, name, batch)
     if batch.on_thin == "wait" and reply["jobs"]:
         await book.wait_all([job["id"] for job in reply["jobs"]], batch.wait_s)
         await run_in_threadpool(_fill_in, book, reply)
     open_jobs = any(job["status"] in ("waiting", "running") for job in reply["jobs"])
-    return _json(reply, 202 if open_jobs else 200)
+    status = 202 if open_jobs else 200
+    if binary:
+        return write_binary(reply, status)
+    return _json({**reply, "coverage": [COVERAGE[code] for code in reply["coverage"]]}, status)
 
 
 def _answer_batch(book: Book, name: str, batch: Batch) -> dict[str, Any]:
@@ -138,7 +143,7 @@ def _answer_batch(book: Book, name: str, batch: Batch) -> dict[str, Any]:
         "component": name,
         "displacements": answers.displacement,
         "errors": answers.error,
-        "coverage": [COVERAGE[code] for code in answers.coverage.tolist()],
+        "coverage": answers.coverage.tolist(),
         "jobs": [],
         "table_version": surrogate.version,
         "elapsed_us": elapsed_us,
@@ -172,7 +177,7 @@ def _fill_in(book: Book, reply: dict[str, Any]) -> None:
             row = book.ledger.row(job.row)
             reply["displacements"][link["index"]] = row.displacement
             reply["errors"][link["index"]] = row.uncertainty or (0.0,) * 6
-            reply["coverage"][link["index"]] = "covered"
+            reply["coverage"][link["index"]] = COVERAGE.index("covered")
 
 
 def _fields(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from service.contract import CONTRACT
+from service.http.binary import BODY, MEDIA_TYPE, PARAMETERS
 from service.http.wire import BatchQuery, Body, DisplacementQuery, FillOrder, SolveOrder
 
 _BODIES: Final[dict[str, type[Body]]] = {
@@ -67,6 +68,13 @@ def component_call(name: str) -> dict[str, Any]:
     """Return `body_schema` with the path's parameter, for a call that reads both by hand."""
     parameter = {"name": "name", "in": "path", "required": True, "schema": {"type": "string"}}
     return {"parameters": [parameter], **body_schema(name)}
+
+
+def batch_schema() -> dict[str, Any]:
+    """Return the ``openapi_extra`` of the batch call, with its binary form."""
+    extra = body_schema("BatchQuery")
+    extra["requestBody"]["content"][MEDIA_TYPE] = BODY
+    return {**extra, "parameters": PARAMETERS}
 
 
 def reply_schema(name: str) -> dict[int | str, dict[str, Any]]:

@@ -281,3 +281,18 @@ def test_fill_until_stops_when_a_whole_round_fails(stub: Stub, client: Client):
         else Answer({"jobs": [{"id": 1, "status": "waiting"}]}, status=202)
     )
     assert len(list(client.fill_until("plate", budget=50))) == 1
+
+
+def test_a_large_batch_goes_and_comes_as_float64(stub: Stub, client: Client):
+    block = np.arange(2 * 13, dtype="<f8").reshape(2, 13)
+    block[:, 12] = [0, 2]
+    stub.answers(Answer(block.tobytes(), kind="application/octet-stream"))
+    answers = client.displacements(
+        "plate", np.ones((2, 6)), on_thin="estimate", tolerance=(1e-6, 1e-5), binary=True
+    )
+    assert stub.seen[0].path == (
+        "/v1/components/plate/displacements?on_thin=estimate&translation=1e-06&rotation=1e-05"
+    )
+    assert answers.displacements[1].tolist() == [13, 14, 15, 16, 17, 18]
+    assert answers.errors[0].tolist() == [6, 7, 8, 9, 10, 11]
+    assert answers.coverage.tolist() == ["covered", "outside"]

@@ -1,0 +1,75 @@
+"""The batch call's binary form, over a real socket and against the JSON form."""
+
+import numpy as np
+import pytest
+
+from tests.service.test_http_displacement import load_plane_table
+
+CALL = "/v1/components/plane/displacements"
+BINARY = {"content-type": "application/octet-stream"}
+
+
+def post(http, wrenches, **options):
+    content = np.asarray(wrenches, dtype="<f8").tobytes()
+    return http.post(
+        CALL, params={"on_thin": "estimate", **options}, content=content, headers=BINARY
+    )
+
+
+def test_the_binary_batch_has_the_numbers_of_the_json_batch(http):
+    load_plane_table(http)
+    wrenches = np.random.default_rng(3).uniform(-14, 14, (50, 6))
+    reply = post(http, wrenches)
+    assert reply.status_code == 200
+    assert reply.headers["content-type"] == "application/octet-stream"
+    block = np.frombuffer(reply.content, dtype="<f8").reshape(-1, 13)
+    body = {"wrenches": wrenches.tolist(), "on_thin": "estimate"}
+    plain = http.post(CALL, json=body).json()
+    assert block[:, :6].tolist() == plain["displacements"]
+    words = ["covered", "thin", "outside"]
+    assert [words[int(code)] for code in block[:, 12]] == plain["coverage"]
+    assert set(plain["coverage"]) >= {"covered", "outside"}
+    assert int(reply.headers["wrenchbook-table-version"]) == plain["table_version"]
+
+
+def test_tolerance_and_method_are_query_parameters(http):
+    load_plane_table(http)
+    wrenches = np.random.default_rng(4).uniform(-5, 5, (20, 6))
+    strict = np.frombuffer(post(http, wrenches, translation=1e-30, rotation=1e-30).content).reshape(
+        -1, 13
+    )
+    nearest = np.frombuffer(post(http, wrenches, method="nearest").content).reshape(-1, 13)
+    plain = np.frombuffer(post(http, wrenches).content).reshape(-1, 13)
+    assert (strict[:, 12] == 1).any()
+    assert not np.array_equal(nearest[:, :6], plain[:, :6])
+
+
+@pytest.mark.parametrize(
+    ("content", "options", "place"),
+    [
+        (b"12345", {}, "body"),
+        (np.array([[0, 0, np.nan, 0, 0, 0.0]]).tobytes(), {}, "wrenches.0.2"),
+        (np.zeros((1, 6)).tobytes(), {"on_thin": "maybe"}, "on_thin"),
+        (np.zeros((1, 6)).tobytes(), {"translation": 1e-3}, "rotation"),
+        (np.zeros((1, 6)).tobytes(), {"translation": -1, "rotation": 1}, "translation"),
+        (np.zeros((1, 6)).tobytes(), {"methd": "linear"}, "methd"),
+        (np.zeros((1, 6)).tobytes(), {"method": "magic"}, "method"),
+    ],
+)
+def test_a_bad_binary_batch_is_422_with_the_place(http, content, options, place):
+    load_plane_table(http)
+    reply = http.post(CALL, params=options, content=content, headers=BINARY)
+    assert reply.status_code == 422, reply.text
+    assert reply.json()["errors"][0]["loc"] == place
+
+
+def test_an_empty_binary_batch_is_answered_with_nothing(http):
+    load_plane_table(http)
+    assert post(http, np.empty((0, 6))).content == b""
+
+
+def test_what_is_not_covered_can_be_refused(http):
+    load_plane_table(http)
+    reply = post(http, [[1e6, 0, 0, 0, 0, 0]], on_thin="reject")
+    assert reply.status_code == 409
+    assert reply.json()["uncovered"] == [0]
