@@ -5,16 +5,18 @@ from __future__ import annotations
 import contextlib
 import io
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import meshio
 import numpy as np
-from meshio import _mesh
 
 from fea.inpfile import read_inp
 from fea.mesh import Mesh
 from fea.parts import UNITS
 from fea.problems import BundleError, Problem
 from fea.rawmesh import Block, MeshFileError, RawMesh, to_mesh
+
+if TYPE_CHECKING:  # importing it takes a tenth of a second, and generated meshes need none of it
+    import meshio
 
 Array = np.ndarray
 
@@ -35,8 +37,6 @@ _KINDS = {
     "line": "line2",
     "line3": "line3",
 }
-# meshio knows this kind in every table but the one of dimensions, and fails on its files.
-_mesh.topological_dimension.setdefault("wedge15", 3)
 
 # An integer array with more values than this numbers things instead of grouping them.
 _MOST_GROUPS = 1000
@@ -88,6 +88,11 @@ def _read_meshio(path: Path) -> RawMesh:
 
 def _quietly(path: Path) -> meshio.Mesh:
     """Let meshio read, which prints what it dislikes and may end the interpreter."""
+    import meshio
+    from meshio import _mesh
+
+    # It knows this kind in every table but the one of dimensions, and fails on its files.
+    _mesh.topological_dimension.setdefault("wedge15", 3)
     said = io.StringIO()
     try:
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
