@@ -15,6 +15,7 @@ from service.dispatcher import Dispatcher
 from service.engines import open_engine
 from service.ledger import Change, Job, Ledger
 from service.library import Component, Library
+from service.reports import Reports
 from service.tables import Tables
 
 WAIT_POLL_S = 0.25
@@ -32,11 +33,14 @@ class Settings:
         Solves at once; 0 leaves all solving to other processes (``wrenchbook work``).
     engine:
         Where they run, by name.
+    allow_decks:
+        Whether an uploaded bundle may have a deck: it names a command, which solvers then run.
     """
 
     folder: Path
     solvers: int = 2
     engine: str = "local"
+    allow_decks: bool = False
 
 
 class NoSetupError(ValueError):
@@ -54,8 +58,9 @@ class Book:
         settings.folder.mkdir(parents=True, exist_ok=True)
         self._jobs_folder = settings.folder / "jobs"
         self.ledger = Ledger(settings.folder / "ledger.sqlite")
-        self.library = Library(settings.folder / "components")
+        self.library = Library(settings.folder / "components", allow_decks=settings.allow_decks)
         self.tables = Tables(self.ledger, self.library, settings.folder / "tables")
+        self.reports = Reports(settings.folder / "reports", settings.folder / "tables")
         self._dispatcher: Dispatcher | None = None
         self._changed: set[asyncio.Event] = set()
         self._changed_lock = threading.Lock()
@@ -80,6 +85,7 @@ class Book:
         """Stop; the solves that run are ended and wait again for the next start."""
         if self._dispatcher:
             self._dispatcher.stop()
+        self.reports.close()
         self.tables.stop()
         self.ledger.close()
 

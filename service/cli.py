@@ -1,9 +1,8 @@
-"""The command line: ``wrenchbook``. All but `serve`, `work`, `demo` and `validate` are clients."""
+"""The command line: ``wrenchbook``. The commands here are clients of a server."""
 
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ from rich.console import Console
 
 from service import show
 from service.client import Client, Displacement, Job, ProblemError, ServerUnreachable
+from service.local_commands import LOCAL_COMMANDS
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -22,8 +22,9 @@ app = typer.Typer(
     help="Displacements of deformable components from tables of finite-element results.",
 )
 out = Console()
+for command in LOCAL_COMMANDS:
+    app.command()(command)
 
-DEFAULT_DATA = Path("wrenchbook-data")
 Three = tuple[float, float, float]
 ZERO: Three = (0.0, 0.0, 0.0)
 
@@ -56,50 +57,6 @@ def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Clie
 
     with private_server(data, solvers) as client:
         yield client
-
-
-@app.command()
-def serve(
-    data: Annotated[Path, typer.Option(help="data directory", envvar="WRENCHBOOK_DATA")] = (
-        DEFAULT_DATA
-    ),
-    host: Annotated[str, typer.Option(help="address to listen on")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one")] = 8000,
-    solvers: Annotated[int, typer.Option(min=0, help="solves at once")] = 2,
-    engine: Annotated[str, typer.Option(help="where solves run: local")] = "local",
-    log_level: Annotated[str, typer.Option(help="debug, info, warning or error")] = "info",
-) -> None:
-    """Serve the API and solve what is queued."""
-    from service.book import Settings
-    from service.engines import ENGINES
-    from service.serving import serve as run
-
-    if engine not in ENGINES:
-        raise typer.BadParameter(f"there is no engine {engine!r}; there are: {', '.join(ENGINES)}")
-    run(Settings(data, solvers, engine), host, port, log_level)
-
-
-@app.command()
-def work(
-    data: Annotated[Path, typer.Option(help="data directory", envvar="WRENCHBOOK_DATA")] = (
-        DEFAULT_DATA
-    ),
-    solvers: Annotated[int, typer.Option(min=1, help="solves at once")] = 2,
-) -> None:
-    """Only solve: take jobs from the data directory that a server accepts them in."""
-    from service.working import work as run
-
-    run(data, solvers)
-
-
-@app.command()
-def demo(
-    keep: Annotated[Path | None, typer.Option(help="keep the data directory here")] = None,
-) -> None:
-    """Show the main job end to end on real finite elements; about five minutes."""
-    from service.demo import run
-
-    raise typer.Exit(run(out, keep))
 
 
 @app.command()
@@ -201,6 +158,25 @@ def export(
 
 
 @app.command()
+def report(
+    name: Name,
+    wrenches: Annotated[int, typer.Option(min=3, help="random wrenches to compare")] = 24,
+    html: Annotated[Path | None, typer.Option(help="write the page with plots here")] = None,
+    as_json: AsJson = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """Report error against run time: methods and table sizes beside three meshes; takes minutes."""
+    with connected(server, data) as client:
+        client.make_report(name, wrenches)
+        show.follow_report(out, client, name)
+        if html is not None:
+            html.write_bytes(client.report(name, "html"))
+        content = client.report(name, "json" if as_json else "md")
+    sys.stdout.write(content.decode())
+
+
+@app.command()
 def components(as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: Data = None) -> None:
     """List the library."""
     with connected(server, data) as client:
@@ -226,19 +202,6 @@ def jobs(
         _print_json([job.raw for job in found])
     else:
         out.print(show.job_table(found))
-
-
-@app.command()
-def validate(
-    topic: Annotated[
-        str, typer.Argument(help="patch, bar, plate, curved_beam, spring or all")
-    ] = "all",
-    markdown: Annotated[bool, typer.Option(help="print the tables as Markdown")] = False,
-) -> None:
-    """Verify the solver against closed forms, published numbers and CalculiX; minutes for all."""
-    # In a process of its own: this one never imports the finite elements.
-    words = [sys.executable, "-m", "fea.validate", topic, *(["--markdown"] * markdown)]
-    raise typer.Exit(subprocess.run(words, check=False).returncode)
 
 
 def main() -> None:

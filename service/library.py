@@ -22,6 +22,11 @@ from surrogate.rows import LoadRange, Tolerance
 
 MAX_BUNDLE_BYTES = 512 * 1024 * 1024
 CHECK_SECONDS = 300
+_DECKS_REFUSED = (
+    "A deck names a command that the server's solvers run, and this server takes none from "
+    "outside. Ask its operator to start it with: wrenchbook serve --allow-decks; or to put the "
+    "bundle's folder into the data directory's components folder"
+)
 SHIPPED = Path(str(files("data"))) / "components"
 
 
@@ -67,6 +72,8 @@ class Library:
         a shipped component's name.
     shipped:
         Folder of the components that come with the program.
+    allow_decks:
+        Whether bundles with a deck, and so with a command to run, may be added.
 
     Raises
     ------
@@ -74,8 +81,9 @@ class Library:
         If a bundle in either folder cannot be read.
     """
 
-    def __init__(self, own: Path, shipped: Path = SHIPPED) -> None:
+    def __init__(self, own: Path, shipped: Path = SHIPPED, *, allow_decks: bool = False) -> None:
         self._own = own
+        self._allow_decks = allow_decks
         self._lock = threading.Lock()
         own.mkdir(parents=True, exist_ok=True)
         self._components: dict[str, Component] = {}
@@ -118,7 +126,8 @@ class Library:
         """
         with self._incoming() as incoming:
             folder = _extract(archive, Path(incoming))
-            read_bundle(folder)
+            if read_bundle(folder).deck is not None and not self._allow_decks:
+                raise _one_problem("deck", _DECKS_REFUSED)
             check_mesh(folder)
             return self._adopt(folder)
 

@@ -133,6 +133,27 @@ def follow(out: Console, client: Client, jobs: Sequence[Job], seconds: float) ->
     return list(done.values())
 
 
+def follow_report(out: Console, client: Client, name: str) -> None:
+    """Show a bar until a report is made.
+
+    Raises
+    ------
+    RuntimeError
+        If it could not be made.
+    """
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, TextColumn("{task.fields[note]}"), console=out) as progress:
+        task = progress.add_task("reporting", total=1.0, note="")
+        while True:
+            state = client.report_state(name)
+            progress.update(task, completed=state["fraction"], note=state["message"])
+            if state["state"] == "failed":
+                raise RuntimeError(f"the report could not be made: {state['message']}")
+            if state["state"] != "running":
+                return
+            time.sleep(POLL_S)
+
+
 def fill(
     out: Console,
     client: Client,

@@ -149,6 +149,42 @@ class Library(Connection):
         content = self.call("GET", component_path(name, "table"), query=query).content
         return content.decode() if chosen in ("csv", "json") else content
 
+    def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> dict[str, Any]:
+        """Start making a report of error against run time; it takes minutes.
+
+        Parameters
+        ----------
+        wrenches, seed : int
+            How many random full wrenches are compared with finite elements, and which.
+
+        Returns
+        -------
+        dict
+            As from `report_state`.
+
+        Raises
+        ------
+        ProblemError
+            If the component has no rows or no finite-element setup (409).
+        """
+        query = {"wrenches": wrenches, "seed": seed}
+        path = component_path(name, "report")
+        return self.call_json("POST", path, query=query, repeatable=False)
+
+    def report_state(self, name: str) -> dict[str, Any]:
+        """Return ``state`` (none, running, done, failed), ``fraction`` and ``message``."""
+        return self.call_json("GET", component_path(name, "report"), query={"format": "state"})
+
+    def report(self, name: str, format: str = "json") -> bytes:  # noqa: A002 (the contract's word)
+        """Return the latest report as ``json``, ``md`` or ``html``.
+
+        Raises
+        ------
+        ProblemError
+            If there is none yet (404).
+        """
+        return self.call("GET", component_path(name, "report"), query={"format": format}).content
+
     def health(self) -> dict[str, Any]:
         """Return the server's readiness: ``status`` and, if it is not ready, its ``faults``.
 

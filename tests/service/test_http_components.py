@@ -197,3 +197,16 @@ def test_health_and_openapi_answer(http):
     assert "/v1/components/{name}/displacement" in calls
     reply = calls["/v1/components/{name}/displacement"]["post"]["responses"]["200"]
     assert "acting ON the deformable component" in str(reply)
+
+
+def test_an_uploaded_deck_is_refused_unless_the_operator_allows_decks(http, folder):
+    source = SHIPPED / "plate_ccx"
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for path in source.iterdir():
+            text = path.read_bytes()
+            archive.writestr(path.name, text.replace(b'name = "plate_ccx"', b'name = "mine"'))
+    reply = upload(http, buffer.getvalue())
+    assert reply.status_code == 422
+    assert "--allow-decks" in str(reply.json()["errors"])
+    assert list((folder / "components").iterdir()) == []

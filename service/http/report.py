@@ -1,0 +1,74 @@
+"""Error against run time of a component's table, as JSON, Markdown or a page with plots."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated, Literal
+
+import orjson
+from fastapi import APIRouter, Query, Request
+from starlette.responses import Response
+
+from service.book import Book, NoSetupError
+from service.http.problems import ProblemError
+
+router = APIRouter(prefix="/v1/components/{name}/report", tags=["report"])
+
+_MEDIA_TYPES = {
+    "json": "application/json",
+    "md": "text/markdown; charset=utf-8",
+    "html": "text/html; charset=utf-8",
+}
+
+
+@router.post("", status_code=202, summary="Make the report anew; it takes minutes of solving")
+def make_report(
+    name: str,
+    request: Request,
+    wrenches: Annotated[int, Query(ge=3, le=1000, description="wrenches to compare")] = 24,
+    seed: Annotated[int, Query(ge=0, description="of the random wrenches")] = 1,
+) -> Response:
+    book: Book = request.app.state.book
+    component = book.library[name]
+    if not component.has_fea:
+        raise NoSetupError(
+            f"{name!r} has no finite-element setup, so there is no reference to report against. "
+            "GET .../coverage tells what its rows know."
+        )
+    try:
+        book.reports.make(component, wrenches, seed)
+    except FileNotFoundError as error:
+        raise ProblemError(409, "no-rows", "The table has no rows", str(error)) from None
+    return _state(book, name)
+
+
+@router.get("", summary="The latest report; 202 while the first one is being made")
+def get_report(
+    name: str,
+    request: Request,
+    format: Literal["json", "md", "html", "state"] = "json",  # noqa: A002 (the contract's word)
+) -> Response:
+    book: Book = request.app.state.book
+    _ = book.library[name]
+    if format == "state":
+        return _state(book, name)
+    path = book.reports.file(name, format)
+    if path is not None:
+        return Response(path.read_bytes(), 200, None, _MEDIA_TYPES[format])
+    making = book.reports.state(name)
+    if making.state == "running":
+        return _state(book, name)
+    why = f"Making it failed: {making.message}. " if making.state == "failed" else ""
+    raise ProblemError(
+        404,
+        "no-report",
+        "No report yet",
+        f"{why}POST /v1/components/{name}/report makes one, as does: wrenchbook report {name}",
+    )
+
+
+def _state(book: Book, name: str) -> Response:
+    making = book.reports.state(name)
+    body = {"component": name, **asdict(making), "url": f"/v1/components/{name}/report"}
+    status = 202 if making.state == "running" else 200
+    return Response(orjson.dumps(body), status, None, "application/json")

@@ -1,0 +1,62 @@
+"""Make a report: ``python -m service.report FOLDER``, where FOLDER holds ``order.json``.
+
+Writes ``report.json``, ``report.md`` and ``report.html``, whole or not at all; ``progress.json`` on
+the way; ``failure.json`` if it cannot.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import traceback
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+
+from fea.bundle import read_bundle
+from service.attempt import PROGRESS, Progress, write_whole
+from service.report.measure import measure
+from service.report.page import as_page
+from service.report.text import as_markdown
+from surrogate.store import read_table
+
+ORDER, FAILURE = "order.json", "failure.json"
+
+
+def main(folder: Path) -> int:
+    """Make the report that ``order.json`` asks for; return the exit status."""
+    (folder / FAILURE).unlink(missing_ok=True)
+    try:
+        order = json.loads((folder / ORDER).read_bytes())
+        rows, meta = read_table(order["table"])
+        report = measure(
+            read_bundle(order["bundle"]),
+            rows,
+            meta.load_range,
+            order["wrenches"],
+            order["seed"],
+            lambda fraction, message: write_whole(
+                folder / PROGRESS, asdict(Progress(fraction, message))
+            ),
+        )
+        report["made"] = datetime.now(UTC).isoformat(timespec="seconds")
+        report["table_version"] = meta.last_seq
+        for name, text in (("report.md", as_markdown(report)), ("report.html", as_page(report))):
+            _replace(folder / name, text)
+        write_whole(folder / "report.json", report, durable=True)
+    except Exception as error:
+        traceback.print_exc()
+        write_whole(folder / FAILURE, {"message": f"{type(error).__name__}: {error}"})
+        return 1
+    return 0
+
+
+def _replace(path: Path, text: str) -> None:
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(path)
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))

@@ -1,0 +1,260 @@
+"""Measuring a report: reference solves, solves on coarser meshes, and tables of several sizes.
+
+The reference is the component on the finest of three meshes, under wrenches that no table contains.
+"""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from fea.failure import SolveFailed
+from fea.parts import Bundle
+from fea.refine import refined
+from fea.solve import Solver
+from surrogate.answers import METHODS
+from surrogate.rows import LoadRange, Rows
+from surrogate.surrogate import Surrogate
+
+Array = np.ndarray
+Report = Callable[[float, str], None]
+
+LEVELS = (("coarse", 0.67), ("own", 1.0), ("fine", 1.5))
+PARTS = (0.25, 0.5, 1.0)
+TIMED_QUERIES = 2000
+NEAR_ZERO = 1e-3  # of the largest output of its kind: below it an output counts as near zero
+
+
+def measure(
+    bundle: Bundle, rows: Rows, load_range: LoadRange, count: int, seed: int, report: Report
+) -> dict[str, Any]:
+    """Return all figures of a report, as JSON-able values; times in s and µs, else SI.
+
+    Parameters
+    ----------
+    count
+        Wrenches to compare.
+    """
+    wrenches = random_wrenches(load_range, count, seed)
+    levels = _solve_levels(bundle, wrenches, report)
+    finest, own = levels[-1], next(level for level in levels if level["level"] == "own")
+    solved = np.isfinite(finest["displacement"]).all(axis=1)
+    for level in levels:
+        solved &= np.isfinite(level["displacement"]).all(axis=1)
+    reference = finest["displacement"][solved]
+    scale = _scale(reference)
+    report(0.85, "measuring tables")
+    tables = [
+        entry
+        for part in PARTS
+        for entry in _tables(
+            rows.take(np.arange(max(1, round(part * len(rows))))),
+            load_range,
+            wrenches[solved],
+            {"finest": reference, "own": own["displacement"][solved]},
+            scale,
+            own["seconds_p50"],
+        )
+    ]
+    meshes = [_mesh_entry(level, solved, reference, scale) for level in levels]
+    return {
+        "component": bundle.name,
+        "title": bundle.title,
+        "rows": len(rows),
+        "wrenches": {"asked": count, "compared": int(solved.sum()), "seed": seed},
+        "range": np.ptp(reference, axis=0).tolist(),
+        "floor": scale.tolist(),
+        "fea": meshes,
+        "tables": tables,
+        "pareto": pareto(meshes, tables),
+        "left_out": Surrogate.build(rows, load_range).coverage_summary().get("left_out"),
+    }
+
+
+def random_wrenches(load_range: LoadRange, count: int, seed: int) -> Array:
+    """Return full six-component wrenches spread over the load range, shape (count, 6)."""
+    points = qmc.Halton(d=6, rng=seed).random(count)
+    return load_range.low + points * (load_range.high - load_range.low)
+
+
+def _solve_levels(bundle: Bundle, wrenches: Array, report: Report) -> list[dict[str, Any]]:
+    """Solve all wrenches on each mesh, the finest last; one level if it cannot be refined."""
+    chosen = [(name, refined(bundle, factor)) for name, factor in LEVELS]
+    bundles = [(name, one) for name, one in chosen if one is not None] or [("own", bundle)]
+    levels = []
+    for number, (name, one) in enumerate(bundles):
+
+        def heard(fraction: float, name: str = name, number: int = number) -> None:
+            report(0.85 * (number + fraction) / len(bundles), f"{name} mesh, {fraction:.0%}")
+
+        levels.append({"level": name, **_solve_all(one, wrenches, heard)})
+    return levels
+
+
+def _solve_all(bundle: Bundle, wrenches: Array, heard: Callable[[float], None]) -> dict[str, Any]:
+    started = time.perf_counter()
+    solver = Solver(bundle)
+    setup = time.perf_counter() - started
+    displacement = np.full((len(wrenches), 6), np.nan)
+    seconds, failures = [], []
+    for place, wrench in enumerate(wrenches):
+        heard(place / len(wrenches))
+        started = time.perf_counter()
+        try:
+            displacement[place] = solver.solve(wrench).displacement
+        except SolveFailed as failure:
+            failures.append({"wrench": wrench.tolist(), "kind": failure.kind})
+            continue
+        seconds.append(time.perf_counter() - started)
+    return {
+        "unknowns": solver.unknowns,
+        "setup_s": setup,
+        "seconds_p50": float(np.median(seconds)) if seconds else float("nan"),
+        "seconds_p95": float(np.quantile(seconds, 0.95)) if seconds else float("nan"),
+        "failures": failures,
+        "displacement": displacement,
+    }
+
+
+def _mesh_entry(
+    level: dict[str, Any], solved: Array, reference: Array, scale: Array
+) -> dict[str, Any]:
+    error = np.abs(level.pop("displacement")[solved] - reference)
+    return {**level, "error": errors(error, scale)}
+
+
+def _tables(
+    rows: Rows,
+    load_range: LoadRange,
+    wrenches: Array,
+    references: dict[str, Array],
+    scale: Array,
+    solve_seconds: float,
+) -> list[dict[str, Any]]:
+    """Measure one size of the table with every method."""
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    surrogate = Surrogate.build(rows, load_range)
+    memory = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    started = time.perf_counter()
+    Surrogate.build(rows, load_range)
+    build = time.perf_counter() - started
+    size = {
+        "rows": len(rows),
+        "build_s": build,
+        "memory_bytes": memory,
+        "fea_s": float(np.sum(rows.source == "fea") * solve_seconds),
+    }
+    return [
+        {"method": method, **size, **_method(surrogate, method, wrenches, references, scale)}
+        for method in METHODS
+    ]
+
+
+def _method(
+    surrogate: Surrogate,
+    method: str,
+    wrenches: Array,
+    references: dict[str, Array],
+    scale: Array,
+) -> dict[str, Any]:
+    answers = surrogate.batch(wrenches, method=method)
+    error = np.abs(answers.displacement - references["own"])
+    told = np.isfinite(answers.error)
+    inside = [_share(error[told[:, k], k] <= answers.error[told[:, k], k]) for k in range(6)]
+    times = _query_times(surrogate, method, wrenches)
+    return {
+        "covered": float(np.mean(answers.coverage == 0)),
+        "query_us_p50": float(np.median(times)),
+        "query_us_p99": float(np.quantile(times, 0.99)),
+        "error": errors(np.abs(answers.displacement - references["finest"]), scale),
+        "lookup_error": errors(error, scale),
+        "inside_error_bar": inside,
+        "bar_over_error": [
+            _ratio(answers.error[told[:, k], k], error[told[:, k], k]) for k in range(6)
+        ],
+    }
+
+
+def _query_times(surrogate: Surrogate, method: str, wrenches: Array) -> Array:
+    """Return the time of single answers, shape (n,), µs."""
+    asked = wrenches.tolist()
+    times = np.empty(TIMED_QUERIES)
+    for place in range(TIMED_QUERIES):
+        wrench = asked[place % len(asked)]
+        started = time.perf_counter_ns()
+        surrogate.answer(wrench, None, method)
+        times[place] = (time.perf_counter_ns() - started) / 1e3
+    return times
+
+
+def errors(error: Array, scale: Array) -> dict[str, list[float | None]]:
+    """Return RMS, 95 % and largest error per output, absolute and relative; NaN rows left out."""
+    kept = error[np.isfinite(error).all(axis=1)]
+    if not len(kept):
+        nothing: list[float | None] = [None] * 6
+        return dict.fromkeys(("rms", "p95", "max", "rms_relative"), nothing)
+    rms = np.sqrt(np.mean(kept**2, axis=0))
+    return {
+        "rms": rms.tolist(),
+        "p95": np.quantile(kept, 0.95, axis=0).tolist(),
+        "max": kept.max(axis=0).tolist(),
+        "rms_relative": (rms / scale).tolist(),
+    }
+
+
+def _scale(reference: Array) -> Array:
+    """Return what an error is relative to, shape (6,): the range, or a floor if near zero."""
+    span = np.ptp(reference, axis=0)
+    floor = NEAR_ZERO * np.repeat([span[:3].max(), span[3:].max()], 3)
+    return np.maximum(span, floor)
+
+
+def worst(entry: dict[str, Any]) -> float:
+    """Return the largest relative RMS error of an entry; infinite if nothing was answered."""
+    found = entry["error"]["rms_relative"]
+    return float("inf") if None in found else max(found)
+
+
+def seconds_of(entry: dict[str, Any]) -> float:
+    """Return what one answer of an entry costs, s."""
+    return entry["query_us_p50"] * 1e-6 if "method" in entry else entry["seconds_p50"]
+
+
+def pareto(meshes: list[dict[str, Any]], tables: list[dict[str, Any]]) -> list[str]:
+    """Return the names of the entries that no other beats in both error and run time.
+
+    The finest mesh is the reference, its error zero by definition.
+    """
+    points = [(seconds_of(e), worst(e), name_of(e)) for e in (*tables, *meshes)]
+    points = sorted(point for point in points if np.isfinite(point[0]) and np.isfinite(point[1]))
+    front: list[str] = []
+    best = float("inf")
+    for _, error, name in points:
+        if error < best:
+            best = error
+            front.append(name)
+    return front
+
+
+def name_of(entry: dict[str, Any]) -> str:
+    """Return what an entry is called in tables and plots."""
+    if "method" in entry:
+        return f"{entry['method']}, {entry['rows']} rows"
+    return f"FEA, {entry['level']} mesh"
+
+
+def _share(inside: Array) -> float | None:
+    return float(np.mean(inside)) if len(inside) else None
+
+
+def _ratio(bars: Array, error: Array) -> float | None:
+    """Return the median error bar over the median true error; None where the error is nothing."""
+    true = float(np.median(error)) if len(error) else 0.0
+    return float(np.median(bars)) / true if true > 0.0 else None

@@ -1,0 +1,116 @@
+"""Reports of a data directory: one a component, made in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from service.attempt import write_whole
+from service.library import Component
+
+FILES = {"json": "report.json", "md": "report.md", "html": "report.html"}
+State = Literal["none", "running", "done", "failed"]
+
+
+@dataclass(frozen=True)
+class Making:
+    """How far a report is; ``message`` says why it failed."""
+
+    state: State
+    fraction: float = 0.0
+    message: str = ""
+
+
+class Reports:
+    """Makes and keeps reports.
+
+    Parameters
+    ----------
+    folder:
+        Where they are kept, ``<component>/report.json``, ``.md`` and ``.html``.
+    tables:
+        Where the HDF5 tables are.
+    """
+
+    def __init__(self, folder: Path, tables: Path) -> None:
+        self._folder = folder
+        self._tables = tables
+        self._lock = threading.Lock()
+        self._making: dict[str, subprocess.Popen[bytes]] = {}
+
+    def make(self, component: Component, wrenches: int, seed: int) -> None:
+        """Start making a component's report, unless that goes on already.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the component's table has not been written yet: it has no rows.
+        """
+        table = self._tables / f"{component.name}.h5"
+        if not table.exists():
+            raise FileNotFoundError(
+                f"{component.name!r} has no rows yet, so there is nothing to report on. Fill its "
+                f"table first: wrenchbook fill {component.name}"
+            )
+        folder = self._folder / component.name
+        with self._lock:
+            if self._is_alive(component.name):
+                return
+            folder.mkdir(parents=True, exist_ok=True)
+            order = {"bundle": str(component.folder), "table": str(table)}
+            write_whole(folder / "order.json", {**order, "wrenches": wrenches, "seed": seed})
+            (folder / "failure.json").unlink(missing_ok=True)
+            environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+            with (folder / "log.txt").open("wb") as log:
+                self._making[component.name] = subprocess.Popen(
+                    [sys.executable, "-m", "service.report", str(folder.absolute())],
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    env=environment,
+                )
+
+    def state(self, name: str) -> Making:
+        """Return how far a component's report is."""
+        folder = self._folder / name
+        with self._lock:
+            alive = self._is_alive(name)
+        if alive:
+            progress = _read(folder / "progress.json") or {}
+            return Making(
+                "running", progress.get("fraction", 0.0), progress.get("message", "starting")
+            )
+        failure = _read(folder / "failure.json")
+        if failure:
+            return Making("failed", 0.0, failure["message"])
+        return Making("done", 1.0) if (folder / FILES["json"]).exists() else Making("none")
+
+    def file(self, name: str, format: str) -> Path | None:  # noqa: A002 (the contract's word)
+        """Return the file of the latest report in a format of `FILES`; None if there is none."""
+        path = self._folder / name / FILES[format]
+        return path if path.exists() else None
+
+    def close(self) -> None:
+        """End what is being made; the report before stays."""
+        with self._lock:
+            for making in self._making.values():
+                if making.poll() is None:
+                    making.terminate()
+                    making.wait()
+
+    def _is_alive(self, name: str) -> bool:
+        making = self._making.get(name)
+        return making is not None and making.poll() is None
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        return json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return None

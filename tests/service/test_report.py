@@ -1,0 +1,109 @@
+import json
+import time
+
+import numpy as np
+import pytest
+
+from fea.bundle import read_bundle
+from fea.refine import refined
+from fea.solve import Solver
+from service.library import SHIPPED
+from service.report.measure import errors, measure, pareto
+from service.report.page import as_page
+from service.report.text import as_markdown
+from surrogate.rows import LoadRange, Rows
+
+
+@pytest.fixture(scope="module")
+def bar():
+    return read_bundle(SHIPPED / "bar")
+
+
+@pytest.fixture(scope="module")
+def report(bar):
+    load_range = LoadRange(bar.range.low, bar.range.high)
+    compliance = Solver(bar).compliance
+    wrenches = np.vstack([np.zeros((1, 6)), np.diag(load_range.scale), -np.diag(load_range.scale)])
+    rows = Rows.of(wrenches, wrenches @ compliance.T)
+    return measure(bar, rows, load_range, 5, 3, lambda *_: None)
+
+
+def test_a_finer_mesh_has_more_unknowns_and_the_same_answer(bar):
+    fine = refined(bar, 1.5)
+    assert Solver(fine).unknowns > 2 * Solver(bar).unknowns
+    assert np.allclose(Solver(fine).compliance, Solver(bar).compliance, rtol=5e-3, atol=1e-12)
+
+
+def test_the_finest_mesh_is_the_reference(report):
+    assert [level["level"] for level in report["fea"]] == ["coarse", "own", "fine"]
+    assert report["fea"][-1]["error"]["rms"] == [0.0] * 6
+    assert max(report["fea"][0]["error"]["rms_relative"]) > 0.0
+
+
+def test_a_linear_table_of_a_linear_component_has_no_lookup_error(report):
+    linear = next(e for e in report["tables"] if e["method"] == "linear" and e["rows"] == 13)
+    assert max(linear["lookup_error"]["rms_relative"]) < 1e-9
+    assert linear["query_us_p50"] > 0
+
+
+def test_the_report_is_plain_json(report):
+    assert json.loads(json.dumps(report))["component"] == "bar"
+
+
+def test_the_page_needs_nothing_from_elsewhere(report):
+    page = as_page(report)
+    assert page.startswith("<!doctype html>")
+    assert "<script src=" not in page
+    assert "Error against run time" in page
+
+
+def test_the_markdown_names_every_method_and_mesh(report):
+    text = as_markdown(report)
+    for word in ("griddata", "linear", "nearest", "coarse", "own", "fine (reference)"):
+        assert word in text
+
+
+def test_errors_are_rms_quantile_and_largest():
+    found = errors(np.array([[1.0] * 6, [2.0] * 6, [np.nan] * 6]), np.full(6, 10.0))
+    assert found["rms"] == pytest.approx([2.5**0.5] * 6)
+    assert found["max"] == [2.0] * 6
+    assert found["rms_relative"] == pytest.approx([0.25**0.5 * 10**0.5 / 10] * 6, rel=1e-12)
+
+
+def test_the_pareto_front_leaves_out_what_is_slower_and_worse():
+    def table(rows, us, error):
+        return {
+            "method": "m",
+            "rows": rows,
+            "query_us_p50": us,
+            "error": {"rms_relative": [error] * 6},
+        }
+
+    front = pareto([], [table(1, 1.0, 0.5), table(2, 2.0, 0.6), table(3, 3.0, 0.1)])
+    assert front == ["m, 1 rows", "m, 3 rows"]
+
+
+def test_a_report_is_made_over_http(http, monkeypatch):
+    monkeypatch.delenv("WRENCHBOOK_SOLVE")
+    call = "/v1/components/bar/report"
+    assert http.post(call).status_code == 409
+    assert http.get(call).status_code == 404
+    solve = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 60}
+    assert http.post("/v1/components/bar/solve", json=solve).status_code == 200
+    deadline = time.monotonic() + 120
+    while http.post(call, params={"wrenches": 3}).status_code == 409:  # the table file comes soon
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    while http.get(call, params={"format": "state"}).json()["state"] == "running":
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    body = http.get(call)
+    assert body.status_code == 200, body.text
+    assert body.json()["wrenches"]["compared"] == 3
+    assert "text/html" in http.get(call, params={"format": "html"}).headers["content-type"]
+
+
+def test_a_report_of_a_table_without_a_setup_is_409(http):
+    rig = {"name": "rig", "title": "rig", "range": {"force": [1] * 3, "moment": [1] * 3}}
+    http.post("/v1/components", json=rig)
+    assert http.post("/v1/components/rig/report").status_code == 409
