@@ -1,0 +1,145 @@
+"""Wall time of the solver beside CalculiX: the same mesh, one thread each, in turn.
+
+Both are whole programs from cold: each round starts a new process that reads the component or the
+deck, solves one wrench and prints the answer. In between, the solver's own part is told apart from
+what Python takes to start and import.
+
+`make bench-fea` prints the medians and their ratios. CalculiX runs with its own default tolerance,
+and with the 1e-7 that a comparison of answers needs; the answers are compared in that case.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from statistics import median
+
+import numpy as np
+import pytest
+
+from fea.solve import Solver
+from fea.validation import calculix
+from fea.validation.clamped import shipped
+from fea.validation.plate import WRENCH
+from fea.validation.samemesh import LINEAR, NONLINEAR, worst_gap
+
+ROUNDS = int(os.environ.get("WRENCHBOOK_BENCH_ROUNDS", "3"))
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "CCX_NPROC_EQUATION_SOLVER"), "1"
+)
+LOADS = {"plate_thin": WRENCH, "spring": (0.0, 0.0, -10.0, 0.0, 0.0, 0.0)}
+TIGHT = {False: LINEAR, True: NONLINEAR}
+
+COLD = """
+import json, sys, time
+started = time.perf_counter()
+from dataclasses import replace
+from fea.solve import Solver
+from fea.validation.clamped import shipped
+imported = time.perf_counter()
+name, nonlinear, wrench = json.loads(sys.argv[1])
+part = replace(shipped(name), coupling="rigid")
+part = replace(part, analysis=replace(part.analysis, nonlinear=nonlinear))
+found = Solver(part).solve(wrench)
+done = time.perf_counter()
+print(json.dumps([found.displacement.tolist(), imported - started, done - imported]))
+"""
+
+
+pytestmark = pytest.mark.skipif(not calculix.installed(), reason=calculix.ABSENT)
+
+
+def part_of(name: str, nonlinear: bool):
+    part = replace(shipped(name), coupling="rigid")
+    return replace(part, analysis=replace(part.analysis, nonlinear=nonlinear))
+
+
+def own(name: str, nonlinear: bool) -> tuple[np.ndarray, float, float]:
+    """Return the answer, the wall time of the whole process, and of the solver in it, s."""
+    asked = json.dumps([name, nonlinear, LOADS[name]])
+    started = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-c", COLD, asked],
+        env={**os.environ, **ONE_THREAD},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    whole = time.perf_counter() - started
+    displacement, _, solver = json.loads(done.stdout)
+    return np.array(displacement), whole, solver
+
+
+def side_by_side(name: str, nonlinear: bool, tight: bool, rounds: int) -> dict[str, float]:
+    """Solve in turn; return medians, s, and the largest relative difference of the answers."""
+    part = part_of(name, nonlinear)
+    times: dict[str, list[float]] = {"process": [], "solver": [], "ccx": []}
+    gap = 0.0
+    for _ in range(rounds):
+        found, whole, solver = own(name, nonlinear)
+        turn = found[3:] if nonlinear else None
+        reply = calculix.solve_rigid(part, LOADS[name], turn, tight=tight)
+        gap = max(gap, worst_gap(found, reply.displacement))
+        for key, seconds in (("process", whole), ("solver", solver), ("ccx", reply.seconds)):
+            times[key].append(seconds)
+    medians = {key: median(seconds) for key, seconds in times.items()}
+    kind = "nonlinear" if nonlinear else "linear"
+    how = "1e-7" if tight else "default"
+    print(
+        f"\n{name:<10} {kind:<9} {Solver(part).unknowns:>6} unknowns, ccx tolerance {how:<7}: "
+        f"ccx {medians['ccx']:6.2f} s, own solver {medians['solver']:5.2f} s "
+        f"(ratio {medians['solver'] / medians['ccx']:.2f}), whole process with imports "
+        f"{medians['process']:5.2f} s (ratio {medians['process'] / medians['ccx']:.2f}), "
+        f"answers {gap:.0e} apart"
+    )
+    return medians | {"gap": gap}
+
+
+@pytest.mark.parametrize("name", list(LOADS))
+def test_a_linear_solve_takes_at_most_1_2_times_as_long_as_calculix(name: str) -> None:
+    found = side_by_side(name, nonlinear=False, tight=True, rounds=2 * ROUNDS + 1)
+    assert found["gap"] < LINEAR
+    assert found["solver"] <= 1.2 * found["ccx"]
+
+
+@pytest.mark.parametrize("name", list(LOADS))
+def test_a_nonlinear_solve_takes_at_most_half_as_long_as_calculix(name: str) -> None:
+    """CalculiX at its own default tolerance, which is the less exact of the two answers."""
+    found = side_by_side(name, nonlinear=True, tight=False, rounds=ROUNDS)
+    assert found["process"] <= 0.5 * found["ccx"]
+
+
+@pytest.mark.parametrize("name", list(LOADS))
+def test_a_nonlinear_solve_agrees_with_calculix_when_that_converges_as_far(name: str) -> None:
+    found = side_by_side(name, nonlinear=True, tight=True, rounds=1)
+    assert found["gap"] < NONLINEAR
+    assert found["process"] <= 0.5 * found["ccx"]
+
+
+def test_six_loads_of_fifteen_thousand_unknowns_and_each_later_solve() -> None:
+    """The plate at 15,000 unknowns against one ccx run of it; a later solve is 6x6 algebra."""
+    part = replace(shipped("plate", cells=10, rings=5), coupling="rigid")
+    part = replace(part, analysis=replace(part.analysis, nonlinear=False))
+    calls = []
+    for _ in range(ROUNDS):
+        started = time.perf_counter()
+        solver = Solver(part)
+        solver.solve(WRENCH)
+        first = time.perf_counter() - started
+        started = time.perf_counter()
+        for _ in range(200):
+            solver.solve(WRENCH)
+        later = (time.perf_counter() - started) / 200
+        calls.append((first, later, calculix.solve_rigid(part, WRENCH).seconds))
+    first, later, ccx = (median(column) for column in zip(*calls, strict=True))
+    print(
+        f"\nplate      linear    {solver.unknowns:>6} unknowns: "
+        f"ccx, one load {ccx:.2f} s, own set-up and six loads {first:.2f} s "
+        f"(ratio {first / ccx:.2f}), each later solve {1e3 * later:.3f} ms"
+    )
+    assert first <= 1.2 * ccx
+    assert later < 1e-3 * first
