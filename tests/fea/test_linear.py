@@ -1,10 +1,10 @@
 """Linear analysis: six unit loads and the 6x6 compliance."""
 
-import time
-
 import numpy as np
 import pytest
 
+from fea import body
+from fea.cholesky import Factor
 from fea.solve import Solver
 from tests.fea.boxes import box
 from tests.fea.components import component
@@ -101,21 +101,17 @@ def test_a_wrench_that_is_not_six_finite_numbers_is_refused(bad):
         Solver(slender(divisions=(1, 1, 2), integration="full")).solve(bad)
 
 
-def test_fifteen_thousand_unknowns_take_two_seconds_and_each_later_solve_a_millisecond():
-    mesh = box("hex20", (20, 20, 2), (0.4, 0.4, 0.01))
-    part = component(mesh, fixed="x0", section="x1", coupling="distributed")
-    started = time.perf_counter()
-    built = Solver(part)
-    built.solve([0, 0, 1, 0, 0, 0])
-    first = time.perf_counter() - started
-    assert built.unknowns > 12_000
-    assert first < 2.0
-    later = []
-    for _ in range(20):
-        started = time.perf_counter()
-        built.solve([0, 0, 1, 0, 0, 0])
-        later.append(time.perf_counter() - started)
-    assert np.median(later) < 1e-3
+def test_six_loads_and_every_later_solve_take_one_factorisation(monkeypatch):
+    """How long they take is in the benchmarks."""
+    factors = []
+    monkeypatch.setattr(
+        body, "Factor", lambda *parts: factors.append(Factor(*parts)) or factors[-1]
+    )
+    built = Solver(slender())
+    for wrench in np.random.default_rng(5).standard_normal((20, 6)):
+        built.solve(wrench)
+    assert len(factors) == 1
+    assert factors[0].unknowns == built.unknowns - 6
 
 
 def test_materials_are_taken_cell_by_cell():

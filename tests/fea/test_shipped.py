@@ -1,6 +1,5 @@
 """The shipped components against beam, rod and published theory."""
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 
 from fea.bundle import read_bundle
-from fea.solve import Solver, solve
+from fea.solve import Solver
 from tests.fea.test_linear import beam_compliance
 
 SHIPPED = Path(__file__).parents[2] / "data" / "components"
@@ -65,10 +64,10 @@ def test_the_spring_shortens_and_turns_as_rod_theory_says(spring, millimetres):
     assert turn > 0
 
 
-def test_the_spring_at_ten_newtons_takes_seconds():
-    started = time.perf_counter()
-    found = solve(read_bundle(SHIPPED / "spring"), [0, 0, -10, 0, 0, 0])
-    assert time.perf_counter() - started < 20
+def test_the_spring_at_ten_newtons_takes_a_few_iterations(spring):
+    """How long they take is in the benchmarks."""
+    found = spring.solve([0, 0, -10, 0, 0, 0])
+    assert len(found.history) <= 10
     assert found.unknowns > 10_000
     assert (found.displacement[[0, 1, 3, 4]] == 0).all()
 
