@@ -22,6 +22,7 @@ Array = np.ndarray
 
 _TIGHT = "*CONTROLS, PARAMETERS=FIELD\n1e-7, 1e-7\n"
 _ENDING = "*NODE PRINT"
+PROGRAM = "ccx"
 ABSENT = "ccx is not installed"
 
 
@@ -34,7 +35,7 @@ class Reply(NamedTuple):
 
 def installed() -> bool:
     """Return whether there is a ``ccx`` to run."""
-    return shutil.which("ccx") is not None
+    return shutil.which(PROGRAM) is not None
 
 
 def solve_rigid(
@@ -120,7 +121,7 @@ def _run(deck: str, timeout: float) -> tuple[dict[int, list[float]], float]:
         (folder / "job.inp").write_text(deck, encoding="utf-8")
         started = time.perf_counter()
         done = subprocess.run(
-            ["ccx", "job"],
+            [PROGRAM, "job"],
             cwd=folder,
             capture_output=True,
             text=True,
