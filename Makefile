@@ -7,10 +7,11 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 LOCK := pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
 	--no-annotate --no-header --no-emit-index-url --extra build -q
 
-.PHONY: help setup demo serve test check lint types arch format bench image lock clean
+.PHONY: help setup demo serve test check lint types arch format bench bench-fea validate \
+	validate-table validate-ccx image lock clean
 
 help:  ## list the targets
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  %-10s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  %-15s %s\n", $$1, $$2}'
 
 setup: $(VENV)/.installed  ## make .venv and install what the program runs with
 
@@ -54,6 +55,18 @@ format: $(VENV)/.installed-dev  ## let ruff lay out the code
 
 bench: $(VENV)/.installed-dev  ## timings as ratios, side by side in one run
 	$(BIN)/python -m pytest tests/benchmarks -s -p no:cacheprovider
+
+bench-fea: $(VENV)/.installed-dev  ## wall time of the solver beside CalculiX, in turn
+	$(BIN)/python -m pytest tests/benchmarks/test_fea_speed.py -s -p no:cacheprovider --timeout 1800
+
+validate: setup  ## verify the solver: closed forms, published numbers, CalculiX
+	$(BIN)/wrenchbook validate all
+
+validate-table: setup  ## the same, and write its tables into fea/README.md
+	$(BIN)/python -m fea.validate all --update fea/README.md
+
+validate-ccx: $(VENV)/.installed-dev  ## same mesh as CalculiX: the slow cases, about ten minutes
+	$(BIN)/python -m pytest tests/benchmarks/test_fea_calculix.py -p no:cacheprovider --timeout 1800
 
 image:  ## the container image
 	docker build -t wrenchbook .
