@@ -15,6 +15,7 @@ from fea.component import Component, build
 from fea.condition import ROUNDOFF
 from fea.coupling import Coupling, Distributed, Rigid, State
 from fea.deck.solving import solve_deck
+from fea.evidence import keep
 from fea.failure import SolveFailed, rotation_too_large
 from fea.linear import LinearResponse, linear_response
 from fea.parts import FREEDOMS, Bundle
@@ -22,6 +23,7 @@ from fea.path import LoadPath
 from fea.solution import Progress, Solution
 from fea.system import Balance, System
 from fea.volumetric import pressure_notes
+from fea.warm import WarmFolder
 
 __all__ = ["MOST_DEGREES", "Solver", "solve"]
 
@@ -38,17 +40,47 @@ def solve(
     wrench: Sequence[float],
     progress: Progress | None = None,
     folder: Path | None = None,
+    warm: Path | None = None,
 ) -> Solution:
     """Build a component's solver and solve once; see `Solver`, or `solve_deck` if it has a deck.
 
     Parameters
     ----------
     folder
-        Where an outside solver's files stay; None deletes them.
+        Where an outside solver's files stay, and what a failed solve leaves (`fea.evidence`); None
+        keeps nothing.
+    warm
+        Where the states of solves are kept, to start nearby ones from (`fea.warm`).
+
+    Raises
+    ------
+    BundleError, SolveFailed
+        As `Solver` does.
     """
     if isinstance(bundle, Bundle) and bundle.deck is not None:
         return solve_deck(bundle, wrench, progress, folder, _require_small_rotation)
-    return Solver(bundle).solve(wrench, progress)
+    component = bundle if isinstance(bundle, Component) else build(bundle)
+    try:
+        return _solve_near(component, wrench, progress, warm)
+    except SolveFailed as failure:
+        if folder is not None:
+            keep(folder, failure, component)
+        raise
+
+
+def _solve_near(
+    component: Component, wrench: Sequence[float], progress: Progress | None, warm: Path | None
+) -> Solution:
+    solver = Solver(component)
+    if warm is None or component.bundle is None:
+        return solver.solve(wrench, progress)
+    loads = component.bundle.range
+    scale = np.maximum(np.abs(loads.low), np.abs(loads.high))
+    states = WarmFolder(warm, component.bundle.fingerprint, scale)
+    start = states.nearest(np.array(wrench, dtype=float), len(component.mesh.points))
+    solution = solver.solve(wrench, progress, start)
+    states.keep(solution)
+    return solution
 
 
 class Solver:
@@ -64,7 +96,7 @@ class Solver:
     BundleError
         If the bundle cannot be built.
     SolveFailed
-        ``inverted_elements``.
+        ``inverted_elements`` or ``locking_material``.
     """
 
     def __init__(self, bundle: Bundle | Component) -> None:
