@@ -1,32 +1,35 @@
-"""Which wrenches to solve next: a first design per axis, then where the error bar is largest.
+"""Which wrenches to solve next: a first design per axis, then where a solve lowers the error most.
 
-The first design is the centre, the faces and the corners of an axis' load range, half moments
-alone (every answer is counted from them), then a Halton sequence (Halton 1960) inside it. The
-second follows the loss-per-simplex idea of adaptive sampling (Nijholt et al., the `adaptive`
-package): the middle of the simplex with the worst error bar is asked next, and bars near a wrench
-already asked count less.
+The refinement follows the loss-per-simplex idea of adaptive sampling (Nijholt et al., the
+`adaptive` package): the middle of the simplex with the largest loss is asked next, and losses near
+a wrench already asked count less. A share of the solves goes to full six-component wrenches, the
+only ones that show what straight direction influence leaves out.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
-from surrogate.axes import AXES, CLEAN, Axis
+from surrogate.axes import AXES, CLEAN, clean_rows
 from surrogate.axistable import AxisTable
 from surrogate.composition import Composition
+from surrogate.firstdesign import Known, axis_box, first_design, full_wrenches
 from surrogate.leftout import LeftOut
-from surrogate.rows import Floats, LoadRange, Tolerance
+from surrogate.rows import Floats, Rows, Tolerance
 from surrogate.surrogate import Surrogate
 
-# Wrenches of the first design, by how many of the axis' three loads vary.
-FIRST = {0: 1, 1: 7, 2: 15, 3: 27}
 SAMPLE = 256  # wrenches at which the composed error bar is held against the tolerance
+
+# The part of all solves that full wrenches get: at first, and at least and at most once rows show
+# how much is left out.
+FULL_SHARE = 0.2
+LEAST_FULL, MOST_FULL = 0.1, 0.35
+FEWEST_FULL = 8  # full wrenches from which on they are believed
 
 
 @dataclass(frozen=True)
@@ -54,89 +57,23 @@ def next_wrenches(
 ) -> Design:
     """Return at most `budget` wrenches that lower the error most, none of them known or pending.
 
-    Only the three loads of one axis are non-zero in each. A linear component needs but one solve,
-    which brings its compliance. The tolerance (the surrogate's own if None) ends the refinement;
-    without one it goes on as long as it is asked.
+    Only the three loads of one axis are non-zero in most; a share of the refinement is full
+    wrenches. A linear component needs but one solve, which brings its compliance. The tolerance
+    (the surrogate's own if None) ends the refinement; without one it goes on as long as it is
+    asked.
     """
     waiting = np.empty((0, 6)) if pending is None else np.asarray(pending, dtype=float)
-    known = _Known(surrogate.load_range, surrogate.rows.wrench, waiting.reshape(-1, 6))
+    known = Known(surrogate.load_range, surrogate.rows.wrench, waiting.reshape(-1, 6))
     if surrogate.linear:
         return _linear_design(surrogate, known, budget)
-    first = known.new(first_design(surrogate.load_range))
+    tangents = bool(np.isfinite(surrogate.rows.compliance).all(axis=(1, 2)).any())
+    first = known.new(first_design(surrogate.load_range, tangents=tangents))
     if len(first):
         return Design(first[:budget], "first", f"{len(first)} wrenches of the first design to go")
     return _refine(surrogate, known, budget, tolerance or surrogate.tolerance)
 
 
-def first_design(load_range: LoadRange) -> Floats:
-    """Return the first design of all axes, shape (k, 6), N and N·m, the most telling first.
-
-    The load range is stretched to hold zero: the composition asks every axis about one moment
-    alone. A wrench that two axes share, a pure moment, is in it once.
-    """
-    ranked: list[tuple[int, int, Floats]] = []
-    for index, axis in enumerate(AXES):
-        low, high = _box(load_range, axis)
-        if (high > low).any():
-            ranked += [(rank, index, w) for rank, w in _axis_design(axis, low, high)]
-    ranked.sort(key=lambda entry: entry[:2])
-    known = _Known(load_range, np.empty((0, 6)), np.empty((0, 6)))
-    return known.new(np.array([wrench for _, _, wrench in ranked]).reshape(-1, 6))
-
-
-class _Known:
-    """The wrenches that need not be asked again: rows and pending ones."""
-
-    def __init__(self, load_range: LoadRange, rows: Floats, pending: Floats) -> None:
-        self.scale, self.pending = load_range.scale, pending
-        self.keys = {self._key(wrench) for wrench in np.concatenate((rows, pending))}
-
-    def _key(self, wrench: Floats) -> tuple[int, ...]:
-        return tuple(np.round(wrench / self.scale / CLEAN).astype(np.int64).tolist())
-
-    def new(self, wrenches: Floats) -> Floats:
-        """Return those not known yet, each once, and know them from now on."""
-        fresh = []
-        for wrench in wrenches:
-            key = self._key(wrench)
-            if key not in self.keys:
-                self.keys.add(key)
-                fresh.append(wrench)
-        return np.array(fresh).reshape(-1, 6)
-
-
-def _box(load_range: LoadRange, axis: Axis) -> tuple[Floats, Floats]:
-    inputs = list(axis.inputs)
-    return np.minimum(load_range.low[inputs], 0.0), np.maximum(load_range.high[inputs], 0.0)
-
-
-def _axis_design(axis: Axis, low: Floats, high: Floats) -> list[tuple[int, Floats]]:
-    """Return one axis' first design as (rank, wrench), the lowest rank first."""
-    vary = np.flatnonzero(high > low)
-    signs = [(0, np.zeros(3))]
-    for load, side in product(vary, (-1.0, 1.0)):
-        signs.append((1, np.where(np.arange(3) == load, side, 0.0)))
-    if len(vary) > 1:
-        for corner in product((-1.0, 1.0), repeat=len(vary)):
-            signs.append((2, np.zeros(3)))
-            signs[-1][1][vary] = corner
-    for load, side in product((1, 2), (-0.5, 0.5)):
-        if load in vary and len(vary) > 1:
-            signs.append((3, np.where(np.arange(3) == load, side, 0.0)))
-    more = FIRST[len(vary)] - len(signs)
-    sequence = qmc.Halton(3, scramble=False)
-    sequence.fast_forward(1)  # its first point is a corner
-    signs += [(4 + place, 2 * x - 1) for place, x in enumerate(sequence.random(more))]
-    return [(rank, _wrench(axis, (low + high) / 2 + s * (high - low) / 2)) for rank, s in signs]
-
-
-def _wrench(axis: Axis, loads: Floats) -> Floats:
-    wrench = np.zeros(6)
-    wrench[list(axis.inputs)] = loads
-    return wrench
-
-
-def _linear_design(surrogate: Surrogate, known: _Known, budget: int) -> Design:
+def _linear_design(surrogate: Surrogate, known: Known, budget: int) -> Design:
     """Return one wrench, since any solve of a linear component brings the whole compliance.
 
     Where solves bring none (an expert's deck), the six single loads.
@@ -155,45 +92,79 @@ def _linear_design(surrogate: Surrogate, known: _Known, budget: int) -> Design:
     return Design(fresh[:budget], "first", "a solve that tells the 6x6 compliance is needed")
 
 
-def _refine(
-    surrogate: Surrogate, known: _Known, budget: int, tolerance: Tolerance | None
-) -> Design:
-    """Pick the middles of the worst simplices, one after another."""
-    wrenches, losses, sizes = _candidates(surrogate, tolerance)
-    scaled = wrenches / known.scale
-    worst, least = float(losses.max(initial=0.0)), 0.0
+def _refine(surrogate: Surrogate, known: Known, budget: int, tolerance: Tolerance | None) -> Design:
+    """Pick full wrenches, then the middles of the worst simplices, one after another."""
+    limit = tolerance or _whole_range(surrogate)
+    axes, whole = _composed_losses(surrogate, limit)
+    spots = _candidates(surrogate, tolerance)
+    worst = float(spots.losses.max(initial=0.0))
+    met = tolerance is not None and worst <= 1.0 and axes <= 1.0
+    asked = 0 if met and whole <= 1.0 else budget
+    count = _full_count(surrogate, known, asked, axes, whole)
+    wrenches = full_wrenches(surrogate.load_range, known, count)
+    if met:
+        stage = "refine" if len(wrenches) else "met"
+        return Design(wrenches, stage, _met_reason(surrogate))
+    # Rows within the tolerance by themselves may yet compose to more than it.
+    least = 0.0
     if tolerance is not None:
-        composed = _composed_loss(surrogate, tolerance)
-        if worst <= 1.0 and composed <= 1.0:
-            return Design(np.empty((0, 6)), "met", _met_reason(surrogate))
-        # Rows within the tolerance by themselves may yet compose to more than it.
-        worst, least = max(worst, composed), min(1.0, 0.5 / composed) if composed > 1.0 else 1.0
-    for wrench in known.pending / known.scale:
-        losses = losses * _shadow(scaled, sizes, wrench)
-    chosen: list[Floats] = []
-    while len(chosen) < budget and len(losses) and losses.max() > least:
-        best = int(losses.argmax())
-        chosen.extend(known.new(wrenches[best : best + 1]))
-        losses = losses * _shadow(scaled, sizes, scaled[best])
-        losses[best] = 0.0
+        worst, least = max(worst, axes), min(1.0, 0.5 / axes) if axes > 1.0 else 1.0
+    more = _worst_first(spots, known, budget - len(wrenches), least)
     unit = "the tolerance" if tolerance is not None else "the outputs' range"
     reason = f"the largest error bar is {worst:.3g} times {unit}"
-    return Design(np.array(chosen).reshape(-1, 6), "refine", reason)
+    return Design(np.concatenate((wrenches, more)), "refine", reason)
 
 
-def _composed_loss(surrogate: Surrogate, tolerance: Tolerance) -> float:
-    """Return the composed error bar over the tolerance that 95 % of the load range stays below.
+def _worst_first(spots: _Spots, known: Known, count: int, least: float) -> Floats:
+    """Return at most `count` wrenches, those first whose solve takes most of the error away."""
+    scaled, gains = spots.wrenches / known.scale, spots.gains * (spots.losses > least)
+    for wrench in known.pending / known.scale:
+        gains = gains * _shadow(scaled, spots.sizes, wrench)
+    chosen: list[Floats] = []
+    while len(chosen) < count and len(gains) and gains.max() > 0:
+        best = int(gains.argmax())
+        chosen.extend(known.new(spots.wrenches[best : best + 1]))
+        gains = gains * _shadow(scaled, spots.sizes, scaled[best])
+        gains[best] = 0.0
+    return np.array(chosen).reshape(-1, 6)
 
-    Without what straight direction influence leaves out: no row of one axis lowers that.
+
+def _full_count(surrogate: Surrogate, known: Known, budget: int, axes: float, whole: float) -> int:
+    """Return how many full wrenches the table lacks to have their share of all its solves."""
+    asked = np.concatenate((surrogate.rows.wrench, known.pending))
+    there = int((~clean_rows(Rows.of(asked, asked), surrogate.load_range).any(axis=1)).sum())
+    share = FULL_SHARE
+    if surrogate.composition.left_out.shown >= FEWEST_FULL and whole > 0:
+        left = np.sqrt(max(whole**2 - axes**2, 0.0)) / whole
+        share = float(np.clip(left * MOST_FULL, LEAST_FULL, MOST_FULL))
+    lacking = int(np.ceil(share * (len(asked) + budget))) - there
+    return max(min(lacking, (budget + 1) // 2), 0)
+
+
+def _whole_range(surrogate: Surrogate) -> Tolerance:
+    """Return the sizes of the displacements, which stand in for a tolerance without one."""
+    moved, tiny = np.abs(surrogate.rows.displacement), np.finfo(float).tiny
+    translation, rotation = moved[:, :3].max(initial=tiny), moved[:, 3:].max(initial=tiny)
+    return Tolerance(float(translation), float(rotation))
+
+
+def _composed_losses(surrogate: Surrogate, tolerance: Tolerance) -> tuple[float, float]:
+    """Return the composed error bars over the tolerance that 95 % of the load range stays below.
+
+    First without what straight direction influence leaves out, which no row of one axis lowers;
+    then with it.
     """
     low, high = surrogate.load_range.low, surrogate.load_range.high
     sample = low + qmc.Halton(6, scramble=False).random(SAMPLE) * (high - low)
-    whole = surrogate.composition
-    silent = Composition(whole.tables, whole.zero, LeftOut(whole.left_out.scale))
-    composed = silent.many(sample)
+    composition = surrogate.composition
+    silent = Composition(composition.tables, composition.zero, LeftOut(composition.left_out.scale))
     allowed = np.repeat([tolerance.translation, tolerance.rotation], 3)
-    losses = (composed.error[composed.told] / allowed).max(axis=1)
-    return float(np.quantile(losses, 0.95)) if len(losses) else 0.0
+    losses = []
+    for one in (silent, composition):
+        composed = one.many(sample)
+        over = (composed.error[composed.told] / allowed).max(axis=1)
+        losses.append(float(np.quantile(over, 0.95)) if len(over) else 0.0)
+    return losses[0], losses[1]
 
 
 def _met_reason(surrogate: Surrogate) -> str:
@@ -209,25 +180,42 @@ def _shadow(scaled: Floats, sizes: Floats, asked: Floats) -> Floats:
     return np.minimum(1.0, apart / sizes)
 
 
-def _candidates(surrogate: Surrogate, tolerance: Tolerance | None) -> tuple[Floats, Floats, Floats]:
-    """Return candidate wrenches (k, 6), losses (k,) and squared simplex sizes (k,) of all axes.
+@dataclass(frozen=True)
+class _Spots:
+    """Candidates of all axes.
 
-    The loss is the largest error bar over the tolerance, or over the output's range without one.
+    Attributes
+    ----------
+    wrenches : ndarray, shape (k, 6), N and N·m
+    losses : ndarray, shape (k,)
+        The largest error bar over the tolerance, or over the output's range without one.
+    gains : ndarray, shape (k,)
+        What a solve takes away: of the largest loss where there is a tolerance, else of the mean
+        the whole in the mean square.
+    sizes : ndarray, shape (k,)
+        Squared size of the simplex, scaled.
     """
-    wrenches, losses, sizes = [np.empty((0, 6))], [np.empty(0)], [np.empty(0)]
+
+    wrenches: Floats
+    losses: Floats
+    gains: Floats
+    sizes: Floats
+
+
+def _candidates(surrogate: Surrogate, tolerance: Tolerance | None) -> _Spots:
+    parts = [(np.empty((0, 6)), np.empty(0), np.empty(0), np.empty(0))]
     for axis, table in zip(AXES, surrogate.composition.tables, strict=True):
-        low, high = _box(surrogate.load_range, axis)
+        low, high = axis_box(surrogate.load_range, axis)
         if table is None or not (high > low).any():
             continue
         middle, loss, size = _worst_spots(table, tolerance)
+        gain = loss if tolerance is not None else loss * np.sqrt(table.parts())
         loads = middle * np.array(table.scale)
         inside = ((loads >= low) & (loads <= high)).all(axis=1)
         full = np.zeros((int(inside.sum()), 6))
         full[:, list(axis.inputs)] = loads[inside]
-        wrenches.append(full)
-        losses.append(loss[inside])
-        sizes.append(size[inside])
-    return np.concatenate(wrenches), np.concatenate(losses), np.concatenate(sizes)
+        parts.append((full, loss[inside], gain[inside], size[inside]))
+    return _Spots(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 def _worst_spots(table: AxisTable, tolerance: Tolerance | None) -> tuple[Floats, Floats, Floats]:
