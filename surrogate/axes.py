@@ -53,6 +53,8 @@ class AxisRows:
     members : tuple of tuple of int
         The places, in the table's rows, of the rows behind each point.
     clean : ndarray of bool, shape (n,)
+    tangent : ndarray, shape (n, 6, 3), m and rad
+        Derivative of the displacement by the scaled inputs; NaN where unknown or not clean.
     """
 
     axis: Axis
@@ -61,6 +63,19 @@ class AxisRows:
     uncertainty: Floats
     members: tuple[tuple[int, ...], ...]
     clean: NDArray[np.bool_]
+    tangent: Floats
+
+    def take(self, which: NDArray[np.bool_]) -> AxisRows:
+        """Return the points that a mask of shape (n,) picks."""
+        return AxisRows(
+            self.axis,
+            self.points[which],
+            self.displacement[which],
+            self.uncertainty[which],
+            tuple(self.members[place] for place in np.flatnonzero(which)),
+            self.clean[which],
+            self.tangent[which],
+        )
 
 
 def clean_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
@@ -112,9 +127,13 @@ def _merge(
     stored = np.nan_to_num(rows.uncertainty)
     means = displacement[places[first]]
     spreads = stored[places[first]]
+    tangent = rows.compliance[:, :, inputs] * load_range.scale[inputs]
+    tangent[~clean] = np.nan  # a full wrench's tangent is not that of its axis' loads alone
+    slopes = tangent[np.array([m[0] for m in members], dtype=np.intp)]
     for point in np.flatnonzero(np.diff(bounds) > 1):
         chosen = list(members[point])
         means[point] = displacement[chosen].mean(axis=0)
+        slopes[point] = tangent[chosen].mean(axis=0)
         spread = np.ptp(displacement[chosen], axis=0) / 2
         spreads[point] = np.maximum(spread, stored[chosen].max(axis=0))
     return AxisRows(
@@ -124,6 +143,7 @@ def _merge(
         uncertainty=spreads.reshape(-1, 6),
         members=members,
         clean=np.array([clean[m[0]] for m in members], dtype=bool),
+        tangent=slopes.reshape(-1, 6, 3),
     )
 
 

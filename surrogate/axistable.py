@@ -11,6 +11,7 @@ from surrogate.errorbar import RowBars, calibrate
 from surrogate.interpolant import Indices, Interpolant
 from surrogate.momentline import MomentLine
 from surrogate.rows import Floats, LoadRange
+from surrogate.slopes import edge_bends, quadratic_maps, row_slopes, simplex_slopes
 
 # The largest part of the load range, by dimension, that one simplex may take before it is `thin`.
 LARGEST = {0: 1.0, 1: 0.4, 2: 0.2, 3: 0.1}
@@ -19,14 +20,27 @@ CHUNK = 2048  # points read at once
 
 LINE = 33  # points at which the line of one moment alone is looked at
 
+SHARP = 0.28  # of held-out errors: what is missing of them where slopes jump
+ONE_SIDED = 0.8  # mean sign of the bends along a kink
+KINK = 3.0  # the bend that is missing on a kink, per bend there and missing part elsewhere
+
 SOUND, LARGE, DEGENERATE = 0, 1, 2
 
 
 class Reading(NamedTuple):
-    """Outputs (u_i, rx, ry, rz) and their error bars, each of shape (k, 4), m and rad."""
+    """Outputs (u_i, rx, ry, rz), their bends and the rest of their bars, (k, 4), m and rad.
+
+    A bend is the error to be expected, with its sign; the rest is what may come on top of it.
+    """
 
     outputs: Floats
-    bars: Floats
+    bends: Floats
+    rest: Floats
+
+    @property
+    def bars(self) -> Floats:
+        """The error bars, shape (k, 4)."""
+        return np.abs(self.bends) + self.rest
 
 
 class AxisTable:
@@ -35,28 +49,41 @@ class AxisTable:
     In simplex s, with dx the distance of the scaled inputs from the simplex' anchor, `pieces[s]`
     times (dx_1, dx_2, dx_3, 1) is thirteen numbers: the four outputs, the flat part of their four
     error bars, the curvature of the four, and the bubble of the error bar plus |dx|^2. So one
-    small product tells the outputs and, with flat + curvature * bubble, the bars.
+    small product tells the outputs and, with flat + curvature * bubble, the bars. Where slopes are
+    known twelve more tell the bends: three for each output, to be multiplied by dx once more.
 
     Attributes
     ----------
     rows : AxisRows
     interpolant : Interpolant
-    pieces : ndarray, shape (m, 13, 4)
+    pieces : ndarray, shape (m, 13 or 25, 4)
+    bent : bool
+        Whether the pieces tell bends.
     weak : list of int, length m
         SOUND, LARGE or DEGENERATE, per simplex.
     fewest : int
         How many points the axis needs not to be thin.
     """
 
-    def __init__(self, rows: AxisRows, load_range: LoadRange) -> None:
-        """Triangulate the rows, at least one, and calibrate their error bars."""
+    def __init__(
+        self, rows: AxisRows, load_range: LoadRange, *, repeatable: bool = False
+    ) -> None:
+        """Triangulate the rows, at least one, and calibrate their error bars.
+
+        `repeatable` rows are solves, which have no noise.
+        """
         self.rows, self.axis = rows, rows.axis
         self.scale = tuple(load_range.scale[list(rows.axis.inputs)].tolist())
         self.interpolant = Interpolant(rows.points)
         self.values = rows.displacement[:, list(rows.axis.outputs)]
         self.doubt = rows.uncertainty[:, list(rows.axis.outputs)]
         self.fewest = 2 * (self.interpolant.dimension + 1)
-        self.bars = calibrate(self.interpolant, self.values, self.doubt)
+        self.tangent = rows.tangent[:, list(rows.axis.outputs)]
+        self.bars = calibrate(
+            self.interpolant, self.values, self.doubt, self.tangent, repeatable=repeatable
+        )
+        self.bent = bool(self.bars.bend.any())
+        self.bending = tuple(self.bars.bending.tolist())
         self.pieces = self._pieces(self.bars)
         self.anchors = list(map(tuple, self.interpolant.anchors.tolist()))
         self.weak = self._weak_spots()
@@ -75,13 +102,24 @@ class AxisTable:
     def _pieces(self, bars: RowBars) -> Floats:
         shape = self.interpolant
         vertices = np.concatenate((self.values, self.doubt + bars.flat, bars.curvature), axis=1)
-        pieces = np.empty((len(shape.simplices), 13, 4))
+        pieces = np.empty((len(shape.simplices), 25 if self.bent else 13, 4))
         pieces[:, :12, :3] = shape.gradients(vertices)
         pieces[:, :12, 3] = vertices[shape.simplices[:, -1]]
         reach = ((shape.points[shape.simplices] - shape.anchors[:, None]) ** 2).sum(axis=2)
         pieces[:, 12, :3] = np.einsum("md,mdi->mi", reach[:, :-1], shape.weights)
         pieces[:, 12, 3] = 0.0
+        if self.bent:
+            square, line = self._bends()
+            pieces[:, 13:, :3] = square.reshape(-1, 12, 3)
+            pieces[:, 13:, 3] = line.reshape(-1, 12)
         return pieces
+
+    def _bends(self) -> tuple[Floats, Floats]:
+        """Return the share of the bends that is taken, as the maps of `quadratic_maps`."""
+        shape = self.interpolant
+        slopes = row_slopes(shape, self.values, self.tangent)
+        edges = edge_bends(shape, simplex_slopes(shape, self.values, slopes))
+        return quadratic_maps(shape, edges * self.bars.bend)
 
     def _weak_spots(self) -> list[int]:
         shape = self.interpolant
@@ -107,7 +145,13 @@ class AxisTable:
         along = np.sort(np.where(high > -low, high, low), axis=0)
         middle = along[len(along) // 10 : len(along) - len(along) // 10]
         mean, doubt = middle.mean(axis=0), middle.std(axis=0) / np.sqrt(len(middle))
-        return tuple((np.sign(mean) * np.maximum(np.abs(mean) - doubt, 0.0)).tolist())
+        shown = np.sign(mean) * np.maximum(np.abs(mean) - doubt, 0.0)
+        # On the kink itself slopes recovered from both its sides tell too little of a bend.
+        bends = self.read(found[found >= 0], line[found >= 0]).bends[:, 1:]
+        one_sided = np.abs(np.sign(bends).mean(axis=0)) > ONE_SIDED
+        missing = np.where(self.bars.missing[1:] > SHARP, np.minimum(self.bars.missing[1:], 0.5), 0)
+        bent = KINK * one_sided * missing * bends.mean(axis=0)
+        return tuple(np.where(np.abs(bent) > np.abs(shown), bent, shown).tolist())
 
     def parts(self) -> Floats:
         """Return what part of the load range each simplex takes, shape (m,)."""
@@ -118,15 +162,19 @@ class AxisTable:
 
     def read(self, simplices: Indices, x: Floats) -> Reading:
         """Return outputs and bars at scaled inputs (k, 3) in the simplices (k,) they lie in."""
-        outputs, bars = np.empty((len(x), 4)), np.empty((len(x), 4))
+        reading = Reading(*(np.zeros((len(x), 4)) for _ in range(3)))
         for start in range(0, len(x), CHUNK):  # what is gathered for one chunk fits the cache
             part = slice(start, start + CHUNK)
-            outputs[part], bars[part] = self._read_part(simplices[part], x[part])
-        return Reading(outputs, bars)
+            self._read_part(simplices[part], x[part], Reading(*(each[part] for each in reading)))
+        return reading
 
-    def _read_part(self, simplices: Indices, x: Floats) -> tuple[Floats, Floats]:
+    def _read_part(self, simplices: Indices, x: Floats, into: Reading) -> None:
         apart = x - self.interpolant.anchors.take(simplices, axis=0)
         terms = np.concatenate((apart, np.ones((len(x), 1))), axis=1)
         told = np.einsum("kij,kj->ki", self.pieces.take(simplices, axis=0), terms)
         bubble = told[:, 12] - np.einsum("ki,ki->k", apart, apart)
-        return told[:, :4], np.abs(told[:, 4:8] + told[:, 8:12] * bubble[:, None])
+        into.outputs[:] = told[:, :4]
+        into.rest[:] = np.abs(told[:, 4:8] + told[:, 8:12] * bubble[:, None])
+        if self.bent:
+            np.einsum("kqi,ki->kq", told[:, 13:].reshape(-1, 4, 3), apart, out=into.bends)
+            into.rest[:] += np.abs(into.bends) * self.bending

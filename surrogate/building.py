@@ -1,4 +1,4 @@
-"""From rows to a composition: the axes, and what the full-wrench rows say about them."""
+"""From rows to a composition: the axes, and what the other rows say about them."""
 
 from __future__ import annotations
 
@@ -6,16 +6,20 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from surrogate.axes import AXES, CLEAN, OffAxis, axis_rows, clean_rows
+from surrogate.axes import AXES, CLEAN, AxisRows, OffAxis, axis_rows, clean_rows
 from surrogate.axistable import AxisTable
 from surrogate.compliance import ComplianceFit
 from surrogate.composition import Composition
+from surrogate.influence import Influence, fit_output, monomials, shown_by
 from surrogate.leftout import LeftOut, across_axes, acting_together
 from surrogate.rows import Floats, LoadRange, Rows
 
 FULL_FOLDS = 4
+ON_KINK = 2.0  # times the bend, what may be missing of it on a kink
 MANY_FULL = 400  # full-wrench rows above which only the first fold is held out
+MOST_SHOWN = 900  # rows that the polynomial of what is left out is fitted to
 
 
 def build_composition(
@@ -28,12 +32,38 @@ def build_composition(
 
 
 def _axes(rows: Rows, load_range: LoadRange, fit: ComplianceFit, off_axis: OffAxis) -> Composition:
+    repeatable = bool(len(rows)) and bool((rows.source == "fea").all())
     tables = []
     for axis in AXES:
         chosen = axis_rows(rows, load_range, axis, fit, off_axis)
-        tables.append(AxisTable(chosen, load_range) if len(chosen.points) else None)
+        if off_axis == "correct" and not chosen.clean.all():
+            alone = axis_rows(rows, load_range, axis, fit, "exclude")
+            chosen = _worth_joining(chosen, alone, load_range, fit)
+        table = AxisTable(chosen, load_range, repeatable=repeatable) if len(chosen.points) else None
+        tables.append(table)
     silent = LeftOut(tuple(load_range.scale.tolist()))
     return Composition(tables, zero_displacement(rows, load_range), silent)
+
+
+def _worth_joining(
+    joined: AxisRows, alone: AxisRows, load_range: LoadRange, fit: ComplianceFit
+) -> AxisRows:
+    """Return the points of an axis without those that its clean rows know better.
+
+    What is left of a full wrench's displacement after its off-axis part is as uncertain as the
+    linear fit. On a nonlinear component that is far more than the error between clean rows, and
+    such a row would only put its own nonlinear part into all three axes.
+    """
+    if len(alone.points) < 2:
+        return joined
+    table = AxisTable(alone, load_range)
+    if not table.sound:
+        return joined
+    found = table.interpolant.locate(joined.points)
+    sound = (found >= 0) & (table.weak_at[found] == 0)
+    bars = table.read(np.maximum(found, 0), joined.points).bars
+    better = sound & (fit.bar[list(joined.axis.outputs)] > bars).any(axis=1)
+    return joined.take(joined.clean | ~better)
 
 
 def zero_displacement(rows: Rows, load_range: LoadRange) -> list[float]:
@@ -49,32 +79,60 @@ def _left_out(
     fit: ComplianceFit,
     off_axis: OffAxis,
 ) -> LeftOut:
+    if not len(rows):
+        return composition.left_out
     clean = clean_rows(rows, load_range)
+    full = ~clean.any(axis=1)
+    held = _predicted(composition, rows, np.arange(len(rows)))
+    if full.any() and off_axis != "exclude":
+        held = _hold_out_full(held, rows, np.flatnonzero(full), load_range, fit, off_axis)
+    influence, missed = _fit_influence(held, rows, clean, load_range)
+    # What the axes' own bars and the rows' noise explain is not counted twice: they add in
+    # quadrature.
+    explained = held.rest**2 + row_noise(composition) ** 2
+    beyond = np.sqrt(np.maximum(missed**2 - explained, 0.0))
+    # These rows lie where the axis' force is zero, and on a kink there bends are too small.
+    off_kink = np.sqrt(np.maximum(missed**2 - explained - (ON_KINK * held.bend) ** 2, 0.0))
+    across = across_axes(rows.wrench, off_kink, clean, load_range.scale)
+    left_out = replace(composition.left_out, across=across, influence=influence)
+    shown = full & held.told
+    if not shown.any():
+        return left_out
+    together, power = acting_together(left_out, rows.wrench[shown], beyond[shown])
+    return replace(left_out, together=together, power=power, shown=int(shown.sum()))
 
-    across = across_axes(rows.wrench, rows.displacement, clean, load_range.scale, composition.many)
-    left_out = replace(composition.left_out, across=across)
-    full = np.flatnonzero(~clean.any(axis=1))
-    if not len(full):
-        return left_out
-    held = _hold_out_full(composition, rows, full, load_range, fit, off_axis)
-    if not len(held.shown):
-        return left_out
-    # What the axes' own bars explain already is not counted twice: the two add in quadrature.
-    missed = np.sqrt(np.maximum(held.missed**2 - held.bars**2, 0.0))
-    together, power = acting_together(left_out, rows.wrench[held.shown], missed)
-    return replace(left_out, together=together, power=power, shown=len(held.shown))
+
+def row_noise(composition: Composition) -> Floats:
+    """Return the 95 % half width of a row's own noise, shape (6,), as the axes show it."""
+    noise = np.zeros(6)
+    for axis, table in zip(AXES, composition.tables, strict=True):
+        if table is not None:
+            outputs = list(axis.outputs)
+            noise[outputs] = np.maximum(noise[outputs], table.bars.noise)
+    return noise
 
 
 class _Held(NamedTuple):
-    """Full-wrench rows predicted without themselves: places (h,), errors and axis bars (h, 6)."""
+    """All rows predicted by the axes, full wrenches by axes that they did not join.
 
-    shown: np.ndarray
+    `missed` is true less composed less bend, (n, 6), zero where not told; `rest` the bars' rest.
+    """
+
     missed: Floats
-    bars: Floats
+    bend: Floats
+    rest: Floats
+    told: NDArray[np.bool_]
+
+
+def _predicted(composition: Composition, rows: Rows, places: np.ndarray) -> _Held:
+    composed = composition.many(rows.wrench[places])
+    missed = rows.displacement[places] - composed.displacement - composed.bend
+    missed[~composed.told] = 0.0
+    return _Held(missed, composed.bend, composed.rest, composed.told)
 
 
 def _hold_out_full(
-    composition: Composition,
+    held: _Held,
     rows: Rows,
     full: np.ndarray,
     load_range: LoadRange,
@@ -85,19 +143,38 @@ def _hold_out_full(
 
     Its own residual would be in the bars around it. Of many rows one fold says enough.
     """
-    if off_axis == "exclude":
-        return _predicted(composition, rows, full)
+    held.told[full] = False
+    held.missed[full] = 0.0
     folds = min(FULL_FOLDS, len(full))
-    parts = []
     for fold in range(folds if len(full) <= MANY_FULL else 1):
-        held = full[fold::folds]
-        rest = rows.take(np.setdiff1d(np.arange(len(rows)), held))
-        parts.append(_predicted(_axes(rest, load_range, fit, off_axis), rows, held))
-    return _Held(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        places = full[fold::folds]
+        rest = rows.take(np.setdiff1d(np.arange(len(rows)), places))
+        found = _predicted(_axes(rest, load_range, fit, off_axis), rows, places)
+        for whole, part in zip(held, found, strict=True):
+            whole[places] = part
+    return held
 
 
-def _predicted(composition: Composition, rows: Rows, held: np.ndarray) -> _Held:
-    composed = composition.many(rows.wrench[held])
-    missed = rows.displacement[held] - composed.displacement
-    told = composed.told
-    return _Held(held[told], missed[told], composed.error[told])
+def _fit_influence(
+    held: _Held, rows: Rows, clean: NDArray[np.bool_], load_range: LoadRange
+) -> tuple[Influence, Floats]:
+    """Fit the polynomial of what is left out; return it and what it misses, (n, 6), at the rows.
+
+    What it misses at a row it was fitted to is what cross-validation misses there.
+    """
+    coefficients, missed = [], held.missed.copy()
+    chosen = np.zeros(len(rows), dtype=bool)
+    chosen[np.random.default_rng(20170726).permutation(len(rows))[:MOST_SHOWN]] = True
+    x, tangent = rows.wrench / load_range.scale, rows.compliance * load_range.scale
+    for output in range(6):
+        own = clean[:, output] if output < 3 else clean.any(axis=1)
+        valued = chosen & held.told & ~own
+        slopes = np.where(chosen[:, None], tangent[:, output], np.nan)
+        shown = shown_by(output, x, held.missed[:, output], valued, slopes)
+        found, left = fit_output(output, shown)
+        coefficients.append(found)
+        places = np.flatnonzero(valued)
+        missed[:, output] -= monomials(x) @ found
+        missed[places, output] = left[: len(places)]
+    influence = Influence(np.array(coefficients), load_range.scale.tolist())
+    return influence, np.where(held.told[:, None], missed, 0.0)

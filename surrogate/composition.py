@@ -9,7 +9,9 @@ M_j alone is read from axis i, the one whose first moment it is, so that axis i 
 r_i(F_i, M_j, M_k) - r_i(0, M_j, 0), which is exactly nothing if M_j acts alone. The careful path
 (coverage.py) turns to the other axis that knows M_j where this one does not.
 
-Error bars of the parts are independent to a good approximation and add up in quadrature.
+The bends of the parts, the errors to be expected, are composed as the parts are, with their signs;
+so is what is left out. On top of their sum's size comes what those estimates miss: for different
+parts it is independent to a good approximation and adds up in quadrature.
 """
 
 from __future__ import annotations
@@ -31,11 +33,17 @@ _INPUTS = tuple(axis.inputs for axis in AXES)
 
 
 class Composed(NamedTuple):
-    """Displacements and error bars, shapes (n, 6), m and rad, and where they are told, (n,)."""
+    """Displacements and error bars, shapes (n, 6), m and rad, and where they are told, (n,).
+
+    `bend` is the error to be expected of the axes, with its sign, and `rest` what may come on top
+    of it; the error bar holds what is left out besides, if that was asked for.
+    """
 
     displacement: Floats
     error: Floats
     told: NDArray[np.bool_]
+    bend: Floats
+    rest: Floats
 
 
 class Composition:
@@ -66,7 +74,7 @@ class Composition:
         weak simplex; the careful path then says why. This is the hot path: plain floats, one
         point location per axis, one small product per point.
         """
-        moved, spread = list(self.zero), [0.0] * 6
+        moved, spread, bent = list(self.zero), [0.0] * 6, [0.0] * 6
         lean = [0.0] * 3
         for axis, table in enumerate(self.tables):
             i, j, k = _INPUTS[axis]
@@ -83,12 +91,13 @@ class Composition:
                 points = ((0.0, y, 0.0),)
             else:
                 points = ((x, y, z), (0.0, y, 0.0))
-            if not self._add_axis(table, axis, points, moved, spread, lean):
+            if not self._add_axis(table, axis, points, moved, spread, bent, lean):
                 return None
         for turn in (0, 1, 2):
             spread[3 + turn] += lean[turn] * lean[turn]
-        self.left_out.widen(wrench, spread)
-        return tuple(moved), tuple(map(sqrt, spread))
+        self.left_out.widen(wrench, spread, bent)
+        error = tuple([abs(b) + sqrt(s) for b, s in zip(bent, spread, strict=True)])
+        return tuple(moved), error
 
     def _add_axis(
         self,
@@ -97,6 +106,7 @@ class Composition:
         points: tuple,
         moved: list[float],
         spread: list[float],
+        bent: list[float],
         lean: list[float],
     ) -> bool:
         """Add one axis' share to `moved` and `spread`; False if a simplex is weak or missing."""
@@ -105,16 +115,21 @@ class Composition:
         simplex = found[0]
         if simplex < 0 or weak[simplex]:
             return False
-        u, rx, ry, rz, eu, ex, ey, ez = _piece(table, simplex, points[0])
+        u, rx, ry, rz, eu, ex, ey, ez, bu, bx, by, bz = _piece(table, simplex, points[0])
         moved[axis] = u
         spread[axis] = eu * eu
+        bent[axis] = bu
         if len(points) == 2:
             simplex = found[1]
             if simplex < 0 or weak[simplex]:
                 return False
-            _, zx, zy, zz, _, dx, dy, dz = _piece(table, simplex, points[1])
+            _, zx, zy, zz, _, dx, dy, dz, _, cx, cy, cz = _piece(table, simplex, points[1])
+            tilt = table.lean
+            bx -= cx + tilt[0]
+            by -= cy + tilt[1]
+            bz -= cz + tilt[2]
             for turn in (0, 1, 2):
-                lean[turn] += table.lean[turn]
+                lean[turn] += tilt[turn]
         elif points[0][1] != 0.0:  # M_j alone: its two answers, to subtract, are one
             return True
         else:
@@ -126,12 +141,15 @@ class Composition:
         spread[3] += ex * ex + dx * dx
         spread[4] += ey * ey + dy * dy
         spread[5] += ez * ez + dz * dz
+        bent[3] += bx
+        bent[4] += by
+        bent[5] += bz
         return True
 
     def many(self, wrenches: Floats) -> Composed:
         """Return the same for many wrenches, shape (n, 6), at once."""
         moved = np.tile(self.zero, (len(wrenches), 1))
-        spread = np.zeros((len(wrenches), 6))
+        spread, bent = np.zeros((len(wrenches), 6)), np.zeros((len(wrenches), 6))
         told = np.ones(len(wrenches), dtype=bool)
         lean = np.zeros((len(wrenches), 3))
         for axis, table in enumerate(self.tables):
@@ -146,18 +164,22 @@ class Composition:
                 told[used] &= share.known
                 moved[used, axis] = share.outputs[:, 0]
                 moved[used, 3:] += share.outputs[:, 1:]
+                bent[used, axis] = share.bends[:, 0]
+                bent[used, 3:] += share.bends[:, 1:]
                 spread[used, axis] += share.squares[:, 0]
                 spread[used, 3:] += share.squares[:, 1:]
                 lean[used] += share.both[:, None] * np.array(table.lean)
         spread[:, 3:] += lean**2
-        self.left_out.widen_many(wrenches, spread)
-        return Composed(moved, np.sqrt(spread), told)
+        bend, rest = bent.copy(), np.sqrt(spread)
+        self.left_out.widen_many(wrenches, spread, bent)
+        return Composed(moved, np.abs(bent) + np.sqrt(spread), told, bend, rest)
 
 
 class _Share(NamedTuple):
-    """One axis' share: outputs (k, 4), rotations counted from their base; squared bars; flags."""
+    """One axis' share: outputs and bends (k, 4), rotations from their base; squares; flags."""
 
     outputs: Floats
+    bends: Floats
     squares: Floats
     known: NDArray[np.bool_]
     both: NDArray[np.bool_]
@@ -168,53 +190,61 @@ def _share(table: AxisTable, x: Floats, zero: tuple[float, ...]) -> _Share:
 
     Without its first moment that is the axis' part less r(0), with that moment alone nothing.
     """
-    outputs, squares, known = _read(table, x)
+    outputs, bends, squares, known = _read(table, x)
     only = (x[:, 0] == 0) & (x[:, 2] == 0)
     both = (x[:, 1] != 0) & ~only
-    if both.all():
-        base, doubt, sound = _read_alone(table, x)
-        outputs[:, 1:] -= base[:, 1:]
-        squares[:, 1:] += doubt[:, 1:]
-        return _Share(outputs, squares, known & sound, both)
+    where = slice(None) if both.all() else both
     outputs[~both, 1:] -= zero
-    outputs[only, 1:], squares[only, 1:] = 0.0, 0.0
+    outputs[only, 1:], bends[only, 1:], squares[only, 1:] = 0.0, 0.0, 0.0
     if both.any():
-        base, doubt, sound = _read_alone(table, x[both])
-        outputs[both, 1:] -= base[:, 1:]
-        squares[both, 1:] += doubt[:, 1:]
-        known[both] &= sound
-    return _Share(outputs, squares, known, both)
+        base, turned, doubt, sound = _read_alone(table, x[where])
+        outputs[where, 1:] -= base[:, 1:]
+        bends[where, 1:] -= turned[:, 1:] + table.lean
+        squares[where, 1:] += doubt[:, 1:]
+        known[where] &= sound
+    return _Share(outputs, bends, squares, known, both)
 
 
-def _read(table: AxisTable, x: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return outputs (k, 4), squared bars (k, 4) and whether a sound simplex holds each point."""
+_Read = tuple[Floats, Floats, Floats, NDArray[np.bool_]]
+
+
+def _read(table: AxisTable, x: Floats) -> _Read:
+    """Return outputs, bends and squared rests, (k, 4), and whether a sound simplex holds each."""
     order = curve_order(x)
     ordered = x.take(order, axis=0)
     found = table.interpolant.locate(ordered)
     reading = table.read(np.maximum(found, 0), ordered)
-    outputs, squares, known = np.empty((len(x), 4)), np.empty((len(x), 4)), np.empty(len(x), bool)
-    outputs[order], squares[order] = reading.outputs, reading.bars**2
+    outputs, bends, squares = (np.empty((len(x), 4)) for _ in range(3))
+    outputs[order], bends[order], squares[order] = reading.outputs, reading.bends, reading.rest**2
+    known = np.empty(len(x), bool)
     known[order] = (found >= 0) & (table.weak_at[found] == 0)
-    return outputs, squares, known
+    return outputs, bends, squares, known
 
 
-def _read_alone(table: AxisTable, x: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def _read_alone(table: AxisTable, x: Floats) -> _Read:
     """Return the same where the axis' first moment acts alone."""
     if table.line is None:
         return _read(table, np.array([0.0, 1.0, 0.0]) * x)
     reading = table.line.read(x[:, 1])
-    return reading.outputs, reading.bars**2, reading.known
+    return reading.outputs, reading.bends, reading.rest**2, reading.known
 
 
 def _piece(table: AxisTable, simplex: int, point: tuple[float, float, float]) -> tuple[float, ...]:
-    """Return the four outputs and four error bars at one point, as floats."""
+    """Return the four outputs, the rests of their bars and their bends at one point, as floats."""
     x, y, z = point
     a, b, c = table.anchors[simplex]
     x -= a
     y -= b
     z -= c
-    u, rx, ry, rz, fu, fx, fy, fz, cu, cx, cy, cz, bubble = (
-        table.pieces[simplex].dot((x, y, z, 1.0)).tolist()
-    )
+    told = table.pieces[simplex].dot((x, y, z, 1.0)).tolist()
+    u, rx, ry, rz, fu, fx, fy, fz, cu, cx, cy, cz, bubble = told[:13]
     bubble -= x * x + y * y + z * z
-    return u, rx, ry, rz, fu + cu * bubble, fx + cx * bubble, fy + cy * bubble, fz + cz * bubble
+    fu, fx, fy, fz = fu + cu * bubble, fx + cx * bubble, fy + cy * bubble, fz + cz * bubble
+    if not table.bent:
+        return u, rx, ry, rz, fu, fx, fy, fz, 0.0, 0.0, 0.0, 0.0
+    p, q, r, ux, uy, uz, vx, vy, vz, wx, wy, wz = told[13:]
+    p, q = p * x + q * y + r * z, ux * x + uy * y + uz * z
+    r, s = vx * x + vy * y + vz * z, wx * x + wy * y + wz * z
+    a, b, c, d = table.bending
+    fu, fx, fy, fz = fu + a * abs(p), fx + b * abs(q), fy + c * abs(r), fz + d * abs(s)
+    return u, rx, ry, rz, fu, fx, fy, fz, p, q, r, s

@@ -1,15 +1,21 @@
 """Error bars of an axis, calibrated on the table itself.
 
-Rows are held out in turn and predicted from the rest. Linear interpolation errs by curvature times
-the bubble b(x) = sum_i lambda_i |v_i - x|^2, which is zero at the vertices; noise and kinks err
-alike everywhere. So the bar is
+Rows are held out in turn and predicted from the rest. The slopes at the rows say what error to
+expect, with its sign: the bend (slopes.py), of which each output takes the share that explains its
+held-out errors best. For the rest, linear interpolation errs by curvature times the bubble
+b(x) = sum_i lambda_i |v_i - x|^2, which is zero at the vertices; noise errs alike everywhere, and
+a kink where the bend is large. So the bar is
 
-    bar(x) = flat(x) + curvature(x) * b(x) + sum_i lambda_i uncertainty_i
+    |bend(x)| + flat(x) + curvature(x) * b(x) + bending * |bend(x)| + sum_i lambda_i uncertainty_i
 
 with `flat` and `curvature` given at the rows, linear between them, and blended from the held-out
 errors at each row, around it, and of the whole axis. Several blends are tried; each is scaled so
 that it would have covered 95 % of the held-out errors (split conformal prediction: Vovk et al.
 2005, Lei et al. 2018), and the one with the narrowest bars is kept.
+
+Where the bend explains nothing and the rows are not repeatable solves, the held-out errors are the
+rows' own noise. Then they hold the noise of the held-out row besides that of the answer, and the
+bar of the answer is the smaller for it.
 """
 
 from __future__ import annotations
@@ -24,9 +30,12 @@ from surrogate.interpolant import Indices, Interpolant
 from surrogate.rows import Floats
 
 LEVEL = 0.95
-# Where errors are alike everywhere they are noise, and a held-out error holds the noise of the
-# held-out row besides that of the answer: then this level covers well over 95 % of the answer's.
-NOISE_LEVEL = 0.92
+# Noise of unit variance in each row leaves a variance of sum_i lambda_i^2 in an answer, and one more
+# in a held-out error. `NOISY` is the part of their variance that the bend leaves unexplained, from
+# where on they start to be taken for noise and where they are.
+NOISY = (0.75, 0.9)
+CARE = 1.12  # what is taken for noise may be a little of curvature
+BENT = (0.3, 1.3)  # below which share a bend explains nothing, and the most that is taken of it
 FEWEST = 5  # held-out errors below which nothing can be calibrated
 CAUTION = 6.0  # a quantile of h errors is enlarged by this over h
 TINY = np.finfo(float).tiny
@@ -34,24 +43,25 @@ TINY = np.finfo(float).tiny
 # Shares of six indicators: curvature at the row, around it, of the whole axis; flat error at the
 # row, of the whole axis; and the median error, a floor that keeps a bar from being nothing where
 # two rows happen to agree.
-BLENDS = np.array(
+AT_ROWS = np.array(
     [
         [1.0, 0.0, 0.0, 0.0, 0.0, 0.1],
         [0.0, 1.0, 0.0, 0.0, 0.0, 0.1],
-        [0.5, 0.5, 0.0, 0.0, 0.0, 0.1],
         [0.0, 0.5, 0.5, 0.0, 0.0, 0.1],
         [0.0, 0.0, 1.0, 0.0, 0.0, 0.1],
         [0.5, 0.0, 0.0, 0.5, 0.0, 0.1],
         [0.0, 0.5, 0.0, 0.5, 0.0, 0.1],
         [0.0, 0.5, 0.0, 0.0, 0.5, 0.0],
         [0.0, 0.0, 0.5, 0.0, 0.5, 0.0],
-        [0.25, 0.0, 0.25, 0.25, 0.25, 0.0],
         [0.0, 0.0, 0.0, 1.0, 0.0, 0.1],
         [0.0, 0.0, 0.0, 0.5, 0.5, 0.0],
         [0.0, 0.0, 0.0, 0.0, 1.0, 0.0],
     ]
 )
-CURVED = 3  # so many of the shares go with the bubble, the others are flat
+# A seventh, the size of the bend itself, is tried with each of them.
+BLENDS = np.concatenate([np.insert(AT_ROWS, 6, bend, axis=1) for bend in (0.0, 0.3, 1.0, 3.0)])
+CURVED = 3  # so many of the shares go with the bubble, the next are flat
+ROWS_OWN = 6
 
 
 @dataclass(frozen=True)
@@ -66,31 +76,90 @@ class RowBars:
     held_out : int
         How many held-out errors stand behind them; 0 if there were too few to calibrate.
     signed : ndarray, shape (n, q), in the outputs' units
-        Held-out error, true less predicted; 0 where a point could not be predicted.
+        Held-out error, true less predicted, that the bend leaves; 0 where a point could not be
+        predicted.
+    bend : ndarray, shape (q,)
+        The share of the bend that is taken for the error; 0 where it explains none of it.
+    bending : ndarray, shape (q,)
+        The bar's part per size of that share.
+    noise : ndarray, shape (q,), in the outputs' units
+        95 % half width of the rows' own noise, as far as the rows show it.
+    missing : ndarray, shape (q,)
+        The part of held-out errors, root mean square, that the bend leaves; 0 if that is noise.
     """
 
     flat: Floats
     curvature: Floats
     held_out: int
     signed: Floats
+    bend: Floats
+    bending: Floats
+    noise: Floats
+    missing: Floats
 
 
-def calibrate(interpolant: Interpolant, values: Floats, uncertainty: Floats) -> RowBars:
-    """Return error bars for linear interpolation of vertex values, shape (n, q)."""
-    held = hold_out(interpolant, values, uncertainty)
+def calibrate(
+    interpolant: Interpolant,
+    values: Floats,
+    uncertainty: Floats,
+    tangent: Floats,
+    *,
+    repeatable: bool = False,
+) -> RowBars:
+    """Return error bars for linear interpolation of vertex values, shape (n, q).
+
+    Parameters
+    ----------
+    tangent : ndarray, shape (n, q, 3)
+        Slopes stored with the rows; NaN where unknown.
+    repeatable : bool
+        Whether the rows are solves, which have no noise.
+    """
+    held = hold_out(interpolant, values, uncertainty, tangent)
     if len(held.places) < FEWEST:
         return _uncalibrated(interpolant, values)
+    bend, unexplained = _bend_share(held)
+    errors = held.errors - bend * held.bends
     # What stored uncertainty explains already is not counted twice.
-    excess = np.maximum(np.abs(held.errors) - held.uncertainty, 0.0)
+    excess = np.maximum(np.abs(errors) - held.uncertainty, 0.0)
     indicators = _indicators(interpolant.simplices, held, excess, len(values))
     parts = np.einsum("hi,hipq->hpq", held.shares, indicators[held.vertices])
     parts[:, :CURVED] *= held.bubbles[:, None, None]
+    parts = np.concatenate((parts, np.abs(bend * held.bends)[:, None]), axis=1)
     shares, factor = _best_blend(excess, parts)
-    mixed = factor * shares.T * indicators
+    noise = np.zeros(len(bend))
+    if not repeatable:
+        left, noise = _noise(held, unexplained)
+        factor = factor * left
+    mixed = factor * shares[:, :ROWS_OWN].T * indicators
     signed = np.zeros_like(values)
-    signed[held.places] = held.errors
+    signed[held.places] = errors
     flat, curvature = mixed[:, CURVED:].sum(axis=1), mixed[:, :CURVED].sum(axis=1)
-    return RowBars(flat, curvature, len(held.places), signed)
+    bending = factor * shares[:, ROWS_OWN]
+    missing = np.where((noise > 0) | (bend == 0), 0.0, np.sqrt(unexplained))
+    signed[:, noise > 0] = 0.0
+    return RowBars(flat, curvature, len(held.places), signed, bend, bending, noise, missing)
+
+
+def _bend_share(held: HeldOut) -> tuple[Floats, Floats]:
+    """Return, per output, the share of the bend to take, and the unexplained part of variance."""
+    size = (held.bends**2).sum(axis=0)
+    share = (held.errors * held.bends).sum(axis=0) / np.maximum(size, TINY)
+    share = np.where(share < BENT[0], 0.0, np.minimum(share, BENT[1]))
+    share[size < TINY] = 0.0
+    left = ((held.errors - share * held.bends) ** 2).sum(axis=0)
+    return share, left / np.maximum((held.errors**2).sum(axis=0), TINY)
+
+
+def _noise(held: HeldOut, unexplained: Floats) -> tuple[Floats, Floats]:
+    """Return, per output, what of a held-out error an answer's error has, and the rows' noise."""
+    if not held.bends.any():  # no slopes, so that nothing tells noise from curvature
+        return np.ones(len(unexplained)), np.zeros(len(unexplained))
+    answer = float((held.shares**2).sum(axis=1).mean())
+    part = np.clip((unexplained - NOISY[0]) / (NOISY[1] - NOISY[0]), 0.0, 1.0)
+    size = np.sqrt((held.errors**2).mean(axis=0) / (1.0 + answer))
+    left = CARE * math.sqrt(answer / (1.0 + answer))
+    return 1.0 - part * (1.0 - left), 2.0 * part * size
 
 
 def conformal_factor(
@@ -147,7 +216,7 @@ def _around(simplices: Indices, values: Floats) -> Floats:
 
 
 def _best_blend(excess: Floats, parts: Floats) -> tuple[Floats, Floats]:
-    """Return, per output, the shares (q, 6) and the factor (q,) with the narrowest bars."""
+    """Return, per output, the shares (q, 7) and the factor (q,) with the narrowest bars."""
     q = excess.shape[1]
     best = np.full(q, np.inf)
     shares, factors = np.tile(BLENDS[-1], (q, 1)), np.zeros(q)
@@ -159,8 +228,6 @@ def _best_blend(excess: Floats, parts: Floats) -> tuple[Floats, Floats]:
         better = width < best
         best = np.where(better, width, best)
         shares[better] = blend
-        if not blend[:CURVED].any():
-            factor = conformal_factor(excess, bars, NOISE_LEVEL)
         factors[better] = factor[better]
     return shares, factors
 
@@ -179,4 +246,5 @@ def _uncalibrated(interpolant: Interpolant, values: Floats) -> RowBars:
     spread = np.ptp(values[interpolant.simplices], axis=1)
     for corner in interpolant.simplices.T:
         np.maximum.at(flat, corner, spread)
-    return RowBars(flat, np.zeros_like(flat), 0, np.zeros_like(flat))
+    none = np.zeros(values.shape[1])
+    return RowBars(flat, np.zeros_like(flat), 0, np.zeros_like(flat), none, none, none, none)

@@ -8,6 +8,7 @@ import numpy as np
 
 from surrogate.interpolant import Indices, Interpolant
 from surrogate.rows import Floats
+from surrogate.slopes import bend_of
 
 # How many folds the points are drawn into, and how many of those are held out, by the number of
 # points up to which it holds. What is predicted from two thirds of many points errs by as much,
@@ -33,6 +34,8 @@ class HeldOut:
         Their barycentric weights.
     uncertainty : ndarray, shape (h, q)
         Stored uncertainty of the prediction.
+    bends : ndarray, shape (h, q)
+        What the slopes at those points say the error is.
     """
 
     places: Indices
@@ -41,26 +44,37 @@ class HeldOut:
     vertices: Indices
     shares: Floats
     uncertainty: Floats
+    bends: Floats
 
 
-def hold_out(interpolant: Interpolant, values: Floats, uncertainty: Floats) -> HeldOut:
+def hold_out(
+    interpolant: Interpolant,
+    values: Floats,
+    uncertainty: Floats,
+    tangent: Floats,
+    parts: int | None = None,
+) -> HeldOut:
     """Predict each point of `interpolant` from triangulations without it.
 
-    Few points are left out one at a time, many in folds drawn with a fixed seed.
+    Few points are left out one at a time, many in folds drawn with a fixed seed; `parts` asks for
+    another number of folds.
     """
     points, n = interpolant.points, len(interpolant.points)
     folds, done = next((folds, done) for most, folds, done in FOLDS if n <= most)
     if n <= LEAVE_ONE_OUT:
         folds = done = n
+    if parts is not None:
+        folds = done = parts
     fold_of = np.random.default_rng(20170726).permutation(n) % max(folds, 1)
     width = interpolant.dimension + 1
-    parts: list[tuple[Indices, Floats, Floats, Indices, Floats, Floats]] = [
+    found_in: list[tuple[Indices, Floats, Floats, Indices, Floats, Floats, Floats]] = [
         (
             np.empty(0, dtype=np.intp),
             np.empty((0, values.shape[1])),
             np.empty(0),
             np.empty((0, width), dtype=np.intp),
             np.empty((0, width)),
+            np.empty((0, values.shape[1])),
             np.empty((0, values.shape[1])),
         )
     ]
@@ -77,5 +91,6 @@ def hold_out(interpolant: Interpolant, values: Floats, uncertainty: Floats) -> H
         predicted = np.einsum("ki,kiq->kq", shares, values[vertices])
         doubt = np.einsum("ki,kiq->kq", np.abs(shares), uncertainty[vertices])
         bubbles = np.maximum(reduced.bubbles(found, points[places]), 0.0)
-        parts.append((places, values[places] - predicted, bubbles, vertices, shares, doubt))
-    return HeldOut(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        bends = bend_of(reduced, values[rest], tangent[rest], found, shares)
+        found_in.append((places, values[places] - predicted, bubbles, vertices, shares, doubt, bends))
+    return HeldOut(*(np.concatenate(part) for part in zip(*found_in, strict=True)))

@@ -2,7 +2,9 @@
 
 The composition has no term for loads of different axes acting together, nor for the influence on
 u_i of loads that are not axis i's. Both show in rows: a row clean for another axis shows u_i under
-that axis' loads, a full wrench shows everything. The bar grows with the loads as
+that axis' loads, a full wrench shows everything, a tangent shows it to first order. A polynomial
+fitted to them (influence.py) is the error to be expected, with its sign; for what it misses the
+bar grows with the loads as
 
     across_i * |off-axis loads| + together_k * product_k ** power_k
 
@@ -12,13 +14,14 @@ k's composition has no term for. The factors cover 95 % of what the rows show.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from surrogate.axes import AXES
 from surrogate.errorbar import LEVEL, conformal_factor
+from surrogate.influence import NO_INFLUENCE, Influence
 from surrogate.rows import Floats
 
 POWERS = (1.0, 0.5)
@@ -41,6 +44,8 @@ class LeftOut:
     power : tuple of float, length 6
     shown : int
         How many full-wrench rows stand behind `together`.
+    influence : Influence
+        The polynomial.
     """
 
     scale: tuple[float, ...]
@@ -48,23 +53,40 @@ class LeftOut:
     together: tuple[float, ...] = (0.0,) * 6
     power: tuple[float, ...] = (1.0,) * 6
     shown: int = 0
+    influence: Influence = NO_INFLUENCE
 
     @property
     def silent(self) -> bool:
         """Whether no row shows that anything is left out."""
-        return not (any(self.across) or any(self.together))
+        return not (any(self.across) or any(self.together)) and self.influence.silent
 
-    def widen(self, wrench: Sequence[float], spread: list[float]) -> None:
-        """Add the squared bars for one wrench of floats to `spread`, length 6."""
+    def widen(
+        self, wrench: Sequence[float], spread: list[float], bent: list[float] | None = None
+    ) -> None:
+        """Add the squared bars for one wrench of floats to `spread`, length 6.
+
+        What is to be expected is added to `bent`, length 6, with its sign, or its square to
+        `spread` if that is None.
+        """
         if any(self.across) or any(self.together):
             bars = self.bars_of(wrench)
             for output in range(6):
                 spread[output] += bars[output] * bars[output]
+        if not self.influence.silent:
+            for output, share in enumerate(self.influence.at(wrench)):
+                if bent is None:
+                    spread[output] += share * share
+                else:
+                    bent[output] += share
 
-    def widen_many(self, wrenches: Floats, spread: Floats) -> None:
-        """Add the squared bars for wrenches (n, 6) to `spread`, shape (n, 6)."""
-        if not self.silent:
+    def widen_many(self, wrenches: Floats, spread: Floats, bent: Floats | None = None) -> None:
+        """Do the same for wrenches (n, 6), `spread` and `bent` (n, 6)."""
+        if any(self.across) or any(self.together):
             spread += self.bars(wrenches) ** 2
+        if not self.influence.silent and bent is not None:
+            bent += self.influence.many(wrenches)
+        elif not self.influence.silent:
+            spread += self.influence.many(wrenches) ** 2
 
     def bars_of(self, wrench: Sequence[float]) -> list[float]:
         """Return the six bars, m and rad, for one wrench of floats."""
@@ -102,26 +124,19 @@ def _sizes(scaled: Floats) -> tuple[Floats, Floats]:
     return np.sqrt(off), np.sqrt(product)
 
 
-Compose = Callable[[Floats], tuple[Floats, Floats, np.ndarray]]
-
-
 def across_axes(
-    wrench: Floats, displacement: Floats, clean: np.ndarray, scale: Floats, compose: Compose
+    wrench: Floats, missed: Floats, clean: np.ndarray, scale: Floats
 ) -> tuple[float, ...]:
     """Return the factors `across` that rows clean for another axis show.
 
-    `clean` is the (n, 3) mask of which row is clean for which axis; `compose` gives, for wrenches
-    (k, 6), the composed displacements (k, 6), their error bars (k, 6) and which are told. Only
-    what the axes' own bars do not explain counts.
+    `missed` is, for wrenches (n, 6), what neither the axes' own bars nor the polynomial explain,
+    zero where nothing was composed; `clean` the (n, 3) mask of which row is clean for which axis.
     """
-    composed, bars, told = compose(wrench)
     off, _ = _sizes(wrench / scale)
-    # At this level what an axis' own bar leaves uncovered is not taken for an influence.
-    missed = np.sqrt(np.maximum((displacement - composed) ** 2 - bars**2, 0.0))
     factors = []
     for axis in range(3):
         # Each other axis' rows by themselves: one of the two may have no influence at all.
-        shown = [told & clean[:, other] & ~clean[:, axis] for other in range(3) if other != axis]
+        shown = [clean[:, other] & ~clean[:, axis] for other in range(3) if other != axis]
         factors.append(
             max(float(_factor(missed[rows, axis], off[rows, axis], ACROSS_LEVEL)) for rows in shown)
         )

@@ -21,10 +21,11 @@ APART = 1e-12  # stations closer than this, in scaled units, are one
 
 
 class LineReading(NamedTuple):
-    """Outputs (u_i, rx, ry, rz) and their error bars, (k, 4), m and rad; and which are sound."""
+    """What `axistable.Reading` holds, each (k, 4), m and rad; and which are sound, (k,)."""
 
     outputs: Floats
-    bars: Floats
+    bends: Floats
+    rest: Floats
     known: NDArray[np.bool_]
 
 
@@ -55,12 +56,13 @@ class MomentLine:
         # The bubble's part |x - anchor|^2 = |a|^2 - 2 y a_1 + y^2
         self.start[:, 12] -= (anchors**2).sum(axis=1)
         self.slope[:, 12] += 2 * anchors[:, 1]
+        self.anchors, self.bending = anchors, table.bending
 
     def read(self, along: Floats) -> LineReading:
         """Return outputs and bars at scaled moments, shape (k,)."""
         if not len(self.simplices):
             none = np.zeros((len(along), 4))
-            return LineReading(none, none.copy(), np.zeros(len(along), dtype=bool))
+            return LineReading(none, none.copy(), none.copy(), np.zeros(len(along), dtype=bool))
         found = np.searchsorted(self.stations, along, side="right") - 1
         inside = (along >= self.stations[0] - APART) & (along <= self.stations[-1] + APART)
         found = np.clip(found, 0, len(self.simplices) - 1)
@@ -68,8 +70,14 @@ class MomentLine:
         told *= along[:, None]
         told += self.start.take(found, axis=0)
         bubble = told[:, 12] - along**2
-        bars = np.abs(told[:, 4:8] + told[:, 8:12] * bubble[:, None])
-        return LineReading(told[:, :4], bars, inside & self.sound[found])
+        rest = np.abs(told[:, 4:8] + told[:, 8:12] * bubble[:, None])
+        bends = np.zeros_like(rest)
+        if told.shape[1] > 13:
+            apart = -self.anchors.take(found, axis=0)
+            apart[:, 1] += along
+            bends = np.einsum("kqi,ki->kq", told[:, 13:].reshape(-1, 4, 3), apart)
+            rest += np.abs(bends) * self.bending
+        return LineReading(told[:, :4], bends, rest, inside & self.sound[found])
 
 
 def _crossings(shape: Interpolant) -> Floats:

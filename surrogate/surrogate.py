@@ -86,6 +86,10 @@ class Surrogate:
         off_axis : {"correct", "ignore", "exclude"}
             What becomes of rows that are clean for no axis.
         """
+        if rows.partial:
+            from surrogate.partial import PartlyMeasured  # noqa: PLC0415 (it is made of surrogates)
+
+            cls = PartlyMeasured
         return cls(
             rows,
             load_range,
@@ -197,7 +201,7 @@ class Surrogate:
             return read_many_linearly(self.fit, self.load_range, asked, small)
         if method == "nearest":
             return read_many_nearest(self.nearest, self.composition, self.fit, asked, loads)
-        displacement, error, told = self.composition.many(asked)
+        displacement, error, told = self.composition.many(asked)[:3]
         coverage = np.zeros(len(asked), dtype=np.uint8)
         rest = np.flatnonzero(~told)
         if len(rest):
