@@ -205,9 +205,9 @@ def _join(part: Substructure, condensed: dict[int, Array]) -> tuple[Array, Array
         S = condensed.pop(child)
         count = int(np.searchsorted(places, own))
         first, second = _runs(places[:count]), _runs(places[count:] - own)
-        _add(A, S[:count, :count], first, first)
+        _add_lower(A, S[:count, :count], places[:count], first)
         _add(B.T, S[count:, :count], second, first)
-        _add(C, S[count:, count:], second, second)
+        _add_lower(C, S[count:, count:], places[count:] - own, second)
     return A, B, C
 
 
@@ -221,6 +221,15 @@ def _runs(places: Array) -> list[tuple[slice, slice]]:
         (slice(low, high), slice(int(places[low]), int(places[low]) + high - low))
         for low, high in pairwise(bounds)
     ]
+
+
+def _add_lower(target: Array, part: Array, places: Array, runs: list) -> None:
+    """Add a lower triangle at ascending places, a stretch of columns at a time.
+
+    Stretch by stretch in both directions would be thousands of additions of a few numbers each.
+    """
+    for source, columns in runs:
+        target[places[source.start :], columns] += part[source.start :, source]
 
 
 def _add(target: Array, part: Array, rows: list, columns: list) -> None:
