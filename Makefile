@@ -7,7 +7,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 LOCK := pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
 	--no-annotate --no-header --no-emit-index-url --extra build -q
 
-.PHONY: help setup demo serve test check lint types arch format bench bench-fea validate \
+.PHONY: help setup demo serve test check lint types arch format bench bench-fea bench-stability validate \
 	validate-table validate-ccx image lock clean
 
 help:  ## list the targets
@@ -58,6 +58,9 @@ bench: $(VENV)/.installed-dev  ## timings as ratios, side by side in one run
 
 bench-fea: $(VENV)/.installed-dev  ## wall time of the solver beside CalculiX, in turn
 	$(BIN)/python -m pytest tests/benchmarks/test_fea_speed.py -s -p no:cacheprovider --timeout 1800
+
+bench-stability: $(VENV)/.installed-dev  ## extreme parts and loads: each right or refused by name
+	$(BIN)/python -m pytest tests/benchmarks/test_stability.py -s -p no:cacheprovider
 
 validate: setup  ## verify the solver: closed forms, published numbers, CalculiX
 	$(BIN)/wrenchbook validate all

@@ -21,11 +21,11 @@ def failure_of(part, wrench=(1, 1, 1, 1, 1, 1)):
     return caught.value
 
 
-def arch(coupling="rigid", **changes):
+def arch(coupling="rigid", divisions=(20, 2, 2), **changes):
     """A shallow sine arch, clamped at both ends, loaded at its crown."""
     mesh = box(
         "hex20",
-        (20, 2, 2),
+        divisions,
         (1.0, 0.05, 0.01),
         warp=lambda p: p + np.outer(0.04 * np.sin(np.pi * p[:, 0]), [0, 0, 1]),
     )
