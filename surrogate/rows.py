@@ -93,6 +93,7 @@ class Rows:
         The ledger's number of each row, its id everywhere.
     wrench : ndarray, shape (n, 6), N and N·m
     displacement : ndarray, shape (n, 6), m and rad
+        NaN where an output was not measured; each row holds at least one.
     compliance : ndarray, shape (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
         Tangent d(displacement)/d(wrench) at the row; NaN where unknown.
     uncertainty : ndarray, shape (n, 6), m and rad
@@ -102,7 +103,8 @@ class Rows:
     Raises
     ------
     RowError
-        If the columns differ in length, or a wrench or displacement is not finite.
+        If the columns differ in length, a wrench is not finite, a displacement infinite or all
+        NaN.
     """
 
     seq: NDArray[np.int64]
@@ -128,14 +130,22 @@ class Rows:
                 raise RowError(
                     f"rows: {name} has shape {np.shape(getattr(self, name))}, not {shape}"
                 )
-        for name, names in (("wrench", LOADS), ("displacement", OUTPUTS)):
-            self._refuse_unknown(name, names)
+        unmeasured = np.isnan(self.displacement)
+        self._refuse(~np.isfinite(self.wrench), LOADS, "is not a finite number")
+        self._refuse(np.isinf(self.displacement), OUTPUTS, "is not a finite number")
+        if unmeasured.all(axis=1).any():
+            row = int(np.argmax(unmeasured.all(axis=1)))
+            raise RowError(f"row {self.seq[row]}: no displacement is a finite number")
 
-    def _refuse_unknown(self, name: str, names: tuple[str, ...]) -> None:
-        known = np.isfinite(getattr(self, name))
-        if not known.all():
-            row, column = np.argwhere(~known)[0]
-            raise RowError(f"row {self.seq[row]}: {names[column]} is not a finite number")
+    def _refuse(self, wrong: NDArray[np.bool_], names: tuple[str, ...], why: str) -> None:
+        if wrong.any():
+            row, column = np.argwhere(wrong)[0]
+            raise RowError(f"row {self.seq[row]}: {names[column]} {why}")
+
+    @property
+    def partial(self) -> bool:
+        """Whether some row lacks an output."""
+        return bool(np.isnan(self.displacement).any())
 
     def __len__(self) -> int:
         return len(self.seq)

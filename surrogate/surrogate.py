@@ -87,7 +87,7 @@ class Surrogate:
             What becomes of rows that are clean for no axis.
         """
         if rows.partial:
-            from surrogate.partial import PartlyMeasured  # noqa: PLC0415 (it is made of surrogates)
+            from surrogate.partial import PartlyMeasured  # it is made of surrogates
 
             cls = PartlyMeasured
         return cls(

@@ -1,0 +1,76 @@
+"""Tables whose rows lack outputs, as of a test rig that measured only some."""
+
+import numpy as np
+import pytest
+
+from surrogate.rows import RowError, Rows
+from surrogate.surrogate import Surrogate
+from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth
+
+SCALED = clean_wrenches(40, 1)
+ASKED = full_wrenches(50, 2) * 0.8
+
+
+def rows_with(measured: np.ndarray) -> Rows:
+    moved = np.where(measured, smooth(SCALED), np.nan)
+    return Rows.of(SCALED * HIGH, moved, source=["measured"] * len(SCALED))
+
+
+def test_an_output_nobody_measured_is_none_and_the_reason_says_so() -> None:
+    measured = np.zeros((len(SCALED), 6), dtype=bool)
+    measured[:, 2] = True
+    surrogate = Surrogate.build(rows_with(measured), RANGE)
+    whole = Surrogate.build(Rows.of(SCALED * HIGH, smooth(SCALED)), RANGE)
+    answer = surrogate.answer((ASKED[0] * HIGH).tolist())
+    assert answer.displacement is not None
+    assert answer.error is not None
+    expected = whole.answer((ASKED[0] * HIGH).tolist()).displacement
+    assert expected is not None
+    assert answer.displacement[2] == pytest.approx(expected[2], rel=1e-12)
+    others = [value for k, value in enumerate(answer.displacement) if k != 2]
+    assert others == [None] * 5
+    assert [value for k, value in enumerate(answer.error) if k != 2] == [None] * 5
+    assert answer.coverage == "covered"
+    assert answer.reason == "not measured in any row: u_x, u_y, rx, ry, rz"
+    assert surrogate.coverage_summary()["unmeasured"] == ["u_x", "u_y", "rx", "ry", "rz"]
+
+
+def test_each_output_uses_all_rows_that_hold_it_and_no_other() -> None:
+    measured = np.ones((len(SCALED), 6), dtype=bool)
+    measured[::3, 3:] = False
+    surrogate = Surrogate.build(rows_with(measured), RANGE)
+    whole = Surrogate.build(Rows.of(SCALED * HIGH, smooth(SCALED)), RANGE)
+    fewer = Surrogate.build(rows_with(measured).take(measured[:, 3]), RANGE)
+    batch = surrogate.batch(ASKED * HIGH)
+    np.testing.assert_array_equal(
+        batch.displacement[:, :3], whole.batch(ASKED * HIGH).displacement[:, :3]
+    )
+    np.testing.assert_array_equal(
+        batch.displacement[:, 3:], fewer.batch(ASKED * HIGH).displacement[:, 3:]
+    )
+    assert surrogate.coverage_summary()["rows_per_output"] == {
+        **dict.fromkeys(("u_x", "u_y", "u_z"), 120),
+        **dict.fromkeys(("rx", "ry", "rz"), 80),
+    }
+
+
+def test_single_answers_and_batches_agree_and_hold_no_nan_as_a_number() -> None:
+    measured = np.ones((len(SCALED), 6), dtype=bool)
+    measured[:, 4] = False
+    measured[1::2, 0] = False
+    surrogate = Surrogate.build(rows_with(measured), RANGE)
+    asked = np.concatenate((ASKED, 2 * ASKED)) * HIGH
+    batch = surrogate.batch(asked)
+    for place, wrench in enumerate(asked.tolist()):
+        answer = surrogate.answer(wrench)
+        told = [np.nan if one is None else one for one in answer.displacement or [None] * 6]
+        np.testing.assert_allclose(batch.displacement[place], told, rtol=1e-9, atol=1e-15)
+        assert all(one is None or one == one for one in answer.displacement or ())
+    assert surrogate.explain(asked[0].tolist())
+
+
+def test_a_row_without_any_output_is_refused() -> None:
+    with pytest.raises(RowError, match="row 1: no displacement"):
+        Rows.of(np.zeros(6), np.full(6, np.nan))
+    with pytest.raises(RowError, match="u_y is not a finite number"):
+        Rows.of(np.zeros(6), [0, np.inf, 0, 0, 0, 0])
