@@ -76,7 +76,8 @@ class NewRow:
     Attributes
     ----------
     wrench, displacement : sequence of 6 floats
-        N and N·m; m and rad (rotation vector).
+        N and N·m; m and rad (rotation vector). An output that was not measured is NaN; a solve's
+        never is.
     source : str
         Where it comes from: ``"measured"``, ``"fea"`` ...
     compliance : 6 sequences of 6 floats, or None
@@ -127,8 +128,13 @@ class Change:
     rows: int = 0
 
 
-def pack6(values: Sequence[float], name: str = "wrench") -> bytes:
+def pack6(values: Sequence[float], name: str = "wrench", *, partial: bool = False) -> bytes:
     """Return the canonical bytes of six finite floats: little-endian float64, no minus zero.
+
+    Parameters
+    ----------
+    partial : bool
+        Whether some of them, not all, may be NaN: not measured.
 
     Raises
     ------
@@ -137,8 +143,10 @@ def pack6(values: Sequence[float], name: str = "wrench") -> bytes:
     """
     if len(values) != 6:
         raise ValueError(f"{name} needs 6 numbers, got {len(values)}")
-    floats = [float(value) + 0.0 for value in values]
-    if not all(map(math.isfinite, floats)):
+    # One NaN for all: equal rows must have equal bytes.
+    floats = [math.nan if value != value else float(value) + 0.0 for value in values]
+    known = [value for value in floats if value == value] if partial else floats
+    if not known or not all(map(math.isfinite, known)):
         raise ValueError(f"{name} must be finite, got {floats}")
     return _SIX.pack(*floats)
 

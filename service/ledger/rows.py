@@ -80,7 +80,8 @@ def _values(
 ) -> tuple[object, ...]:
     fingerprint = fingerprint if row.fingerprint is None else row.fingerprint
     wrench = pack6(row.wrench)
-    displacement = pack6(row.displacement, "displacement")
+    measured = job is None and row.source != "fea"
+    displacement = pack6(row.displacement, "displacement", partial=measured)
     compliance = None if row.compliance is None else pack36(row.compliance)
     uncertainty = None if row.uncertainty is None else pack6(row.uncertainty, "uncertainty")
     # The compliance is left out of the key: a table exported to CSV comes back without it

@@ -26,7 +26,7 @@ Report = Callable[[float, str], None]
 
 LEVELS = (("coarse", 0.67), ("own", 1.0), ("fine", 1.5))
 PARTS = (0.25, 0.5, 1.0)
-TIMED_QUERIES = 2000
+TIMED_QUERIES, TIMED_SECONDS = 2000, 0.5
 NEAR_ZERO = 1e-3  # of the largest output of its kind: below it an output counts as near zero
 
 
@@ -43,9 +43,13 @@ def measure(
     wrenches = random_wrenches(load_range, count, seed)
     levels = _solve_levels(bundle, wrenches, report)
     finest, own = levels[-1], next(level for level in levels if level["level"] == "own")
-    solved = np.isfinite(finest["displacement"]).all(axis=1)
-    for level in levels:
-        solved &= np.isfinite(level["displacement"]).all(axis=1)
+    solved = np.isfinite(finest["displacement"] + own["displacement"]).all(axis=1)
+    if not solved.any():
+        kinds = {failure["kind"] for level in (finest, own) for failure in level["failures"]}
+        raise ValueError(
+            f"none of the {count} wrenches could be solved ({', '.join(sorted(kinds))}); solve one "
+            "and look at its job's files, or lower the component's load range"
+        )
     reference = finest["displacement"][solved]
     scale = _scale(reference)
     report(0.85, "measuring tables")
@@ -185,13 +189,14 @@ def _method(
 def _query_times(surrogate: Surrogate, method: str, wrenches: Array) -> Array:
     """Return the time of single answers, shape (n,), µs."""
     asked = wrenches.tolist()
-    times = np.empty(TIMED_QUERIES)
-    for place in range(TIMED_QUERIES):
-        wrench = asked[place % len(asked)]
+    times: list[float] = []
+    deadline = time.perf_counter() + TIMED_SECONDS
+    while len(times) < TIMED_QUERIES and time.perf_counter() < deadline:
+        wrench = asked[len(times) % len(asked)]
         started = time.perf_counter_ns()
         surrogate.answer(wrench, None, method)
-        times[place] = (time.perf_counter_ns() - started) / 1e3
-    return times
+        times.append((time.perf_counter_ns() - started) / 1e3)
+    return np.array(times)
 
 
 def errors(error: Array, scale: Array) -> dict[str, list[float | None]]:

@@ -147,6 +147,7 @@ class _Conversion:
         wrench = self._block(head.WRENCH, missing=0.0)
         displacement = self._block(head.DISPLACEMENT, missing=np.nan)
         uncertainty = self._block(head.UNCERTAINTY, missing=np.nan)
+        self._check_measured(displacement)
         self._check_rotation(displacement)
         for name in head.TEXTS:
             self._check_texts(name)
@@ -190,18 +191,28 @@ class _Conversion:
     def _number(self, column: Column, at: int) -> float:
         """Convert one field; NaN and an error if it is not a finite number."""
         cell = self._cells[column.name][at].strip()
-        if not cell and column.name in head.UNCERTAINTY:
-            return np.nan
+        if not cell and column.name not in head.WRENCH:
+            return np.nan  # not measured, or its uncertainty not known
         value = _plain(cell, self._comma)
         if value is None or not math.isfinite(value):
             self._spoil(at, column.label, _why(cell, column.name, self._comma))
             return np.nan
         return value
 
+    def _check_measured(self, displacement: Array) -> None:
+        for at in np.flatnonzero(np.isnan(displacement).all(axis=1)).tolist():
+            if self._good[at]:
+                label = next(
+                    self._header.columns[name].label
+                    for name in head.DISPLACEMENT
+                    if name in self._header.columns
+                )
+                self._spoil(at, label, "no displacement is given; a row needs at least one")
+
     def _check_rotation(self, displacement: Array) -> None:
         for at in turned_too_far(displacement).tolist():
             rotation = displacement[at, 3:]
-            name = head.DISPLACEMENT[3 + int(np.argmax(np.abs(rotation)))]
+            name = head.DISPLACEMENT[3 + int(np.nanargmax(np.abs(rotation)))]
             self._spoil(at, self._header.columns[name].label, rotation_message(rotation))
 
     def _check_texts(self, name: str) -> None:
@@ -253,9 +264,7 @@ def _shown(cell: str) -> str:
 def _why(cell: str, name: str, comma: bool) -> str:
     """Say why a field is not a number and what to write."""
     if not cell:
-        return (
-            "is empty; write 0 for no load" if name in head.WRENCH else "is empty; write a number"
-        )
+        return "is empty; write 0 for no load"
     if cell.lower().lstrip("+-") in ("nan", "inf", "infinity"):
         return f"{_shown(cell)} is not finite; leave the row out"
     if cell.startswith("#"):

@@ -1,7 +1,8 @@
 """The header of a CSV table: which column is which, and in which unit.
 
 One form only: ``name [unit]`` (round brackets do as well). Names, in any case: ``fx fy fz mx my
-mz`` (missing ones are zero loads), ``ux uy uz rx ry rz`` (all needed), ``ux_err`` ... ``rz_err``
+mz`` (missing ones are zero loads), ``ux uy uz rx ry rz`` (at least one; a missing one, or an empty
+field, was not measured), ``ux_err`` ... ``rz_err``
 (standard uncertainty or error bound, optional) and ``source``, ``note``, ``fingerprint`` (text, no
 unit; the fingerprint names the setup that a solve was made with). Every
 number column names its unit: a rotation without one may be radians or degrees, and a guess would
@@ -121,12 +122,11 @@ def _complete(header: Header, line: int, labels: list[str]) -> None:
     """Add what is missing from the whole: a load, or a displacement column."""
     # A column with a faulty unit is there; saying that it is missing too would mislead.
     named = {re.split(r"[\s\[(]", label.lower(), maxsplit=1)[0] for label in labels}
-    missing = [name for name in DISPLACEMENT if name not in named]
-    if missing:
-        unit = {name: _QUANTITY[name].examples[0] for name in missing}
-        wanted = ", ".join(f"{name} [{unit[name]}]" for name in missing)
-        message = f"columns are missing: {wanted}. A row needs all six displacements"
-        header.errors.append(RowError(line, ", ".join(missing), message))
+    if not named & set(DISPLACEMENT):
+        message = "no displacement column; name at least one of " + ", ".join(
+            f"{name} [{_QUANTITY[name].examples[0]}]" for name in DISPLACEMENT
+        )
+        header.errors.append(RowError(line, "header", message))
     if not named & set(WRENCH):
         message = "no load column; name at least one of " + ", ".join(
             f"{name} [{_QUANTITY[name].examples[0]}]" for name in WRENCH

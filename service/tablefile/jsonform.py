@@ -1,6 +1,6 @@
 """Tables as JSON: ``{"units": "SI", "rows": [{"wrench": [6], "displacement": [6], ...}]}``.
 
-A row may have ``uncertainty`` (six numbers, null where unknown), ``source``, ``note`` and
+A displacement that was not measured is null. A row may have ``uncertainty`` (six numbers, null where unknown), ``source``, ``note`` and
 ``fingerprint``. Always SI.
 """
 
@@ -77,22 +77,27 @@ def write_json(table: TableRows) -> str:
     Parameters
     ----------
     table : TableRows
-        Rows in SI. An unknown uncertainty (NaN) becomes null, six of them and an empty text are
-        left out.
+        Rows in SI. What was not measured and an unknown uncertainty (NaN) become null; six unknown
+        uncertainties and an empty text are left out.
     """
     loads, motions = table.wrench.tolist(), table.displacement.tolist()
     rows: list[dict[str, Any]] = [
-        {"wrench": load, "displacement": motion}
+        {"wrench": load, "displacement": _nulls(motion)}
         for load, motion in zip(loads, motions, strict=True)
     ]
     for row, bounds in zip(rows, table.uncertainty.tolist(), strict=True):
         if not all(map(math.isnan, bounds)):
-            row["uncertainty"] = [None if math.isnan(bound) else bound for bound in bounds]
+            row["uncertainty"] = _nulls(bounds)
     for name, texts in texts_of(table).items():
         for row, text in zip(rows, texts, strict=True):
             if text:
                 row[name] = text
     return json.dumps({"units": "SI", "rows": rows}, allow_nan=False)
+
+
+def _nulls(values: list[float]) -> list[float | None]:
+    """Return the numbers with None for each NaN."""
+    return [None if math.isnan(value) else value for value in values]
 
 
 def _envelope(content: Any) -> RowError | None:
@@ -136,14 +141,18 @@ def _take(rows: _Rows, place: int, row: Any) -> None:
 def _six(
     row: dict[str, Any], key: str, names: Sequence[str], place: int, errors: list[RowError]
 ) -> tuple[float, ...]:
-    """Return six finite numbers, or zeros and the errors."""
+    """Return six finite numbers, NaN for a displacement that is null, or zeros and the errors."""
     values = row.get(key)
     if not isinstance(values, list) or len(values) != 6:
         got = "is missing" if values is None else "is not a list of six numbers"
         errors.append(RowError(place, key, f"{got}; write [{', '.join(names)}] in SI"))
         return (0.0,) * 6
+    partial = key == "displacement"
+    if partial and all(value is None for value in values):
+        errors.append(RowError(place, key, "is all null; a row needs at least one number"))
     return tuple(
-        _number(value, place, f"{key}[{index}]", errors) for index, value in enumerate(values)
+        math.nan if partial and value is None else _number(value, place, f"{key}[{index}]", errors)
+        for index, value in enumerate(values)
     )
 
 

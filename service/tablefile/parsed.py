@@ -92,7 +92,7 @@ class ParsedTable:
     wrench : numpy.ndarray
         Shape (n, 6), N and N·m.
     displacement : numpy.ndarray
-        Shape (n, 6), m and rad.
+        Shape (n, 6), m and rad; NaN where not measured, but never all six.
     uncertainty : numpy.ndarray
         Shape (n, 6), m and rad; NaN where the file gives none.
     source, note, fingerprint : tuple of str
@@ -138,18 +138,18 @@ def turned_too_far(displacement: Array) -> Array:
     Parameters
     ----------
     displacement : numpy.ndarray
-        Shape (n, 6), m and rad; NaN counts as not too far.
+        Shape (n, 6), m and rad; NaN (not measured) counts as no turn.
     """
     # The last bits of a conversion from degrees must not refuse exactly 20 degrees.
     with np.errstate(over="ignore"):
-        angle = np.sqrt(np.sum(displacement[:, 3:] ** 2, axis=1))
+        angle = np.sqrt(np.nansum(displacement[:, 3:] ** 2, axis=1))
     return np.flatnonzero(angle > ROTATION_LIMIT * (1.0 + 1e-12))
 
 
 def rotation_message(rotation: Array) -> str:
     """Say that a rotation vector, shape (3,), rad, is too long."""
     with np.errstate(over="ignore"):
-        degrees = math.degrees(float(np.sqrt(np.sum(rotation**2))))
+        degrees = math.degrees(float(np.sqrt(np.nansum(rotation**2))))
     return (
         f"the rotation is {degrees:.4g} degrees; a table ends at 20 (check the unit: rad or deg?)"
     )

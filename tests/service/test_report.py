@@ -1,5 +1,6 @@
 import json
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,9 @@ from surrogate.rows import LoadRange, Rows
 
 @pytest.fixture(scope="module")
 def bar():
-    return read_bundle(SHIPPED / "bar")
+    shipped = read_bundle(SHIPPED / "bar")
+    short = {**shipped.mesh.parameters, "cells_along": 12}
+    return replace(shipped, mesh=replace(shipped.mesh, parameters=short))
 
 
 @pytest.fixture(scope="module")
@@ -28,10 +31,11 @@ def report(bar):
     return measure(bar, rows, load_range, 5, 3, lambda *_: None)
 
 
-def test_a_finer_mesh_has_more_unknowns_and_the_same_answer(bar):
-    fine = refined(bar, 1.5)
-    assert Solver(fine).unknowns > 2 * Solver(bar).unknowns
-    assert np.allclose(Solver(fine).compliance, Solver(bar).compliance, rtol=5e-3, atol=1e-12)
+def test_a_finer_mesh_has_more_unknowns_and_the_same_answer():
+    bar = read_bundle(SHIPPED / "bar")
+    own, fine = Solver(bar), Solver(refined(bar, 1.5))
+    assert fine.unknowns > 2 * own.unknowns
+    assert np.allclose(fine.compliance, own.compliance, rtol=5e-3, atol=1e-12)
 
 
 def test_the_finest_mesh_is_the_reference(report):
