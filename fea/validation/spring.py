@@ -130,8 +130,9 @@ def pressed() -> Iterator[Finding]:
         at = f"at {-1e3 * found[2]:.2f} mm"
         yield Finding(f"force {at}, N", _ROD, force, load, 5e-3)
         yield Finding(f"turn {at}, degrees", _ROD, float(np.degrees(turn)), turned, 1e-2)
-        printed = float(np.interp(-1e3 * found[2], *PRINTED_14))
-        yield Finding(f"turn {at}, degrees", f"{_PAPER}, equation 14", printed, turned)
+        if -1e3 * found[2] <= PRINTED_14[0][-1]:
+            printed = float(np.interp(-1e3 * found[2], *PRINTED_14))
+            yield Finding(f"turn {at}, degrees", f"{_PAPER}, equation 14", printed, turned)
 
 
 @case("spring")
