@@ -8,6 +8,7 @@ by LU of the pivot blocks instead.
 
 from __future__ import annotations
 
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -59,6 +60,11 @@ class Factor:
             ratios = np.concatenate([front.pivots for front in self._fronts]) / diagonal
             self.weakest = int(ratios.argmin())
             self.pivot_ratio = float(ratios[self.weakest]) if self.definite else 0.0
+
+    @cached_property
+    def negatives(self) -> int:
+        """Number of negative eigenvalues: by Sylvester's law, those of the pivot blocks."""
+        return 0 if self.definite else sum(front.negatives for front in self._fronts)
 
     def solve(self, loads: Array) -> Array:
         """Solve for several load cases.
@@ -124,10 +130,10 @@ class _CholeskyFront:
 class _LUFront:
     """LU of the pivot block and A^-1 B of one substructure."""
 
-    __slots__ = ("B", "W", "lu", "swaps")
+    __slots__ = ("A", "B", "W", "lu", "swaps")
 
     def __init__(self, A: Array, B: Array, C: Array) -> None:
-        A = np.tril(A) + np.tril(A, -1).T
+        self.A = A = np.tril(A) + np.tril(A, -1).T
         self.lu, self.swaps, info = _getrf(A)
         if info > 0:  # exactly singular: the factor is of use for naming the place only
             pivots = np.einsum("ii->i", self.lu)
@@ -141,6 +147,10 @@ class _LUFront:
     @property
     def pivots(self) -> Array:
         return np.abs(np.diagonal(self.lu))
+
+    @property
+    def negatives(self) -> int:
+        return int((np.linalg.eigvalsh(self.A) < 0).sum())
 
     def forward(self, x: Array, part: Substructure) -> None:
         own = slice(part.start, part.stop)
@@ -178,6 +188,7 @@ class _EmptyFront:
     """Nothing is eliminated here."""
 
     pivots = np.empty(0)
+    negatives = 0
 
 
 _EMPTY = _EmptyFront()

@@ -158,13 +158,8 @@ class Linearisation:
     With the body's stiffness K, the border's columns C and block D, it solves
     [[K, C], [C^T, D]] by the Schur complement S = D - C^T K^-1 C.
 
-    Attributes
-    ----------
-    schur
-        Shape (border, border).
-    interface_ratio
-        What elimination left of the border's stiffness, relative to its own; near roundoff nothing
-        holds the interface.
+    `interface_ratio` is what elimination left of the border's stiffness, relative to its own; near
+    roundoff nothing holds the interface.
     """
 
     def __init__(self, system: System, balance: Balance, tangent: Tangent) -> None:
@@ -212,8 +207,19 @@ class Linearisation:
 
     @property
     def stable(self) -> bool:
-        """Whether every small disturbance costs energy: body and interface both."""
-        return self.tangent.factor.definite and self._least_compliance > 0
+        """Whether every small disturbance costs energy: body and interface both.
+
+        A body that is unstable by itself may be held by its section: then the constraints, and
+        nothing else, give the bordered matrix its negative eigenvalues.
+        """
+        factor, coupling = self.tangent.factor, self._system.coupling
+        if factor.definite:
+            return self._least_compliance > 0
+        constraints = coupling.border - coupling.active.size
+        if not constraints or not np.isfinite(self.schur).all():
+            return False
+        own = np.linalg.eigvalsh(self.schur + self.schur.T)
+        return factor.negatives + int((own < 0).sum()) == constraints
 
     @property
     def _least_compliance(self) -> float:

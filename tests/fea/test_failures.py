@@ -97,15 +97,32 @@ def test_an_arch_that_would_tip_over_sideways_is_held_by_its_guide():
     assert held.displacement[2] == pytest.approx(-7.75e-3, rel=1e-2)
 
 
-def test_a_column_is_answered_below_eulers_load_and_refused_above():
+@pytest.mark.parametrize("coupling", ["rigid", "distributed"])
+@pytest.mark.parametrize(("guide", "times"), [((), 1), (("ux", "uy", "rx", "ry", "rz"), 16)])
+def test_a_column_is_answered_below_eulers_load_and_named_with_it_above(coupling, guide, times):
     mesh = box("hex20", (2, 2, 16), (0.01, 0.01, 1.0))
-    euler = np.pi**2 * 210e9 * 0.01**4 / 12 / 4
-    built = Solver(component(mesh, nonlinear=True))
+    euler = times * np.pi**2 * 210e9 * 0.01**4 / 12 / 4
+    built = Solver(component(mesh, coupling=coupling, nonlinear=True, locked=guide))
     found = built.solve([0, 0, -0.95 * euler, 0, 0, 0])
     assert np.abs(found.displacement[[0, 1, 3, 4]]).max() < 1e-9
-    with pytest.raises(SolveFailed) as caught:
+    with pytest.raises(SolveFailed, match=r"buckles at 0\.9") as caught:
         built.solve([0, 0, -1.05 * euler, 0, 0, 0])
     assert caught.value.kind == "snap_through"
+    assert caught.value.load_factor == pytest.approx(1 / 1.05, rel=0.01)
+
+
+def test_a_guide_holds_a_section_that_only_follows_its_mean():
+    """The body alone, its section free, would be unstable at a 25th of this load."""
+    mesh = box("hex20", (2, 2, 16), (0.01, 0.01, 1.0))
+    load = 12 * np.pi**2 * 210e9 * 0.01**4 / 12 / 4
+    guide = ("ux", "uy", "rx", "ry")
+    sunk = [
+        Solver(component(mesh, coupling=coupling, nonlinear=True, locked=guide))
+        .solve([0, 0, -load, 0, 0, 0])
+        .displacement[2]
+        for coupling in ("rigid", "distributed")
+    ]
+    assert sunk[1] == pytest.approx(sunk[0], rel=2e-3)
 
 
 def test_loads_beyond_all_reason_fail_by_name():
