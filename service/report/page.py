@@ -8,12 +8,14 @@ from typing import Any
 import plotly.graph_objects as go
 
 from service.report.measure import name_of, seconds_of, worst
-from service.report.text import OUTPUTS, as_markdown
+from service.report.text import OUTPUTS, Section, sections, summary_of, title_of
 
 _STYLE = (
     "body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;"
-    "color:#1b1f24}pre{background:#f6f8fa;padding:1rem;overflow:auto;font-size:13px}"
-    "h1{font-size:1.6rem}h2{font-size:1.2rem;margin-top:2rem}"
+    "color:#1b1f24}h1{font-size:1.6rem}h2{font-size:1.2rem;margin-top:2rem}"
+    ".wide{overflow-x:auto}table{border-collapse:collapse;font-size:13px;white-space:nowrap}"
+    "th,td{padding:.25rem .6rem;text-align:right;border-bottom:1px solid #d0d7de}"
+    "th:first-child,td:first-child{text-align:left}"
 )
 _LAYOUT = {"template": "plotly_white", "height": 460, "margin": {"t": 20, "r": 20}}
 
@@ -29,12 +31,26 @@ def as_page(report: dict[str, Any]) -> str:
     for number, (title, figure) in enumerate(plots):
         drawn = figure.to_html(full_html=False, include_plotlyjs=number == 0)
         parts.append(f"<h2>{html.escape(title)}</h2>{drawn}")
-    heading = html.escape(f"{report['title']}: error against run time")
+    parts += [_section(section) for section in sections(report)]
+    heading = html.escape(title_of(report))
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{heading}</title>'
-        f"<style>{_STYLE}</style></head><body><h1>{heading}</h1>{''.join(parts)}"
-        f"<h2>Figures</h2><pre>{html.escape(as_markdown(report))}</pre></body></html>"
+        f"<style>{_STYLE}</style></head><body><h1>{heading}</h1>"
+        f"<p>{html.escape(summary_of(report))}</p>{''.join(parts)}</body></html>"
     )
+
+
+def _section(section: Section) -> str:
+    head = _line("th", section.head) if section.head else ""
+    body = "".join(_line("td", line) for line in section.lines)
+    return (
+        f"<h2>{html.escape(section.title)}</h2><p>{html.escape(section.note)}</p>"
+        f'<div class="wide"><table>{head}{body}</table></div>'
+    )
+
+
+def _line(tag: str, cells: tuple[str, ...]) -> str:
+    return "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) + "</tr>"
 
 
 def _front(report: dict[str, Any]) -> go.Figure:
@@ -55,12 +71,15 @@ def _front(report: dict[str, Any]) -> go.Figure:
             line={"dash": "dot"},
         )
     figure.update_xaxes(type="log", title="run time of one answer, s", exponentformat="power")
-    figure.update_yaxes(type="log", title="largest RMS error / range", tickformat=".2%")
+    figure.update_yaxes(
+        type="log", title="largest RMS error / range", tickformat=".2~%", dtick="D2"
+    )
     return figure.update_layout(**_LAYOUT)
 
 
 def _growth(report: dict[str, Any]) -> go.Figure:
     figure = go.Figure()
+    sizes = sorted({entry["rows"] for entry in report["tables"]})
     methods = dict.fromkeys(entry["method"] for entry in report["tables"])
     for method in methods:
         shown = [e for e in report["tables"] if e["method"] == method and worst(e) < float("inf")]
@@ -70,8 +89,10 @@ def _growth(report: dict[str, Any]) -> go.Figure:
             name=method,
             mode="markers+lines",
         )
-    figure.update_xaxes(type="log", title="rows of the table")
-    figure.update_yaxes(type="log", title="largest RMS error / range", tickformat=".2%")
+    figure.update_xaxes(type="log", title="rows of the table", tickvals=sizes)
+    figure.update_yaxes(
+        type="log", title="largest RMS error / range", tickformat=".2~%", dtick="D2"
+    )
     return figure.update_layout(**_LAYOUT)
 
 
