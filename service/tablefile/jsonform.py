@@ -1,7 +1,7 @@
 """Tables as JSON: ``{"units": "SI", "rows": [{"wrench": [6], "displacement": [6], ...}]}``.
 
-A displacement that was not measured is null. A row may have ``uncertainty`` (six numbers, null where unknown), ``source``, ``note`` and
-``fingerprint``. Always SI.
+A displacement that was not measured is null, but not all six. A row may have ``uncertainty`` (six
+numbers, null where unknown), ``source``, ``note`` and ``fingerprint``. Always SI.
 """
 
 from __future__ import annotations

@@ -70,10 +70,20 @@ def test_a_table_that_comes_back_without_its_compliance_is_the_same_table(ledger
     assert ledger.insert_rows("plate", "f1", [replace(row, compliance=None)]) == (0, 1)
 
 
+def test_a_measured_row_may_lack_outputs_and_is_known_again(ledger):
+    row = replace(ROWS[0], displacement=(float("nan"), 0, 1e-3, 0, -float("nan"), 0))
+    assert ledger.insert_rows("plate", "f1", [row]) == (1, 0)
+    again = replace(row, displacement=(-float("nan"), 0, 1e-3, 0, float("nan"), 0))
+    assert ledger.insert_rows("plate", "f1", [again]) == (0, 1)
+    np.testing.assert_array_equal(ledger.rows("plate")[0].displacement, row.displacement)
+
+
 @pytest.mark.parametrize(
     "bad",
     [
-        replace(ROWS[0], displacement=(float("nan"), 0, 0, 0, 0, 0)),
+        replace(ROWS[0], displacement=(float("nan"),) * 6),
+        replace(ROWS[0], displacement=(float("inf"), 0, 0, 0, 0, 0)),
+        replace(ROWS[0], displacement=(float("nan"), 0, 0, 0, 0, 0), source="fea"),
         replace(ROWS[0], wrench=(1, 2)),
         replace(ROWS[0], compliance=np.full((6, 6), np.inf)),
         replace(ROWS[0], compliance=np.eye(5)),
