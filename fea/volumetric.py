@@ -53,6 +53,26 @@ singular), hex20 by 10 % with the projection, and full integration of any kind b
 """
 
 
+def locking(block: CellBlock, poisson: Array) -> str:
+    """Say which cells of a block would lock; an empty string if none would.
+
+    Parameters
+    ----------
+    block
+        The cells.
+    poisson
+        Shape (cells,): their Poisson's ratios.
+    """
+    limit = LARGEST_RATIO[block.kind]
+    bad = poisson > limit
+    if not bad.any():
+        return ""
+    return (
+        f"{int(bad.sum())} {block.kind} cells are of a material with Poisson's ratio "
+        f"{poisson.max():.6g}; such cells lock (are far too stiff) above {limit:g}."
+    )
+
+
 def require_no_locking(block: CellBlock, poisson: Array) -> None:
     """Refuse cells that would lock.
 
@@ -61,13 +81,9 @@ def require_no_locking(block: CellBlock, poisson: Array) -> None:
     SolveFailed
         ``locking_material``.
     """
-    limit = LARGEST_RATIO[block.kind]
-    bad = poisson > limit
-    if bad.any():
-        raise locking_material(
-            f"{int(bad.sum())} {block.kind} cells are of a material with Poisson's ratio "
-            f"{poisson.max():.6g}; such cells lock (are far too stiff) above {limit:g}."
-        )
+    message = locking(block, poisson)
+    if message:
+        raise locking_material(message)
 
 
 def projects(block: CellBlock, poisson: Array) -> Array:

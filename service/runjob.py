@@ -88,6 +88,8 @@ def solve_embedded(spec: Spec, report: Report, folder: Path | None = None) -> Ma
             "ask for the wrench again: that makes a job for the component as it is now",
         )
     solution = solve(bundle, spec.wrench, progress=report, folder=folder)
+    for note in solution.notes:
+        print(note)
     names = ("displacement", "compliance", "strain_energy", "work")
     return {name: getattr(solution, name) for name in (*names, "seconds", "unknowns", "history")}
 

@@ -139,7 +139,7 @@ def embedded(monkeypatch, fingerprint):
     """Put stand-ins in the place of the finite-element room."""
     solution = types.SimpleNamespace(
         displacement=np.arange(6.0), compliance=np.eye(6), strain_energy=1.0, work=2.0,
-        seconds=0.1, unknowns=30, history=(),
+        seconds=0.1, unknowns=30, history=(), notes=("a note",),
     )  # fmt: skip
     bundle = types.SimpleNamespace(fingerprint=fingerprint)
     reading = types.SimpleNamespace(read_bundle=lambda folder: bundle)
