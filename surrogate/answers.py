@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from surrogate.coverage import over_tolerance
 from surrogate.rows import Floats, Tolerance
 
-METHODS = ("griddata", "linear", "nearest")
+COMPOSED = ("tangent", "rbf", "corrected", "auto")  # read where griddata is covered
+METHODS = ("griddata", *COMPOSED, "linear", "nearest")
 
 
 class Answer(NamedTuple):
@@ -27,7 +28,7 @@ class Answer(NamedTuple):
     reason : str
         Why not covered; empty if covered.
     method : str
-        "griddata", "linear", "nearest", "row" (one row has just this wrench) or "estimate".
+        One of `METHODS`, "row" (one row has just this wrench) or "estimate".
     """
 
     displacement: tuple[float, ...] | None

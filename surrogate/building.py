@@ -26,12 +26,13 @@ def build_composition(
     rows: Rows, load_range: LoadRange, fit: ComplianceFit, off_axis: OffAxis
 ) -> Composition:
     """Build the three axes with calibrated error bars, and calibrate what they leave out."""
-    composition = _axes(rows, load_range, fit, off_axis)
+    composition = axes_of(rows, load_range, fit, off_axis)
     left_out = _left_out(composition, rows, load_range, fit, off_axis)
     return Composition(composition.tables, composition.zero, left_out)
 
 
-def _axes(rows: Rows, load_range: LoadRange, fit: ComplianceFit, off_axis: OffAxis) -> Composition:
+def axes_of(rows: Rows, load_range: LoadRange, fit: ComplianceFit, off_axis: OffAxis) -> Composition:
+    """Build the three axes, without what they leave out."""
     repeatable = bool(len(rows)) and bool((rows.source == "fea").all())
     tables = []
     for axis in AXES:
@@ -149,7 +150,7 @@ def _hold_out_full(
     for fold in range(folds if len(full) <= MANY_FULL else 1):
         places = full[fold::folds]
         rest = rows.take(np.setdiff1d(np.arange(len(rows)), places))
-        found = _predicted(_axes(rest, load_range, fit, off_axis), rows, places)
+        found = _predicted(axes_of(rest, load_range, fit, off_axis), rows, places)
         for whole, part in zip(held, found, strict=True):
             whole[places] = part
     return held

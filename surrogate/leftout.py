@@ -124,6 +124,11 @@ def _sizes(scaled: Floats) -> tuple[Floats, Floats]:
     return np.sqrt(off), np.sqrt(product)
 
 
+def product_sizes(scaled: Floats) -> Floats:
+    """Return the size of the load products that each output's composition leaves out, (n, 6)."""
+    return _sizes(scaled)[1]
+
+
 def across_axes(
     wrench: Floats, missed: Floats, clean: np.ndarray, scale: Floats
 ) -> tuple[float, ...]:

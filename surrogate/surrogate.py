@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surrogate.answers import METHODS, Answer, Batch, judged
+from surrogate.answers import COMPOSED, METHODS, Answer, Batch, judged
 from surrogate.axes import CLEAN, OffAxis
 from surrogate.batches import (
     nothing_known,
@@ -29,6 +29,7 @@ from surrogate.coverage import (
     over_tolerance,
     read_carefully,
 )
+from surrogate.methods import Methods
 from surrogate.nearest import NearestRow
 from surrogate.rows import LOAD_UNITS, LOADS, Floats, LoadRange, Rows, Tolerance
 from surrogate.summary import summarise
@@ -103,6 +104,11 @@ class Surrogate:
     def composition(self) -> Composition:
         """The three axes of the straight direction influence."""
         return build_composition(self.rows, self.load_range, self.fit, self.off_axis)
+
+    @cached_property
+    def methods(self) -> Methods:
+        """The methods besides `griddata` that compose axes, and what `auto` chooses."""
+        return Methods(self.rows, self.load_range, self.fit, self.composition)
 
     @cached_property
     def nearest(self) -> NearestRow:
@@ -201,7 +207,10 @@ class Surrogate:
             return read_many_linearly(self.fit, self.load_range, asked, small)
         if method == "nearest":
             return read_many_nearest(self.nearest, self.composition, self.fit, asked, loads)
-        displacement, error, told = self.composition.many(asked)[:3]
+        composed = self.composition.many(asked)
+        displacement, error, told = composed[:3]
+        if method in COMPOSED:
+            displacement, error = self.methods.read(method, asked, composed)
         coverage = np.zeros(len(asked), dtype=np.uint8)
         rest = np.flatnonzero(~told)
         if len(rest):
@@ -265,6 +274,8 @@ class Surrogate:
             return Answer(None, None, "outside", "the table has no rows", method)
         if method == "nearest":
             return self._or_row(wrench, self._answer_nearest(wrench, tolerance))
+        if method in COMPOSED:
+            return self._answer_composed(wrench, tolerance, method)
         loads = np.array(wrench, dtype=float)
         displacement = tuple((self.fit.matrix @ loads).tolist())
         error = tuple(self.fit.bar.tolist())
@@ -289,6 +300,15 @@ class Surrogate:
         else:
             found = judged(displacement, error, tolerance, method)
         return self._or_row(wrench, found)
+
+    def _answer_composed(
+        self, wrench: Sequence[float], tolerance: Tolerance | None, method: str
+    ) -> Answer:
+        found = self._read_many(np.array([wrench], dtype=float), method)
+        if found.coverage[0] != COVERED:
+            return self._answer_carefully(wrench, tolerance)
+        moved, error = tuple(found.displacement[0].tolist()), tuple(found.error[0].tolist())
+        return self._or_row(wrench, judged(moved, error, tolerance, method))
 
     def _answer_nearest(self, wrench: Sequence[float], tolerance: Tolerance | None) -> Answer:
         displacement, bars = self.nearest.read(np.array([wrench], dtype=float))
