@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.book import Book, Settings
 from service.contract import CONTRACT_TEXT
-from service.http import components, displacement, health, jobs, problems, report, table
+from service.http import components, coverage, displacement, health, jobs, problems, report, table
 
 _SUMMARY = (
     "POST the wrench that acts on a component, get its displacement from a table of "
@@ -43,6 +43,6 @@ def create_app(settings: Settings) -> FastAPI:
         redirect_slashes=False,
     )
     problems.install(app)
-    for part in (displacement, components, table, report, jobs, health):
+    for part in (displacement, components, coverage, table, report, jobs, health):
         app.include_router(part.router)
     return app

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from surrogate.answers import Answer, Batch
 from surrogate.axes import OffAxis
+from surrogate.conflicts import row_conflicts
 from surrogate.coverage import NAMES, OUTSIDE
 from surrogate.rows import OUTPUTS, LoadRange, Rows, Tolerance
 from surrogate.surrogate import Surrogate
@@ -137,6 +138,7 @@ class PartlyMeasured(Surrogate):
         return {
             **summary,
             "rows": len(self.rows),
+            **row_conflicts(self.rows, self.load_range),
             "rows_per_output": dict(zip(OUTPUTS, held, strict=True)),
             "unmeasured": list(self.unmeasured),
         }

@@ -8,6 +8,7 @@ import numpy as np
 
 from surrogate.axes import AXES
 from surrogate.axistable import SOUND, AxisTable
+from surrogate.conflicts import row_conflicts
 from surrogate.rows import LOADS, OUTPUTS
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def summarise(surrogate: Surrogate) -> dict[str, Any]:
-    """Return rows, default method, spans and typical error bars per axis, and what is left out."""
+    """Return rows, default method, conflicts, spans and error bars per axis, what is left out."""
     fit, summary = surrogate.fit, {"rows": len(surrogate.rows), "method": surrogate.default}
     summary["table_version"] = surrogate.version
     summary["compliance"] = {
@@ -23,6 +24,7 @@ def summarise(surrogate: Surrogate) -> dict[str, Any]:
         "loads": [LOADS[load] for load in np.flatnonzero(fit.known)],
         "error": fit.bar.tolist(),
     }
+    summary.update(row_conflicts(surrogate.rows, surrogate.load_range))
     if surrogate.default == "linear":
         return {**summary, "axes": [], "left_out": None}
     composition = surrogate.composition

@@ -1,0 +1,55 @@
+"""What a component's table covers, and what physics says about its rows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import orjson
+from fastapi import APIRouter, Request
+from starlette.responses import Response
+
+from service.book import Book
+from surrogate.checks import check_physics
+from surrogate.gaps import axis_gaps
+from surrogate.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
+from surrogate.surrogate import Surrogate
+
+router = APIRouter(prefix="/v1/components/{name}", tags=["components"])
+CATCH_UP_S = 30.0
+
+
+@router.get("/coverage", summary="Hull and gaps per axis, and rows that contradict each other")
+def coverage(name: str, request: Request) -> Response:
+    surrogate = _newest(request, name)
+    body = {"component": name, **surrogate.coverage_summary(), "gaps": axis_gaps(surrogate)}
+    return _json(body)
+
+
+@router.get("/compliance", summary="The fitted 6x6, its checks, and the rows that break them")
+def compliance(name: str, request: Request) -> Response:
+    surrogate = _newest(request, name)
+    fit = surrogate.fit
+    body: dict[str, Any] = {
+        "component": name,
+        "table_version": surrogate.version,
+        "origin": fit.origin,
+        "matrix": fit.matrix.tolist(),
+        "known_loads": [load for load, known in zip(LOADS, fit.known, strict=True) if known],
+        "error": fit.bar.tolist(),
+        "rows": [f"{name} [{unit}]" for name, unit in zip(OUTPUTS, OUTPUT_UNITS, strict=True)],
+        "columns": [f"{name} [{unit}]" for name, unit in zip(LOADS, LOAD_UNITS, strict=True)],
+        **check_physics(surrogate.rows, surrogate.load_range, fit),
+    }
+    return _json(body)
+
+
+def _newest(request: Request, name: str) -> Surrogate:
+    book: Book = request.app.state.book
+    book.tables.surrogate(name)  # a name that is unknown ends here
+    book.tables.catch_up(name, CATCH_UP_S)
+    return book.tables.surrogate(name)
+
+
+def _json(body: dict[str, Any]) -> Response:
+    """Write a body; what is not finite is null, never a number."""
+    return Response(orjson.dumps(body), 200, None, "application/json")

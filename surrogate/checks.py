@@ -1,0 +1,201 @@
+"""What physics asks of a table, whatever the component: rows that break it are named.
+
+Zero at zero load. A compliance that is symmetric (Maxwell and Betti) and positive. Work done by a
+load on its own displacement that is positive, and grows from row to row along a ray and between
+neighbours. Tangents that lead from a row to its neighbour.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from surrogate.axes import CLEAN
+from surrogate.compliance import ComplianceFit
+from surrogate.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
+
+# Shares of an output's largest value: what passes for zero, for equal, for linear.
+ZERO, LINEAR = 1e-3, 1e-2
+ASYMMETRY = 5e-2  # turning loads make tangents unsymmetric by as much as the rotation
+NEGATIVE = 1e-6
+TANGENT = 0.5  # part of the step between neighbours that their mean tangent may miss
+NEGLIGIBLE = 1e-2  # of the largest translation or rotation: outputs below it are not judged
+MOST_NAMED = 50
+
+
+def check_physics(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str, Any]:
+    """Return all checks of the rows that hold every output, as JSON-able values."""
+    whole = rows.take(np.isfinite(rows.displacement).all(axis=1))
+    if not len(whole):
+        return {"rows_checked": 0, "ok": None, "checks": {}}
+    stored = np.nan_to_num(whole.uncertainty)
+    checks = {
+        "zero_at_zero_load": _zero(whole, load_range, stored),
+        "symmetric": _symmetric(whole, load_range, fit),
+        "positive": _positive(whole, load_range, fit),
+        "linear": _linear(whole, fit),
+        "work": _work(whole, load_range, stored),
+        "tangents": _tangents(whole, load_range),
+    }
+    # Being nonlinear breaks no law.
+    broken = [check for name, check in checks.items() if name != "linear" and check["ok"] is False]
+    return {"rows_checked": len(whole), "ok": not broken, "checks": checks}
+
+
+def _sizes(rows: Rows) -> Floats:
+    """Return the largest value of each output, (6,), at least a part of its kind's largest."""
+    largest = np.abs(rows.displacement).max(axis=0)
+    kinds = np.repeat([largest[:3].max(), largest[3:].max()], 3)
+    return np.maximum(largest, np.maximum(NEGLIGIBLE * kinds, np.finfo(float).tiny))
+
+
+def _named(rows: Rows, wrong: np.ndarray) -> list[int]:
+    return rows.seq[wrong][:MOST_NAMED].tolist()
+
+
+def _zero(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
+    unloaded = (np.abs(rows.wrench) <= CLEAN * load_range.scale).all(axis=1)
+    if not unloaded.any():
+        return {"ok": None, "reason": "no row at zero load", "rows": []}
+    over = (np.abs(rows.displacement) > ZERO * _sizes(rows) + stored).any(axis=1)
+    wrong = np.asarray(unloaded & over)
+    worst = np.abs(rows.displacement[unloaded]).max(axis=0).tolist()
+    return {
+        "ok": not wrong.any(),
+        "displacement": dict(zip(OUTPUTS, worst, strict=True)),
+        "rows": _named(rows, wrong),
+    }
+
+
+def _energies(matrices: Floats, load_range: LoadRange) -> Floats:
+    """Return compliances (..., 6, 6) in units of energy: what each pair of full loads does."""
+    return matrices * load_range.scale[:, None] * load_range.scale[None, :]
+
+
+def _asymmetry(energies: Floats) -> Floats:
+    largest = np.abs(energies).max(axis=(-2, -1))
+    apart = np.abs(energies - np.swapaxes(energies, -2, -1)).max(axis=(-2, -1))
+    return apart / np.maximum(largest, np.finfo(float).tiny)
+
+
+def _symmetric(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str, Any]:
+    known = np.outer(fit.known, fit.known)
+    whole = np.where(known, fit.matrix, 0.0)
+    asymmetry = float(_asymmetry(_energies(whole, load_range)))
+    there = np.isfinite(rows.compliance).all(axis=(1, 2))
+    wrong = np.zeros(len(rows), dtype=bool)
+    wrong[there] = _asymmetry(_energies(rows.compliance[there], load_range)) > ASYMMETRY
+    return {
+        "ok": bool(asymmetry <= ASYMMETRY and not wrong.any()),
+        "asymmetry": asymmetry,
+        "allowed": ASYMMETRY,
+        "rows": _named(rows, wrong),
+    }
+
+
+def _least(energies: Floats) -> tuple[Floats, Floats]:
+    """Return the smallest and largest eigenvalues of the symmetric parts, (...)."""
+    values = np.linalg.eigvalsh((energies + np.swapaxes(energies, -2, -1)) / 2)
+    low, high = values[..., 0], np.maximum(values[..., -1], np.finfo(float).tiny)
+    return np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+
+
+def _positive(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str, Any]:
+    told = np.flatnonzero(fit.known)
+    energies = _energies(fit.matrix, load_range)[np.ix_(told, told)]
+    least, most = _least(energies) if len(told) else (np.float64(0), np.float64(1))
+    there = np.isfinite(rows.compliance).all(axis=(1, 2))
+    wrong = np.zeros(len(rows), dtype=bool)
+    low, high = _least(_energies(rows.compliance[there], load_range))
+    wrong[there] = low < -NEGATIVE * high
+    idle = np.abs(energies).max(axis=1, initial=0.0) < NEGATIVE * most
+    return {
+        "ok": bool(least >= -NEGATIVE * most and not wrong.any()),
+        "smallest_over_largest_eigenvalue": float(least / most),
+        "loads_without_influence": [LOADS[load] for load in told[idle]],
+        "rows": _named(rows, wrong),
+    }
+
+
+def _linear(rows: Rows, fit: ComplianceFit) -> dict[str, Any]:
+    """Return how far the rows are from one 6x6, and name the farthest."""
+    told = ((rows.wrench == 0) | fit.known).all(axis=1)
+    if not told.any() or fit.origin == "none":
+        return {"ok": None, "reason": "the rows tell no compliance", "rows": []}
+    missed = np.abs(rows.displacement - rows.wrench @ fit.matrix.T) / _sizes(rows)
+    missed = np.where(told[:, None], missed, 0.0)
+    index = float(missed.max())
+    farthest = np.argsort(-missed.max(axis=1))[:5]
+    ok = index <= LINEAR
+    word = "suffices" if ok else "does not suffice"
+    return {
+        "ok": ok,
+        "index": index,
+        "per_output": dict(zip(OUTPUTS, missed.max(axis=0).tolist(), strict=True)),
+        "says": f"a 6x6 {word} for this component: max nonlinearity {index:.2%}",
+        "rows": [] if ok else rows.seq[farthest].tolist(),
+    }
+
+
+def _work(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
+    """Check that loads do positive work, alone and on the way to the nearest other row."""
+    doubt = stored + NEGATIVE * _sizes(rows)
+    work = (rows.wrench * rows.displacement).sum(axis=1)
+    wrong = work < -(np.abs(rows.wrench) * doubt).sum(axis=1)
+    backward = 0
+    pairs = _neighbours(rows, load_range)
+    if len(pairs):
+        first, second = pairs.T
+        step = rows.wrench[second] - rows.wrench[first]
+        gain = (step * (rows.displacement[second] - rows.displacement[first])).sum(axis=1)
+        back = gain < -(np.abs(step) * (doubt[first] + doubt[second])).sum(axis=1)
+        backward = int(back.sum())
+        # The row that several pairs blame is the wrong one.
+        blamed = np.bincount(pairs[back].reshape(-1), minlength=len(rows))
+        wrong |= blamed > 1
+        lone = back & (blamed[first] < 2) & (blamed[second] < 2)
+        wrong[np.unique(pairs[lone])] = True
+    return {
+        "ok": not wrong.any(),
+        "least_work": float(work.min()),
+        "pairs_that_give_work_back": backward,
+        "rows": _named(rows, wrong),
+    }
+
+
+def _tangents(rows: Rows, load_range: LoadRange) -> dict[str, Any]:
+    """Check that the mean of two neighbours' tangents leads from one to the other."""
+    there = np.flatnonzero(np.isfinite(rows.compliance).all(axis=(1, 2)))
+    some = rows.take(there)
+    pairs = _neighbours(some, load_range) if len(there) > 1 else np.empty((0, 2), dtype=int)
+    if not len(pairs):
+        return {"ok": None, "reason": "fewer than two rows bring a tangent", "rows": []}
+    first, second = pairs.T
+    step = some.wrench[second] - some.wrench[first]
+    mean = (some.compliance[first] + some.compliance[second]) / 2
+    moved = some.displacement[second] - some.displacement[first]
+    missed = np.abs(moved - np.einsum("pij,pj->pi", mean, step))
+    allowed = TANGENT * np.abs(moved) + 0.05 * _sizes(some)
+    over = (missed > allowed).any(axis=1)
+    blamed = np.bincount(pairs[over].reshape(-1), minlength=len(some))
+    wrong = blamed > 1 if (blamed > 1).any() else blamed > 0
+    return {
+        "ok": not over.any(),
+        "largest_miss": float((missed / _sizes(some)).max()),
+        "rows": _named(some, wrong),
+    }
+
+
+def _neighbours(rows: Rows, load_range: LoadRange) -> np.ndarray:
+    """Return pairs of places (p, 2): each row with the three nearest of another wrench."""
+    if len(rows) < 2:
+        return np.empty((0, 2), dtype=int)
+    scaled = rows.wrench / load_range.scale
+    count = min(4, len(rows))
+    far, near = KDTree(scaled).query(scaled, k=count)
+    first = np.repeat(np.arange(len(rows)), count)
+    apart = np.asarray(far).reshape(-1) > CLEAN
+    pairs = np.sort(np.stack((first, np.asarray(near).reshape(-1)), axis=1)[apart], axis=1)
+    return np.unique(pairs, axis=0)

@@ -1,0 +1,83 @@
+"""Where an axis' rows end and where they are thin: hull, range beyond it, worst spots."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from surrogate.axes import AXES, Axis
+from surrogate.axistable import SOUND, AxisTable
+from surrogate.firstdesign import axis_box
+from surrogate.rows import LOADS, OUTPUTS, Floats, LoadRange
+from surrogate.surrogate import Surrogate
+
+MOST_SPOTS = 5
+MOST_VERTICES = 200
+
+
+def axis_gaps(surrogate: Surrogate) -> list[dict[str, Any]]:
+    """Return, per axis, hull, corners of the range outside it and worst spots, JSON-able."""
+    tables = surrogate.composition.tables
+    return [
+        _gaps(axis, table, surrogate.load_range) for axis, table in zip(AXES, tables, strict=True)
+    ]
+
+
+def _gaps(axis: Axis, table: AxisTable | None, load_range: LoadRange) -> dict[str, Any]:
+    low, high = axis_box(load_range, axis)
+    ends = [sorted({float(a), float(b)}) for a, b in zip(low, high, strict=True)]
+    corners = np.array(list(product(*ends)))
+    if table is None:
+        return {"axis": axis.name, "hull": [], "outside": _loads(axis, corners), "worst": []}
+    scale = np.array(table.scale)
+    outside = table.interpolant.locate(corners / scale) < 0
+    return {
+        "axis": axis.name,
+        "hull": _loads(axis, _hull(table) * scale),
+        "outside": _loads(axis, corners[outside]),
+        "worst": _worst(axis, table),
+    }
+
+
+def _loads(axis: Axis, points: Floats) -> list[dict[str, float]]:
+    names = [LOADS[load] for load in axis.inputs]
+    return [dict(zip(names, point, strict=True)) for point in points.tolist()]
+
+
+def _hull(table: AxisTable) -> Floats:
+    """Return the vertices of the rows' hull, scaled, shape (k, 3); of a flat table its ends."""
+    points, dimension = table.interpolant.points, table.interpolant.dimension
+    flat = (points - table.interpolant.origin) @ table.interpolant.basis.T
+    if dimension == 0:
+        return points[:1]
+    if dimension == 1:
+        return points[[int(flat[:, 0].argmin()), int(flat[:, 0].argmax())]]
+    try:
+        return points[ConvexHull(flat).vertices][:MOST_VERTICES]
+    except QhullError:
+        return points[:MOST_VERTICES]
+
+
+def _worst(axis: Axis, table: AxisTable) -> list[dict[str, Any]]:
+    """Return the middles of the simplices with the largest bars, for their outputs' range."""
+    shape = table.interpolant
+    middle = shape.points[shape.simplices].mean(axis=1)
+    bars = table.read(np.arange(len(middle)), middle).bars
+    size = np.maximum(np.abs(table.values).max(axis=0), np.finfo(float).tiny)
+    parts, thin = table.parts(), np.array(table.weak) != SOUND
+    spots = []
+    for place in np.argsort(-(bars / size).max(axis=1))[:MOST_SPOTS].tolist():
+        loads = middle[place : place + 1] * np.array(table.scale)
+        names = [OUTPUTS[output] for output in axis.outputs]
+        spots.append(
+            {
+                "loads": _loads(axis, loads)[0],
+                "error": dict(zip(names, bars[place].tolist(), strict=True)),
+                "part_of_range": float(parts[place]),
+                "thin": bool(thin[place]) or not table.sound,
+            }
+        )
+    return spots

@@ -1,0 +1,119 @@
+"""Physics checks: sound tables pass, and the row that breaks a law is named."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surrogate.checks import check_physics
+from surrogate.compliance import fit_compliance
+from surrogate.conflicts import conflicts
+from surrogate.gaps import axis_gaps
+from surrogate.rows import Rows
+from surrogate.surrogate import Surrogate
+from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
+
+ROOT = np.random.default_rng(3).normal(size=(6, 6)) + 3 * np.eye(6)
+SCALED = np.concatenate((np.zeros((1, 6)), clean_wrenches(30, 4), full_wrenches(20, 5)))
+# Symmetric and positive in units of energy: 1e-3 m or rad at full load.
+MATRIX = 1e-3 * (ROOT @ ROOT.T) / HIGH[:, None] / HIGH[None, :]
+
+
+def checks(displacement: np.ndarray, **columns: Any) -> dict[str, Any]:
+    rows = Rows.of(SCALED * HIGH, displacement, **columns)
+    return check_physics(rows, RANGE, fit_compliance(rows, RANGE, linear=False))
+
+
+LINEAR = (SCALED * HIGH) @ MATRIX.T
+TANGENTS = np.tile(MATRIX, (len(SCALED), 1, 1))
+
+
+def test_a_linear_elastic_table_passes_and_a_6x6_suffices() -> None:
+    told = checks(LINEAR, compliance=TANGENTS)
+    assert told["ok"]
+    assert all(check["ok"] for check in told["checks"].values())
+    assert told["checks"]["linear"]["says"].startswith("a 6x6 suffices for this component: max")
+    assert told["checks"]["linear"]["index"] < 1e-9
+
+
+def test_nonlinearity_is_measured_and_breaks_no_law() -> None:
+    bent = LINEAR.copy()
+    bent[:, 2] *= 1 + 0.1 * np.abs(SCALED).max(axis=1)
+    told = checks(bent)
+    assert told["ok"]
+    assert not told["checks"]["linear"]["ok"]
+    assert 0.005 < told["checks"]["linear"]["per_output"]["u_z"] < 0.1
+    assert len(told["checks"]["linear"]["rows"]) == 5
+
+
+def test_a_displacement_at_no_load_is_named() -> None:
+    offset = LINEAR + np.abs(LINEAR).max(axis=0) * 0.01
+    told = checks(offset)["checks"]["zero_at_zero_load"]
+    assert not told["ok"]
+    assert told["rows"] == [1]
+
+
+@pytest.mark.parametrize("row", [40, 77])
+def test_a_row_with_a_wrong_sign_gives_work_back_and_is_named(row: int) -> None:
+    wrong = LINEAR.copy()
+    wrong[row] *= -1
+    told = checks(wrong)
+    assert not told["ok"]
+    assert row + 1 in told["checks"]["work"]["rows"]
+    assert len(told["checks"]["work"]["rows"]) < 5
+
+
+def test_tangents_that_are_unsymmetric_negative_or_lead_elsewhere_are_named() -> None:
+    tangents = TANGENTS.copy()
+    tangents[5, 0, 1] += 0.5 * np.abs(MATRIX[0, 0] * HIGH[0] / HIGH[1])
+    tangents[9] *= -1
+    told = checks(LINEAR, compliance=tangents)["checks"]
+    assert 6 in told["symmetric"]["rows"]
+    assert told["positive"]["rows"] == [10]
+    assert 10 in told["tangents"]["rows"]
+
+
+def test_a_load_a_guide_holds_is_told_to_have_no_influence() -> None:
+    held = MATRIX.copy()
+    held[[1, 3]] = held[:, [1, 3]] = 0
+    told = checks((SCALED * HIGH) @ held.T)["checks"]["positive"]
+    assert told["ok"]
+    assert told["loads_without_influence"] == ["F_y", "M_x"]
+
+
+def test_rows_without_all_outputs_are_left_out_of_the_checks() -> None:
+    partial = LINEAR.copy()
+    partial[::2, 3:] = np.nan
+    rows = Rows.of(SCALED * HIGH, partial)
+    told = check_physics(rows, RANGE, Surrogate.build(rows, RANGE).fit)
+    assert told["rows_checked"] == len(SCALED) // 2
+
+
+def test_rows_that_contradict_each_other_are_listed_and_repeats_are_not() -> None:
+    wrench = np.tile(SCALED[5] * HIGH, (4, 1))
+    wrench[2:] = SCALED[6] * HIGH
+    moved = np.tile(LINEAR[5], (4, 1))
+    moved[1, 2] += 1e-4
+    rows = table(smooth, SCALED) + Rows.of(wrench, moved, seq=[101, 102, 103, 104])
+    rows = rows.take(np.delete(np.arange(len(rows)), [5, 6]))
+    found = conflicts(rows, RANGE)
+    assert [one["rows"] for one in found] == [[101, 102]]
+    assert found[0]["spread"] == pytest.approx({"u_z": 1e-4})
+    doubtful = Rows.of(wrench, moved, uncertainty=np.full((4, 6), 1e-4))
+    assert conflicts(doubtful, RANGE) == []
+    summary = Surrogate.build(rows, RANGE).coverage_summary()
+    assert summary["conflicting_wrenches"] == 1
+    assert summary["repeated_wrenches"] == 2
+
+
+def test_gaps_name_the_corners_of_the_range_outside_the_hull() -> None:
+    scaled = clean_wrenches(40, 1)
+    whole = axis_gaps(Surrogate.build(table(smooth, scaled), RANGE))
+    assert [len(axis["outside"]) for axis in whole] == [0, 0, 0]
+    assert len(whole[0]["hull"]) == 8
+    assert len(whole[0]["worst"]) == 5
+    without = axis_gaps(Surrogate.build(table(smooth, scaled[1:]), RANGE))
+    assert without[0]["outside"] == [{"F_x": -1000.0, "M_y": -500.0, "M_z": -200.0}]
+    flat = axis_gaps(Surrogate.build(table(smooth, scaled[:40] * [1, 0, 0, 0, 1, 0]), RANGE))
+    assert len(flat[0]["hull"]) == 4
+    assert flat[2]["hull"] == []
