@@ -54,7 +54,8 @@ format: $(VENV)/.installed-dev  ## let ruff lay out the code
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.installed-dev  ## timings as ratios, side by side in one run
-	$(BIN)/python -m pytest tests/benchmarks -s -p no:cacheprovider
+	$(BIN)/python -m pytest tests/benchmarks -s -p no:cacheprovider \
+		--ignore tests/benchmarks/test_fea_speed.py --ignore tests/benchmarks/test_fea_calculix.py
 
 bench-fea: $(VENV)/.installed-dev  ## wall time of the solver beside CalculiX, in turn
 	$(BIN)/python -m pytest tests/benchmarks/test_fea_speed.py -s -p no:cacheprovider --timeout 1800
