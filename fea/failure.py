@@ -123,11 +123,20 @@ def locking_material(message: str) -> SolveFailed:
     )
 
 
-def rotation_too_large(degrees: float, limit: float) -> SolveFailed:
-    """Return the failure of an interface that turns further than tables may hold."""
+def rotation_too_large(degrees: float, limit: float, share: float = 1.0) -> SolveFailed:
+    """Return the failure of an interface that turns further than tables may hold.
+
+    Parameters
+    ----------
+    degrees, limit
+        What it turns by, and may turn by.
+    share
+        The part of the wrench under which it does.
+    """
+    under = f" under {share:.3g} of this wrench already" if share < 1.0 else ""
     return SolveFailed(
         "rotation_too_large",
-        f"The interface turns by {degrees:.1f} degrees; tables hold at most {limit:.0f}.",
+        f"The interface turns by {degrees:.1f} degrees{under}; tables hold at most {limit:.0f}.",
         "Lower the load range, or stiffen the part: this is outside the small deformation that "
         "wrenchbook is for.",
     )

@@ -202,7 +202,7 @@ class Solver:
     ) -> Solution:
         path = LoadPath(self._system, acting, progress)
         try:
-            found = path.follow(_require_small_turn, start)
+            found = path.follow(lambda balance: _require_small_turn(balance, acting), start)
         except SolveFailed as failure:
             failure.history = tuple(path.history)
             factor, nodes = path.last_state()
@@ -250,11 +250,14 @@ def _system(component: Component, active: Array) -> System:
     return System(body, coupling, component.mesh.points)
 
 
-def _require_small_rotation(displacement: Array) -> None:
+def _require_small_rotation(displacement: Array, share: float = 1.0) -> None:
     degrees = float(np.degrees(np.linalg.norm(displacement[3:])))
     if degrees > MOST_DEGREES:
-        raise rotation_too_large(degrees, MOST_DEGREES)
+        raise rotation_too_large(degrees, MOST_DEGREES, share)
 
 
-def _require_small_turn(balance: Balance) -> None:
-    _require_small_rotation(balance.state.interface)
+def _require_small_turn(balance: Balance, wrench: Array) -> None:
+    largest = np.abs(wrench).argmax()
+    _require_small_rotation(
+        balance.state.interface, float(balance.wrench[largest] / wrench[largest])
+    )
