@@ -20,8 +20,8 @@ CHUNK = 2048  # points read at once
 
 LINE = 33  # points at which the line of one moment alone is looked at
 
-SHARP = 0.28  # of held-out errors: what is missing of them where slopes jump
-ONE_SIDED = 0.8  # mean sign of the bends along a kink
+SHARP = 0.2  # of held-out errors: what is missing of them where slopes jump
+ONE_SIDED = 0.4  # mean sign of the bends along a kink
 KINK = 3.0  # the bend that is missing on a kink, per bend there and missing part elsewhere
 
 SOUND, LARGE, DEGENERATE = 0, 1, 2
@@ -65,9 +65,7 @@ class AxisTable:
         How many points the axis needs not to be thin.
     """
 
-    def __init__(
-        self, rows: AxisRows, load_range: LoadRange, *, repeatable: bool = False
-    ) -> None:
+    def __init__(self, rows: AxisRows, load_range: LoadRange, *, repeatable: bool = False) -> None:
         """Triangulate the rows, at least one, and calibrate their error bars.
 
         `repeatable` rows are solves, which have no noise.

@@ -17,6 +17,7 @@ from surrogate.leftout import LeftOut, across_axes, acting_together
 from surrogate.rows import Floats, LoadRange, Rows
 
 FULL_FOLDS = 4
+ROUNDING = 1e-9  # of displacements
 ON_KINK = 2.0  # times the bend, what may be missing of it on a kink
 MANY_FULL = 400  # full-wrench rows above which only the first fold is held out
 MOST_SHOWN = 900  # rows that the polynomial of what is left out is fitted to
@@ -31,7 +32,9 @@ def build_composition(
     return Composition(composition.tables, composition.zero, left_out)
 
 
-def axes_of(rows: Rows, load_range: LoadRange, fit: ComplianceFit, off_axis: OffAxis) -> Composition:
+def axes_of(
+    rows: Rows, load_range: LoadRange, fit: ComplianceFit, off_axis: OffAxis
+) -> Composition:
     """Build the three axes, without what they leave out."""
     repeatable = bool(len(rows)) and bool((rows.source == "fea").all())
     tables = []
@@ -63,7 +66,9 @@ def _worth_joining(
     found = table.interpolant.locate(joined.points)
     sound = (found >= 0) & (table.weak_at[found] == 0)
     bars = table.read(np.maximum(found, 0), joined.points).bars
-    better = sound & (fit.bar[list(joined.axis.outputs)] > bars).any(axis=1)
+    outputs = list(joined.axis.outputs)
+    rounding = ROUNDING * (np.abs(fit.matrix) @ load_range.scale)[outputs]
+    better = sound & (fit.bar[outputs] > bars + rounding).any(axis=1)
     return joined.take(joined.clean | ~better)
 
 

@@ -45,7 +45,9 @@ def choose(
         best = min(quick, key=lambda method: float(scores[method][output]))
         least = float(scores[best][output])
         if least >= CLEARLY * plain:
-            why = f"no method is clearly better on {basis} (griddata {plain:.2g}, {best} {least:.2g})"
+            why = (
+                f"no method is clearly better on {basis} (griddata {plain:.2g}, {best} {least:.2g})"
+            )
             choices.append(Choice(name, "griddata", why))
         else:
             why = f"error {least:.2g} against {plain:.2g} by griddata on {basis}"

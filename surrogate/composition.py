@@ -36,7 +36,7 @@ class Composed(NamedTuple):
     """Displacements and error bars, shapes (n, 6), m and rad, and where they are told, (n,).
 
     `bend` is the error to be expected of the axes, with its sign, and `rest` what may come on top
-    of it; the error bar holds what is left out besides, if that was asked for.
+    of it; `expected` is the size of the bend and of what is left out together, as the bar holds it.
     """
 
     displacement: Floats
@@ -44,6 +44,7 @@ class Composed(NamedTuple):
     told: NDArray[np.bool_]
     bend: Floats
     rest: Floats
+    expected: Floats
 
 
 class Composition:
@@ -96,8 +97,12 @@ class Composition:
         for turn in (0, 1, 2):
             spread[3 + turn] += lean[turn] * lean[turn]
         self.left_out.widen(wrench, spread, bent)
-        error = tuple([abs(b) + sqrt(s) for b, s in zip(bent, spread, strict=True)])
-        return tuple(moved), error
+        a, b, c, d, e, f = bent
+        p, q, r = lean
+        size = (abs(a), abs(b), abs(c), abs(d), abs(e), abs(f), abs(d + p), abs(e + q), abs(f + r))
+        a, b, c, d, e, f, p, q, r = size
+        size = (a, b, c, max(d, p), max(e, q), max(f, r))
+        return tuple(moved), tuple([b + sqrt(s) for b, s in zip(size, spread, strict=True)])
 
     def _add_axis(
         self,
@@ -125,11 +130,11 @@ class Composition:
                 return False
             _, zx, zy, zz, _, dx, dy, dz, _, cx, cy, cz = _piece(table, simplex, points[1])
             tilt = table.lean
-            bx -= cx + tilt[0]
-            by -= cy + tilt[1]
-            bz -= cz + tilt[2]
+            bx -= cx
+            by -= cy
+            bz -= cz
             for turn in (0, 1, 2):
-                lean[turn] += tilt[turn]
+                lean[turn] -= tilt[turn]
         elif points[0][1] != 0.0:  # M_j alone: its two answers, to subtract, are one
             return True
         else:
@@ -168,11 +173,13 @@ class Composition:
                 bent[used, 3:] += share.bends[:, 1:]
                 spread[used, axis] += share.squares[:, 0]
                 spread[used, 3:] += share.squares[:, 1:]
-                lean[used] += share.both[:, None] * np.array(table.lean)
+                lean[used] -= share.both[:, None] * np.array(table.lean)
         spread[:, 3:] += lean**2
         bend, rest = bent.copy(), np.sqrt(spread)
         self.left_out.widen_many(wrenches, spread, bent)
-        return Composed(moved, np.abs(bent) + np.sqrt(spread), told, bend, rest)
+        expected = np.abs(bent)
+        expected[:, 3:] = np.maximum(expected[:, 3:], np.abs(bent[:, 3:] + lean))
+        return Composed(moved, expected + np.sqrt(spread), told, bend, rest, expected)
 
 
 class _Share(NamedTuple):
@@ -199,7 +206,7 @@ def _share(table: AxisTable, x: Floats, zero: tuple[float, ...]) -> _Share:
     if both.any():
         base, turned, doubt, sound = _read_alone(table, x[where])
         outputs[where, 1:] -= base[:, 1:]
-        bends[where, 1:] -= turned[:, 1:] + table.lean
+        bends[where, 1:] -= turned[:, 1:]
         squares[where, 1:] += doubt[:, 1:]
         known[where] &= sound
     return _Share(outputs, bends, squares, known, both)

@@ -30,11 +30,13 @@ from surrogate.interpolant import Indices, Interpolant
 from surrogate.rows import Floats
 
 LEVEL = 0.95
-# Noise of unit variance in each row leaves a variance of sum_i lambda_i^2 in an answer, and one more
-# in a held-out error. `NOISY` is the part of their variance that the bend leaves unexplained, from
+# Noise of unit variance in each row leaves a variance of sum_i lambda_i^2 in an answer, and one
+# more in a held-out error. `NOISY` is the part of their variance that the bend leaves unexplained, from
 # where on they start to be taken for noise and where they are.
 NOISY = (0.75, 0.9)
-CARE = 1.12  # what is taken for noise may be a little of curvature
+MARGIN = 1.08  # an answer reads parts of several simplices, whose errors go together a little
+CARE = 1.05  # what is taken for noise may be a little of curvature
+NEARLY = 0.2
 BENT = (0.3, 1.3)  # below which share a bend explains nothing, and the most that is taken of it
 FEWEST = 5  # held-out errors below which nothing can be calibrated
 CAUTION = 6.0  # a quantile of h errors is enlarged by this over h
@@ -118,7 +120,8 @@ def calibrate(
     held = hold_out(interpolant, values, uncertainty, tangent)
     if len(held.places) < FEWEST:
         return _uncalibrated(interpolant, values)
-    bend, unexplained = _bend_share(held)
+    stored = bool(np.isfinite(tangent).any())
+    bend, unexplained = _bend_share(held, exact=stored)
     errors = held.errors - bend * held.bends
     # What stored uncertainty explains already is not counted twice.
     excess = np.maximum(np.abs(errors) - held.uncertainty, 0.0)
@@ -131,6 +134,7 @@ def calibrate(
     if not repeatable:
         left, noise = _noise(held, unexplained)
         factor = factor * left
+    factor = factor * MARGIN
     mixed = factor * shares[:, :ROWS_OWN].T * indicators
     signed = np.zeros_like(values)
     signed[held.places] = errors
@@ -141,12 +145,18 @@ def calibrate(
     return RowBars(flat, curvature, len(held.places), signed, bend, bending, noise, missing)
 
 
-def _bend_share(held: HeldOut) -> tuple[Floats, Floats]:
-    """Return, per output, the share of the bend to take, and the unexplained part of variance."""
+def _bend_share(held: HeldOut, *, exact: bool) -> tuple[Floats, Floats]:
+    """Return, per output, the share of the bend to take, and the unexplained part of variance.
+
+    Of exact slopes all of it is taken if it nearly is: the least-squares share, some per cent off,
+    would leave as much of the second-order error.
+    """
     size = (held.bends**2).sum(axis=0)
     share = (held.errors * held.bends).sum(axis=0) / np.maximum(size, TINY)
     share = np.where(share < BENT[0], 0.0, np.minimum(share, BENT[1]))
     share[size < TINY] = 0.0
+    if exact:
+        share[np.abs(share - 1.0) < NEARLY] = 1.0
     left = ((held.errors - share * held.bends) ** 2).sum(axis=0)
     return share, left / np.maximum((held.errors**2).sum(axis=0), TINY)
 

@@ -66,7 +66,9 @@ class Influence:
         """Return the six left-out outputs, m and rad, for one wrench of floats."""
         x = np.array(wrench) / self.scale
         pairs = x[_FIRST] * x[_SECOND]
-        return self.coefficients.dot(np.concatenate((x, pairs, pairs[_OF_PAIR] * x[_THIRD]))).tolist()
+        return self.coefficients.dot(
+            np.concatenate((x, pairs, pairs[_OF_PAIR] * x[_THIRD]))
+        ).tolist()
 
     def many(self, wrenches: Floats) -> Floats:
         """Return them for wrenches of shape (n, 6)."""
@@ -96,9 +98,7 @@ def monomial_slopes(x: Floats, load: int) -> Floats:
     return slopes
 
 
-def shown_by(
-    output: int, x: Floats, missed: Floats, valued: np.ndarray, tangent: Floats
-) -> Shown:
+def shown_by(output: int, x: Floats, missed: Floats, valued: np.ndarray, tangent: Floats) -> Shown:
     """Return what rows at scaled wrenches (n, 6) show of one output.
 
     Parameters
@@ -127,7 +127,9 @@ def fit_output(output: int, shown: Shown) -> tuple[Floats, Floats]:
     if count < FEWEST or not shown.missed.any():
         return best, left
     least = BETTER**2 * float((left**2).sum())
-    fold_of = np.random.default_rng(20170726).permutation(int(shown.row.max()) + 1)[shown.row] % FOLDS
+    fold_of = (
+        np.random.default_rng(20170726).permutation(int(shown.row.max()) + 1)[shown.row] % FOLDS
+    )
     for degree in (1, 2, 3):
         terms = np.flatnonzero(FREE[output] & (degree >= DEGREES))
         if not len(terms):

@@ -26,7 +26,7 @@ from surrogate.rows import Floats
 
 POWERS = (1.0, 0.5)
 ACROSS_LEVEL = 0.9
-CAUTION = 12.0  # products of loads are seldom large in few rows
+CAUTION = 10.0  # products of loads are seldom large in few rows
 
 
 @dataclass(frozen=True)

@@ -122,7 +122,7 @@ class Methods:
 
     def _read_tangent(self, wrenches: Floats, composed: Composed) -> Told:
         left_out = self.composition.left_out.influence.many(wrenches)
-        error = composed.error - np.abs(composed.bend + left_out) + np.abs(left_out)
+        error = composed.error - composed.expected + np.abs(left_out)
         return composed.displacement + composed.bend, error
 
     def _read_rbf(self, wrenches: Floats, composed: Composed) -> Told:

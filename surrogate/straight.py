@@ -27,9 +27,7 @@ class StraightSplines:
         What 95 % of the errors at rows left out of their axis stay below, of all that is composed.
     """
 
-    def __init__(
-        self, rows: Rows, load_range: LoadRange, fit: ComplianceFit, zero: Floats
-    ) -> None:
+    def __init__(self, rows: Rows, load_range: LoadRange, fit: ComplianceFit, zero: Floats) -> None:
         """Fit the axes that have clean rows; `zero` is the displacement (6,) at no load."""
         self.zero, self.scale = np.array(zero), load_range.scale
         self.splines: list[Spline | None] = []

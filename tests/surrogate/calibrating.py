@@ -80,8 +80,6 @@ def shipped(name: str, full: int) -> Shipped:
         load_range = LoadRange(file["low"], file["high"])
     kept = slice(0, clean + full)
     count = len(wrench[kept])
-    rows = Rows.of(
-        wrench[kept], moved[kept], compliance=compliance[kept], source=["fea"] * count
-    )
+    rows = Rows.of(wrench[kept], moved[kept], compliance=compliance[kept], source=["fea"] * count)
     rest = slice(len(compliance), None)
     return Shipped(rows, load_range, wrench[rest], moved[rest])

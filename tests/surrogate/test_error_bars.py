@@ -5,12 +5,11 @@ import pytest
 
 from surrogate.errorbar import conformal_factor
 from surrogate.interpolant import Interpolant
-from surrogate.rows import Rows
 from surrogate.surrogate import Surrogate
+from tests.surrogate.calibrating import calibration, noisy, shipped, synthetic, with_slopes
 from tests.surrogate.responses import (
     HIGH,
     RANGE,
-    Response,
     clean_wrenches,
     coupled,
     full_wrenches,
@@ -19,59 +18,76 @@ from tests.surrogate.responses import (
     table,
 )
 
-
-def calibration(rows: Rows, response: Response, **how: object) -> tuple[np.ndarray, np.ndarray]:
-    """Return, per output, the part of errors inside the bar and median bar over median error."""
-    asked = full_wrenches(2000, 99)
-    answers = Surrogate.build(rows, RANGE, **how).batch(asked * HIGH)  # type: ignore[arg-type]
-    covered = answers.coverage == 0
-    assert covered.mean() > 0.9
-    true = np.abs(answers.displacement - response(asked))[covered]
-    bars = answers.error[covered]
-    return (true <= bars).mean(axis=0), np.median(bars, axis=0) / np.median(true, axis=0)
-
-
 # What does not meet the contract yet, for every run to see.
-KINK_HOLD = "moments alone lie on the kink, with no row there: rotation errors all have one sign"
-KINK_SHARP = "bars spread from the few simplices that the kink cuts to those beside it: up to 31 x"
-NOISE_SHARP = (
-    "a held-out error holds the row's own noise, the answer's error does not: 5.2 to 8.2 x"
-)
+KINK_SHARP = "without slopes, translations' bars spread to simplices beside the kink: 5.8 to 12.6 x"
+FEW_NOISY = "56 noisy rows an axis tell noise from curvature only in part: up to 5.8 x"
 
 SIZES = [(n, seed) for n in (56, 200, 600) for seed in (1, 2)]
 
 
-def misses(why: str, cases: list, missed: set) -> list:
-    """Return the cases, those that miss the contract marked as expected failures."""
-    mark = pytest.mark.xfail(strict=True, reason=why)
-    return [pytest.param(*case, marks=[mark] if case in missed else []) for case in cases]
-
-
 @pytest.mark.parametrize(("per_axis", "seed"), SIZES)
-def test_bars_hold_on_a_smooth_response(per_axis: int, seed: int) -> None:
-    inside, _ = calibration(table(smooth, clean_wrenches(per_axis, seed)), smooth)
+def test_bars_hold_and_are_sharp_on_a_smooth_response(per_axis: int, seed: int) -> None:
+    inside, ratio, _ = synthetic(smooth, table(smooth, clean_wrenches(per_axis, seed)))
     assert inside.min() >= 0.9
-
-
-@pytest.mark.parametrize(
-    ("per_axis", "seed"), misses("few rows: rotation bars up to 5.6 x", SIZES, {(56, 1)})
-)
-def test_bars_are_sharp_on_a_smooth_response(per_axis: int, seed: int) -> None:
-    _, ratio = calibration(table(smooth, clean_wrenches(per_axis, seed)), smooth)
     assert ratio.max() <= 5
 
 
+@pytest.mark.parametrize(("per_axis", "seed"), SIZES)
+def test_bars_hold_under_noise(per_axis: int, seed: int) -> None:
+    """Against the response itself: what the rows' noise makes of an answer, not of a new row."""
+    assert synthetic(smooth, noisy(per_axis, seed)).inside.min() >= 0.9
+
+
 @pytest.mark.parametrize(
-    ("per_axis", "seed"), misses(KINK_HOLD, SIZES, {(200, 2), (600, 1), (600, 2)})
+    ("per_axis", "seed"),
+    [
+        pytest.param(*size, marks=[pytest.mark.xfail(strict=True, reason=FEW_NOISY)])
+        if size == (56, 2)
+        else size
+        for size in SIZES
+    ],
 )
+def test_bars_are_sharp_under_noise(per_axis: int, seed: int) -> None:
+    assert synthetic(smooth, noisy(per_axis, seed)).ratio.max() <= 5
+
+
+@pytest.mark.parametrize(("per_axis", "seed"), SIZES)
 def test_bars_hold_on_a_kinked_response(per_axis: int, seed: int) -> None:
-    inside, _ = calibration(table(kinked, clean_wrenches(per_axis, seed)), kinked)
+    inside, ratio, _ = synthetic(kinked, table(kinked, clean_wrenches(per_axis, seed)))
     assert inside.min() >= 0.9
+    assert ratio[3:].max() <= 5
 
 
-@pytest.mark.parametrize(("per_axis", "seed"), misses(KINK_SHARP, SIZES, set(SIZES)))
+@pytest.mark.xfail(strict=True, reason=KINK_SHARP)
+@pytest.mark.parametrize(("per_axis", "seed"), SIZES)
 def test_bars_are_sharp_on_a_kinked_response(per_axis: int, seed: int) -> None:
-    _, ratio = calibration(table(kinked, clean_wrenches(per_axis, seed)), kinked)
+    _, ratio, _ = synthetic(kinked, table(kinked, clean_wrenches(per_axis, seed)))
+    assert ratio.max() <= 5
+
+
+@pytest.mark.parametrize("per_axis", [56, 200])
+@pytest.mark.parametrize("response", [smooth, kinked])
+def test_bars_with_the_rows_own_slopes_hold_and_are_sharp(response, per_axis: int) -> None:
+    inside, ratio, _ = synthetic(response, with_slopes(response, clean_wrenches(per_axis, 1)))
+    assert inside.min() >= 0.9
+    assert ratio.max() <= 5
+
+
+@pytest.mark.parametrize("full", [20, 40, 80])
+def test_full_wrench_bars_hold_and_are_sharp_on_the_thin_plate(full: int) -> None:
+    component = shipped("plate_thin", full)
+    surrogate = Surrogate.build(component.rows, component.load_range)
+    inside, ratio, _ = calibration(surrogate, component.asked, component.true)
+    assert inside.min() >= 0.9
+    assert ratio.max() <= 5
+
+
+@pytest.mark.parametrize("name", ["plate", "spring", "bar"])
+def test_full_wrench_bars_hold_and_are_sharp_on_the_other_components(name: str) -> None:
+    component = shipped(name, 20)
+    surrogate = Surrogate.build(component.rows, component.load_range)
+    inside, ratio, _ = calibration(surrogate, component.asked, component.true)
+    assert inside.min() >= 0.9
     assert ratio.max() <= 5
 
 
@@ -80,51 +96,21 @@ def test_bars_hold_on_a_kink_at_no_force_with_the_pure_moments_that_fill_asks_fo
     for moment, block in enumerate(moments):
         block[:, 3 + moment] = np.linspace(-1, 1, 9)
     scaled = np.concatenate((clean_wrenches(400, 2), np.unique(moments.reshape(-1, 6), axis=0)))
-    inside, _ = calibration(table(kinked, scaled), kinked)
-    assert inside.min() >= 0.9
-
-
-def noisy(per_axis: int, seed: int) -> Rows:
-    noise = np.random.default_rng(seed).normal(size=(3 * per_axis, 6)) * 3e-4
-    return table(lambda x: smooth(x) + noise, clean_wrenches(per_axis, seed))
-
-
-@pytest.mark.parametrize(("per_axis", "seed"), SIZES)
-def test_bars_hold_under_noise(per_axis: int, seed: int) -> None:
-    """Against the truth, not the noisy rows, which a bar over noisy rows must hold as well."""
-    inside, _ = calibration(noisy(per_axis, seed), smooth)
-    assert inside.min() >= 0.9
-
-
-@pytest.mark.parametrize(("per_axis", "seed"), misses(NOISE_SHARP, SIZES, set(SIZES)))
-def test_bars_are_sharp_under_noise(per_axis: int, seed: int) -> None:
-    _, ratio = calibration(noisy(per_axis, seed), smooth)
-    assert ratio.max() <= 5
+    assert synthetic(kinked, table(kinked, scaled)).inside.min() >= 0.9
 
 
 def test_few_rows_make_wide_bars() -> None:
-    inside, _ = calibration(table(smooth, clean_wrenches(20, 1)), smooth)
-    assert inside.min() >= 0.95
+    assert synthetic(smooth, table(smooth, clean_wrenches(20, 1))).inside.min() >= 0.95
 
 
-FULL = [(n, off) for n in (20, 80) for off in ("correct", "exclude")]
-
-
-@pytest.mark.parametrize(
-    ("full", "off_axis"), misses("20 rows hold u_z at 89 % only", FULL, {(20, "correct")})
-)
+@pytest.mark.parametrize("off_axis", ["correct", "exclude"])
+@pytest.mark.parametrize("full", [20, 80])
 def test_full_wrench_rows_show_what_straight_influence_leaves_out(full: int, off_axis: str) -> None:
     scaled = np.concatenate((clean_wrenches(60, 1), full_wrenches(full, 2)))
-    without, _ = calibration(table(coupled, scaled[:180]), coupled)
-    inside, _ = calibration(table(coupled, scaled), coupled, off_axis=off_axis)
-    assert without.min() < 0.8  # no bar can know this without such rows
+    without = synthetic(coupled, table(coupled, scaled[:180]))
+    inside, ratio, _ = synthetic(coupled, table(coupled, scaled), off_axis=off_axis)
+    assert without.inside.min() < 0.8  # no bar can know this without such rows
     assert inside.min() >= 0.9
-
-
-@pytest.mark.parametrize(("full", "off_axis"), misses("bars up to 7.3 x", FULL, set(FULL)))
-def test_bars_with_full_wrench_rows_are_sharp(full: int, off_axis: str) -> None:
-    scaled = np.concatenate((clean_wrenches(60, 1), full_wrenches(full, 2)))
-    _, ratio = calibration(table(coupled, scaled), coupled, off_axis=off_axis)
     assert ratio.max() <= 5
 
 
@@ -132,8 +118,7 @@ def test_rows_of_another_axis_show_the_influence_across_axes() -> None:
     def response(x: np.ndarray) -> np.ndarray:
         return smooth(x) + np.outer(x[:, 1], [2e-4, 0, 0, 0, 0, 0])  # u_x under F_y
 
-    inside, _ = calibration(table(response, clean_wrenches(60, 1)), response)
-    assert inside.min() >= 0.9
+    assert synthetic(response, table(response, clean_wrenches(60, 1))).inside.min() >= 0.9
 
 
 def test_stored_uncertainty_of_rows_is_in_the_bar() -> None:
