@@ -7,7 +7,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 LOCK := pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
 	--no-annotate --no-header --no-emit-index-url --extra build -q
 
-.PHONY: help setup demo serve test check lint types arch format bench bench-fea bench-stability validate \
+.PHONY: help setup demo serve test check lint types arch format bench bench-fea bench-stability bench-calibration bench-methods validate \
 	validate-table validate-ccx image lock clean
 
 help:  ## list the targets
@@ -62,6 +62,12 @@ bench-fea: $(VENV)/.installed-dev  ## wall time of the solver beside CalculiX, i
 
 bench-stability: $(VENV)/.installed-dev  ## extreme parts and loads: each right or refused by name
 	$(BIN)/python -m pytest tests/benchmarks/test_stability.py -s -p no:cacheprovider
+
+bench-calibration: $(VENV)/.installed-dev  ## error bars against true errors, per response, size and method
+	$(BIN)/python -m pytest tests/benchmarks/test_calibration.py -s -p no:cacheprovider
+
+bench-methods: $(VENV)/.installed-dev  ## RMS of each method on the thin plate at equal numbers of solves
+	$(BIN)/python -m pytest tests/benchmarks/test_methods.py -s -p no:cacheprovider
 
 validate: setup  ## verify the solver: closed forms, published numbers, CalculiX
 	$(BIN)/wrenchbook validate all

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,11 @@ class Composed(NamedTuple):
     bend: Floats
     rest: Floats
     expected: Floats
+
+    def at(self, places: NDArray[np.intp]) -> Composed:
+        """Return what is told at some places."""
+        columns: list[Any] = [column[places] for column in self]
+        return Composed(*columns)
 
 
 class Composition:

@@ -53,6 +53,6 @@ def _chosen(rows: Rows, load_range: LoadRange) -> np.ndarray:
     per_row = 7 if np.isfinite(rows.compliance).any() else 1
     most = MOST // per_row
     order = np.random.default_rng(20170726).permutation(len(rows))
-    full = ~clean_rows(rows, load_range).any(axis=1)[order]
+    full = np.asarray(~clean_rows(rows, load_range).any(axis=1))[order]
     clean = order[~full][: max(int(CLEAN_SHARE * most), most - int(full.sum()))]
     return np.sort(np.concatenate((order[full][: most - len(clean)], clean)))

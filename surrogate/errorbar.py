@@ -31,12 +31,12 @@ from surrogate.rows import Floats
 
 LEVEL = 0.95
 # Noise of unit variance in each row leaves a variance of sum_i lambda_i^2 in an answer, and one
-# more in a held-out error. `NOISY` is the part of their variance that the bend leaves unexplained, from
-# where on they start to be taken for noise and where they are.
+# more in a held-out error. `NOISY` is the part of their variance that the bend leaves unexplained,
+# from where on they start to be taken for noise and where they are.
 NOISY = (0.75, 0.9)
 MARGIN = 1.08  # an answer reads parts of several simplices, whose errors go together a little
 CARE = 1.05  # what is taken for noise may be a little of curvature
-NEARLY = 0.2
+NEARLY = 0.1
 BENT = (0.3, 1.3)  # below which share a bend explains nothing, and the most that is taken of it
 FEWEST = 5  # held-out errors below which nothing can be calibrated
 CAUTION = 6.0  # a quantile of h errors is enlarged by this over h

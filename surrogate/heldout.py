@@ -92,5 +92,7 @@ def hold_out(
         doubt = np.einsum("ki,kiq->kq", np.abs(shares), uncertainty[vertices])
         bubbles = np.maximum(reduced.bubbles(found, points[places]), 0.0)
         bends = bend_of(reduced, values[rest], tangent[rest], found, shares)
-        found_in.append((places, values[places] - predicted, bubbles, vertices, shares, doubt, bends))
+        found_in.append(
+            (places, values[places] - predicted, bubbles, vertices, shares, doubt, bends)
+        )
     return HeldOut(*(np.concatenate(part) for part in zip(*found_in, strict=True)))

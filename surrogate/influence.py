@@ -29,7 +29,7 @@ _THIRD = _TRIPLES[:, 2]
 
 # Terms that the composition has: for u_i those of axis i's loads, for rotations those of any axis.
 _INSIDE = np.array([[set(term) <= set(axis.inputs) for term in TERMS] for axis in AXES])
-FREE = ~np.concatenate((_INSIDE, np.repeat(_INSIDE.any(axis=0)[None], 3, axis=0)))
+FREE = ~np.concatenate((_INSIDE, np.repeat(_INSIDE.any(axis=0, keepdims=True), 3, axis=0)))
 
 DAMPINGS = (1e-6, 1e-3, 1e-1)
 FOLDS = 5
@@ -158,4 +158,5 @@ def _solve(equations: Floats, missed: Floats, damping: float) -> Floats:
     """Solve damped least squares; the damping is relative to the mean diagonal."""
     normal = equations.T @ equations
     mean = max(float(np.trace(normal)) / len(normal), np.finfo(float).tiny)
-    return np.linalg.solve(normal + damping * mean * np.eye(len(normal)), equations.T @ missed)
+    damped = normal + damping * mean * np.eye(len(normal))
+    return np.asarray(np.linalg.solve(damped, equations.T @ missed), dtype=float)

@@ -60,7 +60,7 @@ class Methods:
         told = np.flatnonzero(composed.told)
         displacement, error = composed.displacement.copy(), composed.error.copy()
         if len(told):
-            some = Composed(*(column[told] for column in composed))
+            some = composed.at(told)
             displacement[told], error[told] = self.registry[method](wrenches[told], some)
         return displacement, error
 

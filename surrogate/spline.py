@@ -46,7 +46,7 @@ class Spline:
         self.points = centred @ self.basis.T
         slopes = slopes @ self.basis.T
         n, dimension = self.points.shape
-        known = np.isfinite(slopes).all(axis=(1, 2))
+        known: NDArray[np.bool_] = np.asarray(np.isfinite(slopes).all(axis=(1, 2)))
         self.used = np.concatenate((np.ones(n, bool), np.tile(known, dimension)))
         self.order, self.degree = order, _degree(order, dimension, int(self.used.sum()))
         kernel = _kernel(self.points, self.points, order, slopes=True)[self.used][:, self.used]
@@ -98,7 +98,7 @@ def _solved(matrix: Floats, target: Floats) -> tuple[Floats, Floats]:
         warnings.simplefilter("ignore", LinAlgWarning)
         factors = lu_factor(matrix / size, check_finite=False)
     if np.abs(np.diag(factors[0])).min() < SINGULAR:
-        inverse = np.linalg.pinv(matrix)
+        inverse = np.asarray(np.linalg.pinv(matrix), dtype=float)
         return inverse @ target, inverse
     weights = lu_solve(factors, target / size, check_finite=False)
     weights += lu_solve(factors, (target - matrix @ weights) / size, check_finite=False)

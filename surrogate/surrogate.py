@@ -29,9 +29,10 @@ from surrogate.coverage import (
     over_tolerance,
     read_carefully,
 )
+from surrogate.linear import answer_linearly
 from surrogate.methods import Methods
 from surrogate.nearest import NearestRow
-from surrogate.rows import LOAD_UNITS, LOADS, Floats, LoadRange, Rows, Tolerance
+from surrogate.rows import Floats, LoadRange, Rows, Tolerance
 from surrogate.summary import summarise
 
 
@@ -59,6 +60,8 @@ class Surrogate:
         off_axis: OffAxis = "correct",
         version: int = 0,
     ) -> None:
+        if (np.diff(rows.seq) < 0).any():  # so that the order they come in changes nothing
+            rows = rows.take(np.argsort(rows.seq, kind="stable"))
         self.rows, self.load_range, self.tolerance = rows, load_range, tolerance
         self.linear, self.version = linear, version
         self.off_axis: OffAxis = off_axis
@@ -276,29 +279,7 @@ class Surrogate:
             return self._or_row(wrench, self._answer_nearest(wrench, tolerance))
         if method in COMPOSED:
             return self._answer_composed(wrench, tolerance, method)
-        loads = np.array(wrench, dtype=float)
-        displacement = tuple((self.fit.matrix @ loads).tolist())
-        error = tuple(self.fit.bar.tolist())
-        beyond = (loads < self.load_range.low) | (loads > self.load_range.high)
-        unknown = ~self.fit.known & (np.abs(loads) > self._small)
-        if unknown.any():
-            load = LOADS[int(np.argmax(unknown))]
-            reason = f"no row tells the influence of {load}"
-            found = Answer(displacement, None, "outside", reason, method)
-        elif beyond.any():
-            load = int(np.argmax(beyond))
-            low, high, unit = (
-                self.load_range.low[load],
-                self.load_range.high[load],
-                LOAD_UNITS[load],
-            )
-            reason = (
-                f"{LOADS[load]} = {loads[load]:.6g} {unit} is outside "
-                f"the load range, {low:.6g}..{high:.6g} {unit}"
-            )
-            found = Answer(displacement, error, "outside", reason, method)
-        else:
-            found = judged(displacement, error, tolerance, method)
+        found = answer_linearly(self.fit, self.load_range, wrench, tolerance)
         return self._or_row(wrench, found)
 
     def _answer_composed(
