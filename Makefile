@@ -7,7 +7,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 LOCK := pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
 	--no-annotate --no-header --no-emit-index-url --extra build -q
 
-.PHONY: help setup demo serve test check lint types arch format bench bench-fea bench-stability bench-calibration bench-methods validate \
+.PHONY: help setup demo serve test check lint types arch format bench bench-fea bench-stability bench-calibration bench-methods bench-surrogate bench-fill validate \
 	validate-table validate-ccx image lock clean
 
 help:  ## list the targets
@@ -55,6 +55,7 @@ format: $(VENV)/.installed-dev  ## let ruff lay out the code
 
 bench: $(VENV)/.installed-dev  ## timings as ratios, side by side in one run
 	$(BIN)/python -m pytest tests/benchmarks -s -p no:cacheprovider \
+		--ignore tests/benchmarks/test_fill.py \
 		--ignore tests/benchmarks/test_fea_speed.py --ignore tests/benchmarks/test_fea_calculix.py
 
 bench-fea: $(VENV)/.installed-dev  ## wall time of the solver beside CalculiX, in turn
@@ -62,6 +63,12 @@ bench-fea: $(VENV)/.installed-dev  ## wall time of the solver beside CalculiX, i
 
 bench-stability: $(VENV)/.installed-dev  ## extreme parts and loads: each right or refused by name
 	$(BIN)/python -m pytest tests/benchmarks/test_stability.py -s -p no:cacheprovider
+
+bench-surrogate: $(VENV)/.installed-dev  ## single answers, batches and builds beside scipy's own calls
+	$(BIN)/python -m pytest tests/benchmarks/test_surrogate_speed.py -s -p no:cacheprovider
+
+bench-fill: $(VENV)/.installed-dev  ## solves needed for 1 % RMS: a random design, and fill with each method
+	$(BIN)/python -m pytest tests/benchmarks/test_fill.py -s -p no:cacheprovider
 
 bench-calibration: $(VENV)/.installed-dev  ## error bars against true errors, per response, size and method
 	$(BIN)/python -m pytest tests/benchmarks/test_calibration.py -s -p no:cacheprovider

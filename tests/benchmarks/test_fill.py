@@ -26,7 +26,7 @@ CAP = int(os.environ.get("FILL_CAP", "400"))
 ROUND = 12
 GOAL = 0.01
 CHECKED = 40
-ASKED = os.environ.get("FILL_METHODS", "griddata,tangent,auto").split(",")
+ASKED = os.environ.get("FILL_METHODS", "griddata,tangent,corrected,auto").split(",")
 
 # The loads that a scene has; the spring's guide takes up the others.
 SCENES = {"plate_thin": (0, 1, 2, 3, 4, 5), "spring": (2, 5)}
