@@ -100,9 +100,9 @@ def test_a_batch_is_faster_than_three_bare_calls_in_random_order(rows: int, fast
     assert (surrogate.batch(wrenches).coverage == 0).all()
     far = seconds(lambda: surrogate.batch(wrenches * 1.5), repeats=2)
     print(
-        f"\n{rows:,} rows an axis: build {took:.1f} s; 100,000 wrenches {ours:.2f} s, three bare calls "
-        f"{theirs:.2f} s, {theirs / ours:.1f} x (at least {faster}); {far:.2f} s with two thirds "
-        "outside"
+        f"\n{rows:,} rows an axis: build {took:.1f} s; 100,000 wrenches {ours:.2f} s, three bare "
+        f"calls {theirs:.2f} s, {theirs / ours:.1f} x (at least {faster}); {far:.2f} s with two "
+        "thirds outside"
     )
     assert ours * faster <= theirs
 
