@@ -79,7 +79,9 @@ class Methods:
     def choices(self) -> tuple[Choice, ...]:
         """Which method `auto` takes for each of the six outputs, and why."""
         if len(self.full) >= FEW_FULL:
-            scores = {name: np.sqrt((e**2).mean(axis=0)) for name, e in self._full_errors().items()}
+            scores = {
+                name: np.sqrt(np.nanmean(e**2, axis=0)) for name, e in self._full_errors().items()
+            }
             basis = f"{len(self.full)} full-wrench rows it does not know"
         else:
             scores = straight_scores(self.composition, self.straight)
@@ -93,7 +95,7 @@ class Methods:
         composition = axes_of(self.rows, self.load_range, self.fit, "exclude")
         composed = composition.many(wrench)
         if composed.told.sum() < FEW_FULL:
-            return {"griddata": np.zeros((1, 6))}
+            return {"griddata": np.zeros((len(wrench), 6))}
         told = composed.told
         plain = moved - composed.displacement
         errors = {
@@ -106,7 +108,7 @@ class Methods:
         learnt = np.isin(self.corrected.places, self.full)
         corrected[known] = self.corrected.left_out[learnt]
         errors["corrected"] = corrected
-        return {name: error[told] for name, error in errors.items()}
+        return {name: np.where(told[:, None], error, np.nan) for name, error in errors.items()}
 
     def _seconds(self, method: str) -> float:
         """Return the seconds one answer takes, the best of three."""
@@ -148,7 +150,7 @@ class Methods:
         Without those the bar holds what rows left out of their axes show, and what `griddata` says
         is left out of all of them, which no slope of this table denies.
         """
-        if len(self.full) < FEW_FULL:
+        if len(self.full) < FEW_FULL or method not in self._factors:
             return self._bars_of_axes(wrenches)
         doubt = np.nan_to_num(self.rows.uncertainty).max(axis=0)
         sizes, factors = self._indicators(wrenches), self._factors[method]
@@ -177,8 +179,9 @@ class Methods:
         sizes = self._indicators(self.rows.wrench[self.full])
         factors = {}
         for method, errors in self._full_errors().items():
-            here = sizes[: len(errors)]
-            each = np.stack([conformal_factor(np.abs(errors), here[:, p]) for p in range(3)])
+            known = np.isfinite(errors).all(axis=1)
+            here, misses = sizes[known], np.abs(errors[known])
+            each = np.stack([conformal_factor(misses, here[:, p]) for p in range(3)])
             with np.errstate(invalid="ignore"):
                 width = np.median(each * here, axis=0)
             best = np.argmin(np.where(np.isfinite(width), width, np.inf), axis=0)
