@@ -28,7 +28,7 @@ def test_a_thin_table_is_solved_filled_and_then_covers(server):
     answer = client.displacement("plate_thin", *WRENCH, on_thin="wait", wait_s=60)
     assert answer.source == "fea"
     for round_ in client.fill_until("plate_thin", budget=40, round_size=40):
-        assert {job.status for job in round_.jobs} == {"done"}
+        assert {job.status for job in round_.jobs} <= {"done"}  # none once the tolerance is met
     tolerance = {"translation": 2e-3, "rotation": 2e-2}
     told = client.displacement("plate_thin", [0, 0, -500.0], [10.0, 0, 0], tolerance=tolerance)
     assert (told.coverage, told.source) == ("covered", "table")
