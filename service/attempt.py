@@ -14,6 +14,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from service.durable import sync_folder
+
 SPEC, LOCK, LOG = "spec.json", "lock", "log.txt"
 PROGRESS, OUTCOME = "progress.json", "result.json"
 DECK = "deck"  # what an outside solver was given and wrote
@@ -130,7 +132,7 @@ def write_whole(path: Path, content: Mapping[str, Any], *, durable: bool = False
             os.fsync(file.fileno())
     partial.replace(path)
     if durable:
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
 
 
 def _question(spec: Spec) -> dict[str, Any]:
@@ -138,11 +140,3 @@ def _question(spec: Spec) -> dict[str, Any]:
     fields = asdict(spec) | {"wrench": list(spec.wrench)}
     del fields["bundle"]
     return fields
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -66,7 +66,9 @@ def query(
     moment: Moment = ZERO,
     on_thin: Annotated[str, typer.Option(help="queue, wait, estimate or reject")] = "wait",
     wait_s: Annotated[float, typer.Option(help="with wait: seconds")] = 60.0,
-    method: Annotated[str | None, typer.Option(help="griddata, linear or nearest")] = None,
+    method: Annotated[
+        str | None, typer.Option(help="griddata, tangent, rbf, corrected, auto, linear or nearest")
+    ] = None,
     detail: Annotated[bool, typer.Option(help="what each axis contributes")] = False,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -18,6 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from fea.bundle import Bundle, BundleError, Problem, read_bundle
+from service.durable import sync_folder
 from surrogate.rows import LoadRange, Tolerance
 
 MAX_BUNDLE_BYTES = 512 * 1024 * 1024
@@ -173,7 +173,7 @@ class Library:
                 )
             final = self._own / bundle.name
             shutil.move(folder, final)
-            _sync_folder(self._own)
+            sync_folder(self._own)
             return self._register(final, shipped=False)
 
     def _register(self, folder: Path, *, shipped: bool) -> Component:
@@ -275,11 +275,3 @@ def _refuse_hostile(bundle: zipfile.ZipFile) -> None:
                 "bundle",
                 f"The zip holds the path {info.filename!r}, which leads out of the bundle.",
             )
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

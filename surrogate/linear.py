@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from surrogate.answers import Answer, judged
-from surrogate.axes import CLEAN
+from surrogate.axes import AXES, CLEAN
 from surrogate.compliance import ComplianceFit
-from surrogate.rows import LOAD_UNITS, LOADS, LoadRange, Tolerance
+from surrogate.rows import LOAD_UNITS, LOADS, OUTPUTS, LoadRange, Rows, Tolerance
 
 
 def answer_linearly(
@@ -33,3 +34,31 @@ def answer_linearly(
         f"the load range, {low:.6g}..{high:.6g} {LOAD_UNITS[load]}"
     )
     return Answer(displacement, error, "outside", reason, "linear")
+
+
+def explain_linearly(
+    fit: ComplianceFit, rows: Rows, wrench: Sequence[float], answer: Answer
+) -> list[dict[str, Any]]:
+    """Return what each axis' three loads contribute to a linear answer, as `explain` lists it.
+
+    The rows are those the compliance comes from; the error bars are those of the whole answer.
+    """
+    stored = np.isfinite(rows.compliance).all(axis=(1, 2))
+    used = rows.seq[stored] if fit.origin == "stored" else rows.seq
+    parts = []
+    for axis in AXES:
+        loads = np.zeros(6)
+        loads[list(axis.inputs)] = np.array(wrench, dtype=float)[list(axis.inputs)]
+        moved = fit.matrix @ loads
+        parts.append(
+            {
+                "axis": axis.name,
+                "inputs": {LOADS[load]: float(loads[load]) for load in axis.inputs},
+                "outputs": {OUTPUTS[k]: float(moved[k]) for k in axis.outputs},
+                "error": answer.error and {OUTPUTS[k]: answer.error[k] for k in axis.outputs},
+                "coverage": answer.coverage,
+                "reason": answer.reason,
+                "rows": used.tolist(),
+            }
+        )
+    return parts

@@ -29,7 +29,7 @@ from surrogate.coverage import (
     over_tolerance,
     read_carefully,
 )
-from surrogate.linear import answer_linearly
+from surrogate.linear import answer_linearly, explain_linearly
 from surrogate.methods import Methods
 from surrogate.nearest import NearestRow
 from surrogate.rows import Floats, LoadRange, Rows, Tolerance
@@ -171,9 +171,11 @@ class Surrogate:
     ) -> list[dict[str, Any]]:
         """Return per axis its inputs, outputs, error bars, coverage, reason and rows (their seq).
 
-        They are those of the composition, whichever method answers.
+        They are those of the compliance if it answers, of the composition otherwise.
         """
-        self._known_method(method)
+        if self._known_method(method) == "linear":
+            found = answer_linearly(self.fit, self.load_range, wrench, tolerance or self.tolerance)
+            return explain_linearly(self.fit, self.rows, wrench, found)
         careful = self._carefully(wrench)
         tolerance = tolerance or self.tolerance
         for axis in careful.axes:

@@ -53,7 +53,8 @@ class Questions(Connection):
         tolerance : mapping or pair, optional
             ``{"translation": m, "rotation": rad}``; the component's own otherwise.
         method : str, optional
-            ``griddata``, ``linear`` or ``nearest``; the component's own choice otherwise.
+            ``griddata``, ``tangent``, ``rbf``, ``corrected``, ``auto``, ``linear`` or ``nearest``;
+            the component's own choice otherwise.
         detail : bool
             Whether ``raw["axes"]`` shall say which rows each axis used.
 

@@ -4,7 +4,6 @@ The one file that imports sqlite3. WAL with ``synchronous=FULL``: when a transac
 returned, it survives a power cut.
 """
 
-import os
 import sqlite3
 import threading
 import time
@@ -12,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from service.durable import sync_folder
 from service.ledger.errors import LedgerError, LedgerFileError, LedgerUnavailableError
 
 Connection = sqlite3.Connection
@@ -189,7 +189,7 @@ def _open(path: Path) -> Connection:
             f"cannot read {path} as a ledger: {error}. Move it away to start an empty one, "
             "or put back a copy"
         ) from error
-    _sync_folder(path.parent)
+    sync_folder(path.parent)
     return connection
 
 
@@ -231,11 +231,3 @@ def _upgrade(connection: Connection) -> None:
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {len(SCRIPTS)}")
     connection.execute("COMMIT")
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

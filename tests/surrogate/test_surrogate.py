@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surrogate.answers import METHODS
-from surrogate.rows import Rows, Tolerance
+from surrogate.rows import LoadRange, Rows, Tolerance
 from surrogate.surrogate import Surrogate
 from tests.surrogate.responses import (
     HIGH,
@@ -157,3 +157,16 @@ def test_inputs_over_twelve_orders_of_magnitude_answer_finite_numbers() -> None:
     batch = surrogate.batch(asked * HIGH)
     assert np.isfinite(batch.displacement).all()
     assert np.isfinite(batch.error).all()
+
+
+def test_a_linear_answer_is_explained_by_what_each_axis_contributes():
+    matrix = np.diag(np.arange(1.0, 7.0)) * 1e-6
+    matrix[1, 5] = matrix[5, 1] = 3e-7
+    rows = Rows.of(np.zeros((1, 6)), np.zeros((1, 6)), compliance=matrix[None])
+    table = Surrogate.build(rows, LoadRange(np.full(6, -9.0), np.full(6, 9.0)), linear=True)
+    wrench = [1.0, 2.0, 3.0, 0.0, 0.0, 4.0]
+    axes = table.explain(wrench)
+    told = table.answer(wrench).displacement
+    assert [axis["outputs"][f"u_{axis['axis']}"] for axis in axes] == pytest.approx(told[:3])
+    assert {axis["coverage"] for axis in axes} == {"covered"}
+    assert all(axis["rows"] for axis in axes)
