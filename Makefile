@@ -7,7 +7,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 LOCK := pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
 	--no-annotate --no-header --no-emit-index-url --extra build -q
 
-.PHONY: help setup demo serve test check lint types arch format bench bench-fea bench-stability bench-calibration bench-methods bench-surrogate bench-fill validate \
+.PHONY: kills help setup demo serve test check lint types arch format bench bench-fea bench-stability bench-calibration bench-methods bench-surrogate bench-fill validate \
 	validate-table validate-ccx image lock clean
 
 help:  ## list the targets
@@ -75,6 +75,9 @@ bench-calibration: $(VENV)/.installed-dev  ## error bars against true errors, pe
 
 bench-methods: $(VENV)/.installed-dev  ## RMS of each method on the thin plate at equal numbers of solves
 	$(BIN)/python -m pytest tests/benchmarks/test_methods.py -s -p no:cacheprovider
+
+kills: $(VENV)/.installed-dev  ## 200 times kill -9 of server or solver: no job lost, no row twice
+	WRENCHBOOK_KILLS=200 $(BIN)/python -m pytest tests/service/test_kill.py
 
 validate: setup  ## verify the solver: closed forms, published numbers, CalculiX
 	$(BIN)/wrenchbook validate all
