@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from starlette.concurrency import run_in_threadpool
+from threadpoolctl import threadpool_limits
 
 from service.attempt import Progress, attempt_folder, read_progress
 from service.dispatcher import Dispatcher
@@ -69,6 +70,8 @@ class Book:
     def start(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
         """Load the tables, recover the jobs that were running, and start solving."""
         self._loop = loop
+        # Threads of small matrix products only wait for each other, the more the busier the cores.
+        threadpool_limits(limits=1)
         self.ledger.on_change(self._on_change)
         self.tables.start()
         self.start_solving()

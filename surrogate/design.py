@@ -30,6 +30,7 @@ SAMPLE = 256  # wrenches at which the composed error bar is held against the tol
 FULL_SHARE = 0.2
 LEAST_FULL, MOST_FULL = 0.1, 0.35
 FEWEST_FULL = 8  # full wrenches from which on they are believed
+ENOUGH_FULL = 20  # with so many the bars held on all shipped components; no table is done with less
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,9 @@ def _refine(surrogate: Surrogate, known: Known, budget: int, tolerance: Toleranc
     met = tolerance is not None and worst <= 1.0 and axes <= 1.0
     asked = 0 if met and whole <= 1.0 else budget
     count = _full_count(surrogate, known, asked, axes, whole)
+    if met:
+        count = max(count, ENOUGH_FULL - _full_rows(surrogate, known))
+    count = min(count, budget if met else (budget + 1) // 2)
     wrenches = full_wrenches(surrogate.load_range, known, count)
     if met:
         stage = "refine" if len(wrenches) else "met"
@@ -131,14 +135,18 @@ def _worst_first(spots: _Spots, known: Known, count: int, least: float) -> Float
 
 def _full_count(surrogate: Surrogate, known: Known, budget: int, axes: float, whole: float) -> int:
     """Return how many full wrenches the table lacks to have their share of all its solves."""
-    asked = np.concatenate((surrogate.rows.wrench, known.pending))
-    there = int((~clean_rows(Rows.of(asked, asked), surrogate.load_range).any(axis=1)).sum())
+    asked = len(surrogate.rows) + len(known.pending)
     share = FULL_SHARE
     if surrogate.composition.left_out.shown >= FEWEST_FULL and whole > 0:
         left = np.sqrt(max(whole**2 - axes**2, 0.0)) / whole
         share = float(np.clip(left * MOST_FULL, LEAST_FULL, MOST_FULL))
-    lacking = int(np.ceil(share * (len(asked) + budget))) - there
-    return max(min(lacking, (budget + 1) // 2), 0)
+    return max(int(np.ceil(share * (asked + budget))) - _full_rows(surrogate, known), 0)
+
+
+def _full_rows(surrogate: Surrogate, known: Known) -> int:
+    """Return how many wrenches, solved or pending, load more than one axis."""
+    asked = np.concatenate((surrogate.rows.wrench, known.pending))
+    return int((~clean_rows(Rows.of(asked, asked), surrogate.load_range).any(axis=1)).sum())
 
 
 def _whole_range(surrogate: Surrogate) -> Tolerance:

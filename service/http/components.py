@@ -24,7 +24,7 @@ from surrogate.design import Design, next_wrenches
 from surrogate.rows import Tolerance
 
 router = APIRouter(prefix="/v1/components", tags=["components"])
-CATCH_UP_S = 10.0
+CATCH_UP_S = 25.0
 
 
 @router.get("", summary="The library")

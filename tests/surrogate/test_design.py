@@ -141,3 +141,14 @@ def test_no_more_than_the_budget_is_asked(budget: int) -> None:
     assert len(next_wrenches(EMPTY, budget).wrenches) == budget
     surrogate = Surrogate.build(table(smooth, first_design(RANGE) / HIGH), RANGE)
     assert len(next_wrenches(surrogate, budget).wrenches) == budget
+
+
+def test_a_table_is_not_done_before_full_wrenches_have_told_what_axes_leave_out() -> None:
+    loose = Tolerance(1e3, 1e3)
+    scaled = first_design(RANGE) / HIGH
+    first = next_wrenches(Surrogate.build(table(smooth, scaled), RANGE), 30, tolerance=loose)
+    assert (first.stage, len(first.wrenches)) == ("refine", 20)
+    assert (first.wrenches != 0).all()
+    scaled = np.concatenate((scaled, first.wrenches / HIGH))
+    then = next_wrenches(Surrogate.build(table(smooth, scaled), RANGE), 30, tolerance=loose)
+    assert then.stage == "met"
