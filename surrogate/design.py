@@ -102,13 +102,14 @@ def _refine(surrogate: Surrogate, known: Known, budget: int, tolerance: Toleranc
     met = tolerance is not None and worst <= 1.0 and axes <= 1.0
     asked = 0 if met and whole <= 1.0 else budget
     count = _full_count(surrogate, known, asked, axes, whole)
+    lacking = max(ENOUGH_FULL - _full_rows(surrogate, known), 0)
     if met:
-        count = max(count, ENOUGH_FULL - _full_rows(surrogate, known))
+        count = max(count if whole > 1.0 else 0, lacking)
     count = min(count, budget if met else (budget + 1) // 2)
     wrenches = full_wrenches(surrogate.load_range, known, count)
     if met:
         stage = "refine" if len(wrenches) else "met"
-        return Design(wrenches, stage, _met_reason(surrogate))
+        return Design(wrenches, stage, _met_reason(surrogate, lacking))
     # Rows within the tolerance by themselves may yet compose to more than it.
     least = 0.0
     if tolerance is not None:
@@ -175,11 +176,11 @@ def _composed_losses(surrogate: Surrogate, tolerance: Tolerance) -> tuple[float,
     return losses[0], losses[1]
 
 
-def _met_reason(surrogate: Surrogate) -> str:
+def _met_reason(surrogate: Surrogate, lacking: int) -> str:
     reason = "every error bar looked at is within the tolerance"
-    if surrogate.composition.left_out.silent:
+    if surrogate.composition.left_out.silent or not lacking:
         return reason
-    return f"{reason}, but for what loads of several axes do together: full wrenches would tell"
+    return f"{reason}; full wrenches tell what loads of several axes do together"
 
 
 def _shadow(scaled: Floats, sizes: Floats, asked: Floats) -> Floats:
