@@ -221,3 +221,20 @@ def test_an_empty_batch_is_answered_with_nothing(http):
     body = http.post(f"{CALL}s", json={"wrenches": []}).json()
     assert body["displacements"] == []
     assert body["jobs"] == []
+
+
+@pytest.mark.parametrize("method", ["tangent", "rbf", "corrected", "auto", "nearest", "linear"])
+def test_every_method_answers_a_linear_table_rightly(http, method):
+    load_plane_table(http)
+    body = http.post(
+        "/v1/components/plane/displacement",
+        json={
+            "force": [30, -20, 10],
+            "moment": [1, 2, -3],
+            "method": method,
+            "on_thin": "estimate",
+        },
+    ).json()
+    if method != "nearest":
+        assert body["translation"] == pytest.approx([30e-6, -20e-6, 10e-6], rel=1e-6)
+    assert body["method"] == method
