@@ -15,20 +15,6 @@ from typing import Any
 import numpy as np
 
 from fea.deck.table import read_deck
-from fea.fingerprint import fingerprint
-from fea.keys import Keys
-from fea.parts import (
-    Analysis,
-    Bundle,
-    Deck,
-    Interface,
-    LoadRange,
-    Material,
-    MeshSource,
-    Supports,
-    Tolerance,
-)
-from fea.problems import BundleError, Problem
 from fea.read_parts import (
     read_analysis,
     read_interface,
@@ -39,6 +25,20 @@ from fea.read_parts import (
     read_tolerance,
 )
 from fea.read_source import read_mesh
+from fea.spec.fingerprint import fingerprint
+from fea.spec.problems import BundleError, Problem
+from fea.spec.schema import (
+    Analysis,
+    Bundle,
+    Deck,
+    Interface,
+    LoadRange,
+    Material,
+    MeshSource,
+    Supports,
+    Tolerance,
+)
+from fea.spec.toml_table import Keys
 
 __all__ = [
     "Analysis",

@@ -13,10 +13,10 @@ from fea.mesh import Mesh
 from fea.meshes import GENERATORS
 from fea.meshfile import read_mesh
 from fea.order import first_order_problems, second_order
-from fea.parts import Analysis, Bundle, Interface, Material, MeshSource
-from fea.problems import BundleError, Problem, suggest
 from fea.quality import cell_problems
 from fea.section import Section, section_of_facets, section_of_nodes
+from fea.spec.problems import BundleError, Problem, suggest
+from fea.spec.schema import Analysis, Bundle, Interface, Material, MeshSource
 
 Array = np.ndarray
 

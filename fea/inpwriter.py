@@ -16,8 +16,8 @@ from pathlib import Path
 from fea.bundle import BundleError, bundle_of, read_bundle
 from fea.component import Component, build
 from fea.mesh import CellBlock
-from fea.parts import FREEDOMS, Bundle
-from fea.problems import Problem
+from fea.spec.problems import Problem
+from fea.spec.schema import FREEDOMS, Bundle
 
 PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
 """Where the wrench goes, in the order of the wrench contract."""

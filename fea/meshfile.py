@@ -11,9 +11,9 @@ import numpy as np
 
 from fea.inpfile import read_inp
 from fea.mesh import Mesh
-from fea.parts import UNITS
-from fea.problems import BundleError, Problem
 from fea.rawmesh import Block, MeshFileError, RawMesh, to_mesh
+from fea.spec.problems import BundleError, Problem
+from fea.spec.schema import UNITS
 
 if TYPE_CHECKING:  # importing it takes a tenth of a second, and generated meshes need none of it
     import meshio
@@ -55,7 +55,7 @@ def read_mesh(path: Path, unit: str) -> Mesh:
     path
         The file; its ending says what it is.
     unit
-        Its length unit, a key of `fea.parts.UNITS`.
+        Its length unit, a key of `fea.spec.schema.UNITS`.
 
     Raises
     ------

@@ -27,7 +27,7 @@ import numpy as np
 
 from fea.faces import EDGES, FaceFinder
 from fea.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
-from fea.problems import Problem
+from fea.spec.problems import Problem
 
 Array = np.ndarray
 

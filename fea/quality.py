@@ -6,7 +6,7 @@ import numpy as np
 
 from fea.elements import node_places, reference_element
 from fea.mesh import CellBlock, Mesh
-from fea.problems import Problem
+from fea.spec.problems import Problem
 
 Array = np.ndarray
 

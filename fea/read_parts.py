@@ -11,8 +11,7 @@ import re
 
 import numpy as np
 
-from fea.keys import Keys
-from fea.parts import (
+from fea.spec.schema import (
     COUPLINGS,
     FREEDOMS,
     INTEGRATIONS,
@@ -23,6 +22,7 @@ from fea.parts import (
     Supports,
     Tolerance,
 )
+from fea.spec.toml_table import Keys
 
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import MISSING, fields
 from pathlib import Path
 
-from fea.bundlefile import bundle_file
-from fea.keys import Keys
 from fea.meshes import GENERATORS
-from fea.parts import GEOMETRY_ENDINGS, UNITS, Choice, Geometry, MeshSource
+from fea.spec.files import bundle_file
+from fea.spec.schema import GEOMETRY_ENDINGS, UNITS, Choice, Geometry, MeshSource
+from fea.spec.toml_table import Keys
 
 _AXES = ("x", "y", "z")
 _FACE_WAYS = ("faces", "near", "plane", "radius")

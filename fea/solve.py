@@ -18,9 +18,9 @@ from fea.deck.solving import solve_deck
 from fea.evidence import keep
 from fea.failure import SolveFailed, rotation_too_large
 from fea.linear import LinearResponse, linear_response
-from fea.parts import FREEDOMS, Bundle
 from fea.path import LoadPath
 from fea.solution import Progress, Solution
+from fea.spec.schema import FREEDOMS, Bundle
 from fea.system import Balance, System
 from fea.volumetric import pressure_notes
 from fea.warm import WarmFolder

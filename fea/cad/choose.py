@@ -9,8 +9,8 @@ import numpy as np
 
 from fea.cad.session import METRES
 from fea.cad.shape import Body, Face
-from fea.parts import Choice
-from fea.problems import Problem
+from fea.spec.problems import Problem
+from fea.spec.schema import Choice
 
 _AXES = "xyz"
 _NEAR = 1e-3

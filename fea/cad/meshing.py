@@ -13,9 +13,9 @@ from fea.cad.session import METRES, opened, told
 from fea.cad.shape import bodies_of, faces_of
 from fea.mesh import Mesh
 from fea.meshes.parameters import too_many
-from fea.parts import Geometry
-from fea.problems import BundleError, Problem
 from fea.rawmesh import Block, RawMesh, to_mesh
+from fea.spec.problems import BundleError, Problem
+from fea.spec.schema import Geometry
 
 Array = np.ndarray
 

@@ -11,7 +11,7 @@ from fea.check.motions import describe, free_motions, middle, size_of
 from fea.component import Component
 from fea.faces import facets_within, outer_surface
 from fea.mesh import Mesh
-from fea.problems import Problem
+from fea.spec.problems import Problem
 
 Array = np.ndarray
 

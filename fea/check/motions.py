@@ -18,7 +18,7 @@ import numpy as np
 
 from fea.check.bodies import Bodies
 from fea.component import Component
-from fea.parts import FREEDOMS
+from fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 

@@ -20,8 +20,8 @@ from fea.check.text import as_text
 from fea.component import Component, build, mesh_of
 from fea.deck.checking import deck_report
 from fea.mesh import Mesh
-from fea.parts import GEOMETRY_ENDINGS
-from fea.problems import Problem
+from fea.spec.problems import Problem
+from fea.spec.schema import GEOMETRY_ENDINGS
 
 
 def report(folder: str | Path) -> dict[str, Any]:

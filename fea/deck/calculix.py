@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from fea.deck.readers import Complaint, OutputError, Reading, Run, number
-from fea.parts import Deck
+from fea.spec.schema import Deck
 
 _HEAD = re.compile(r"^ displacements \(vx,vy,vz\) for set (\S+) and time\s+(\S+)\s*$")
 _UNKNOWNS = re.compile(r"number of equations\s+(\d+)")

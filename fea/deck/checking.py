@@ -8,8 +8,8 @@ from typing import Any
 
 from fea.deck.readers import reader_named
 from fea.deck.running import missing_placeholders
-from fea.parts import Deck
-from fea.problems import BundleError, Problem
+from fea.spec.problems import BundleError, Problem
+from fea.spec.schema import Deck
 
 
 def deck_report(deck: Deck) -> tuple[dict[str, Any], list[Problem]]:

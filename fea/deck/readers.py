@@ -19,7 +19,7 @@ from importlib.metadata import EntryPoints, entry_points
 from pathlib import Path
 from typing import Protocol
 
-from fea.parts import Deck
+from fea.spec.schema import Deck
 
 ENTRY_POINTS = "wrenchbook.deck_readers"
 
@@ -75,7 +75,7 @@ class Reader(Protocol):
     """What a deck asks of a reader; made without arguments."""
 
     moment: str
-    """What this solver usually takes as moment: "spatial" or "conjugate", see `fea.parts.Deck`."""
+    """What this solver usually takes as moment: "spatial" or "conjugate", see `fea.spec.schema.Deck`."""
     keys: tuple[str, ...]
     """The keys of ``[deck] output`` it needs besides ``reader``."""
 

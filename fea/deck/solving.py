@@ -12,9 +12,9 @@ import numpy as np
 
 from fea.deck import failures
 from fea.deck.running import run_deck
-from fea.parts import FREEDOMS, Bundle, Deck, LoadRange
 from fea.rotation import spin_per_vector
 from fea.solution import Progress, Solution
+from fea.spec.schema import FREEDOMS, Bundle, Deck, LoadRange
 
 Array = np.ndarray
 

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fea.bundlefile import bundle_file
 from fea.deck.readers import Reader, reader_named, reader_names
-from fea.keys import Keys
-from fea.parts import MOMENTS, UNITS, Deck
+from fea.spec.files import bundle_file
+from fea.spec.schema import MOMENTS, UNITS, Deck
+from fea.spec.toml_table import Keys
 
 _LONGEST = 1e7  # seconds
 

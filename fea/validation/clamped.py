@@ -12,8 +12,8 @@ import numpy as np
 from fea.bundle import read_bundle
 from fea.component import Component, build
 from fea.mesh import Mesh
-from fea.parts import Analysis, Bundle, Interface, LoadRange, Material, Supports
 from fea.section import section_of_facets
+from fea.spec.schema import Analysis, Bundle, Interface, LoadRange, Material, Supports
 
 Array = np.ndarray
 Warp = Callable[[Array], Array]

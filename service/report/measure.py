@@ -14,9 +14,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from fea.failure import SolveFailed
-from fea.parts import Bundle
 from fea.refine import refined
 from fea.solve import Solver
+from fea.spec.schema import Bundle
 from surrogate.answers import METHODS
 from surrogate.rows import LoadRange, Rows
 from surrogate.surrogate import Surrogate

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from fea.component import Component
-from fea.parts import Analysis, Material
 from fea.section import section_of_facets
+from fea.spec.schema import Analysis, Material
 
 
 def component(

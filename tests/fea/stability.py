@@ -15,8 +15,8 @@ from scipy.optimize import brentq
 from fea.bundle import read_bundle
 from fea.component import build
 from fea.failure import SolveFailed
-from fea.parts import Material
 from fea.solve import Solver
+from fea.spec.schema import Material
 from fea.validation.spring import Rod
 from tests.fea.boxes import box
 from tests.fea.components import component

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fea.coupling import State
-from fea.parts import FREEDOMS
 from fea.rotation import rotation
 from fea.solve import Solver
+from fea.spec.schema import FREEDOMS
 from tests.fea.boxes import box
 from tests.fea.components import component
 

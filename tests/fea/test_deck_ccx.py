@@ -12,8 +12,8 @@ from fea.bundle import BundleError, bundle_of, read_bundle
 from fea.check import report
 from fea.component import build
 from fea.failure import SolveFailed
-from fea.parts import Deck
 from fea.solve import Solver, solve
+from fea.spec.schema import Deck
 from tests.fea.calculix import require_ccx
 
 FOLDER = Path(__file__).parents[2] / "data" / "components" / "plate_ccx"

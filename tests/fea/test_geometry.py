@@ -11,9 +11,9 @@ from fea.bundle import BundleError, bundle_of
 from fea.cad import list_shape, mesh_geometry
 from fea.component import build, mesh_of
 from fea.gradients import area_weights
-from fea.parts import Choice, Geometry
 from fea.quality import volumes
 from fea.solve import Solver
+from fea.spec.schema import Choice, Geometry
 from tests.fea.geometry import draw_bracket, draw_two_bars, require_gmsh
 
 BRACKET = {
@@ -100,7 +100,7 @@ def test_midside_nodes_lie_on_the_curved_faces(folder):
 def test_another_process_makes_the_same_mesh_to_the_last_bit(folder):
     code = (
         "import hashlib, sys; from pathlib import Path; from fea.cad import mesh_geometry;"
-        "from fea.parts import Geometry; m = mesh_geometry(Path(sys.argv[1]), Geometry(0.015));"
+        "from fea.spec.schema import Geometry; m = mesh_geometry(Path(sys.argv[1]), Geometry(0.015));"
         "print(hashlib.sha256(m.points.tobytes() + m.blocks[0].nodes.tobytes()).hexdigest())"
     )
     command = [sys.executable, "-c", code, str(folder / "bracket.step")]

@@ -10,8 +10,8 @@ from fea.elements import reference_element
 from fea.failure import SolveFailed
 from fea.gradients import cell_gradients
 from fea.mesh import CellBlock, Mesh
-from fea.parts import Material
 from fea.solve import Solver
+from fea.spec.schema import Material
 from fea.stiffness import Stiffness
 from fea.volumetric import LARGEST_RATIO, volume_modes
 from tests.fea.boxes import box

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fea.component import Component
-from fea.parts import Analysis, Material
 from fea.section import section_of_facets
 from fea.solve import Solver
+from fea.spec.schema import Analysis, Material
 from tests.fea.boxes import box
 
 LENGTH, SIDE = 0.2, 0.01

@@ -13,7 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from fea.parts import Analysis, Deck, Interface, Material, MeshSource, Supports
+from fea.spec.schema import Analysis, Deck, Interface, Material, MeshSource, Supports
 
 DIGITS = 16
 
@@ -24,7 +24,7 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
     Parameters
     ----------
     parts
-        The fields of `fea.parts.Bundle` that can change an answer; others are not looked at.
+        The fields of `fea.spec.schema.Bundle` that can change an answer; others are not looked at.
     """
     materials = sorted((_material(each) for each in parts["materials"]), key=json.dumps)
     told = {

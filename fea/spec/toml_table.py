@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from fea.problems import Problem, suggest
+from fea.spec.problems import Problem, suggest
 
 _NAMES = {str: "a text", bool: "true or false", list: "a list", dict: "a table"}
 _MISSING = object()
