@@ -10,7 +10,7 @@ import numpy as np
 from fea.cholesky import Factor
 from fea.dissection import Dissection, dissect, unknowns_of
 from fea.material import filled_cells
-from fea.mesh import Mesh
+from fea.mesh.mesh import Mesh
 
 Array = np.ndarray
 

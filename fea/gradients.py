@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.elements import reference_element
 from fea.failure import inverted_elements
-from fea.mesh import CellBlock, FacetGroup
+from fea.mesh.mesh import CellBlock, FacetGroup
+from fea.mesh.reference_cell import reference_element
 
 Array = np.ndarray
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.mesh import NODES_PER_CELL, NODES_PER_FACET
+from fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
 from fea.rawmesh import NODES_PER_LINE, Block, MeshFileError, RawMesh
 
 Array = np.ndarray

@@ -15,14 +15,14 @@ from pathlib import Path
 
 from fea.bundle import BundleError, bundle_of, read_bundle
 from fea.component import Component, build
-from fea.mesh import CellBlock
+from fea.mesh.mesh import CellBlock
 from fea.spec.problems import Problem
 from fea.spec.schema import FREEDOMS, Bundle
 
 PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
 """Where the wrench goes, in the order of the wrench contract."""
 
-# Their nodes are in the same order as those of `fea.mesh`.
+# Their nodes are in the same order as those of `fea.mesh.mesh`.
 _ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10", "wedge15": "C3D15"}
 _PER_LINE = 10  # CalculiX reads at most 16 numbers a line
 

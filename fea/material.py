@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from fea.gradients import cell_gradients
-from fea.mesh import CellBlock, Mesh
+from fea.mesh.mesh import CellBlock, Mesh
 from fea.stiffness import Stiffness
 from fea.volumetric import projects, require_no_locking, volume_modes
 

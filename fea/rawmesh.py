@@ -1,4 +1,4 @@
-"""What a mesh file holds, before it becomes a `fea.mesh.Mesh`."""
+"""What a mesh file holds, before it becomes a `fea.mesh.mesh.Mesh`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fea.faces import FaceFinder
-from fea.mesh import (
+from fea.mesh.facets import FaceFinder
+from fea.mesh.mesh import (
     NODES_PER_CELL,
     NODES_PER_FACET,
     CellBlock,
@@ -16,7 +16,7 @@ from fea.mesh import (
     FacetGroup,
     Mesh,
 )
-from fea.quality import right_way_round
+from fea.mesh.quality import right_way_round
 
 Array = np.ndarray
 Block = tuple[str, Array]

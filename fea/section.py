@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fea.gradients import area_weights
-from fea.mesh import FacetGroup
+from fea.mesh.mesh import FacetGroup
 
 Array = np.ndarray
 

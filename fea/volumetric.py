@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fea.elements import reference_element
 from fea.failure import locking_material
-from fea.mesh import CellBlock
+from fea.mesh.mesh import CellBlock
+from fea.mesh.reference_cell import reference_element
 
 if TYPE_CHECKING:
     from fea.stiffness import Stiffness

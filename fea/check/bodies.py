@@ -10,8 +10,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from fea.check.cells import edge_lengths
-from fea.faces import FACES, corners_of, outer_surface
-from fea.mesh import Mesh
+from fea.mesh.facets import FACES, corners_of, outer_surface
+from fea.mesh.mesh import Mesh
 
 Array = np.ndarray
 

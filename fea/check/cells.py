@@ -24,10 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from fea.elements import node_places, tabulate
-from fea.faces import EDGES
-from fea.mesh import CellBlock, Mesh
-from fea.quality import determinants
+from fea.mesh.facets import EDGES
+from fea.mesh.mesh import CellBlock, Mesh
+from fea.mesh.quality import determinants
+from fea.mesh.reference_cell import node_places, tabulate
 
 Array = np.ndarray
 

@@ -9,8 +9,8 @@ import numpy as np
 from fea.check.bodies import Bodies, gap
 from fea.check.motions import describe, free_motions, middle, size_of
 from fea.component import Component
-from fea.faces import facets_within, outer_surface
-from fea.mesh import Mesh
+from fea.mesh.facets import facets_within, outer_surface
+from fea.mesh.mesh import Mesh
 from fea.spec.problems import Problem
 
 Array = np.ndarray

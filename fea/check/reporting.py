@@ -19,7 +19,7 @@ from fea.check.cost import estimate
 from fea.check.text import as_text
 from fea.component import Component, build, mesh_of
 from fea.deck.checking import deck_report
-from fea.mesh import Mesh
+from fea.mesh.mesh import Mesh
 from fea.spec.problems import Problem
 from fea.spec.schema import GEOMETRY_ENDINGS
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from fea.mesh import Mesh
+from fea.mesh.mesh import Mesh
 from fea.meshes.bar import Bar
 from fea.meshes.plate import Plate
 from fea.meshes.spring import Spring

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fea.mesh import Mesh
+from fea.mesh.mesh import Mesh
 from fea.meshes.parameters import count, metres, too_many
 from fea.meshes.plane import (
     Section,

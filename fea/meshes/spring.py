@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.mesh import Mesh
+from fea.mesh.mesh import Mesh
 from fea.meshes.parameters import count, metres, positive, too_many
 from fea.meshes.plane import disc
 from fea.meshes.sweep import sweep

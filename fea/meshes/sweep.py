@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.mesh import CellBlock, FacetBlock, FacetGroup
+from fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup
 from fea.meshes.plane import Section
 
 Array = np.ndarray

@@ -11,7 +11,7 @@ import numpy as np
 
 from fea.bundle import read_bundle
 from fea.component import Component, build
-from fea.mesh import Mesh
+from fea.mesh.mesh import Mesh
 from fea.section import section_of_facets
 from fea.spec.schema import Analysis, Bundle, Interface, LoadRange, Material, Supports
 

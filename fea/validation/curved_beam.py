@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fea.mesh import Mesh
+from fea.mesh.mesh import Mesh
 from fea.solve import Solver
 from fea.validation.boxes import box
 from fea.validation.clamped import clamped

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from fea.body import Body
-from fea.mesh import Mesh
+from fea.mesh.mesh import Mesh
 from fea.rotation import rotation
 from fea.solve import Solver
 from fea.validation.boxes import box

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fea.mesh import FacetBlock, FacetGroup, Mesh
+from fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
 from fea.meshes.plane import Section, quadratic, ring_quads
 from fea.meshes.sweep import sweep
 from fea.solve import Solver

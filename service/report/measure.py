@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from fea.failure import SolveFailed
-from fea.refine import refined
+from fea.mesh.refine import refined
 from fea.solve import Solver
 from fea.spec.schema import Bundle
 from surrogate.answers import METHODS

@@ -6,9 +6,9 @@ import pytest
 from fea.check.bodies import bodies_of, coincident_nodes
 from fea.check.cells import aspect_ratio, edge_curvature, jacobian_ratio, scaled_jacobian
 from fea.check.motions import describe, free_motions
-from fea.elements import node_places
 from fea.failure import SolveFailed
-from fea.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from fea.mesh.reference_cell import node_places
 from fea.solve import Solver
 from tests.fea.boxes import box
 from tests.fea.components import component

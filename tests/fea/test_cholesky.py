@@ -7,7 +7,7 @@ import scipy.sparse.linalg as sparse_linalg
 
 from fea.body import Body
 from fea.dissection import unknowns_of
-from fea.mesh import CellBlock, Mesh
+from fea.mesh.mesh import CellBlock, Mesh
 from tests.fea.boxes import box
 
 RNG = np.random.default_rng(11)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fea.failure import SolveFailed, not_converged
-from fea.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from fea.solve import Solver
 from tests.fea.boxes import box
 from tests.fea.components import component

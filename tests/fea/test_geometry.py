@@ -11,7 +11,7 @@ from fea.bundle import BundleError, bundle_of
 from fea.cad import list_shape, mesh_geometry
 from fea.component import build, mesh_of
 from fea.gradients import area_weights
-from fea.quality import volumes
+from fea.mesh.quality import volumes
 from fea.solve import Solver
 from fea.spec.schema import Choice, Geometry
 from tests.fea.geometry import draw_bracket, draw_two_bars, require_gmsh

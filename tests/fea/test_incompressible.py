@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from fea.body import Body
-from fea.elements import reference_element
 from fea.failure import SolveFailed
 from fea.gradients import cell_gradients
-from fea.mesh import CellBlock, Mesh
+from fea.mesh.mesh import CellBlock, Mesh
+from fea.mesh.reference_cell import reference_element
 from fea.solve import Solver
 from fea.spec.schema import Material
 from fea.stiffness import Stiffness

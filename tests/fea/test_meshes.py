@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fea.faces import outer_surface
-from fea.mesh import FacetBlock, FacetGroup
+from fea.mesh.facets import outer_surface
+from fea.mesh.mesh import FacetBlock, FacetGroup
 from fea.meshes import Bar, Plate, Spring
 from fea.meshes.plane import disc, equal_area_factor
 from fea.section import section_of_facets

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from fea.bundle import BundleError
-from fea.faces import FACES, outer_surface
+from fea.mesh.facets import FACES, outer_surface
+from fea.mesh.quality import cell_problems, volumes
 from fea.meshes import Bar
 from fea.meshfile import read_mesh
-from fea.quality import cell_problems, volumes
 from fea.section import section_of_facets
 
 FILES = Path(__file__).parent / "meshfiles"

@@ -5,11 +5,11 @@ import pytest
 
 from fea.bundle import BundleError, bundle_of
 from fea.component import build
-from fea.faces import outer_surface
 from fea.gradients import area_weights
-from fea.mesh import CellBlock, Mesh
-from fea.order import first_order_problems, second_order
-from fea.quality import volumes
+from fea.mesh.element_order import first_order_problems, second_order
+from fea.mesh.facets import outer_surface
+from fea.mesh.mesh import CellBlock, Mesh
+from fea.mesh.quality import volumes
 from fea.solve import Solver
 from tests.fea.boxes import box
 from tests.fea.components import component

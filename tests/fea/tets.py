@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fea.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from fea.section import section_of_facets
 
 # The faces of a hexahedron by its corners, counter-clockwise seen from within it.

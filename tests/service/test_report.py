@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fea.bundle import read_bundle
-from fea.refine import refined
+from fea.mesh.refine import refined
 from fea.solve import Solver
 from service.library import SHIPPED
 from service.report.measure import errors, measure, pareto

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fea.elements import node_places, reference_element
-from fea.mesh import CellBlock, Mesh
+from fea.mesh.mesh import CellBlock, Mesh
+from fea.mesh.reference_cell import node_places, reference_element
 from fea.spec.problems import Problem
 
 Array = np.ndarray

@@ -25,8 +25,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fea.faces import EDGES, FaceFinder
-from fea.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from fea.mesh.facets import EDGES, FaceFinder
+from fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from fea.spec.problems import Problem
 
 Array = np.ndarray

@@ -1,7 +1,7 @@
 """Reference elements: shape functions and quadrature, in VTK node order.
 
 The shape functions and points are scikit-fem's. They are tabulated once for each kind and rule, in
-the node order of `fea.mesh`; the map to the real cell is then the isoparametric one of the cell's
+the node order of `fea.mesh.mesh`; the map to the real cell is then the isoparametric one of the cell's
 own nodes (`fea.gradients`), which sets neither the sign of a determinant nor the place of a
 midside node by convention.
 """
@@ -67,7 +67,7 @@ class ReferenceElement:
     Attributes
     ----------
     kind
-        A kind of cell or facet of `fea.mesh`.
+        A kind of cell or facet of `fea.mesh.mesh`.
     values
         Shape (points, nodes): N_a at each point.
     slopes
@@ -89,7 +89,7 @@ def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
     Parameters
     ----------
     kind
-        A key of `fea.mesh.NODES_PER_CELL` or `fea.mesh.NODES_PER_FACET`.
+        A key of `fea.mesh.mesh.NODES_PER_CELL` or `fea.mesh.mesh.NODES_PER_FACET`.
     integration
         ``"reduced"`` gives hex20 its 2x2x2 points; every other kind has one rule.
 
