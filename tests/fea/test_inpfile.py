@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fea.bundle import BundleError
+from fea.mesh.io.read import read_mesh
 from fea.mesh.quality import volumes
-from fea.meshfile import read_mesh
 from fea.section import section_of_facets
 
 # Two 1 x 1 x 1 cubes side by side along x, one with 8 and one with 20 nodes apart from it, and a

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fea.inpfile import read_inp
+from fea.mesh.io.abaqus import read_inp
+from fea.mesh.io.raw import Block, MeshFileError, RawMesh, to_mesh
 from fea.mesh.mesh import Mesh
-from fea.rawmesh import Block, MeshFileError, RawMesh, to_mesh
 from fea.spec.problems import BundleError, Problem
 from fea.spec.schema import UNITS
 
