@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import MISSING, fields
 from pathlib import Path
 
-from fea.meshes import GENERATORS
+from fea.mesh.generators import GENERATORS
 from fea.spec.files import bundle_file
 from fea.spec.schema import GEOMETRY_ENDINGS, UNITS, Choice, Geometry, MeshSource
 from fea.spec.toml_table import Keys

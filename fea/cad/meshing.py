@@ -11,9 +11,9 @@ import numpy as np
 from fea.cad.choose import choose_bodies, choose_faces
 from fea.cad.session import METRES, opened, told
 from fea.cad.shape import bodies_of, faces_of
+from fea.mesh.generators.parameters import too_many
 from fea.mesh.io.raw import Block, RawMesh, to_mesh
 from fea.mesh.mesh import Mesh
-from fea.meshes.parameters import too_many
 from fea.spec.problems import BundleError, Problem
 from fea.spec.schema import Geometry
 

@@ -92,7 +92,7 @@ class MeshSource:
     order
         2 gives the cells of a first-order mesh file their midside nodes; None leaves them.
     generator, parameters
-        The name of a generator of `fea.meshes` and all its parameters, defaults filled in.
+        The name of a generator of `fea.mesh.generators` and all its parameters, defaults filled in.
     """
 
     file: Path | None = None

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from fea.mesh.generators.plane import Section, quadratic, ring_quads
+from fea.mesh.generators.sweep import sweep
 from fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
-from fea.meshes.plane import Section, quadratic, ring_quads
-from fea.meshes.sweep import sweep
 from fea.solve import Solver
 from fea.validation.clamped import clamped, shipped
 from fea.validation.finding import Finding, case

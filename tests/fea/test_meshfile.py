@@ -8,9 +8,9 @@ import pytest
 
 from fea.bundle import BundleError
 from fea.mesh.facets import FACES, outer_surface
+from fea.mesh.generators import Bar
 from fea.mesh.io.read import read_mesh
 from fea.mesh.quality import cell_problems, volumes
-from fea.meshes import Bar
 from fea.section import section_of_facets
 
 FILES = Path(__file__).parent / "meshfiles"

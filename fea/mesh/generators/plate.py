@@ -7,9 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from fea.mesh.mesh import Mesh
-from fea.meshes.parameters import count, metres, too_many
-from fea.meshes.plane import (
+from fea.mesh.generators.parameters import count, metres, too_many
+from fea.mesh.generators.plane import (
     Section,
     bend_circle,
     grid_quads,
@@ -18,7 +17,8 @@ from fea.meshes.plane import (
     ring_quads,
     round_corners,
 )
-from fea.meshes.sweep import sweep
+from fea.mesh.generators.sweep import sweep
+from fea.mesh.mesh import Mesh
 
 Array = np.ndarray
 
@@ -28,7 +28,7 @@ class Plate:
     """Parameters of generator "plate"; lengths in metres.
 
     The plate's middle is at x = y = 0; it reaches from z = 0 up to `thickness`. Facets cover the
-    patch (whose outline has its exact area, see `fea.meshes.plane.disc`) and the corner squares.
+    patch (whose outline has its exact area, see `fea.mesh.generators.plane.disc`) and the corner squares.
     Facet groups: ``patch`` (in the middle of the top face), ``corners`` (four squares of the
     bottom face), ``rim`` (the four sides), ``top``, ``bottom``.
 

@@ -1,4 +1,4 @@
-"""Plane meshes of 8-node quadrilaterals: the sections that `fea.meshes.sweep` draws out.
+"""Plane meshes of 8-node quadrilaterals: the sections that `fea.mesh.generators.sweep` draws out.
 
 A section's corner nodes are numbered before its midside nodes, and its quadrilaterals run
 counter-clockwise.

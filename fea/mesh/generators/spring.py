@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fea.mesh.generators.parameters import count, metres, positive, too_many
+from fea.mesh.generators.plane import disc
+from fea.mesh.generators.sweep import sweep
 from fea.mesh.mesh import Mesh
-from fea.meshes.parameters import count, metres, positive, too_many
-from fea.meshes.plane import disc
-from fea.meshes.sweep import sweep
 
 Array = np.ndarray
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fea.mesh.generators.plane import Section
 from fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup
-from fea.meshes.plane import Section
 
 Array = np.ndarray
 Place = Callable[[Array, Array], Array]
