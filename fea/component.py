@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.cad import mesh_geometry
+from fea.mesh.cad import mesh_geometry
 from fea.mesh.element_order import first_order_problems, second_order
 from fea.mesh.facets import facets_within, outer_surface
 from fea.mesh.generators import GENERATORS

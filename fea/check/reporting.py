@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from fea.bundle import FILE_NAME, Bundle, BundleError, read_bundle
-from fea.cad import list_shape
 from fea.check import findings
 from fea.check.bodies import Bodies, bodies_of, coincident_nodes
 from fea.check.cells import quality, quality_warnings
@@ -19,6 +18,7 @@ from fea.check.cost import estimate
 from fea.check.text import as_text
 from fea.component import Component, build, mesh_of
 from fea.deck.checking import deck_report
+from fea.mesh.cad import list_shape
 from fea.mesh.mesh import Mesh
 from fea.spec.problems import Problem
 from fea.spec.schema import GEOMETRY_ENDINGS

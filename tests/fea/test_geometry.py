@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from fea.bundle import BundleError, bundle_of
-from fea.cad import list_shape, mesh_geometry
 from fea.component import build, mesh_of
 from fea.gradients import area_weights
+from fea.mesh.cad import list_shape, mesh_geometry
 from fea.mesh.quality import volumes
 from fea.solve import Solver
 from fea.spec.schema import Choice, Geometry
@@ -99,7 +99,7 @@ def test_midside_nodes_lie_on_the_curved_faces(folder):
 
 def test_another_process_makes_the_same_mesh_to_the_last_bit(folder):
     code = (
-        "import hashlib, sys; from pathlib import Path; from fea.cad import mesh_geometry;"
+        "import hashlib, sys; from pathlib import Path; from fea.mesh.cad import mesh_geometry;"
         "from fea.spec.schema import Geometry; m = mesh_geometry(Path(sys.argv[1]), Geometry(0.015));"
         "print(hashlib.sha256(m.points.tobytes() + m.blocks[0].nodes.tobytes()).hexdigest())"
     )
