@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from fea.mesh.cad.choose import choose_bodies, choose_faces
+from fea.mesh.cad.entities import bodies_of, faces_of
+from fea.mesh.cad.select import choose_bodies, choose_faces
 from fea.mesh.cad.session import METRES, opened, told
-from fea.mesh.cad.shape import bodies_of, faces_of
 from fea.mesh.generators.parameters import too_many
 from fea.mesh.io.raw import Block, RawMesh, to_mesh
 from fea.mesh.mesh import Mesh

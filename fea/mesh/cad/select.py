@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from fea.mesh.cad.entities import Body, Face
 from fea.mesh.cad.session import METRES
-from fea.mesh.cad.shape import Body, Face
 from fea.spec.problems import Problem
 from fea.spec.schema import Choice
 
