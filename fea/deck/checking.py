@@ -6,8 +6,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from fea.deck.readers import reader_named
 from fea.deck.running import missing_placeholders
+from fea.readers.reader import reader_named
 from fea.spec.problems import BundleError, Problem
 from fea.spec.schema import Deck
 

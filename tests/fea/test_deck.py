@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fea.bundle import BundleError
-from fea.deck import readers
 from fea.deck.checking import deck_report
 from fea.deck.running import filled
 from fea.failure import SolveFailed
+from fea.readers import reader as readers
 from fea.rotation import spin_per_vector
 from fea.solve import solve
 from tests.fea.decks import SOFT, WRENCH, component

@@ -2,9 +2,9 @@
 
 import pytest
 
-from fea.deck.calculix import CalculixDat
-from fea.deck.readers import OutputError, Run, number
 from fea.failure import SolveFailed
+from fea.readers.calculix_dat import CalculixDat
+from fea.readers.reader import OutputError, Run, number
 from fea.solve import solve
 from tests.fea.decks import component
 

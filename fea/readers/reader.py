@@ -176,7 +176,7 @@ def reader_named(name: str) -> Reader:
 
 
 def _built_in() -> dict[str, type[Reader]]:
-    from fea.deck.calculix import CalculixDat  # which needs this module
+    from fea.readers.calculix_dat import CalculixDat  # which needs this module
 
     return {"calculix-dat": CalculixDat, "numbers": Numbers}
 

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from fea.deck.readers import Complaint, OutputError, Reading, Run, number
+from fea.readers.reader import Complaint, OutputError, Reading, Run, number
 from fea.spec.schema import Deck
 
 _HEAD = re.compile(r"^ displacements \(vx,vy,vz\) for set (\S+) and time\s+(\S+)\s*$")
