@@ -13,7 +13,7 @@ import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from fea.bundle import BundleError, bundle_of, read_bundle
+from fea.bundle.read import BundleError, bundle_of, read_bundle
 from fea.component import Component, build
 from fea.mesh.mesh import CellBlock
 from fea.spec.problems import Problem

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from fea.bundle import Bundle, BundleError, Problem, read_bundle
+from fea.bundle.read import Bundle, BundleError, Problem, read_bundle
 from service.durable import sync_folder
 from surrogate.rows import LoadRange, Tolerance
 

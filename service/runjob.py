@@ -76,7 +76,7 @@ def main(folder: str | Path, solve: Solve | None = None) -> int:
 
 def solve_embedded(spec: Spec, report: Report, folder: Path | None = None) -> Mapping[str, Any]:
     """Solve with the finite elements of this project, or a deck's solver in `folder`."""
-    from fea.bundle import read_bundle
+    from fea.bundle.read import read_bundle
     from fea.solve import solve
 
     bundle = read_bundle(Path(spec.bundle))

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from fea.bundle import FILE_NAME, Bundle, BundleError, read_bundle
+from fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
 from fea.check import findings
 from fea.check.bodies import Bodies, bodies_of, coincident_nodes
 from fea.check.cells import quality, quality_warnings

@@ -214,7 +214,7 @@ class Deck:
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """A component as its folder describes it; see `fea.bundle.read_bundle`.
+    """A component as its folder describes it; see `fea.bundle.read.read_bundle`.
 
     Attributes
     ----------

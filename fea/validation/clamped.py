@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.bundle import read_bundle
+from fea.bundle.read import read_bundle
 from fea.component import Component, build
 from fea.mesh.mesh import Mesh
 from fea.section import section_of_facets

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
-from fea.bundle import BundleError
+from fea.bundle.read import BundleError
 from service.book import NoSetupError
 from service.ledger import (
     InvalidTransitionError,

@@ -14,7 +14,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fea.bundle import read_bundle
+from fea.bundle.read import read_bundle
 from service.attempt import PROGRESS, Progress, write_whole
 from service.report.measure import measure
 from service.report.page import as_page

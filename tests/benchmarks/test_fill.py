@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import NearestNDInterpolator, griddata
 
-from fea.bundle import read_bundle
+from fea.bundle.read import read_bundle
 from fea.solve import Solver
 from surrogate.answers import METHODS
 from surrogate.design import next_wrenches

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import brentq
 
-from fea.bundle import read_bundle
+from fea.bundle.read import read_bundle
 from fea.component import build
 from fea.failure import SolveFailed
 from fea.solve import Solver

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fea.bundle import BundleError, bundle_of, read_bundle
+from fea.bundle.read import BundleError, bundle_of, read_bundle
 from fea.component import build
 from fea.section import section_of_facets
 

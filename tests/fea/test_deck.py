@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fea.bundle import BundleError
+from fea.bundle.read import BundleError
 from fea.deck.checking import deck_report
 from fea.deck.running import filled
 from fea.failure import SolveFailed
@@ -318,7 +318,7 @@ def test_a_mistake_in_the_deck_table_is_named(tmp_path, deck, where, said):
 
 
 def test_what_a_deck_would_not_heed_is_a_mistake(tmp_path):
-    from fea.bundle import bundle_of
+    from fea.bundle.read import bundle_of
 
     component(tmp_path)
     deck = {"file": "job.inp", "command": ["x"], "output": {"reader": "numbers", "file": "f"}}

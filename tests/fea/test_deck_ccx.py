@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fea import inpwriter
-from fea.bundle import BundleError, bundle_of, read_bundle
+from fea.bundle.read import BundleError, bundle_of, read_bundle
 from fea.check import report
 from fea.component import build
 from fea.failure import SolveFailed

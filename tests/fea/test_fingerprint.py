@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from fea.bundle import bundle_of
+from fea.bundle.read import bundle_of
 
 BAR = {
     "name": "b",

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from fea.bundle import BundleError, bundle_of
+from fea.bundle.read import BundleError, bundle_of
 from fea.component import build, mesh_of
 from fea.gradients import area_weights
 from fea.mesh.cad import list_shape, mesh_geometry
@@ -175,7 +175,7 @@ def test_the_fingerprint_covers_the_file_and_every_key_of_its_meshing(folder):
 def test_reading_a_geometry_bundle_imports_no_gmsh(folder):
     (folder / "component.toml").write_text(toml_of(BRACKET))
     code = (
-        "import sys; from fea.bundle import read_bundle; read_bundle(sys.argv[1]);"
+        "import sys; from fea.bundle.read import read_bundle; read_bundle(sys.argv[1]);"
         "sys.exit(any(m in sys.modules for m in ('gmsh', 'skfem', 'meshio')))"
     )
     done = subprocess.run([sys.executable, "-c", code, str(folder)], check=False, timeout=60)

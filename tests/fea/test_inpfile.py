@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fea.bundle import BundleError
+from fea.bundle.read import BundleError
 from fea.mesh.io.read import read_mesh
 from fea.mesh.quality import volumes
 from fea.section import section_of_facets

@@ -6,7 +6,7 @@ import meshio
 import numpy as np
 import pytest
 
-from fea.bundle import BundleError
+from fea.bundle.read import BundleError
 from fea.mesh.facets import FACES, outer_surface
 from fea.mesh.generators import Bar
 from fea.mesh.io.read import read_mesh

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fea.bundle import BundleError, bundle_of
+from fea.bundle.read import BundleError, bundle_of
 from fea.component import build
 from fea.gradients import area_weights
 from fea.mesh.element_order import first_order_problems, second_order

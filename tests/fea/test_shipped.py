@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fea.bundle import read_bundle
+from fea.bundle.read import read_bundle
 from fea.solve import Solver
 from tests.fea.test_linear import beam_compliance
 

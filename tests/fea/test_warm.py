@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fea.arc import ArcPath
-from fea.bundle import read_bundle
+from fea.bundle.read import read_bundle
 from fea.component import build
 from fea.failure import SolveFailed
 from fea.newton import Equilibrium, find_equilibrium

@@ -144,7 +144,7 @@ def embedded(monkeypatch, fingerprint):
     bundle = types.SimpleNamespace(fingerprint=fingerprint)
     reading = types.SimpleNamespace(read_bundle=lambda folder: bundle)
     solving = types.SimpleNamespace(solve=lambda bundle, wrench, progress, folder: solution)
-    monkeypatch.setitem(sys.modules, "fea.bundle", reading)
+    monkeypatch.setitem(sys.modules, "fea.bundle.read", reading)
     monkeypatch.setitem(sys.modules, "fea.solve", solving)
     monkeypatch.delenv("WRENCHBOOK_SOLVE", raising=False)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.bundle import read_bundle
+from fea.bundle.read import read_bundle
 from fea.mesh.refine import refined
 from fea.solve import Solver
 from service.library import SHIPPED

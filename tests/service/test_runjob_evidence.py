@@ -5,7 +5,7 @@ import json
 import meshio
 import pytest
 
-from fea.bundle import read_bundle
+from fea.bundle.read import read_bundle
 from service import runjob
 from service.attempt import Spec, prepare, read_outcome
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.bundle import read_bundle
+from fea.bundle.read import read_bundle
 from fea.solution import Solution
 from fea.solve import Solver
 

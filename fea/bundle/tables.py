@@ -1,7 +1,7 @@
 """Reading the tables of ``component.toml``, each into its part of the bundle.
 
 Each reader notes its mistakes on the `Keys` it is given and returns None, or what could be read,
-when there are any; `fea.bundle` raises them all together.
+when there are any; `fea.bundle.read` raises them all together.
 """
 
 from __future__ import annotations

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from fea.deck.table import read_deck
-from fea.read_parts import (
+from fea.bundle.deck_table import read_deck
+from fea.bundle.mesh_table import read_mesh
+from fea.bundle.tables import (
     read_analysis,
     read_interface,
     read_material,
@@ -24,7 +25,6 @@ from fea.read_parts import (
     read_supports,
     read_tolerance,
 )
-from fea.read_source import read_mesh
 from fea.spec.fingerprint import fingerprint
 from fea.spec.problems import BundleError, Problem
 from fea.spec.schema import (
