@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fea.gradients import cell_gradients
+from fea.element.mapping import cell_gradients
+from fea.element.pressure_projection import projects, require_no_locking, volume_modes
+from fea.element.st_venant_kirchhoff import Stiffness
 from fea.mesh.mesh import CellBlock, Mesh
-from fea.stiffness import Stiffness
-from fea.volumetric import projects, require_no_locking, volume_modes
 
 Array = np.ndarray
 

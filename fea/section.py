@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.gradients import area_weights
+from fea.element.mapping import area_weights
 from fea.mesh.mesh import FacetGroup
 
 Array = np.ndarray

@@ -15,6 +15,7 @@ from fea.component import Component, build
 from fea.condition import ROUNDOFF
 from fea.coupling import Coupling, Distributed, Rigid, State
 from fea.deck.solving import solve_deck
+from fea.element.pressure_projection import pressure_notes
 from fea.evidence import keep
 from fea.failure import SolveFailed, rotation_too_large
 from fea.linear import LinearResponse, linear_response
@@ -22,7 +23,6 @@ from fea.path import LoadPath
 from fea.solution import Progress, Solution
 from fea.spec.schema import FREEDOMS, Bundle
 from fea.system import Balance, System
-from fea.volumetric import pressure_notes
 from fea.warm import WarmFolder
 
 __all__ = ["MOST_DEGREES", "Solver", "solve"]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from fea.element.mapping import area_weights, cell_gradients
 from fea.failure import SolveFailed
-from fea.gradients import area_weights, cell_gradients
 from fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
 from fea.mesh.reference_cell import node_places, reference_element
 from tests.fea.boxes import box

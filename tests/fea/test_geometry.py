@@ -9,7 +9,7 @@ import pytest
 
 from fea.bundle.read import BundleError, bundle_of
 from fea.component import build, mesh_of
-from fea.gradients import area_weights
+from fea.element.mapping import area_weights
 from fea.mesh.cad import list_shape, mesh_geometry
 from fea.mesh.quality import volumes
 from fea.solve import Solver

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from fea.body import Body
+from fea.element.mapping import cell_gradients
+from fea.element.pressure_projection import LARGEST_RATIO, volume_modes
+from fea.element.st_venant_kirchhoff import Stiffness
 from fea.failure import SolveFailed
-from fea.gradients import cell_gradients
 from fea.mesh.mesh import CellBlock, Mesh
 from fea.mesh.reference_cell import reference_element
 from fea.solve import Solver
 from fea.spec.schema import Material
-from fea.stiffness import Stiffness
-from fea.volumetric import LARGEST_RATIO, volume_modes
 from tests.fea.boxes import box
 from tests.fea.components import component
 

@@ -5,7 +5,7 @@ import pytest
 
 from fea.bundle.read import BundleError, bundle_of
 from fea.component import build
-from fea.gradients import area_weights
+from fea.element.mapping import area_weights
 from fea.mesh.element_order import first_order_problems, second_order
 from fea.mesh.facets import outer_surface
 from fea.mesh.mesh import CellBlock, Mesh

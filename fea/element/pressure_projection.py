@@ -25,7 +25,7 @@ from fea.mesh.mesh import CellBlock
 from fea.mesh.reference_cell import reference_element
 
 if TYPE_CHECKING:
-    from fea.stiffness import Stiffness
+    from fea.element.st_venant_kirchhoff import Stiffness
 
 Array = np.ndarray
 
@@ -112,7 +112,7 @@ def volume_modes(points: Array, block: CellBlock, weights: Array, integration: s
     block
         Cells of a kind in `PRESSURES`.
     weights
-        Shape (cells, points), m^3, from `fea.gradients`.
+        Shape (cells, points), m^3, from `fea.element.mapping`.
     integration
         ``"reduced"`` or ``"full"``.
 
