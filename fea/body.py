@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from fea.cholesky import Factor
-from fea.dissection import Dissection, dissect, unknowns_of
+from fea.linalg.multifrontal import Factor
+from fea.linalg.nested_dissection import Dissection, dissect, unknowns_of
 from fea.material import filled_cells
 from fea.mesh.mesh import Mesh
 

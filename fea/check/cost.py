@@ -1,7 +1,7 @@
 """What a solve will take, from the order of elimination alone.
 
 The factorisation's operations and the numbers it holds follow exactly from the tree of nested
-substructures (`fea.dissection`): a front that eliminates m of m + b unknowns takes
+substructures (`fea.linalg.nested_dissection`): a front that eliminates m of m + b unknowns takes
 m^3/3 + m^2 b + m b^2 multiply-adds and holds m (m + b) numbers. Time and memory are fitted to
 those on the shipped components and on cubes of up to 35,000 unknowns, one core of a server:
 
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from fea.component import Component
-from fea.dissection import dissect
+from fea.linalg.nested_dissection import dissect
 
 _MOST_CELLS = 100_000
 """Beyond this many cells the operations are guessed from the unknowns, as of a cube."""

@@ -6,7 +6,7 @@ import scipy.sparse as sparse
 import scipy.sparse.linalg as sparse_linalg
 
 from fea.body import Body
-from fea.dissection import unknowns_of
+from fea.linalg.nested_dissection import unknowns_of
 from fea.mesh.mesh import CellBlock, Mesh
 from tests.fea.boxes import box
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fea import body
-from fea.cholesky import Factor
+from fea.linalg.multifrontal import Factor
 from fea.solve import Solver
 from tests.fea.boxes import box
 from tests.fea.components import component

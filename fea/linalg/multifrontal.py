@@ -1,6 +1,6 @@
 """Multifrontal Cholesky factorisation over nested substructures.
 
-Each substructure of `fea.dissection` is one dense front [[A, B], [B^T, C]]: A = L L^T, W = L^-1 B,
+Each substructure of `fea.linalg.nested_dissection` is one dense front [[A, B], [B^T, C]]: A = L L^T, W = L^-1 B,
 and C - W^T W goes on to the parent. Only lower triangles of A and C are meaningful. A tangent that
 is not positive definite (an unstable state, or a step of Newton's method on its way) is factorised
 by LU of the pivot blocks instead.
@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg.blas import get_blas_funcs
 from scipy.linalg.lapack import get_lapack_funcs
 
-from fea.dissection import Dissection, Substructure
+from fea.linalg.nested_dissection import Dissection, Substructure
 
 Array = np.ndarray
 
