@@ -8,6 +8,7 @@ import numpy as np
 
 from fea.arc import ArcPath
 from fea.coupling import State
+from fea.coupling.rotation import rotation, rotation_vector
 from fea.failure import (
     SolveFailed,
     gave_way,
@@ -17,7 +18,6 @@ from fea.failure import (
     snap_through,
 )
 from fea.newton import MOST_ITERATIONS, Equilibrium, Report, Stuck, find_equilibrium
-from fea.rotation import rotation, rotation_vector
 from fea.solution import Iteration, Progress
 from fea.system import Balance, Linearisation, System
 

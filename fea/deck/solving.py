@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fea.coupling.rotation import spin_per_vector
 from fea.deck import failures
 from fea.deck.running import run_deck
-from fea.rotation import spin_per_vector
 from fea.solution import Progress, Solution
 from fea.spec.schema import FREEDOMS, Bundle, Deck, LoadRange
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fea.component import Component
+from fea.coupling.rotation import spin_per_vector
 from fea.inpwriter import PLACEHOLDERS, deck_of
-from fea.rotation import spin_per_vector
 
 Array = np.ndarray
 

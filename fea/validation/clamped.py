@@ -11,8 +11,8 @@ import numpy as np
 
 from fea.bundle.read import read_bundle
 from fea.component import Component, build
+from fea.coupling.section import section_of_facets
 from fea.mesh.mesh import Mesh
-from fea.section import section_of_facets
 from fea.spec.schema import Analysis, Bundle, Interface, LoadRange, Material, Supports
 
 Array = np.ndarray

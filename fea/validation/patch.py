@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from fea.body import Body
+from fea.coupling.rotation import rotation
 from fea.mesh.mesh import Mesh
-from fea.rotation import rotation
 from fea.solve import Solver
 from fea.validation.boxes import box
 from fea.validation.clamped import Warp, clamped

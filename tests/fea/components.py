@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fea.component import Component
-from fea.section import section_of_facets
+from fea.coupling.section import section_of_facets
 from fea.spec.schema import Analysis, Material
 
 

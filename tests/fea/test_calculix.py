@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fea.rotation import spin_per_vector
+from fea.coupling.rotation import spin_per_vector
 from fea.solve import Solver
 from tests.fea import calculix
 from tests.fea.boxes import box

@@ -8,7 +8,7 @@ import pytest
 
 from fea.bundle.read import BundleError, bundle_of, read_bundle
 from fea.component import build
-from fea.section import section_of_facets
+from fea.coupling.section import section_of_facets
 
 SHIPPED = Path(__file__).parents[2] / "data" / "components"
 FILES = Path(__file__).parent / "meshfiles"

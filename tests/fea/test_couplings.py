@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fea.coupling import State
-from fea.rotation import rotation
+from fea.coupling.rotation import rotation
 from fea.solve import Solver
 from fea.spec.schema import FREEDOMS
 from tests.fea.boxes import box

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fea.bundle.read import BundleError
+from fea.coupling.rotation import spin_per_vector
 from fea.deck.checking import deck_report
 from fea.deck.running import filled
 from fea.failure import SolveFailed
 from fea.readers import reader as readers
-from fea.rotation import spin_per_vector
 from fea.solve import solve
 from tests.fea.decks import SOFT, WRENCH, component
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fea.body import Body
-from fea.rotation import rotation
+from fea.coupling.rotation import rotation
 from fea.solve import Solver
 from tests.fea.boxes import box
 from tests.fea.components import component

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fea.component import Component
-from fea.section import section_of_facets
+from fea.coupling.section import section_of_facets
 from fea.solve import Solver
 from fea.spec.schema import Analysis, Material
 from tests.fea.boxes import box

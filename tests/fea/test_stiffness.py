@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from fea.coupling.rotation import rotation
 from fea.element.mapping import cell_gradients
 from fea.element.st_venant_kirchhoff import Stiffness
-from fea.rotation import rotation
 from tests.fea.boxes import box
 
 RNG = np.random.default_rng(5)
