@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fea.assembly.system import Balance, Linearisation, System
 from fea.newton import BALANCED, CONVERGED, Equilibrium, Report
-from fea.system import Balance, Linearisation, System
 
 Array = np.ndarray
 

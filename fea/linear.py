@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.condition import ROUNDOFF
+from fea.assembly.condition import ROUNDOFF
+from fea.assembly.system import Linearisation, System, contract
 from fea.failure import ill_conditioned
-from fea.system import Linearisation, System, contract
 
 Array = np.ndarray
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fea.assembly.system import Balance, Linearisation, System
 from fea.coupling import State
-from fea.system import Balance, Linearisation, System
 
 Array = np.ndarray
 

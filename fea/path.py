@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fea.arc import ArcPath
+from fea.assembly.system import Balance, Linearisation, System
 from fea.coupling import State
 from fea.coupling.rotation import rotation, rotation_vector
 from fea.failure import (
@@ -19,7 +20,6 @@ from fea.failure import (
 )
 from fea.newton import MOST_ITERATIONS, Equilibrium, Report, Stuck, find_equilibrium
 from fea.solution import Iteration, Progress
-from fea.system import Balance, Linearisation, System
 
 Array = np.ndarray
 

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.body import Body
+from fea.assembly.body import Body
+from fea.assembly.condition import ROUNDOFF
+from fea.assembly.system import Balance, System
 from fea.component import Component, build
-from fea.condition import ROUNDOFF
 from fea.coupling import Coupling, Distributed, Rigid, State
 from fea.deck.solving import solve_deck
 from fea.element.pressure_projection import pressure_notes
@@ -22,7 +23,6 @@ from fea.linear import LinearResponse, linear_response
 from fea.path import LoadPath
 from fea.solution import Progress, Solution
 from fea.spec.schema import FREEDOMS, Bundle
-from fea.system import Balance, System
 from fea.warm import WarmFolder
 
 __all__ = ["MOST_DEGREES", "Solver", "solve"]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fea.body import Body
+from fea.assembly.body import Body
 from fea.coupling.rotation import rotation
 from fea.mesh.mesh import Mesh
 from fea.solve import Solver

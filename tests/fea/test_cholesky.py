@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sparse
 import scipy.sparse.linalg as sparse_linalg
 
-from fea.body import Body
+from fea.assembly.body import Body
 from fea.linalg.nested_dissection import unknowns_of
 from fea.mesh.mesh import CellBlock, Mesh
 from tests.fea.boxes import box

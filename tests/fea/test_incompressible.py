@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.body import Body
+from fea.assembly.body import Body
 from fea.element.mapping import cell_gradients
 from fea.element.pressure_projection import LARGEST_RATIO, volume_modes
 from fea.element.st_venant_kirchhoff import Stiffness

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fea import body
+from fea.assembly import body
 from fea.linalg.multifrontal import Factor
 from fea.solve import Solver
 from tests.fea.boxes import box

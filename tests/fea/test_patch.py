@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fea.body import Body
+from fea.assembly.body import Body
 from fea.coupling.rotation import rotation
 from fea.solve import Solver
 from tests.fea.boxes import box

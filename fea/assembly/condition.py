@@ -10,7 +10,7 @@ from scipy.sparse.linalg import LinearOperator, onenormest
 from fea.failure import SolveFailed, ill_conditioned, mechanism
 
 if TYPE_CHECKING:
-    from fea.body import Body, Tangent
+    from fea.assembly.body import Body, Tangent
 
 Array = np.ndarray
 

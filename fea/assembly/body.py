@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
+from fea.assembly.blocks import filled_cells
 from fea.linalg.multifrontal import Factor
 from fea.linalg.nested_dissection import Dissection, dissect, unknowns_of
-from fea.material import filled_cells
 from fea.mesh.mesh import Mesh
 
 Array = np.ndarray

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from fea.body import Body, Tangent
-from fea.condition import scaled_condition, softest_energy, unheld
+from fea.assembly.body import Body, Tangent
+from fea.assembly.condition import scaled_condition, softest_energy, unheld
 from fea.coupling import Coupling, State
 from fea.failure import mechanism
 
