@@ -19,11 +19,11 @@ from fea.deck.solving import solve_deck
 from fea.element.pressure_projection import pressure_notes
 from fea.evidence import keep
 from fea.failure import SolveFailed, rotation_too_large
-from fea.linear import LinearResponse, linear_response
-from fea.path import LoadPath
 from fea.solution import Progress, Solution
+from fea.solver.linear import LinearResponse, linear_response
+from fea.solver.load_steps import LoadPath
+from fea.solver.warm_start import WarmFolder
 from fea.spec.schema import FREEDOMS, Bundle
-from fea.warm import WarmFolder
 
 __all__ = ["MOST_DEGREES", "Solver", "solve"]
 
@@ -50,7 +50,7 @@ def solve(
         Where an outside solver's files stay, and what a failed solve leaves (`fea.evidence`); None
         keeps nothing.
     warm
-        Where the states of solves are kept, to start nearby ones from (`fea.warm`).
+        Where the states of solves are kept, to start nearby ones from (`fea.solver.warm_start`).
 
     Raises
     ------

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fea.failure import SolveFailed
-from fea.path import LoadPath
 from fea.solve import Solver
+from fea.solver.load_steps import LoadPath
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.test_nonlinear import PLATE_WRENCH, plate

@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from fea import path
 from fea.solve import Solver
+from fea.solver import load_steps as path
 from tests.fea.boxes import box
 from tests.fea.components import component
 

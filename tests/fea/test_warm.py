@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.arc import ArcPath
 from fea.bundle.read import read_bundle
 from fea.component import build
 from fea.failure import SolveFailed
-from fea.newton import Equilibrium, find_equilibrium
 from fea.solve import Solver, solve
-from fea.warm import MOST_FILES, WarmFolder
+from fea.solver.arc_length import ArcPath
+from fea.solver.newton import Equilibrium, find_equilibrium
+from fea.solver.warm_start import MOST_FILES, WarmFolder
 from tests.fea.test_failures import arch
 from tests.fea.test_nonlinear import PLATE_WRENCH, plate
 

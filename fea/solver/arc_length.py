@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fea.assembly.system import Balance, Linearisation, System
-from fea.newton import BALANCED, CONVERGED, Equilibrium, Report
+from fea.solver.newton import BALANCED, CONVERGED, Equilibrium, Report
 
 Array = np.ndarray
 
