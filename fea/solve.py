@@ -17,7 +17,7 @@ from fea.component import Component, build
 from fea.coupling import Coupling, Distributed, Rigid, State
 from fea.deck.solving import solve_deck
 from fea.element.pressure_projection import pressure_notes
-from fea.evidence import keep
+from fea.export.failure_record import keep
 from fea.failure import SolveFailed, rotation_too_large
 from fea.solution import Progress, Solution
 from fea.solver.linear import LinearResponse, linear_response
@@ -47,7 +47,7 @@ def solve(
     Parameters
     ----------
     folder
-        Where an outside solver's files stay, and what a failed solve leaves (`fea.evidence`); None
+        Where an outside solver's files stay, and what a failed solve leaves (`fea.export.failure_record`); None
         keeps nothing.
     warm
         Where the states of solves are kept, to start nearby ones from (`fea.solver.warm_start`).

@@ -16,7 +16,7 @@ import numpy as np
 
 from fea.component import Component
 from fea.coupling.rotation import spin_per_vector
-from fea.inpwriter import PLACEHOLDERS, deck_of
+from fea.export.calculix import PLACEHOLDERS, deck_of
 
 Array = np.ndarray
 

@@ -1,4 +1,4 @@
-"""The shipped deck and decks written by `fea.inpwriter`, run by CalculiX, against this solver."""
+"""The shipped deck and decks written by `fea.export.calculix`, run by CalculiX, against this solver."""
 
 import tomllib
 from dataclasses import replace
@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fea import inpwriter
 from fea.bundle.read import BundleError, bundle_of, read_bundle
 from fea.check import report
 from fea.component import build
+from fea.export import calculix as inpwriter
 from fea.failure import SolveFailed
 from fea.solve import Solver, solve
 from fea.spec.schema import Deck

@@ -7,10 +7,10 @@ import meshio
 import numpy as np
 import pytest
 
-from fea.evidence import HISTORY, LAST_STATE
+from fea.export.failure_record import HISTORY, LAST_STATE
+from fea.export.vtu import write_state
 from fea.failure import SolveFailed
 from fea.solve import Solver, solve
-from fea.vtu import write_state
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.test_failures import arch

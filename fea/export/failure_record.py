@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from fea.component import Component
+from fea.export.vtu import write_state
 from fea.failure import SolveFailed
-from fea.vtu import write_state
 
 HISTORY, LAST_STATE = "history.json", "last_state.vtu"
 

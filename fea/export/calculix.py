@@ -1,4 +1,4 @@
-"""Write a component as a CalculiX input deck: ``python -m fea.inpwriter BUNDLE > plate.inp``.
+"""Write a component as a CalculiX input deck: ``python -m fea.export.calculix BUNDLE > plate.inp``.
 
 The deck is complete: mesh, materials, supports, a rigid interface and one step that takes the
 wrench from $FX $FY $FZ $MX $MY $MZ. It is the start of a ``[deck]`` that an expert then goes on
@@ -162,12 +162,12 @@ def _bundle(path: Path) -> Bundle:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the deck of the bundle that the arguments name; return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m fea.inpwriter", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m fea.export.calculix", description=__doc__)
     parser.add_argument("bundle", type=Path, help="a bundle's folder, or a .toml file like its own")
     path = parser.parse_args(arguments).bundle
     try:
         component = build(_bundle(path))
-        made = f"Made by: python -m fea.inpwriter {path.name}"
+        made = f"Made by: python -m fea.export.calculix {path.name}"
         units = "Metres, newtons, pascals; the axes are those of the interface frame."
         sys.stdout.write(deck_of(component, (component.bundle.title, made, units)))
     except (BundleError, OSError, tomllib.TOMLDecodeError) as error:
