@@ -65,7 +65,7 @@ def validate(
 ) -> None:
     """Verify the solver against closed forms, published numbers and CalculiX; minutes for all."""
     # In a process of its own: this one never imports the finite elements.
-    words = [sys.executable, "-m", "fea.validate", topic, *(["--markdown"] * markdown)]
+    words = [sys.executable, "-m", "fea.validation.__main__", topic, *(["--markdown"] * markdown)]
     raise typer.Exit(subprocess.run(words, check=False).returncode)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fea import validate
+from fea.validation import __main__ as validate
 from fea.validation import calculix, plate
 from fea.validation.clamped import shipped
 from fea.validation.finding import CASES, TOPICS, Case, Finding, case
