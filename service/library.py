@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from fea.bundle.read import Bundle, BundleError, Problem, read_bundle
-from service.durable import sync_folder
+from service.files.durable import sync_folder
 from surrogate.rows import LoadRange, Tolerance
 
 MAX_BUNDLE_BYTES = 512 * 1024 * 1024

@@ -4,7 +4,7 @@ import os
 import secrets
 from pathlib import Path
 
-from service import flock
+from service.files import lock as flock
 
 
 class Owner:

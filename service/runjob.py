@@ -25,8 +25,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from service import flock
 from service.attempt import LOCK, PROGRESS, Progress, Spec, read_spec, write_outcome, write_whole
+from service.files import lock as flock
 
 SOLVE_VARIABLE = "WRENCHBOOK_SOLVE"
 DONE, FAILED, IN_USE, CANCELLED = 0, 1, 75, 143  # exit codes

@@ -10,9 +10,9 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from service import flock
 from service.attempt import LOCK, LOG, OUTCOME
 from service.engines import EngineError, State
+from service.files import lock as flock
 
 # Several solvers share the cores, so each gets one; what the user has set is left alone.
 _THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR")

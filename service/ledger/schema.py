@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from service.durable import sync_folder
+from service.files.durable import sync_folder
 from service.ledger.errors import LedgerError, LedgerFileError, LedgerUnavailableError
 
 Connection = sqlite3.Connection

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from service import flock
 from service.attempt import Spec, prepare, read_outcome, read_progress
 from service.engines import EngineError, open_engine
 from service.engines.local import LocalEngine
+from service.files import lock as flock
 
 HERE = Path(__file__).parent
 SPEC = Spec(1, 1, "bar", "/nowhere", "f1", (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
