@@ -11,9 +11,9 @@ import numpy as np
 from starlette.concurrency import run_in_threadpool
 from threadpoolctl import threadpool_limits
 
-from service.attempt import Progress, attempt_folder, read_progress
-from service.dispatcher import Dispatcher
-from service.engines import open_engine
+from service.jobs.attempt import Progress, attempt_folder, read_progress
+from service.jobs.dispatcher import Dispatcher
+from service.jobs.engines import open_engine
 from service.ledger import Change, Job, Ledger
 from service.library import Component, Library
 from service.reports import Reports

@@ -28,7 +28,7 @@ def serve(
 ) -> None:
     """Serve the API and solve what is queued."""
     from service.book import Settings
-    from service.engines import ENGINES
+    from service.jobs.engines import ENGINES
     from service.serving import serve as run
 
     if engine not in ENGINES:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from service.attempt import write_whole
+from service.jobs.attempt import write_whole
 from service.library import Component
 
 FILES = {"json": "report.json", "md": "report.md", "html": "report.html"}

@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from fea.bundle.read import read_bundle
-from service.attempt import PROGRESS, Progress, write_whole
+from service.jobs.attempt import PROGRESS, Progress, write_whole
 from service.report.measure import measure
 from service.report.page import as_page
 from service.report.text import as_markdown

@@ -4,8 +4,8 @@ import signal
 import sys
 from pathlib import Path
 
-from service.dispatcher import Dispatcher
-from service.engines.local import LocalEngine
+from service.jobs.dispatcher import Dispatcher
+from service.jobs.engines.local import LocalEngine
 from service.ledger import Ledger
 
 data = Path(sys.argv[1])

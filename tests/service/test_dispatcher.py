@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from service.attempt import attempt_folder
-from service.dispatcher import Dispatcher
-from service.engines import EngineError
-from service.engines.local import LocalEngine
+from service.jobs.attempt import attempt_folder
+from service.jobs.dispatcher import Dispatcher
+from service.jobs.engines import EngineError
+from service.jobs.engines.local import LocalEngine
 from service.ledger import Ledger, LedgerUnavailableError
 
 HERE = Path(__file__).parent
@@ -275,7 +275,7 @@ class Unwilling(LocalEngine):
 def test_a_job_the_engine_could_not_start_waits_and_is_not_counted_as_lost(bench, monkeypatch):
     monkeypatch.setenv("WRENCHBOOK_SOLVE", "stand_in:quick")
     monkeypatch.setenv("PYTHONPATH", str(HERE))
-    monkeypatch.setattr("service.dispatcher.TROUBLE_SECONDS", 0.2)
+    monkeypatch.setattr("service.jobs.dispatcher.TROUBLE_SECONDS", 0.2)
     dispatcher = bench.start(engine=Unwilling(2))
     job = bench.accept()
     until(lambda: dispatcher.trouble)
@@ -286,7 +286,7 @@ def test_a_job_the_engine_could_not_start_waits_and_is_not_counted_as_lost(bench
 
 
 def test_an_answer_the_ledger_cannot_take_now_is_taken_later(bench, monkeypatch):
-    monkeypatch.setattr("service.dispatcher.TROUBLE_SECONDS", 0.1)
+    monkeypatch.setattr("service.jobs.dispatcher.TROUBLE_SECONDS", 0.1)
     commit, refused = bench.ledger.commit, []
 
     def full(*arguments, **options):

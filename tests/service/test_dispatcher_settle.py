@@ -2,9 +2,9 @@
 
 import pytest
 
-from service.attempt import prepare, write_outcome
+from service.jobs.attempt import prepare, write_outcome
+from service.jobs.record_outcome import settle, spec_of
 from service.ledger import Ledger, StaleAttemptError
-from service.settle import settle, spec_of
 
 WRENCH = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -6,8 +6,8 @@ import time
 import pytest
 
 from fea.deck import solving
-from service.attempt import DECK, Spec, prepare, read_outcome, tidy
-from service.engines.local import LocalEngine
+from service.jobs.attempt import DECK, Spec, prepare, read_outcome, tidy
+from service.jobs.engines.local import LocalEngine
 from tests.fea.decks import SOFT, WRENCH, component
 
 ENDLESS = (

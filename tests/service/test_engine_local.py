@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from service.attempt import Spec, prepare, read_outcome, read_progress
-from service.engines import EngineError, open_engine
-from service.engines.local import LocalEngine
 from service.files import lock as flock
+from service.jobs.attempt import Spec, prepare, read_outcome, read_progress
+from service.jobs.engines import EngineError, open_engine
+from service.jobs.engines.local import LocalEngine
 
 HERE = Path(__file__).parent
 SPEC = Spec(1, 1, "bar", "/nowhere", "f1", (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
@@ -100,7 +100,7 @@ def test_a_second_solver_in_the_same_folder_is_refused(tmp_path):
     engine.submit(folder)
     with pytest.raises(EngineError, match="at work"):
         engine.submit(folder)
-    command = [sys.executable, "-m", "service.runjob", str(folder)]
+    command = [sys.executable, "-m", "service.jobs.solve_attempt", str(folder)]
     second = subprocess.run(command, capture_output=True, text=True, timeout=30)
     assert (second.returncode, "at work" in second.stderr) == (75, True)
     engine.cancel(folder)

@@ -7,8 +7,8 @@ import types
 import numpy as np
 import pytest
 
-from service import runjob
-from service.attempt import (
+from service.jobs import solve_attempt as runjob
+from service.jobs.attempt import (
     BadOutcomeError,
     Progress,
     Spec,

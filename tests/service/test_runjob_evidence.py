@@ -6,8 +6,8 @@ import meshio
 import pytest
 
 from fea.bundle.read import read_bundle
-from service import runjob
-from service.attempt import Spec, prepare, read_outcome
+from service.jobs import solve_attempt as runjob
+from service.jobs.attempt import Spec, prepare, read_outcome
 
 BUNDLE = """
 name = "block"

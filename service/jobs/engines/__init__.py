@@ -1,6 +1,6 @@
 """Engines: where solvers run. They only execute; what counts is decided by the ledger.
 
-Every engine runs ``python -m service.runjob FOLDER`` somehow, somewhere that sees the folder.
+Every engine runs ``python -m service.jobs.solve_attempt FOLDER`` somehow, somewhere that sees the folder.
 """
 
 from pathlib import Path
@@ -61,7 +61,7 @@ def open_engine(name: str = "local", slots: int | None = None) -> Engine:
         If there is none of that name.
     """
     if name == "local":
-        from service.engines.local import LocalEngine
+        from service.jobs.engines.local import LocalEngine
 
         return LocalEngine(slots)
     raise ValueError(f"there is no engine {name!r}; there are: {', '.join(ENGINES)}")

@@ -1,4 +1,4 @@
-"""Solve what an attempt's folder asks for: ``python -m service.runjob FOLDER``.
+"""Solve what an attempt's folder asks for: ``python -m service.jobs.solve_attempt FOLDER``.
 
 Every engine runs this, and it is where a component and the service meet. However the solve
 ends, ``result.json`` says so: ``done`` with the numbers, ``failed`` with kind, message and
@@ -25,8 +25,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from service.attempt import LOCK, PROGRESS, Progress, Spec, read_spec, write_outcome, write_whole
 from service.files import lock as flock
+from service.jobs.attempt import (
+    LOCK,
+    PROGRESS,
+    Progress,
+    Spec,
+    read_spec,
+    write_outcome,
+    write_whole,
+)
 
 SOLVE_VARIABLE = "WRENCHBOOK_SOLVE"
 DONE, FAILED, IN_USE, CANCELLED = 0, 1, 75, 143  # exit codes
@@ -207,7 +215,9 @@ def command_line(arguments: Sequence[str] | None = None) -> int:
     """Run as the program: hold the lock, lower the priority, end on SIGTERM."""
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
     signal.signal(signal.SIGTERM, _raise_cancelled)
-    parser = argparse.ArgumentParser(prog="python -m service.runjob", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m service.jobs.solve_attempt", description=__doc__
+    )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--lock-descriptor", type=int, help="open file of the lock, held")
     parser.add_argument("--niceness", type=int, default=0)

@@ -8,11 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.attempt import Progress, attempt_folder, prepare, read_progress
-from service.engines import Engine
+from service.jobs.attempt import Progress, attempt_folder, prepare, read_progress
+from service.jobs.engines import Engine
+from service.jobs.lease import Owner
+from service.jobs.record_outcome import settle, spec_of
 from service.ledger import Change, Job, Ledger, StaleAttemptError
-from service.owner import Owner
-from service.settle import settle, spec_of
 
 _log = logging.getLogger(__name__)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from service.attempt import LOCK, BadOutcomeError, Spec, read_outcome, tidy
+from service.jobs.attempt import LOCK, BadOutcomeError, Spec, read_outcome, tidy
 from service.ledger import Job, Ledger
 
 _log = logging.getLogger(__name__)
