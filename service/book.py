@@ -17,7 +17,7 @@ from service.jobs.engines import open_engine
 from service.ledger import Change, Job, Ledger
 from service.library import Component, Library
 from service.reports import Reports
-from service.tables import Tables
+from service.tables.live import Tables
 
 WAIT_POLL_S = 0.25
 

@@ -21,7 +21,7 @@ from service.tablefile import (
     write_csv,
     write_json,
 )
-from service.tablerows import foreign_rows, insert, usable_rows
+from service.tables.rows import foreign_rows, insert, usable_rows
 
 router = APIRouter(prefix="/v1/components/{name}/table", tags=["table"])
 
