@@ -15,7 +15,7 @@ from service.jobs.attempt import Progress, attempt_folder, read_progress
 from service.jobs.dispatcher import Dispatcher
 from service.jobs.engines import open_engine
 from service.ledger import Change, Job, Ledger
-from service.library import Component, Library
+from service.library.library import Component, Library
 from service.reports import Reports
 from service.tables.live import Tables
 

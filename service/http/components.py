@@ -19,7 +19,7 @@ from service.http.problems import ProblemError, bad_body
 from service.http.queries import read_body
 from service.http.schemas import body_schema
 from service.http.wire import FillOrder, SolveOrder, TableOnlyComponent
-from service.library import Component
+from service.library.library import Component
 from surrogate.design import Design, next_wrenches
 from surrogate.rows import Tolerance
 

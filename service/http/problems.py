@@ -20,7 +20,7 @@ from service.ledger import (
     UnknownJobError,
     UnknownRowError,
 )
-from service.library import ComponentExistsError, UnknownComponentError
+from service.library.library import ComponentExistsError, UnknownComponentError
 
 MEDIA_TYPE = "application/problem+json"
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {

@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from service.book import Book
 from service.http.problems import ProblemError
-from service.library import Component
+from service.library.library import Component
 from service.tablefile import (
     ParsedTable,
     UnitError,

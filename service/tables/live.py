@@ -12,7 +12,7 @@ import numpy as np
 
 from service.contract import CONTRACT
 from service.ledger import Ledger, LedgerRow, NewRow
-from service.library import Component, Library
+from service.library.library import Component, Library
 from surrogate.rows import Rows
 from surrogate.store import TableFileError, TableMeta, read_table, write_table
 from surrogate.surrogate import Surrogate

@@ -8,7 +8,7 @@ import pytest
 from fea.bundle.read import read_bundle
 from fea.mesh.refine import refined
 from fea.solve import Solver
-from service.library import SHIPPED
+from service.library.library import SHIPPED
 from service.report.measure import errors, measure, pareto
 from service.report.page import as_page
 from service.report.text import as_markdown
