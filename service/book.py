@@ -16,7 +16,7 @@ from service.jobs.dispatcher import Dispatcher
 from service.jobs.engines import open_engine
 from service.ledger import Change, Job, Ledger
 from service.library.library import Component, Library
-from service.reports import Reports
+from service.report.queue import Reports
 from service.tables.live import Tables
 
 WAIT_POLL_S = 0.25
