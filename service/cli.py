@@ -53,7 +53,7 @@ def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Clie
         with Client(server) as client:
             yield client
         return
-    from service.serving import private_server
+    from service.http.server import private_server
 
     with private_server(data, solvers) as client:
         yield client

@@ -27,7 +27,7 @@ NAMES = show.NAMES
 
 def run(out: Console, keep: Path | None = None) -> int:
     """Run the demonstration; return the exit status, 0 if all of it worked."""
-    from service.serving import private_server
+    from service.http.server import private_server
 
     started = time.monotonic()
     room = nullcontext(str(keep)) if keep else tempfile.TemporaryDirectory(prefix="wrenchbook-")

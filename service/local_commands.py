@@ -28,8 +28,8 @@ def serve(
 ) -> None:
     """Serve the API and solve what is queued."""
     from service.book import Settings
+    from service.http.server import serve as run
     from service.jobs.engines import ENGINES
-    from service.serving import serve as run
 
     if engine not in ENGINES:
         raise typer.BadParameter(f"there is no engine {engine!r}; there are: {', '.join(ENGINES)}")

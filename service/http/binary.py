@@ -9,9 +9,9 @@ from fastapi import Request
 from pydantic import Field, ValidationError
 from starlette.responses import Response
 
+from service.http.bodies import MAX_BATCH, Body, OnThin, Seconds
+from service.http.parsing import Batch
 from service.http.problems import bad_body, plain_errors
-from service.http.queries import Batch
-from service.http.wire import MAX_BATCH, Body, OnThin, Seconds
 from surrogate.rows import LOADS, Tolerance
 
 MEDIA_TYPE: Final = "application/octet-stream"

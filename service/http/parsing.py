@@ -10,8 +10,8 @@ import numpy as np
 import orjson
 from pydantic import ValidationError
 
+from service.http.bodies import BatchQuery, Body, DisplacementQuery
 from service.http.problems import ProblemError, bad_body, plain_errors
-from service.http.wire import BatchQuery, Body, DisplacementQuery
 from surrogate.rows import Tolerance
 
 _PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})

@@ -16,10 +16,10 @@ from starlette.responses import Response
 from service.book import Book
 from service.contract import CONTRACT_TEXT
 from service.http.binary import is_binary, read_binary, write_binary
-from service.http.jobs import job_link
+from service.http.openapi import component_call, reply_schema
+from service.http.parsing import Batch, Query, read_batch, read_query, unknown_method
 from service.http.problems import ProblemError
-from service.http.queries import Batch, Query, read_batch, read_query, unknown_method
-from service.http.schemas import component_call, reply_schema
+from service.http.routes.jobs import job_link
 from service.ledger import Job, LedgerRow
 from surrogate.answers import Answer
 from surrogate.surrogate import Surrogate

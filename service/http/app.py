@@ -12,7 +12,8 @@ from starlette.concurrency import run_in_threadpool
 
 from service.book import Book, Settings
 from service.contract import CONTRACT_TEXT
-from service.http import components, coverage, displacement, health, jobs, problems, report, table
+from service.http import problems
+from service.http.routes import components, coverage, displacement, health, jobs, report, table
 
 _SUMMARY = (
     "POST the wrench that acts on a component, get its displacement from a table of "

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from service.contract import CONTRACT
 from service.http.binary import BODY, MEDIA_TYPE, PARAMETERS
-from service.http.wire import BatchQuery, Body, DisplacementQuery, FillOrder, SolveOrder
+from service.http.bodies import BatchQuery, Body, DisplacementQuery, FillOrder, SolveOrder
 
 _BODIES: Final[dict[str, type[Body]]] = {
     body.__name__: body for body in (DisplacementQuery, BatchQuery, SolveOrder, FillOrder)

@@ -13,12 +13,12 @@ from starlette.responses import Response
 
 from service.book import Book
 from service.contract import CONTRACT
-from service.http.displacement import job_reply
-from service.http.jobs import job_link
+from service.http.bodies import FillOrder, SolveOrder, TableOnlyComponent
+from service.http.openapi import body_schema
+from service.http.parsing import read_body
 from service.http.problems import ProblemError, bad_body
-from service.http.queries import read_body
-from service.http.schemas import body_schema
-from service.http.wire import FillOrder, SolveOrder, TableOnlyComponent
+from service.http.routes.displacement import job_reply
+from service.http.routes.jobs import job_link
 from service.library.library import Component
 from surrogate.design import Design, next_wrenches
 from surrogate.rows import Tolerance
