@@ -1,4 +1,4 @@
-"""Run the verification suite: ``python -m fea.validation.__main__ [TOPIC]``.
+"""Run the verification suite: ``python -m fea.validation [TOPIC]``.
 
 Prints one line for each finding and ends with status 1 if one is beyond its tolerance. It runs in
 a process of its own, as every solve does: the command line never imports the finite elements.
@@ -102,7 +102,7 @@ def _plain(topic: str, found: list[tuple[Case, Finding]]) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run what the arguments ask for; return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m fea.validation.__main__", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m fea.validation", description=__doc__)
     parser.add_argument("topic", nargs="?", default="all", choices=(*TOPICS, "all"))
     shape = parser.add_mutually_exclusive_group()
     shape.add_argument("--markdown", action="store_true", help="print Markdown tables")

@@ -59,7 +59,7 @@ def private_server(folder: Path, solvers: int) -> Iterator[Client]:
     ServerDidNotStartError
         If it is not ready within a minute.
     """
-    command = [sys.executable, "-m", "service.cli", "serve", "--data", str(folder)]
+    command = [sys.executable, "-m", "service.cli.main", "serve", "--data", str(folder)]
     command += ["--port", "0", "--solvers", str(solvers), "--log-level", "warning"]
     with tempfile.TemporaryFile("w+") as log:
         server = subprocess.Popen(

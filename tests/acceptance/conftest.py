@@ -20,7 +20,7 @@ class RealServer:
         self.client = None
 
     def start(self, solvers=2):
-        command = [sys.executable, "-m", "service.cli", "serve", "--data", str(self.folder)]
+        command = [sys.executable, "-m", "service.cli.main", "serve", "--data", str(self.folder)]
         command += ["--port", "0", "--solvers", str(solvers), "--log-level", "warning"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         address = self.process.stdout.readline().split()[-1]

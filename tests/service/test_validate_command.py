@@ -8,7 +8,7 @@ import pytest
 
 def command(*words):
     return subprocess.run(
-        [sys.executable, "-m", "service.cli", "validate", *words],
+        [sys.executable, "-m", "service.cli.main", "validate", *words],
         capture_output=True,
         text=True,
         timeout=120,

@@ -12,9 +12,9 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from service import show
+from service.cli import render
+from service.cli.local import LOCAL_COMMANDS
 from service.client import Client, Displacement, Job, ProblemError, ServerUnreachable
-from service.local_commands import LOCAL_COMMANDS
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -96,7 +96,7 @@ def solve(
     with connected(server, data) as client:
         answer = client.solve(name, force, moment)
         if answer.job is not None and answer.job.status != "done":
-            show.follow(out, client, [answer.job], wait_s)
+            render.follow(out, client, [answer.job], wait_s)
             answer = client.solve(name, force, moment)
         _print_answer(answer, as_json)
 
@@ -117,7 +117,7 @@ def fill(
         {"translation": translation, "rotation": rotation} if translation and rotation else None
     )
     with connected(server, data) as client:
-        show.fill(out, client, name, budget, tolerance)
+        render.fill(out, client, name, budget, tolerance)
 
 
 @app.command("import")
@@ -134,7 +134,7 @@ def import_(
     with connected(server, data) as client:
         format_ = "json" if file.suffix.lower() == ".json" else "csv"
         reply = client.import_table(name, file.read_bytes(), format=format_, dry_run=dry_run)
-    show.row_errors(out, reply["errors"])
+    render.row_errors(out, reply["errors"])
     verb = "would be inserted" if dry_run else "inserted"
     out.print(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
     raise typer.Exit(1 if reply["errors"] else 0)
@@ -171,7 +171,7 @@ def report(
     """Report error against run time: methods and table sizes beside three meshes; takes minutes."""
     with connected(server, data) as client:
         client.make_report(name, wrenches)
-        show.follow_report(out, client, name)
+        render.follow_report(out, client, name)
         if html is not None:
             html.write_bytes(client.report(name, "html"))
         content = client.report(name, "json" if as_json else "md")
@@ -186,7 +186,7 @@ def components(as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: D
     if as_json:
         _print_json(found)
     else:
-        out.print(show.component_table(found))
+        out.print(render.component_table(found))
 
 
 @app.command()
@@ -203,7 +203,7 @@ def jobs(
     if as_json:
         _print_json([job.raw for job in found])
     else:
-        out.print(show.job_table(found))
+        out.print(render.job_table(found))
 
 
 def main() -> None:
@@ -212,7 +212,7 @@ def main() -> None:
         app()
     except ProblemError as error:
         Console(stderr=True).print(f"[red]{error.title}[/red]\n{error.detail}", highlight=False)
-        show.body_errors(Console(stderr=True), error.errors)
+        render.body_errors(Console(stderr=True), error.errors)
         sys.exit(1)
     except (ServerUnreachable, OSError, RuntimeError, ValueError) as error:
         Console(stderr=True).print(f"[red]{error}[/red]", highlight=False)
@@ -223,7 +223,7 @@ def _print_answer(answer: Displacement, as_json: bool) -> None:
     if as_json:
         _print_json(answer.raw)
     else:
-        out.print(show.answer_table(answer))
+        out.print(render.answer_table(answer))
 
 
 def _print_json(reply: Any) -> None:

@@ -43,7 +43,7 @@ def work(
     solvers: Annotated[int, typer.Option(min=1, help="solves at once")] = 2,
 ) -> None:
     """Only solve: take jobs from the data directory that a server accepts them in."""
-    from service.working import work as run
+    from service.cli.worker import work as run
 
     run(data, solvers)
 
@@ -52,7 +52,7 @@ def demo(
     keep: Annotated[Path | None, typer.Option(help="keep the data directory here")] = None,
 ) -> None:
     """Show the main job end to end on real finite elements; about five minutes."""
-    from service.demo import run
+    from service.cli.demo import run
 
     raise typer.Exit(run(Console(), keep))
 
@@ -65,7 +65,7 @@ def validate(
 ) -> None:
     """Verify the solver against closed forms, published numbers and CalculiX; minutes for all."""
     # In a process of its own: this one never imports the finite elements.
-    words = [sys.executable, "-m", "fea.validation.__main__", topic, *(["--markdown"] * markdown)]
+    words = [sys.executable, "-m", "fea.validation", topic, *(["--markdown"] * markdown)]
     raise typer.Exit(subprocess.run(words, check=False).returncode)
 
 

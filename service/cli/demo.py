@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from service import show
+from service.cli import render
 from service.client import Client, Displacement, Job
 
 COMPONENT = "plate_thin"
@@ -22,7 +22,7 @@ CHECKED = 50
 SEED = 20170726
 SOLVE_S = 300.0
 WRENCH = ((150.0, -100.0, -900.0), (20.0, 30.0, 5.0))
-NAMES = show.NAMES
+NAMES = render.NAMES
 
 
 def run(out: Console, keep: Path | None = None) -> int:
@@ -49,7 +49,7 @@ def _ask_an_empty_table(out: Console, client: Client) -> str | None:
     component = client.component(COMPONENT)
     out.print(f"{component['title']}: {component['rows']} rows.")
     answer = client.displacement(COMPONENT, *WRENCH)
-    out.print(show.answer_table(answer))
+    out.print(render.answer_table(answer))
     if answer.job is None or answer.coverage == "covered":
         return "an empty table should have queued a solve"
     return None
@@ -59,15 +59,15 @@ def _solve_it(out: Console, client: Client) -> str | None:
     """Follow the job, and ask the same wrench with on_thin 'wait'."""
     job = client.displacement(COMPONENT, *WRENCH).job
     if job is not None:
-        show.follow(out, client, [job], SOLVE_S)
+        render.follow(out, client, [job], SOLVE_S)
     answer = client.displacement(COMPONENT, *WRENCH, on_thin="wait", wait_s=SOLVE_S)
-    out.print(show.answer_table(answer))
+    out.print(render.answer_table(answer))
     return None if answer.source == "fea" else f"expected source fea, got {answer.source}"
 
 
 def _fill(out: Console, client: Client) -> str | None:
     """Fill the table where its error bar is largest."""
-    spent = show.fill(out, client, COMPONENT, BUDGET, tolerance=None)
+    spent = render.fill(out, client, COMPONENT, BUDGET, tolerance=None)
     return None if spent else "no solve was spent"
 
 
@@ -75,7 +75,7 @@ def _ask_again(out: Console, client: Client) -> str | None:
     """Ask a wrench that no solve was made for: the table answers."""
     force, moment = WRENCH
     answer = client.displacement(COMPONENT, [0.9 * load for load in force], moment)
-    out.print(show.answer_table(answer))
+    out.print(render.answer_table(answer))
     return None if answer.coverage == "covered" else f"not covered: {answer.reason}"
 
 
@@ -87,7 +87,7 @@ def _compare(out: Console, client: Client) -> str | None:
         for wrench in wrenches
     ]
     orders = [client.solve(COMPONENT, wrench[:3], wrench[3:]) for wrench in wrenches]
-    jobs = show.follow(out, client, [_job(order) for order in orders], SOLVE_S * CHECKED)
+    jobs = render.follow(out, client, [_job(order) for order in orders], SOLVE_S * CHECKED)
     pairs = [
         (answer, job)
         for answer, job in zip(answers, _in_order(jobs, orders), strict=True)
