@@ -27,9 +27,9 @@ def serve(
     log_level: Annotated[str, typer.Option(help="debug, info, warning or error")] = "info",
 ) -> None:
     """Serve the API and solve what is queued."""
-    from service.book import Settings
     from service.http.server import serve as run
     from service.jobs.engines import ENGINES
+    from service.workspace import Settings
 
     if engine not in ENGINES:
         raise typer.BadParameter(f"there is no engine {engine!r}; there are: {', '.join(ENGINES)}")

@@ -6,7 +6,7 @@ import signal
 import threading
 from pathlib import Path
 
-from service.book import Book, Settings
+from service.workspace import Book, Settings
 
 
 def work(folder: Path, solvers: int) -> None:

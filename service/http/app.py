@@ -10,10 +10,10 @@ from importlib.metadata import version
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 
-from service.book import Book, Settings
 from service.contract import CONTRACT_TEXT
 from service.http import problems
 from service.http.routes import components, coverage, displacement, health, jobs, report, table
+from service.workspace import Book, Settings
 
 _SUMMARY = (
     "POST the wrench that acts on a component, get its displacement from a table of "

@@ -13,7 +13,6 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from fea.bundle.read import BundleError
-from service.book import NoSetupError
 from service.ledger import (
     InvalidTransitionError,
     LedgerUnavailableError,
@@ -21,6 +20,7 @@ from service.ledger import (
     UnknownRowError,
 )
 from service.library.library import ComponentExistsError, UnknownComponentError
+from service.workspace import NoSetupError
 
 MEDIA_TYPE = "application/problem+json"
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {

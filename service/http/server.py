@@ -17,9 +17,9 @@ from typing import TextIO
 
 import uvicorn
 
-from service.book import Settings
 from service.client import Client
 from service.http.app import create_app
+from service.workspace import Settings
 
 START_S = 60.0
 STOP_S = 30.0

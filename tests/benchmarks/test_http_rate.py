@@ -16,9 +16,9 @@ import uvicorn
 from fastapi import Request
 from starlette.responses import Response
 
-from service.book import Settings
 from service.client import Client
 from service.http.app import create_app
+from service.workspace import Settings
 
 ROUNDS, REQUESTS = 15, 400
 BODY = orjson.dumps({"force": [120.0, -80.0, -700.0], "moment": [15.0, 25.0, 4.0]})

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from service.book import Settings
 from service.http.app import create_app
+from service.workspace import Settings
 
 HERE = Path(__file__).parent
 

@@ -11,7 +11,6 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.responses import Response
 
-from service.book import Book
 from service.contract import CONTRACT
 from service.http.bodies import FillOrder, SolveOrder, TableOnlyComponent
 from service.http.openapi import body_schema
@@ -20,6 +19,7 @@ from service.http.problems import ProblemError, bad_body
 from service.http.routes.displacement import job_reply
 from service.http.routes.jobs import job_link
 from service.library.library import Component
+from service.workspace import Book
 from surrogate.design import Design, next_wrenches
 from surrogate.rows import Tolerance
 

@@ -8,7 +8,7 @@ import orjson
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from service.book import Book
+from service.workspace import Book
 from surrogate.checks import check_physics
 from surrogate.gaps import axis_gaps
 from surrogate.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS

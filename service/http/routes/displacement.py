@@ -13,7 +13,6 @@ from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from service.book import Book
 from service.contract import CONTRACT_TEXT
 from service.http.binary import is_binary, read_binary, write_binary
 from service.http.openapi import component_call, reply_schema
@@ -21,6 +20,7 @@ from service.http.parsing import Batch, Query, read_batch, read_query, unknown_m
 from service.http.problems import ProblemError
 from service.http.routes.jobs import job_link
 from service.ledger import Job, LedgerRow
+from service.workspace import Book
 from surrogate.answers import Answer
 from surrogate.surrogate import Surrogate
 

@@ -7,7 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Request
 from starlette.responses import JSONResponse
 
-from service.book import Book
+from service.workspace import Book
 
 router = APIRouter(prefix="/health", tags=["health"])
 

@@ -12,9 +12,9 @@ from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from service.book import Book
 from service.http.problems import ProblemError
 from service.ledger import Job, Status
+from service.workspace import Book
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 

@@ -9,8 +9,8 @@ import orjson
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
-from service.book import Book, NoSetupError
 from service.http.problems import ProblemError
+from service.workspace import Book, NoSetupError
 
 router = APIRouter(prefix="/v1/components/{name}/report", tags=["report"])
 

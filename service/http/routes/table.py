@@ -10,7 +10,6 @@ from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from service.book import Book
 from service.http.problems import ProblemError
 from service.library.library import Component
 from service.tablefile import (
@@ -22,6 +21,7 @@ from service.tablefile import (
     write_json,
 )
 from service.tables.rows import foreign_rows, insert, usable_rows
+from service.workspace import Book
 
 router = APIRouter(prefix="/v1/components/{name}/table", tags=["table"])
 
