@@ -98,7 +98,8 @@ def gave_way(kind: str, factor: float) -> SolveFailed | None:
     Parameters
     ----------
     kind
-        Of the ending (`fea.solver.arc_length.Ending`): ``"limit"`` or ``"bifurcation"``; None comes of others.
+        Of the ending (`fea.solver.arc_length.Ending`): ``"limit"`` or ``"bifurcation"``;
+        None comes of others.
     factor
         The part of the wrench at which it ends.
     """

@@ -47,7 +47,8 @@ def solve(
     Parameters
     ----------
     folder
-        Where an outside solver's files stay, and what a failed solve leaves (`fea.export.failure_record`); None
+        Where an outside solver's files stay, and what a failed solve leaves
+        (`fea.export.failure_record`); None
         keeps nothing.
     warm
         Where the states of solves are kept, to start nearby ones from (`fea.solver.warm_start`).

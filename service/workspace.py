@@ -1,4 +1,4 @@
-"""The book: the library, the ledger, the live tables and the dispatcher of one data directory."""
+"""An opened data directory: library, ledger, live tables, dispatcher."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WAIT_POLL_S = 0.25
 
 @dataclass(frozen=True)
 class Settings:
-    """Where a book lies and how many solves may run at once on this machine.
+    """Where a workspace lies and how many solves may run at once on this machine.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class NoSetupError(ValueError):
     """The component has no finite-element setup, so nothing can be solved for it."""
 
 
-class Book:
+class Workspace:
     """One data directory, opened.
 
     Several processes may open the same directory: they share jobs and rows through the ledger.
@@ -152,7 +152,7 @@ class Book:
         return np.array([job.wrench for job in jobs], dtype=float).reshape(-1, 6)
 
     def faults(self) -> list[str]:
-        """Return what keeps this book from doing its work; empty if nothing does."""
+        """Return what keeps this workspace from doing its work; empty if nothing does."""
         trouble = self._dispatcher.trouble if self._dispatcher else None
         return [f"jobs do not run: {trouble}"] if trouble else []
 

@@ -1,0 +1,1 @@
+"""The body and its equations: cells gathered into one tangent with a border."""

@@ -1,0 +1,1 @@
+"""From a folder with ``component.toml`` to a checked bundle; builds no mesh."""

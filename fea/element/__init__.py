@@ -1,0 +1,1 @@
+"""Strains and stiffness of one cell."""

@@ -11,7 +11,8 @@ is
 (integrated), which costs a third of B^T D B. The strain is never formed as (F^T F - I)/2: at small
 loads that loses every digit to roundoff.
 
-Cells of a nearly incompressible material have `volume_modes` (`fea.element.pressure_projection`): tr(E) in the
+Cells of a nearly incompressible material have `volume_modes`
+(`fea.element.pressure_projection`): tr(E) in the
 energy is then its projection onto them.
 """
 

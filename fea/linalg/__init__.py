@@ -1,0 +1,1 @@
+"""The direct solver: nested dissection and a multifrontal Cholesky factorisation."""

@@ -1,6 +1,7 @@
 """Multifrontal Cholesky factorisation over nested substructures.
 
-Each substructure of `fea.linalg.nested_dissection` is one dense front [[A, B], [B^T, C]]: A = L L^T, W = L^-1 B,
+Each substructure of `fea.linalg.nested_dissection` is one dense front [[A, B], [B^T, C]]:
+A = L L^T, W = L^-1 B,
 and C - W^T W goes on to the parent. Only lower triangles of A and C are meaningful. A tangent that
 is not positive definite (an unstable state, or a step of Newton's method on its way) is factorised
 by LU of the pivot blocks instead.

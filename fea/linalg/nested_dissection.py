@@ -4,7 +4,8 @@ The cells are cut in two, again and again, by planes across their longest extent
 cells; each branch joins two substructures. A node is eliminated at the lowest substructure that
 holds all its cells, so what two halves share goes last and stays small. This needs the cells and
 their centres only, no graph of the matrix, and gives dense fronts that LAPACK factorises at full
-speed (`fea.linalg.multifrontal`). On a 15,000 unknown plate that is several times faster than SuperLU in its
+speed (`fea.linalg.multifrontal`). On a 15,000 unknown plate that is several times faster than
+SuperLU in its
 best ordering, minimum degree on A^T + A.
 """
 

@@ -1,0 +1,1 @@
+"""The mesh: points, cells, facets and groups, and how good its cells are."""

@@ -75,7 +75,7 @@ class Reader(Protocol):
     """What a deck asks of a reader; made without arguments."""
 
     moment: str
-    """What this solver usually takes as moment: "spatial" or "conjugate", see `fea.spec.schema.Deck`."""
+    """What this solver usually takes as moment: see `fea.spec.schema.Deck`."""
     keys: tuple[str, ...]
     """The keys of ``[deck] output`` it needs besides ``reader``."""
 

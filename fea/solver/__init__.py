@@ -1,0 +1,1 @@
+"""Equilibrium: linear, Newton, load steps, arc length."""

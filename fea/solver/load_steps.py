@@ -43,11 +43,13 @@ class _Refused(Exception):  # noqa: N818 - load control gives up; the path's len
 class LoadPath:
     """Follows one wrench from nothing to its full size.
 
-    The first step tries the whole load: with the tangents of `fea.solver.newton` most parts converge at
+    The first step tries the whole load: with the tangents of `fea.solver.newton` most parts
+    converge at
     once. A step is taken back and halved if Newton's method gets stuck, if the state it finds is
     unstable or turned inside out, or if the tangents at both its ends do not explain how far it
     went: a load step that jumps onto another branch of equilibria moves further than either
-    tangent says. Where no step is short enough the path is followed by its length (`fea.solver.arc_length`), to
+    tangent says. Where no step is short enough the path is followed by its length
+    (`fea.solver.arc_length`), to
     the whole load or to the load at which the part gives way.
 
     Attributes

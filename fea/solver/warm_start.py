@@ -1,7 +1,8 @@
 """States of solved wrenches on disk, to start nearby solves from.
 
 One file a solve, its name the component's fingerprint and a digest of the wrench. A start changes
-no answer (`fea.solver.load_steps`), so a file that cannot be read, or is of another mesh, is passed over.
+no answer (`fea.solver.load_steps`), so a file that cannot be read, or is of another mesh, is
+passed over.
 """
 
 from __future__ import annotations

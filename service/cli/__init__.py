@@ -1,0 +1,1 @@
+"""The command line: commands, tables and progress bars on a terminal."""

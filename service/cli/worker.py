@@ -6,7 +6,7 @@ import signal
 import threading
 from pathlib import Path
 
-from service.workspace import Book, Settings
+from service.workspace import Settings, Workspace
 
 
 def work(folder: Path, solvers: int) -> None:
@@ -14,10 +14,10 @@ def work(folder: Path, solvers: int) -> None:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    book = Book(Settings(folder, solvers))
+    workspace = Workspace(Settings(folder, solvers))
     try:
-        book.start_solving()
+        workspace.start_solving()
         print(f"solving for {folder} with {solvers} solvers", flush=True)
         stop.wait()
     finally:
-        book.close()
+        workspace.close()

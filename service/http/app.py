@@ -1,4 +1,4 @@
-"""The web application of one book."""
+"""The web application of one workspace."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from service.contract import CONTRACT_TEXT
 from service.http import problems
 from service.http.routes import components, coverage, displacement, health, jobs, report, table
-from service.workspace import Book, Settings
+from service.workspace import Settings, Workspace
 
 _SUMMARY = (
     "POST the wrench that acts on a component, get its displacement from a table of "
@@ -22,18 +22,18 @@ _SUMMARY = (
 
 
 def create_app(settings: Settings) -> FastAPI:
-    """Return the application; its book opens when the server starts and closes when it stops."""
+    """Return the application; its workspace is open while the server runs."""
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        book = await run_in_threadpool(Book, settings)
-        app.state.book = book
+        workspace = await run_in_threadpool(Workspace, settings)
+        app.state.workspace = workspace
         loop = asyncio.get_running_loop()
         try:
-            await run_in_threadpool(book.start, loop)
+            await run_in_threadpool(workspace.start, loop)
             yield
         finally:
-            await run_in_threadpool(book.close)
+            await run_in_threadpool(workspace.close)
 
     app = FastAPI(
         title="wrenchbook",

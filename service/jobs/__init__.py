@@ -1,0 +1,1 @@
+"""From an accepted job to a row: dispatcher, leases, attempts, engines."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from service.jobs.attempt import Progress, attempt_folder, prepare, read_progress
 from service.jobs.engines import Engine
-from service.jobs.lease import Owner
+from service.jobs.lease import Lease
 from service.jobs.record_outcome import settle, spec_of
 from service.ledger import Change, Job, Ledger, StaleAttemptError
 
@@ -84,7 +84,7 @@ class Dispatcher:
         """Take over what a dead dispatcher left, then run jobs until `stop`."""
         if self._thread is not None:
             raise RuntimeError("the dispatcher runs already")
-        self._owner = Owner(self._jobs_folder / "owners")
+        self._lease = Lease(self._jobs_folder / "owners")
         self._stopping.clear()
         self._seen, self._may_claim, self._next_recovery = None, True, 0.0
         self._unsubscribe = self._ledger.on_change(self._on_change)
@@ -114,7 +114,7 @@ class Dispatcher:
         finally:
             # What could not be settled is left to the next dispatcher.
             self._runs.clear()
-            self._owner.close()
+            self._lease.close()
 
     def notify(self) -> None:
         """Look at the ledger now; called by itself for changes of the same Ledger object."""
@@ -162,13 +162,13 @@ class Dispatcher:
             self._stop_orphans()
         for job in self._ledger.running():
             dead = job.owner
-            if dead is None or dead == self._owner.name or self._owner.is_alive(dead):
+            if dead is None or dead == self._lease.name or self._lease.is_alive(dead):
                 continue
-            if self._ledger.adopt(job.id, job.attempt, dead, self._owner.name):
+            if self._ledger.adopt(job.id, job.attempt, dead, self._lease.name):
                 _log.info("job %d attempt %d taken over from %s", job.id, job.attempt, dead)
                 run = self._runs[job.id, job.attempt] = _Run(job, self._folder(job))
                 self._engine.attach(run.folder)
-            self._owner.bury(dead)
+            self._lease.remove(dead)
         self._next_recovery = time.monotonic() + RECOVER_SECONDS
 
     def _stop_orphans(self) -> None:
@@ -182,7 +182,7 @@ class Dispatcher:
 
     def _leave_unwanted(self) -> None:
         mine = {
-            (job.id, job.attempt) for job in self._ledger.running() if job.owner == self._owner.name
+            (job.id, job.attempt) for job in self._ledger.running() if job.owner == self._lease.name
         }
         for key, run in self._runs.items():
             if key not in mine and not run.leaving:
@@ -200,7 +200,7 @@ class Dispatcher:
         self._may_claim = True
 
     def _claim(self) -> None:
-        job = self._ledger.claim(self._owner.name)
+        job = self._ledger.claim(self._lease.name)
         if job is None:
             self._may_claim = False
             return

@@ -7,7 +7,7 @@ from pathlib import Path
 from service.files import lock as flock
 
 
-class Owner:
+class Lease:
     """The name under which a dispatcher owns running jobs, for as long as it lives.
 
     Parameters
@@ -26,14 +26,14 @@ class Owner:
         """Return whether the dispatcher of that name still lives."""
         return flock.is_held(self._file(name))
 
-    def bury(self, name: str) -> None:
+    def remove(self, name: str) -> None:
         """Remove the lock file of a dispatcher that is dead."""
         self._file(name).unlink(missing_ok=True)
 
     def close(self) -> None:
         """Die: whatever is still owned under this name is free to be adopted."""
         if self._lock is not None:
-            self.bury(self.name)
+            self.remove(self.name)
             os.close(self._lock)
             self._lock = None
 

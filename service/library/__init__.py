@@ -1,0 +1,1 @@
+"""The components a server knows: shipped ones and uploaded bundles."""

@@ -1,0 +1,1 @@
+"""Live surrogates that follow the ledger."""

@@ -49,6 +49,6 @@ class RealServer:
 
 @pytest.fixture
 def server(tmp_path):
-    real = RealServer(tmp_path / "book")
+    real = RealServer(tmp_path / "workspace")
     yield real
     real.stop()

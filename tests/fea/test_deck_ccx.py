@@ -1,4 +1,4 @@
-"""The shipped deck and decks written by `fea.export.calculix`, run by CalculiX, against this solver."""
+"""Shipped and written decks, run by CalculiX, against this solver."""
 
 import tomllib
 from dataclasses import replace

@@ -25,7 +25,7 @@ def stand_in(monkeypatch):
 
 @pytest.fixture
 def folder(tmp_path):
-    return tmp_path / "book"
+    return tmp_path / "workspace"
 
 
 @pytest.fixture

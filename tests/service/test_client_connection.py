@@ -119,9 +119,9 @@ def test_close_lets_go_of_sockets_and_a_later_call_opens_one(stub: Stub, client:
 
 
 def test_a_server_below_a_path_is_reached_there(stub: Stub):
-    with Client(f"{stub.url}/book/") as client:
+    with Client(f"{stub.url}/workspace/") as client:
         client.job(1)
-    assert stub.seen[0].path == "/book/v1/jobs/1"
+    assert stub.seen[0].path == "/workspace/v1/jobs/1"
 
 
 @pytest.mark.parametrize("url", ["ftp://host", "http://", "://x"])

@@ -1,0 +1,1 @@
+"""Mesh files: gmsh, Abaqus and CalculiX, VTK."""

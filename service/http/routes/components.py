@@ -19,7 +19,7 @@ from service.http.problems import ProblemError, bad_body
 from service.http.routes.displacement import job_reply
 from service.http.routes.jobs import job_link
 from service.library.library import Component
-from service.workspace import Book
+from service.workspace import Workspace
 from surrogate.design import Design, next_wrenches
 from surrogate.rows import Tolerance
 
@@ -29,26 +29,30 @@ CATCH_UP_S = 25.0
 
 @router.get("", summary="The library")
 def list_components(request: Request) -> dict[str, Any]:
-    book: Book = request.app.state.book
-    return {"components": [_summary(book, book.library[name]) for name in book.library.names()]}
+    workspace: Workspace = request.app.state.workspace
+    return {
+        "components": [
+            _summary(workspace, workspace.library[name]) for name in workspace.library.names()
+        ]
+    }
 
 
 @router.get("/{name}", summary="One component: contract, range, rows, coverage")
 def one_component(name: str, request: Request) -> dict[str, Any]:
-    book: Book = request.app.state.book
-    book.tables.catch_up(name, CATCH_UP_S)
-    return component_body(book, book.library[name])
+    workspace: Workspace = request.app.state.workspace
+    workspace.tables.catch_up(name, CATCH_UP_S)
+    return component_body(workspace, workspace.library[name])
 
 
 @router.post("", status_code=201, summary="Add a component: a zip bundle, or JSON for a table only")
 async def add_component(request: Request) -> Response:
-    book: Book = request.app.state.book
+    workspace: Workspace = request.app.state.workspace
     kind = request.headers.get("content-type", "").partition(";")[0].strip()
     if kind == "multipart/form-data":
-        component = await _add_bundle(book, request)
+        component = await _add_bundle(workspace, request)
     elif kind == "application/json":
         body = read_body(TableOnlyComponent, await request.body())
-        component = await run_in_threadpool(_add_table_only, book, body)
+        component = await run_in_threadpool(_add_table_only, workspace, body)
     else:
         raise ProblemError(
             415,
@@ -57,26 +61,26 @@ async def add_component(request: Request) -> Response:
             f"The content type is {kind or 'missing'}. Send a bundle's zip as multipart/form-data "
             "with the field 'bundle', or a table-only component as application/json.",
         )
-    content = orjson.dumps(await run_in_threadpool(component_body, book, component))
+    content = orjson.dumps(await run_in_threadpool(component_body, workspace, component))
     headers = {"Location": f"/v1/components/{component.name}"}
     return Response(content, 201, headers, "application/json")
 
 
-async def _add_bundle(book: Book, request: Request) -> Component:
+async def _add_bundle(workspace: Workspace, request: Request) -> Component:
     async with request.form(max_files=1) as form:
         upload = form.get("bundle")
         if not isinstance(upload, UploadFile):
             raise bad_body([{"loc": "bundle", "msg": "send the zip as the form's file 'bundle'"}])
-        return await run_in_threadpool(book.library.add_zip, upload.file)
+        return await run_in_threadpool(workspace.library.add_zip, upload.file)
 
 
-def _add_table_only(book: Book, body: TableOnlyComponent) -> Component:
+def _add_table_only(workspace: Workspace, body: TableOnlyComponent) -> Component:
     spans = [
         [[-one, one] if isinstance(one, int | float) else list(one) for one in three]
         for three in (body.range.force, body.range.moment)
     ]
     tolerance = body.tolerance.model_dump() if body.tolerance else None
-    return book.library.add_table_only(body.name, body.title, spans[0], spans[1], tolerance)
+    return workspace.library.add_table_only(body.name, body.title, spans[0], spans[1], tolerance)
 
 
 @router.post(
@@ -86,12 +90,12 @@ def _add_table_only(book: Book, body: TableOnlyComponent) -> Component:
 )
 async def solve(name: str, request: Request) -> Response:
     order = read_body(SolveOrder, await request.body())
-    book: Book = request.app.state.book
-    job = await run_in_threadpool(book.order, name, order.wrench(), urgent=order.wait_s > 0)
+    workspace: Workspace = request.app.state.workspace
+    job = await run_in_threadpool(workspace.order, name, order.wrench(), urgent=order.wait_s > 0)
     if order.wait_s and not job.is_final:
-        job = await book.wait(job.id, order.wait_s)
+        job = await workspace.wait(job.id, order.wait_s)
     fields = {"component": name, "translation": None, "rotation": None, "error": None}
-    return await job_reply(book, job, {**fields, "coverage": "thin", "source": None})
+    return await job_reply(workspace, job, {**fields, "coverage": "thin", "source": None})
 
 
 @router.post(
@@ -101,19 +105,22 @@ async def solve(name: str, request: Request) -> Response:
 )
 async def fill(name: str, request: Request) -> Response:
     order = read_body(FillOrder, await request.body())
-    book: Book = request.app.state.book
-    reply = await run_in_threadpool(_fill, book, name, order)
+    workspace: Workspace = request.app.state.workspace
+    reply = await run_in_threadpool(_fill, workspace, name, order)
     return Response(orjson.dumps(reply), 202 if reply["jobs"] else 200, None, "application/json")
 
 
-def _fill(book: Book, name: str, order: FillOrder) -> dict[str, Any]:
+def _fill(workspace: Workspace, name: str, order: FillOrder) -> dict[str, Any]:
     """Design one round of solves on the newest table and accept them."""
-    book.tables.catch_up(name, CATCH_UP_S)
+    workspace.tables.catch_up(name, CATCH_UP_S)
     limit = Tolerance(**order.tolerance.model_dump()) if order.tolerance else None
     design = next_wrenches(
-        book.tables.surrogate(name), order.budget, pending=book.pending(name), tolerance=limit
+        workspace.tables.surrogate(name),
+        order.budget,
+        pending=workspace.pending(name),
+        tolerance=limit,
     )
-    jobs = book.order_many(name, design.wrenches)
+    jobs = workspace.order_many(name, design.wrenches)
     return {"component": name, "jobs": [job_link(job) for job in jobs], **_stage(design)}
 
 
@@ -121,22 +128,22 @@ def _stage(design: Design) -> dict[str, str]:
     return {"stage": design.stage, "reason": design.reason}
 
 
-def component_body(book: Book, component: Component) -> dict[str, Any]:
+def component_body(workspace: Workspace, component: Component) -> dict[str, Any]:
     """Return all there is to say about a component."""
-    surrogate = book.tables.surrogate(component.name)
+    surrogate = workspace.tables.surrogate(component.name)
     sources, counts = np.unique(surrogate.rows.source, return_counts=True)
     return {
-        **_summary(book, component),
+        **_summary(workspace, component),
         "fingerprint": component.fingerprint,
         "contract": CONTRACT,
         "sources": dict(zip(sources.tolist(), counts.tolist(), strict=True)),
         "coverage": surrogate.coverage_summary(),
-        "jobs": book.ledger.counts(component.name),
+        "jobs": workspace.ledger.counts(component.name),
     }
 
 
-def _summary(book: Book, component: Component) -> dict[str, Any]:
-    surrogate = book.tables.surrogate(component.name)
+def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
+    surrogate = workspace.tables.surrogate(component.name)
     low, high = component.load_range.low.tolist(), component.load_range.high.tolist()
     limit = component.tolerance
     return {

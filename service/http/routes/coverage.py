@@ -8,7 +8,7 @@ import orjson
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from service.workspace import Book
+from service.workspace import Workspace
 from surrogate.checks import check_physics
 from surrogate.gaps import axis_gaps
 from surrogate.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
@@ -44,10 +44,10 @@ def compliance(name: str, request: Request) -> Response:
 
 
 def _newest(request: Request, name: str) -> Surrogate:
-    book: Book = request.app.state.book
-    book.tables.surrogate(name)  # a name that is unknown ends here
-    book.tables.catch_up(name, CATCH_UP_S)
-    return book.tables.surrogate(name)
+    workspace: Workspace = request.app.state.workspace
+    workspace.tables.surrogate(name)  # a name that is unknown ends here
+    workspace.tables.catch_up(name, CATCH_UP_S)
+    return workspace.tables.surrogate(name)
 
 
 def _json(body: dict[str, Any]) -> Response:

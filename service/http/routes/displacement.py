@@ -20,7 +20,7 @@ from service.http.parsing import Batch, Query, read_batch, read_query, unknown_m
 from service.http.problems import ProblemError
 from service.http.routes.jobs import job_link
 from service.ledger import Job, LedgerRow
-from service.workspace import Book
+from service.workspace import Workspace
 from surrogate.answers import Answer
 from surrogate.surrogate import Surrogate
 
@@ -48,8 +48,8 @@ EXACT = "One row of the table has exactly this wrench."
 async def displacement(request: Request) -> Response:
     name = request.path_params["name"]
     query = read_query(await request.body())
-    book: Book = request.app.state.book
-    surrogate = book.tables.surrogate(name)
+    workspace: Workspace = request.app.state.workspace
+    surrogate = workspace.tables.surrogate(name)
     started = perf_counter_ns()
     try:
         answer = await _answered(surrogate, query)
@@ -61,7 +61,7 @@ async def displacement(request: Request) -> Response:
         fields["axes"] = surrogate.explain(query.wrench, query.tolerance, query.method)
     if answer.coverage == "covered" or query.on_thin == "estimate":
         return _json(fields)
-    return await _when_thin(book, name, query, answer, fields)
+    return await _when_thin(workspace, name, query, answer, fields)
 
 
 async def _answered(surrogate: Surrogate, query: Query) -> Answer:
@@ -73,7 +73,7 @@ async def _answered(surrogate: Surrogate, query: Query) -> Answer:
 
 
 async def _when_thin(
-    book: Book, name: str, query: Query, answer: Answer, fields: dict[str, Any]
+    workspace: Workspace, name: str, query: Query, answer: Answer, fields: dict[str, Any]
 ) -> Response:
     """Follow ``on_thin`` for a wrench the table does not cover."""
     if query.on_thin == "reject":
@@ -85,18 +85,20 @@ async def _when_thin(
             "for the best guess.",
             coverage=answer.coverage,
         )
-    job = await run_in_threadpool(book.order, name, query.wrench, urgent=query.on_thin == "wait")
+    job = await run_in_threadpool(
+        workspace.order, name, query.wrench, urgent=query.on_thin == "wait"
+    )
     if query.on_thin == "wait" and not job.is_final:
-        job = await book.wait(job.id, query.wait_s)
-    return await job_reply(book, job, fields)
+        job = await workspace.wait(job.id, query.wait_s)
+    return await job_reply(workspace, job, fields)
 
 
-async def job_reply(book: Book, job: Job, fields: dict[str, Any]) -> Response:
+async def job_reply(workspace: Workspace, job: Job, fields: dict[str, Any]) -> Response:
     """Answer with a job's row when it is done, its failure when it failed, else with 202."""
     if job.status == "failed":
         raise solve_failed(job)
     if job.status == "done" and job.row is not None:
-        row = await run_in_threadpool(book.ledger.row, job.row)
+        row = await run_in_threadpool(workspace.ledger.row, job.row)
         return _json({**fields, **_row_fields(row), "job": job_link(job)})
     fields["job"] = job_link(job)
     return _json(fields, 202, {"Location": fields["job"]["url"]})
@@ -127,11 +129,11 @@ async def displacements(request: Request) -> Response:
     name = request.path_params["name"]
     binary, body = is_binary(request), await request.body()
     batch = read_binary(body, dict(request.query_params)) if binary else read_batch(body)
-    book: Book = request.app.state.book
-    reply = await run_in_threadpool(_answer_batch, book, name, batch)
+    workspace: Workspace = request.app.state.workspace
+    reply = await run_in_threadpool(_answer_batch, workspace, name, batch)
     if batch.on_thin == "wait" and reply["jobs"]:
-        await book.wait_all([job["id"] for job in reply["jobs"]], batch.wait_s)
-        await run_in_threadpool(_fill_in, book, reply)
+        await workspace.wait_all([job["id"] for job in reply["jobs"]], batch.wait_s)
+        await run_in_threadpool(_fill_in, workspace, reply)
     open_jobs = any(job["status"] in ("waiting", "running") for job in reply["jobs"])
     status = 202 if open_jobs else 200
     if binary:
@@ -139,8 +141,8 @@ async def displacements(request: Request) -> Response:
     return _json({**reply, "coverage": [COVERAGE[code] for code in reply["coverage"]]}, status)
 
 
-def _answer_batch(book: Book, name: str, batch: Batch) -> dict[str, Any]:
-    surrogate = book.tables.surrogate(name)
+def _answer_batch(workspace: Workspace, name: str, batch: Batch) -> dict[str, Any]:
+    surrogate = workspace.tables.surrogate(name)
     started = perf_counter_ns()
     try:
         answers = surrogate.batch(batch.wrenches, batch.tolerance, batch.method)
@@ -168,21 +170,21 @@ def _answer_batch(book: Book, name: str, batch: Batch) -> dict[str, Any]:
             f"{thin[0]}. Ask with on_thin 'queue', 'wait' or 'estimate'.",
             uncovered=thin.tolist(),
         )
-    jobs = book.order_many(name, batch.wrenches[thin])
+    jobs = workspace.order_many(name, batch.wrenches[thin])
     reply["jobs"] = [
         {"index": index, **job_link(job)} for index, job in zip(thin.tolist(), jobs, strict=True)
     ]
-    _fill_in(book, reply)
+    _fill_in(workspace, reply)
     return reply
 
 
-def _fill_in(book: Book, reply: dict[str, Any]) -> None:
+def _fill_in(workspace: Workspace, reply: dict[str, Any]) -> None:
     """Put the rows of the jobs that are done in the place of the table's estimates."""
     for link in reply["jobs"]:
-        job = book.ledger.job(link["id"])
+        job = workspace.ledger.job(link["id"])
         link["status"] = job.status
         if job.status == "done" and job.row is not None:
-            row = book.ledger.row(job.row)
+            row = workspace.ledger.row(job.row)
             reply["displacements"][link["index"]] = row.displacement
             reply["errors"][link["index"]] = row.uncertainty or (0.0,) * 6
             reply["coverage"][link["index"]] = COVERAGE.index("covered")

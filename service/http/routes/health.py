@@ -7,7 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Request
 from starlette.responses import JSONResponse
 
-from service.workspace import Book
+from service.workspace import Workspace
 
 router = APIRouter(prefix="/health", tags=["health"])
 
@@ -19,12 +19,12 @@ async def live() -> dict[str, str]:
 
 @router.get("/ready", summary="Tables are loaded, the ledger can be written, solvers are there")
 def ready(request: Request) -> JSONResponse:
-    book: Book = request.app.state.book
-    faults = book.faults()
+    workspace: Workspace = request.app.state.workspace
+    faults = workspace.faults()
     body: dict[str, Any] = {
         "status": "ready" if not faults else "not ready",
-        "components": len(book.library.names()),
-        "solvers": book.settings.solvers,
+        "components": len(workspace.library.names()),
+        "solvers": workspace.settings.solvers,
         "faults": faults,
     }
     return JSONResponse(body, 200 if not faults else 503)

@@ -14,7 +14,7 @@ from starlette.responses import Response
 
 from service.http.problems import ProblemError
 from service.ledger import Job, Status
-from service.workspace import Book
+from service.workspace import Workspace
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
@@ -29,7 +29,7 @@ def job_link(job: Job) -> dict[str, Any]:
     return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}"}
 
 
-def job_body(book: Book, job: Job) -> dict[str, Any]:
+def job_body(workspace: Workspace, job: Job) -> dict[str, Any]:
     """Return the full form of a job, with its progress and, when done, its displacement."""
     body: dict[str, Any] = {
         **job_link(job),
@@ -44,10 +44,10 @@ def job_body(book: Book, job: Job) -> dict[str, Any]:
         "error": job.error,
     }
     if job.status == "running":
-        progress = book.progress(job)
+        progress = workspace.progress(job)
         body["progress"] = asdict(progress) if progress else None
     if job.status == "done" and job.row is not None:
-        row = book.ledger.row(job.row)
+        row = workspace.ledger.row(job.row)
         body |= {
             "row": row.seq,
             "translation": row.displacement[:3],
@@ -63,34 +63,34 @@ def list_jobs(
     status: Status | None = None,
     limit: Annotated[int, Query(ge=1, le=100_000)] = 1000,
 ) -> dict[str, Any]:
-    book: Book = request.app.state.book
-    jobs = book.ledger.jobs(component, status, limit)
-    return {"jobs": [job_body(book, job) for job in jobs]}
+    workspace: Workspace = request.app.state.workspace
+    jobs = workspace.ledger.jobs(component, status, limit)
+    return {"jobs": [job_body(workspace, job) for job in jobs]}
 
 
 @router.get("/{job_id}", summary="One job; with wait_s, once it has ended or the time is up")
 async def one_job(job_id: JobId, request: Request, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
-    book: Book = request.app.state.book
-    job = await book.wait(job_id, wait_s)
-    return await run_in_threadpool(job_body, book, job)
+    workspace: Workspace = request.app.state.workspace
+    job = await workspace.wait(job_id, wait_s)
+    return await run_in_threadpool(job_body, workspace, job)
 
 
 @router.delete("/{job_id}", summary="Cancel a job that has not ended")
 def cancel(job_id: JobId, request: Request) -> dict[str, Any]:
-    book: Book = request.app.state.book
-    return job_body(book, book.ledger.cancel(job_id))
+    workspace: Workspace = request.app.state.workspace
+    return job_body(workspace, workspace.ledger.cancel(job_id))
 
 
 @router.post("/{job_id}/retry", summary="Queue a failed or cancelled job again")
 def retry(job_id: JobId, request: Request) -> dict[str, Any]:
-    book: Book = request.app.state.book
-    return job_body(book, book.ledger.retry(job_id))
+    workspace: Workspace = request.app.state.workspace
+    return job_body(workspace, workspace.ledger.retry(job_id))
 
 
 @router.get("/{job_id}/files", summary="Everything the last attempt left, as a zip")
 def attempt_files(job_id: JobId, request: Request) -> Response:
-    book: Book = request.app.state.book
-    folder = book.attempt_folder(book.ledger.job(job_id))
+    workspace: Workspace = request.app.state.workspace
+    folder = workspace.attempt_folder(workspace.ledger.job(job_id))
     if not folder.is_dir():
         raise ProblemError(
             404, "no-files", "No files yet", f"Job {job_id} has not started: it has no files yet."

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
 from service.http.problems import ProblemError
-from service.workspace import Book, NoSetupError
+from service.workspace import NoSetupError, Workspace
 
 router = APIRouter(prefix="/v1/components/{name}/report", tags=["report"])
 
@@ -28,18 +28,18 @@ def make_report(
     wrenches: Annotated[int, Query(ge=3, le=1000, description="wrenches to compare")] = 24,
     seed: Annotated[int, Query(ge=0, description="of the random wrenches")] = 1,
 ) -> Response:
-    book: Book = request.app.state.book
-    component = book.library[name]
+    workspace: Workspace = request.app.state.workspace
+    component = workspace.library[name]
     if not component.has_fea:
         raise NoSetupError(
             f"{name!r} has no finite-element setup, so there is no reference to report against. "
             "GET .../coverage tells what its rows know."
         )
     try:
-        book.reports.make(component, wrenches, seed)
+        workspace.reports.make(component, wrenches, seed)
     except FileNotFoundError as error:
         raise ProblemError(409, "no-rows", "The table has no rows", str(error)) from None
-    return _state(book, name)
+    return _state(workspace, name)
 
 
 @router.get("", summary="The latest report; 202 while the first one is being made")
@@ -48,16 +48,16 @@ def get_report(
     request: Request,
     format: Literal["json", "md", "html", "state"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
-    book: Book = request.app.state.book
-    _ = book.library[name]
+    workspace: Workspace = request.app.state.workspace
+    _ = workspace.library[name]
     if format == "state":
-        return _state(book, name)
-    path = book.reports.file(name, format)
+        return _state(workspace, name)
+    path = workspace.reports.file(name, format)
     if path is not None:
         return Response(path.read_bytes(), 200, None, _MEDIA_TYPES[format])
-    making = book.reports.state(name)
+    making = workspace.reports.state(name)
     if making.state == "running":
-        return _state(book, name)
+        return _state(workspace, name)
     why = f"Making it failed: {making.message}. " if making.state == "failed" else ""
     raise ProblemError(
         404,
@@ -67,8 +67,8 @@ def get_report(
     )
 
 
-def _state(book: Book, name: str) -> Response:
-    making = book.reports.state(name)
+def _state(workspace: Workspace, name: str) -> Response:
+    making = workspace.reports.state(name)
     body = {"component": name, **asdict(making), "url": f"/v1/components/{name}/report"}
     status = 202 if making.state == "running" else 200
     return Response(orjson.dumps(body), status, None, "application/json")

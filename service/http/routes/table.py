@@ -21,7 +21,7 @@ from service.tablefile import (
     write_json,
 )
 from service.tables.rows import foreign_rows, insert, usable_rows
-from service.workspace import Book
+from service.workspace import Workspace
 
 router = APIRouter(prefix="/v1/components/{name}/table", tags=["table"])
 
@@ -43,9 +43,9 @@ def export_table(
     translation: Annotated[str, Query(description="csv: unit of translations")] = "m",
     rotation: Annotated[str, Query(description="csv: unit of rotations")] = "rad",
 ) -> Response:
-    book: Book = request.app.state.book
-    component = book.library[name]
-    rows = usable_rows(book.ledger, component)
+    workspace: Workspace = request.app.state.workspace
+    component = workspace.library[name]
+    rows = usable_rows(workspace.ledger, component)
     if format == "json":
         return Response(write_json(rows), 200, None, _MEDIA_TYPES["json"])
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
@@ -64,15 +64,15 @@ async def import_table(
     format: Format | None = None,  # noqa: A002 (the contract's word)
     dry_run: bool = False,
 ) -> Response:
-    book: Book = request.app.state.book
-    component = book.library[name]
+    workspace: Workspace = request.app.state.workspace
+    component = workspace.library[name]
     body = await request.body()
     if len(body) > MAX_TABLE_BYTES:
         raise ProblemError(
             413, "too-large", "The table is too large", "Send at most 256 MiB a call; send parts."
         )
     reader = _READERS[format or _format_of(request)]
-    reply = await run_in_threadpool(_import, book, component, reader, body, dry_run)
+    reply = await run_in_threadpool(_import, workspace, component, reader, body, dry_run)
     if reply["errors"] and not dry_run:
         raise _refused(reply["errors"])
     return Response(orjson.dumps(reply), 200, None, "application/json")
@@ -92,7 +92,7 @@ def _format_of(request: Request) -> str:
 
 
 def _import(
-    book: Book,
+    workspace: Workspace,
     component: Component,
     reader: Callable[[bytes], ParsedTable],
     body: bytes,
@@ -103,15 +103,15 @@ def _import(
     errors = [error.as_dict() for error in (*table.errors, *foreign_rows(component, table))]
     inserted = existing = 0
     if not errors:
-        inserted, existing = insert(book.ledger, component, table, dry_run=dry_run)
+        inserted, existing = insert(workspace.ledger, component, table, dry_run=dry_run)
     if inserted and not dry_run:
-        book.tables.catch_up(component.name, CATCH_UP_S)
+        workspace.tables.catch_up(component.name, CATCH_UP_S)
     return {
         "inserted": inserted,
         "existing": existing,
         "errors": errors,
         "dry_run": dry_run,
-        "table_version": book.tables.surrogate(component.name).version,
+        "table_version": workspace.tables.surrogate(component.name).version,
     }
 
 

@@ -1,6 +1,6 @@
 """Engines: where solvers run. They only execute; what counts is decided by the ledger.
 
-Every engine runs ``python -m service.jobs.solve_attempt FOLDER`` somehow, somewhere that sees the folder.
+Every engine runs ``python -m service.jobs.solve_attempt FOLDER`` somewhere that sees the folder.
 """
 
 from pathlib import Path
