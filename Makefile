@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 LOCK := pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
-	--no-annotate --no-header --no-emit-index-url --extra build -q
+	--no-annotate --no-header --no-emit-index-url --extra server --extra fast --extra build -q
 
 .PHONY: kills help setup demo serve test check lint types arch format bench bench-fea bench-stability bench-calibration bench-methods bench-surrogate bench-fill validate \
 	validate-table validate-ccx image lock clean

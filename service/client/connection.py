@@ -9,7 +9,7 @@ from email.message import Message
 from typing import Any, Self
 from urllib.parse import urlencode, urlsplit
 
-from service.client.errors import ProblemError, ServerTimeout, ServerUnreachable
+from .errors import ProblemError, ServerTimeout, ServerUnreachable
 
 _JSON = {"Content-Type": "application/json", "Accept": "application/json"}
 # What an http.client call raises when the other side has closed a kept connection.

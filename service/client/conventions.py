@@ -21,8 +21,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from service.client.rotation import quaternion
-from service.client.wrenches import one_wrench
+from .rotation import quaternion
+from .wrenches import one_wrench
 
 Vector = NDArray[np.float64]
 Side = Literal["parent", "child"]

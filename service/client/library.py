@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from service.client.connection import Connection
-from service.client.errors import ProblemError, ServerTimeout, ServerUnreachable
-from service.client.questions import component_path
+from .connection import Connection
+from .errors import ProblemError, ServerTimeout, ServerUnreachable
+from .questions import component_path
 
 _KINDS = {
     "csv": "text/csv; charset=utf-8",

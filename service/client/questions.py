@@ -7,9 +7,9 @@ from urllib.parse import quote
 
 from numpy.typing import ArrayLike
 
-from service.client.connection import Connection
-from service.client.replies import Displacement, Displacements
-from service.client.wrenches import Vector, many_wrenches, one_wrench, options
+from .connection import Connection
+from .replies import Displacement, Displacements
+from .wrenches import Vector, many_wrenches, one_wrench, options
 
 BINARY_FROM = 1000  # wrenches from which a batch goes as float64 unless told
 

@@ -9,9 +9,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from service.client.connection import Reply
-from service.client.rotation import rotation_matrix
-from service.client.solves import Job, joined
+from .connection import Reply
+from .job import Job, joined
+from .rotation import rotation_matrix
 
 Vector = NDArray[np.float64]
 

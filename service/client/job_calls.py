@@ -6,17 +6,17 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from service.client.connection import Connection
-from service.client.errors import ServerTimeout
-from service.client.questions import component_path
-from service.client.solves import Job, Round
-from service.client.wrenches import options
+from .connection import Connection
+from .errors import ServerTimeout
+from .job import Job, Round
+from .questions import component_path
+from .wrenches import options
 
 LONGEST_POLL_S = 20.0
 ROUND = 24
 
 
-class Working(Connection):
+class JobCalls(Connection):
     """Follow, cancel and retry jobs; fill tables."""
 
     def job(self, job: Job | int, wait_s: float | None = None) -> Job:
