@@ -117,7 +117,7 @@ def upward_imports() -> list[str]:
         if contract["type"] != "layers":
             continue
         layers = [
-            grimp.Layer(*re.split(r"\s*[|:]\s*", layer), independent="|" in layer)
+            grimp.Layer(*re.split(r"\s*[|:]\s*", layer.strip("()")), independent="|" in layer)
             for layer in contract["layers"]
         ]
         for wrong in graph().find_illegal_dependencies_for_layers(

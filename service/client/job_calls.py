@@ -72,6 +72,30 @@ class JobCalls(Connection):
         """Cancel a job that has not ended, and return it."""
         return Job.read(self.call_json("DELETE", _path(job), repeatable=False))
 
+    def cancel_jobs(self, component: str | None = None, status: str = "waiting") -> list[Job]:
+        """Cancel all jobs of a status that has not ended, of one component if given.
+
+        Parameters
+        ----------
+        component : str, optional
+            Only this component's.
+        status : {"waiting", "running"}
+            Waiting jobs unless told: what runs is let finish.
+
+        Returns
+        -------
+        list of Job
+            Those that were cancelled.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such component (404), or jobs of that status have ended (422).
+        """
+        query = {"component": component, "status": status}
+        cancelled = self.call_json("DELETE", "/v1/jobs", query=query, repeatable=False)
+        return [Job.read(one) for one in cancelled["jobs"]]
+
     def retry(self, job: Job | int) -> Job:
         """Queue a failed or cancelled job again, and return it."""
         return Job.read(self.call_json("POST", f"{_path(job)}/retry", {}, repeatable=False))

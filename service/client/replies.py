@@ -43,9 +43,10 @@ class Displacement:
     elapsed_us : float or None
         Time the answer took in the server, µs.
     job : Job or None
-        The solve that will make it better.
+        The solve that will make it better; None where it is covered, and where nothing was queued:
+        beyond the load range, or with a full queue.
     reason : str
-        Why it is not covered; may be empty.
+        Why it is not covered, or has no job; may be empty.
     raw : dict
         The reply as it came; with ``detail`` it has ``axes``.
     """
@@ -167,6 +168,9 @@ class Displacements:
     jobs : dict of int to Job
         The solves that are queued, by the number of the wrench, from 0; empty from a binary batch,
         whose ``raw["jobs_queued"]`` says how many there are.
+    no_job : dict of int to str
+        Why a wrench that is not covered has no job, by its number, from 0: it is beyond the load
+        range, or the queue is full; empty from a binary batch.
     table_version : int or None
         Version of the table that answered.
     elapsed_us : float or None
@@ -179,6 +183,7 @@ class Displacements:
     errors: Vector
     coverage: NDArray[np.str_]
     jobs: dict[int, Job]
+    no_job: dict[int, str]
     table_version: int | None
     elapsed_us: float | None
     raw: dict[str, Any] = field(default_factory=dict, repr=False)
@@ -186,14 +191,15 @@ class Displacements:
     @classmethod
     def read(cls, component: str, wrenches: Vector, body: Mapping[str, Any]) -> Self:
         """Make one from the reply to `wrenches`."""
-        count = len(wrenches)
+        count, jobs = len(wrenches), body.get("jobs") or ()
         return cls(
             component=body.get("component") or component,
             wrenches=wrenches,
             displacements=_block(body["displacements"], count),
             errors=_block(body["errors"], count),
             coverage=np.array(body["coverage"], dtype=np.str_),
-            jobs={job["index"]: Job.read(job) for job in body.get("jobs") or ()},
+            jobs={job["index"]: Job.read(job) for job in jobs if job.get("id") is not None},
+            no_job={job["index"]: job.get("reason") or "" for job in jobs if job.get("id") is None},
             table_version=body.get("table_version"),
             elapsed_us=body.get("elapsed_us"),
             raw=dict(body),
@@ -214,6 +220,7 @@ class Displacements:
             errors=block[:, 6:12],
             coverage=np.array(COVERAGE)[block[:, 12].astype(int)],
             jobs={},
+            no_job={},
             table_version=None if version is None else int(version),
             elapsed_us=None if elapsed is None else float(elapsed),
             raw={"jobs_queued": int(jobs or 0)},
