@@ -221,7 +221,8 @@ def jobs(
 def main() -> None:
     """Run the command line; errors a user can mend are one message on stderr and status 1."""
     try:
-        app()
+        # Named here, because a file run by its path would show that path.
+        app(prog_name="wrenchbook")
     except ProblemError as error:
         Console(stderr=True).print(f"[red]{error.title}[/red]\n{error.detail}", highlight=False)
         render.body_errors(Console(stderr=True), error.errors)

@@ -43,13 +43,7 @@ def measure(
     wrenches = random_wrenches(load_range, count, seed)
     levels = _solve_levels(bundle, wrenches, report)
     finest, own = levels[-1], next(level for level in levels if level["level"] == "own")
-    solved = np.isfinite(finest["displacement"] + own["displacement"]).all(axis=1)
-    if not solved.any():
-        kinds = {failure["kind"] for level in (finest, own) for failure in level["failures"]}
-        raise ValueError(
-            f"none of the {count} wrenches could be solved ({', '.join(sorted(kinds))}); solve one "
-            "and look at its job's files, or lower the component's load range"
-        )
+    solved = _solved_in_both(finest, own)
     reference = finest["displacement"][solved]
     scale = _scale(reference)
     report(0.85, "measuring tables")
@@ -78,6 +72,24 @@ def measure(
         "pareto": pareto(meshes, tables),
         "left_out": Surrogate.build(rows, load_range).coverage_summary().get("left_out"),
     }
+
+
+def _solved_in_both(finest: dict[str, Any], own: dict[str, Any]) -> Array:
+    """Return which wrenches both levels have solved, shape (n,).
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    solved = np.isfinite(finest["displacement"] + own["displacement"]).all(axis=1)
+    if not solved.any():
+        kinds = {failure["kind"] for level in (finest, own) for failure in level["failures"]}
+        raise ValueError(
+            f"none of the {len(solved)} wrenches could be solved ({', '.join(sorted(kinds))}); "
+            "solve one and look at its job's files, or lower the component's load range"
+        )
+    return solved
 
 
 def random_wrenches(load_range: LoadRange, count: int, seed: int) -> Array:
