@@ -39,7 +39,7 @@ DUPLICATE_LINES = 10
 ARRAYS = {"ndarray", "NDArray", "ArrayLike", "Array", "Floats", "Vector", "Indices", "Mask"}
 SHAPE = re.compile(r"\b[Ss]hapes?\b|\((?:\w+, ?)+\w*\)")
 UNIT = re.compile(
-    r"(?<![\w-])(?:N|N·m|m|mm|m\^[234]|rad|deg|Pa|J|kg|s|ms|µs|Hz|N/m|1/m|SI)(?![\w-])"
+    r"(?<![\w'-])(?:N|N·m|m|mm|m\^[234]|rad|deg|Pa|J|kg|s|ms|µs|Hz|N/m|1/m|SI)(?![\w-])"
     r"|dimensionless|[Uu]nitless|\bindices\b|\bindex\b|\bradians\b"
 )
 

@@ -68,7 +68,7 @@ class Displacement:
 
     @classmethod
     def read(cls, component: str, wrench: Vector, body: Mapping[str, Any]) -> Self:
-        """Make one from the reply to `wrench`."""
+        """Make one from the reply to `wrench`, shape (6,), N and N·m."""
         error = body.get("error") or {}
         job = body.get("job")
         return cls(
@@ -106,6 +106,8 @@ class Displacement:
     @property
     def matrix(self) -> Vector:
         """The displacement as a homogeneous matrix, shape (4, 4), in the interface frame.
+
+        Its rotation is dimensionless, its last column m.
 
         Raises
         ------
@@ -190,7 +192,7 @@ class Displacements:
 
     @classmethod
     def read(cls, component: str, wrenches: Vector, body: Mapping[str, Any]) -> Self:
-        """Make one from the reply to `wrenches`."""
+        """Make one from the reply to `wrenches`, shape (n, 6), N and N·m."""
         count, jobs = len(wrenches), body.get("jobs") or ()
         return cls(
             component=body.get("component") or component,
@@ -207,7 +209,11 @@ class Displacements:
 
     @classmethod
     def read_binary(cls, component: str, wrenches: Vector, reply: Reply) -> Self:
-        """Make one from the binary reply to `wrenches`: float64, shape (n, 13)."""
+        """Make one from the binary reply to `wrenches`, shape (n, 6), N and N·m.
+
+        The reply is float64, shape (n, 13): displacement and error bars, m and rad, then coverage
+        as 0, 1 or 2 for `COVERAGE`.
+        """
         block = np.frombuffer(reply.content, dtype="<f8").reshape(len(wrenches), 13).astype(float)
         version, elapsed, jobs = (
             reply.headers.get(f"Wrenchbook-{name}")
@@ -231,7 +237,7 @@ class Displacements:
 
     @property
     def covered(self) -> NDArray[np.bool_]:
-        """Shape (n,): where the table is thick enough."""
+        """Where the table is thick enough: shape (n,), dimensionless."""
         return self.coverage == "covered"
 
 

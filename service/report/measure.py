@@ -93,7 +93,7 @@ def _solved_in_both(finest: dict[str, Any], own: dict[str, Any]) -> Array:
 
 
 def random_wrenches(load_range: LoadRange, count: int, seed: int) -> Array:
-    """Return full six-component wrenches spread over the load range, shape (count, 6)."""
+    """Return full wrenches spread over the load range, shape (count, 6), N and N·m."""
     points = qmc.Halton(d=6, rng=seed).random(count)
     return load_range.low + points * (load_range.high - load_range.low)
 
@@ -212,7 +212,10 @@ def _query_times(surrogate: Surrogate, method: str, wrenches: Array) -> Array:
 
 
 def errors(error: Array, scale: Array) -> dict[str, list[float | None]]:
-    """Return RMS, 95 % and largest error per output, absolute and relative; NaN rows left out."""
+    """Return RMS, 95 % and largest error per output, m and rad; rows with NaN are left out.
+
+    `error` has shape (n, 6), m and rad; ``rms_relative`` is in parts of `scale`, shape (6,).
+    """
     kept = error[np.isfinite(error).all(axis=1)]
     if not len(kept):
         nothing: list[float | None] = [None] * 6
