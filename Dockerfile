@@ -4,11 +4,11 @@ WORKDIR /src
 COPY requirements.lock ./
 RUN python -m venv /opt/wrenchbook \
     && /opt/wrenchbook/bin/pip install --no-cache-dir --require-hashes -r requirements.lock
-COPY pyproject.toml README.md LICENSE ./
+COPY pyproject.toml README.md LICENSE wrenchbook.py ./
 COPY fea fea
 COPY surrogate surrogate
 COPY service service
-COPY data data
+COPY data/components data/components
 RUN /opt/wrenchbook/bin/pip install --no-cache-dir --no-deps --no-build-isolation .
 
 FROM python:3.12-slim

@@ -5,9 +5,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 LOCK := pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
-	--no-annotate --no-header --no-emit-index-url --extra build -q
+	--no-annotate --no-header --no-emit-index-url --extra server --extra fast --extra build -q
 
-.PHONY: kills help setup demo serve test check lint types arch format bench bench-fea bench-stability bench-calibration bench-methods bench-surrogate bench-fill validate \
+.PHONY: kills help setup demo serve test check lint types arch house format bench bench-fea bench-stability bench-calibration bench-methods bench-surrogate bench-fill validate \
 	validate-table validate-ccx image lock clean
 
 help:  ## list the targets
@@ -48,6 +48,9 @@ types: $(VENV)/.installed-dev  ## pyright
 
 arch: $(VENV)/.installed-dev  ## import-linter: who may import what
 	$(BIN)/lint-imports
+
+house: $(VENV)/.installed-dev  ## files a room, circles, lengths, duplicates, what docstrings state
+	$(BIN)/python -m tests.house
 
 format: $(VENV)/.installed-dev  ## let ruff lay out the code
 	$(BIN)/ruff check --fix .

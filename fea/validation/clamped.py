@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
 from fea.bundle.read import read_bundle
+from fea.bundle.shipped import SHIPPED
 from fea.component import Component, build
 from fea.coupling.section import section_of_facets
 from fea.mesh.mesh import Mesh
@@ -80,7 +80,7 @@ def clamped(
 
 def shipped(name: str, **parameters: float) -> Component:
     """Return a component of the shipped library, its generator's `parameters` changed."""
-    bundle = read_bundle(Path(str(files("data"))) / "components" / name)
+    bundle = read_bundle(SHIPPED / name)
     if parameters and bundle.mesh is not None:
         own = dict(bundle.mesh.parameters or {})
         bundle = replace(bundle, mesh=replace(bundle.mesh, parameters=own | parameters))

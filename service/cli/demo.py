@@ -14,6 +14,7 @@ from rich.table import Table
 
 from service.cli import render
 from service.client import Client, Displacement, Job
+from service.contract import DISPLACEMENT_NAMES
 
 COMPONENT = "plate_thin"
 SOLVERS = 2
@@ -22,7 +23,6 @@ CHECKED = 50
 SEED = 20170726
 SOLVE_S = 300.0
 WRENCH = ((150.0, -100.0, -900.0), (20.0, 30.0, 5.0))
-NAMES = render.NAMES
 
 
 def run(out: Console, keep: Path | None = None) -> int:
@@ -129,7 +129,7 @@ def _error_table(pairs: Sequence[tuple[Displacement, Job]]) -> Table:
     table = Table(title=f"Table against FEA, {len(pairs)} full wrenches not in the table")
     for heading in ("", "range", "RMS error", "largest", "RMS/range", "in error bar"):
         table.add_column(heading, justify="right" if heading else "left")
-    for place, name in enumerate(NAMES):
+    for place, name in enumerate(DISPLACEMENT_NAMES):
         one, unit = error[:, place], "m" if place < 3 else "rad"
         rms = float(np.sqrt(np.mean(one**2)))
         table.add_row(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
+
+from service.files.child import child_command
 
 DEFAULT_DATA = Path("wrenchbook-data")
 
@@ -65,7 +66,7 @@ def validate(
 ) -> None:
     """Verify the solver against closed forms, published numbers and CalculiX; minutes for all."""
     # In a process of its own: this one never imports the finite elements.
-    words = [sys.executable, "-m", "fea.validation", topic, *(["--markdown"] * markdown)]
+    words = child_command("fea.validation", topic, *(["--markdown"] * markdown))
     raise typer.Exit(subprocess.run(words, check=False).returncode)
 
 
@@ -74,7 +75,7 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="print the report as JSON")] = False,
 ) -> None:
     """Check a component bundle before it is uploaded: mesh, groups, supports, cost of a solve."""
-    words = [sys.executable, "-m", "fea.check", *(() if as_json else ("--text",)), str(bundle)]
+    words = child_command("fea.check", *(() if as_json else ("--text",)), str(bundle))
     raise typer.Exit(subprocess.run(words, check=False).returncode)
 
 

@@ -38,6 +38,9 @@ Data = Annotated[
     Path | None,
     typer.Option(help="work on this data directory with a private server of its own instead"),
 ]
+BeyondRange = Annotated[
+    bool, typer.Option(help="solve a wrench outside the component's load range all the same")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="print the server's reply as JSON")]
 Budget = Annotated[int, typer.Option(min=1, help="most solves to spend")]
 Micro = Annotated[float | None, typer.Option(help="error bar to reach, translations, m")]
@@ -67,9 +70,10 @@ def query(
     on_thin: Annotated[str, typer.Option(help="queue, wait, estimate or reject")] = "wait",
     wait_s: Annotated[float, typer.Option(help="with wait: seconds")] = 60.0,
     method: Annotated[
-        str | None, typer.Option(help="griddata, tangent, rbf, corrected, auto, linear or nearest")
+        str | None, typer.Option(help="such as griddata; the component's own choice otherwise")
     ] = None,
     detail: Annotated[bool, typer.Option(help="what each axis contributes")] = False,
+    beyond_range: BeyondRange = False,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
@@ -77,7 +81,14 @@ def query(
     """Ask for the displacement under a wrench."""
     with connected(server, data) as client:
         answer = client.displacement(
-            name, force, moment, on_thin=on_thin, wait_s=wait_s, method=method, detail=detail
+            name,
+            force,
+            moment,
+            on_thin=on_thin,
+            wait_s=wait_s,
+            method=method,
+            detail=detail,
+            beyond_range=beyond_range,
         )
         _print_answer(answer, as_json)
 
@@ -88,16 +99,17 @@ def solve(
     force: Force = ZERO,
     moment: Moment = ZERO,
     wait_s: Annotated[float, typer.Option(help="give up waiting after this long, s")] = 600.0,
+    beyond_range: BeyondRange = False,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
     """Solve a wrench with finite elements, whatever the table says."""
     with connected(server, data) as client:
-        answer = client.solve(name, force, moment)
+        answer = client.solve(name, force, moment, beyond_range=beyond_range)
         if answer.job is not None and answer.job.status != "done":
             render.follow(out, client, [answer.job], wait_s)
-            answer = client.solve(name, force, moment)
+            answer = client.solve(name, force, moment, beyond_range=beyond_range)
         _print_answer(answer, as_json)
 
 
@@ -209,7 +221,8 @@ def jobs(
 def main() -> None:
     """Run the command line; errors a user can mend are one message on stderr and status 1."""
     try:
-        app()
+        # Named here, because a file run by its path would show that path.
+        app(prog_name="wrenchbook")
     except ProblemError as error:
         Console(stderr=True).print(f"[red]{error.title}[/red]\n{error.detail}", highlight=False)
         render.body_errors(Console(stderr=True), error.errors)

@@ -11,8 +11,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from service.client import Client, Displacement, Job, ProblemError
+from service.contract import DISPLACEMENT_NAMES
 
-NAMES = ("u_x", "u_y", "u_z", "r_x", "r_y", "r_z")
 POLL_S = 0.2
 
 
@@ -21,7 +21,7 @@ def answer_table(answer: Displacement) -> Table:
     table = Table(title=_headline(answer), title_justify="left", caption=answer.reason or None)
     for heading in ("", "value", "error bar", "unit"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
-    for place, name in enumerate(NAMES):
+    for place, name in enumerate(DISPLACEMENT_NAMES):
         table.add_row(
             name,
             _number(answer.vector, place),

@@ -1,20 +1,23 @@
-"""What a simulator imports: numpy and the standard library only.
+"""What a simulator imports, as `wrenchbook`: numpy and the standard library only.
 
->>> from service.client import Client
+This room imports from itself relatively, so that it works under either name: `wrenchbook.client`
+in a simulator, whose own packages may have any name, and `service.client` in the server.
+
+>>> from wrenchbook import Client
 >>> with Client("http://127.0.0.1:8000") as client:            # doctest: +SKIP
 ...     answer = client.displacement("plate", [0, 0, -800], [0, 40, 0])
 ...     R, p = answer.apply(R0, p0)
 """
 
-from service.client.errors import ProblemError, ServerTimeout, ServerUnreachable
-from service.client.library import Library
-from service.client.questions import Questions
-from service.client.replies import Displacement, Displacements
-from service.client.solves import Job, Round
-from service.client.working import Working
+from .errors import ProblemError, ServerTimeout, ServerUnreachable
+from .job import Job, Round
+from .job_calls import JobCalls
+from .library import Library
+from .questions import Questions
+from .replies import Displacement, Displacements
 
 
-class Client(Questions, Working, Library):
+class Client(Questions, JobCalls, Library):
     """A client of one server, for any number of threads.
 
     Parameters

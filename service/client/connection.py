@@ -9,11 +9,13 @@ from email.message import Message
 from typing import Any, Self
 from urllib.parse import urlencode, urlsplit
 
-from service.client.errors import ProblemError, ServerTimeout, ServerUnreachable
+from .errors import ProblemError, ServerTimeout, ServerUnreachable
 
 _JSON = {"Content-Type": "application/json", "Accept": "application/json"}
 # What an http.client call raises when the other side has closed a kept connection.
 _CLOSED = (http.client.RemoteDisconnected, ConnectionError, http.client.BadStatusLine)
+# Method, target, body, headers, and the seconds it may take.
+_Request = tuple[str, str, bytes | None, dict[str, str], float]
 
 
 class Reply:
@@ -109,16 +111,24 @@ class Connection:
         """
         target = self._path + path + _query(query)
         headers = _JSON if kind is None else {"Content-Type": kind}
-        timeout = self.timeout + (wait_s or 0.0)
-        kept = self._take() if repeatable else None
+        request = (method, target, content, headers, self.timeout + (wait_s or 0.0))
+        return self._send(request, self._take() if repeatable else None)
+
+    def call_json(self, method: str, path: str, body: Any = None, **options: Any) -> Any:
+        """Send `body` as JSON and return the answer's JSON; options as in `call`."""
+        content = None if body is None else json.dumps(body, allow_nan=False).encode()
+        return self.call(method, path, content, **options).json()
+
+    def _send(self, request: _Request, kept: http.client.HTTPConnection | None) -> Reply:
+        """Send a request on the kept connection, or on a new one if there is none or it is dead."""
         if kept is not None:
             try:
-                return self._exchange(kept, method, target, content, headers, timeout)
+                return self._exchange(kept, request)
             except _CLOSED:
                 self.close()  # the server has ended what was kept: once more on a new connection
-        connection = self._kind(self._host, self._port, timeout=timeout)
+        connection = self._kind(self._host, self._port)
         try:
-            return self._exchange(connection, method, target, content, headers, timeout)
+            return self._exchange(connection, request)
         except ServerTimeout:
             raise
         except (http.client.HTTPException, OSError) as error:
@@ -126,11 +136,6 @@ class Connection:
                 f"no answer from {self.url} ({error or type(error).__name__}); "
                 "start a server with: wrenchbook serve"
             ) from error
-
-    def call_json(self, method: str, path: str, body: Any = None, **options: Any) -> Any:
-        """Send `body` as JSON and return the answer's JSON; options as in `call`."""
-        content = None if body is None else json.dumps(body, allow_nan=False).encode()
-        return self.call(method, path, content, **options).json()
 
     def _take(self) -> http.client.HTTPConnection | None:
         if self._process_id != os.getpid():
@@ -141,16 +146,9 @@ class Connection:
         except IndexError:
             return None
 
-    def _exchange(
-        self,
-        connection: http.client.HTTPConnection,
-        method: str,
-        target: str,
-        content: bytes | None,
-        headers: dict[str, str],
-        timeout: float,
-    ) -> Reply:
+    def _exchange(self, connection: http.client.HTTPConnection, request: _Request) -> Reply:
         """Send and receive on one connection, then keep it, or close it when anything failed."""
+        method, target, content, headers, timeout = request
         try:
             connection.timeout = timeout
             if connection.sock is not None:

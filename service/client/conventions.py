@@ -21,8 +21,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from service.client.rotation import quaternion
-from service.client.wrenches import one_wrench
+from .rotation import quaternion
+from .wrenches import one_wrench
 
 Vector = NDArray[np.float64]
 Side = Literal["parent", "child"]
@@ -72,6 +72,16 @@ def from_ros(message: Any) -> Vector:
         acts on whom, nor the point: it must act on the component, at the interface point.
         (docs.ros.org, geometry_msgs/Wrench: force and torque "separated into its linear and
         angular parts"; the frame is that of the stamped header.)
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (6,), N and N·m.
+
+    Raises
+    ------
+    ValueError
+        If a member is missing or no finite number.
     """
     inner = _member(message, "wrench", None)
     message = message if inner is None else inner
@@ -84,7 +94,7 @@ def from_ros(message: Any) -> Vector:
 
 
 def to_ros(wrench: ArrayLike) -> dict[str, dict[str, float]]:
-    """Return a wrench as the fields of a ROS ``geometry_msgs/Wrench``."""
+    """Return a wrench, shape (6,), N and N·m, as the fields of a ROS ``geometry_msgs/Wrench``."""
     numbers = one_wrench(wrench).tolist()
     return {
         "force": dict(zip("xyz", numbers[:3], strict=True)),
@@ -104,6 +114,11 @@ def from_drake(spatial_force: Any, component: Side | None = None) -> Vector:
         For a joint's reaction (``MultibodyPlant.get_reaction_forces_output_port``: applied on the
         joint's child body, at the joint's child frame Jc, expressed in Jc), which side of the joint
         the component is. Not given for a spatial force that acts on the component already.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (6,), force then moment, N and N·m.
     """
     if hasattr(spatial_force, "rotational"):
         spatial_force = np.concatenate(
@@ -115,7 +130,7 @@ def from_drake(spatial_force: Any, component: Side | None = None) -> Vector:
 
 
 def to_drake(wrench: ArrayLike) -> Vector:
-    """Return a wrench in Drake's order, shape (6,): torque, then force."""
+    """Return a wrench in Drake's order, shape (6,): torque, N·m, then force, N."""
     checked = one_wrench(wrench)
     return np.concatenate([checked[3:], checked[:3]])
 
@@ -140,7 +155,10 @@ def from_mujoco(force: ArrayLike, torque: ArrayLike, component: Side) -> Vector:
 
 
 def to_mujoco(wrench: ArrayLike, component: Side) -> tuple[Vector, Vector]:
-    """Return the readings of MuJoCo's ``force`` and ``torque`` sensors for a wrench."""
+    """Return the readings of MuJoCo's ``force`` and ``torque`` sensors for a wrench.
+
+    The wrench has shape (6,), the readings shape (3,) each, N and N·m.
+    """
     reading = _on(component, one_wrench(wrench))
     return reading[:3], reading[3:]
 
@@ -167,17 +185,23 @@ def from_pybullet(reaction: ArrayLike, component: Side) -> Vector:
 
 
 def to_pybullet(wrench: ArrayLike, component: Side) -> Vector:
-    """Return PyBullet's joint reaction, shape (6,), for a wrench."""
+    """Return PyBullet's joint reaction for a wrench, both of shape (6,), N and N·m."""
     return _on(component, one_wrench(wrench))
 
 
 def quaternion_wxyz(rotation: ArrayLike) -> Vector:
-    """Return a rotation vector as MuJoCo and Drake write it: (w, x, y, z)."""
+    """Return a rotation vector, shape (3,), rad, as MuJoCo and Drake write it: (w, x, y, z).
+
+    The unit quaternion has shape (4,) and is dimensionless.
+    """
     return quaternion(rotation)
 
 
 def quaternion_xyzw(rotation: ArrayLike) -> Vector:
-    """Return a rotation vector as ROS and PyBullet write it: (x, y, z, w)."""
+    """Return a rotation vector, shape (3,), rad, as ROS and PyBullet write it: (x, y, z, w).
+
+    The unit quaternion has shape (4,) and is dimensionless.
+    """
     return np.roll(quaternion(rotation), -1)
 
 

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from service.client.connection import Connection
-from service.client.errors import ProblemError, ServerTimeout, ServerUnreachable
-from service.client.questions import component_path
+from .connection import Connection
+from .errors import ProblemError, ServerTimeout, ServerUnreachable
+from .questions import component_path
 
 _KINDS = {
     "csv": "text/csv; charset=utf-8",
@@ -148,6 +148,27 @@ class Library(Connection):
         query = {"format": chosen, **(units or {})}
         content = self.call("GET", component_path(name, "table"), query=query).content
         return content.decode() if chosen in ("csv", "json") else content
+
+    def invalidate_row(self, name: str, row: int) -> None:
+        """Take a row out of a component's table; it stays in the ledger, see `restore_row`.
+
+        Parameters
+        ----------
+        name : str
+            The component.
+        row : int
+            Number of the row, as exports and the detail of an answer give it.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such component or row (404).
+        """
+        self.call("DELETE", component_path(name, f"table/{int(row)}"))
+
+    def restore_row(self, name: str, row: int) -> None:
+        """Take a row back into a component's table; parameters and errors as `invalidate_row`."""
+        self.call("POST", component_path(name, f"table/{int(row)}/restore"))
 
     def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> dict[str, Any]:
         """Start making a report of error against run time; it takes minutes.

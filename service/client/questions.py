@@ -7,9 +7,9 @@ from urllib.parse import quote
 
 from numpy.typing import ArrayLike
 
-from service.client.connection import Connection
-from service.client.replies import Displacement, Displacements
-from service.client.wrenches import Vector, many_wrenches, one_wrench, options
+from .connection import Connection
+from .replies import Displacement, Displacements
+from .wrenches import Vector, many_wrenches, one_wrench, options
 
 BINARY_FROM = 1000  # wrenches from which a batch goes as float64 unless told
 
@@ -20,7 +20,28 @@ def component_path(name: str, call: str = "") -> str:
 
 
 class Questions(Connection):
-    """Ask for displacements."""
+    """Ask for displacements.
+
+    What the calls have in common:
+
+    name : str
+        The component.
+    force, moment : array_like
+        Shape (3,), N, and shape (3,), N·m, acting ON the component about its interface point, in
+        the undeformed interface frame; or the whole wrench as the force alone, shape (6,).
+    on_thin : {"queue", "wait", "estimate", "reject"}
+        Where the table is too thin: queue a solve and answer with the best guess; wait for that
+        solve; only guess; refuse.
+    wait_s : float, optional
+        With ``wait``: seconds to wait for the solve; the server's default is 30.
+    tolerance : mapping or pair, optional
+        ``{"translation": m, "rotation": rad}``; the component's own otherwise.
+    method : str, optional
+        How the table shall answer, such as ``griddata``; the component's own choice otherwise.
+    beyond_range : bool
+        Whether a wrench outside the component's load range may be solved. If not, ``queue`` answers
+        it flagged and without a job, and ``wait`` and `solve` refuse it.
+    """
 
     def displacement(
         self,
@@ -33,62 +54,38 @@ class Questions(Connection):
         tolerance: Any = None,
         method: str | None = None,
         detail: bool = False,
+        beyond_range: bool = False,
     ) -> Displacement:
-        """Return the displacement of a component's interface under one wrench.
+        """Return the displacement of a component's interface under one wrench, N and N·m.
 
-        Parameters
-        ----------
-        name : str
-            The component.
-        force : array_like
-            Shape (3,), N, acting ON the component, in the undeformed interface frame; or the whole
-            wrench, shape (6,).
-        moment : array_like, optional
-            Shape (3,), N·m, about the interface point.
-        on_thin : {"queue", "wait", "estimate", "reject"}
-            Where the table is too thin: queue a solve and answer with the best guess; wait for that
-            solve; only guess; refuse.
-        wait_s : float, optional
-            With ``wait``: seconds to wait for the solve; the server's default is 30.
-        tolerance : mapping or pair, optional
-            ``{"translation": m, "rotation": rad}``; the component's own otherwise.
-        method : str, optional
-            ``griddata``, ``tangent``, ``rbf``, ``corrected``, ``auto``, ``linear`` or ``nearest``;
-            the component's own choice otherwise.
-        detail : bool
-            Whether ``raw["axes"]`` shall say which rows each axis used.
+        Parameters are those of `Questions`; with `detail`, ``raw["axes"]`` of the answer says
+        which rows each axis used.
 
         Returns
         -------
         Displacement
-            m and rad; with `Displacement.job` while a solve is queued or running.
+            Shapes (3,), m and rad; with `Displacement.job` while a solve is queued or running.
 
         Raises
         ------
         ValueError
             If a number is not finite or a shape is wrong; nothing was sent.
         ProblemError
-            If there is no such component (404), with ``reject`` if it is not covered (409), if the
-            solve of this wrench failed (424).
+            If there is no such component (404), if ``reject`` finds the wrench not covered or
+            ``wait`` finds it beyond the load range (409), if its solve failed (424).
         ServerUnreachable, ServerTimeout
             See `Connection.call`.
         """
         wrench = one_wrench(force, moment)
-        body = {"force": wrench[:3].tolist(), "moment": wrench[3:].tolist()}
-        body |= options(
+        asked = options(
             on_thin=on_thin,
             wait_s=wait_s,
             tolerance=tolerance,
             method=method,
             detail=detail or None,
+            beyond_range=beyond_range or None,
         )
-        reply = self.call_json(
-            "POST",
-            component_path(name, "displacement"),
-            body,
-            wait_s=_held(on_thin, wait_s),
-        )
-        return Displacement.read(name, wrench, reply)
+        return self._ask(name, "displacement", wrench, asked)
 
     def displacements(
         self,
@@ -99,11 +96,13 @@ class Questions(Connection):
         wait_s: float | None = None,
         tolerance: Any = None,
         method: str | None = None,
+        beyond_range: bool = False,
         binary: bool | None = None,
     ) -> Displacements:
-        """Return the displacements under many wrenches, shape (n, 6), in one call.
+        """Return the displacements under many wrenches, shape (n, 6), N and N·m, in one call.
 
-        Parameters and errors are those of `displacement`; with ``wait`` one `wait_s` is for all.
+        Parameters are those of `Questions`, errors those of `displacement`; with ``wait`` one
+        `wait_s` is for all.
 
         Parameters
         ----------
@@ -112,33 +111,19 @@ class Questions(Connection):
             1000 wrenches on if not given. The answers then do not list the jobs they queued.
         """
         block = many_wrenches(wrenches)
+        asked = options(
+            on_thin=on_thin,
+            wait_s=wait_s,
+            tolerance=tolerance,
+            method=method,
+            beyond_range=beyond_range or None,
+        )
         if len(block) >= BINARY_FROM if binary is None else binary:
-            return self._binary(
-                name, block, on_thin=on_thin, wait_s=wait_s, tolerance=tolerance, method=method
-            )
-        body = {"wrenches": block.tolist()}
-        body |= options(on_thin=on_thin, wait_s=wait_s, tolerance=tolerance, method=method)
-        reply = self.call_json(
-            "POST",
-            component_path(name, "displacements"),
-            body,
-            wait_s=_held(on_thin, wait_s),
-        )
+            return self._ask_binary(name, block, asked)
+        body = {"wrenches": block.tolist()} | asked
+        path = component_path(name, "displacements")
+        reply = self.call_json("POST", path, body, wait_s=_held(asked))
         return Displacements.read(name, block, reply)
-
-    def _binary(self, name: str, block: Vector, **given: Any) -> Displacements:
-        """Ask a batch in its binary form."""
-        query = options(**given)
-        query |= query.pop("tolerance", {})
-        reply = self.call(
-            "POST",
-            component_path(name, "displacements"),
-            block.astype("<f8").tobytes(),
-            kind="application/octet-stream",
-            query=query,
-            wait_s=_held(given["on_thin"], given["wait_s"]),
-        )
-        return Displacements.read_binary(name, block, reply)
 
     def solve(
         self,
@@ -147,20 +132,22 @@ class Questions(Connection):
         moment: ArrayLike | None = None,
         *,
         wait_s: float | None = None,
+        beyond_range: bool = False,
     ) -> Displacement:
-        """Solve one wrench with finite elements, whatever the table says.
+        """Solve one wrench, N and N·m, with finite elements, whatever the table says.
+
+        Parameters are those of `Questions`.
 
         Parameters
         ----------
-        name, force, moment
-            As in `displacement`.
         wait_s : float, optional
             Seconds to wait for the solve; at once back with the job if not given.
 
         Returns
         -------
         Displacement
-            With ``source`` ``fea`` when the solve is done, else with its `Displacement.job`.
+            Shapes (3,), m and rad; with ``source`` ``fea`` when the solve is done, else with its
+            `Displacement.job`.
 
         Raises
         ------
@@ -168,14 +155,35 @@ class Questions(Connection):
             As in `displacement`.
         """
         wrench = one_wrench(force, moment)
-        body = {"force": wrench[:3].tolist(), "moment": wrench[3:].tolist()}
-        body |= options(wait_s=wait_s)
-        reply = self.call_json("POST", component_path(name, "solve"), body, wait_s=wait_s)
+        asked = options(wait_s=wait_s, beyond_range=beyond_range or None)
+        return self._ask(name, "solve", wrench, asked)
+
+    def _ask(self, name: str, call: str, wrench: Vector, asked: dict[str, Any]) -> Displacement:
+        """Ask about one wrench."""
+        body = {"force": wrench[:3].tolist(), "moment": wrench[3:].tolist()} | asked
+        reply = self.call_json("POST", component_path(name, call), body, wait_s=_held(asked))
         return Displacement.read(name, wrench, reply)
 
+    def _ask_binary(self, name: str, block: Vector, asked: dict[str, Any]) -> Displacements:
+        """Ask a batch in its binary form."""
+        tolerance = asked.pop("tolerance", {})
+        reply = self.call(
+            "POST",
+            component_path(name, "displacements"),
+            block.astype("<f8").tobytes(),
+            kind="application/octet-stream",
+            query=asked | tolerance,
+            wait_s=_held(asked),
+        )
+        return Displacements.read_binary(name, block, reply)
 
-def _held(on_thin: str, wait_s: float | None) -> float:
-    """Return how long the server may hold the answer back, s: 30 unless told."""
-    if on_thin != "wait":
-        return 0.0
-    return 30.0 if wait_s is None else wait_s
+
+def _held(asked: dict[str, Any]) -> float:
+    """Return how long the server may hold the answer back, s.
+
+    A question with ``on_thin`` is held back only with ``wait``, 30 s unless it says otherwise; an
+    order to solve says how long.
+    """
+    if "on_thin" not in asked:
+        return asked.get("wait_s", 0.0)
+    return asked.get("wait_s", 30.0) if asked["on_thin"] == "wait" else 0.0

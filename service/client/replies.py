@@ -9,9 +9,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from service.client.connection import Reply
-from service.client.rotation import rotation_matrix
-from service.client.solves import Job, joined
+from .connection import Reply
+from .job import Job, joined
+from .rotation import rotation_matrix
 
 Vector = NDArray[np.float64]
 
@@ -43,9 +43,10 @@ class Displacement:
     elapsed_us : float or None
         Time the answer took in the server, µs.
     job : Job or None
-        The solve that will make it better.
+        The solve that will make it better; None where it is covered, and where nothing was queued:
+        beyond the load range, or with a full queue.
     reason : str
-        Why it is not covered; may be empty.
+        Why it is not covered, or has no job; may be empty.
     raw : dict
         The reply as it came; with ``detail`` it has ``axes``.
     """
@@ -67,7 +68,7 @@ class Displacement:
 
     @classmethod
     def read(cls, component: str, wrench: Vector, body: Mapping[str, Any]) -> Self:
-        """Make one from the reply to `wrench`."""
+        """Make one from the reply to `wrench`, shape (6,), N and N·m."""
         error = body.get("error") or {}
         job = body.get("job")
         return cls(
@@ -105,6 +106,8 @@ class Displacement:
     @property
     def matrix(self) -> Vector:
         """The displacement as a homogeneous matrix, shape (4, 4), in the interface frame.
+
+        Its rotation is dimensionless, its last column m.
 
         Raises
         ------
@@ -167,6 +170,9 @@ class Displacements:
     jobs : dict of int to Job
         The solves that are queued, by the number of the wrench, from 0; empty from a binary batch,
         whose ``raw["jobs_queued"]`` says how many there are.
+    no_job : dict of int to str
+        Why a wrench that is not covered has no job, by its number, from 0: it is beyond the load
+        range, or the queue is full; empty from a binary batch.
     table_version : int or None
         Version of the table that answered.
     elapsed_us : float or None
@@ -179,21 +185,23 @@ class Displacements:
     errors: Vector
     coverage: NDArray[np.str_]
     jobs: dict[int, Job]
+    no_job: dict[int, str]
     table_version: int | None
     elapsed_us: float | None
     raw: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @classmethod
     def read(cls, component: str, wrenches: Vector, body: Mapping[str, Any]) -> Self:
-        """Make one from the reply to `wrenches`."""
-        count = len(wrenches)
+        """Make one from the reply to `wrenches`, shape (n, 6), N and N·m."""
+        count, jobs = len(wrenches), body.get("jobs") or ()
         return cls(
             component=body.get("component") or component,
             wrenches=wrenches,
             displacements=_block(body["displacements"], count),
             errors=_block(body["errors"], count),
             coverage=np.array(body["coverage"], dtype=np.str_),
-            jobs={job["index"]: Job.read(job) for job in body.get("jobs") or ()},
+            jobs={job["index"]: Job.read(job) for job in jobs if job.get("id") is not None},
+            no_job={job["index"]: job.get("reason") or "" for job in jobs if job.get("id") is None},
             table_version=body.get("table_version"),
             elapsed_us=body.get("elapsed_us"),
             raw=dict(body),
@@ -201,7 +209,11 @@ class Displacements:
 
     @classmethod
     def read_binary(cls, component: str, wrenches: Vector, reply: Reply) -> Self:
-        """Make one from the binary reply to `wrenches`: float64, shape (n, 13)."""
+        """Make one from the binary reply to `wrenches`, shape (n, 6), N and N·m.
+
+        The reply is float64, shape (n, 13): displacement and error bars, m and rad, then coverage
+        as 0, 1 or 2 for `COVERAGE`.
+        """
         block = np.frombuffer(reply.content, dtype="<f8").reshape(len(wrenches), 13).astype(float)
         version, elapsed, jobs = (
             reply.headers.get(f"Wrenchbook-{name}")
@@ -214,6 +226,7 @@ class Displacements:
             errors=block[:, 6:12],
             coverage=np.array(COVERAGE)[block[:, 12].astype(int)],
             jobs={},
+            no_job={},
             table_version=None if version is None else int(version),
             elapsed_us=None if elapsed is None else float(elapsed),
             raw={"jobs_queued": int(jobs or 0)},
@@ -224,7 +237,7 @@ class Displacements:
 
     @property
     def covered(self) -> NDArray[np.bool_]:
-        """Shape (n,): where the table is thick enough."""
+        """Where the table is thick enough: shape (n,), dimensionless."""
         return self.coverage == "covered"
 
 

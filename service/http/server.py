@@ -6,7 +6,6 @@ import logging
 import os
 import socket
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -18,6 +17,7 @@ from typing import TextIO
 import uvicorn
 
 from service.client import Client
+from service.files.child import child_command
 from service.http.app import create_app
 from service.workspace import Settings
 
@@ -59,7 +59,7 @@ def private_server(folder: Path, solvers: int) -> Iterator[Client]:
     ServerDidNotStartError
         If it is not ready within a minute.
     """
-    command = [sys.executable, "-m", "service.cli.main", "serve", "--data", str(folder)]
+    command = child_command("service.cli.main", "serve", "--data", str(folder))
     command += ["--port", "0", "--solvers", str(solvers), "--log-level", "warning"]
     with tempfile.TemporaryFile("w+") as log:
         server = subprocess.Popen(

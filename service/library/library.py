@@ -5,18 +5,18 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-import sys
 import tempfile
 import threading
 import zipfile
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from fea.bundle.read import Bundle, BundleError, Problem, read_bundle
+from fea.bundle.shipped import SHIPPED
+from service.files.child import child_command
 from service.files.durable import sync_folder
 from surrogate.rows import LoadRange, Tolerance
 
@@ -27,7 +27,6 @@ _DECKS_REFUSED = (
     "outside. Ask its operator to start it with: wrenchbook serve --allow-decks; or to put the "
     "bundle's folder into the data directory's components folder"
 )
-SHIPPED = Path(str(files("data"))) / "components"
 
 
 @dataclass(frozen=True)
@@ -193,7 +192,7 @@ def check_mesh(folder: Path) -> dict[str, Any]:
     BundleError
         With every problem found, or with what the check printed if it died.
     """
-    command = [sys.executable, "-m", "fea.check", str(folder)]
+    command = child_command("fea.check", str(folder))
     try:
         run = subprocess.run(
             command, capture_output=True, text=True, timeout=CHECK_SECONDS, check=False

@@ -43,13 +43,7 @@ def measure(
     wrenches = random_wrenches(load_range, count, seed)
     levels = _solve_levels(bundle, wrenches, report)
     finest, own = levels[-1], next(level for level in levels if level["level"] == "own")
-    solved = np.isfinite(finest["displacement"] + own["displacement"]).all(axis=1)
-    if not solved.any():
-        kinds = {failure["kind"] for level in (finest, own) for failure in level["failures"]}
-        raise ValueError(
-            f"none of the {count} wrenches could be solved ({', '.join(sorted(kinds))}); solve one "
-            "and look at its job's files, or lower the component's load range"
-        )
+    solved = _solved_in_both(finest, own)
     reference = finest["displacement"][solved]
     scale = _scale(reference)
     report(0.85, "measuring tables")
@@ -80,8 +74,26 @@ def measure(
     }
 
 
+def _solved_in_both(finest: dict[str, Any], own: dict[str, Any]) -> Array:
+    """Return which wrenches both levels have solved, shape (n,).
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    solved = np.isfinite(finest["displacement"] + own["displacement"]).all(axis=1)
+    if not solved.any():
+        kinds = {failure["kind"] for level in (finest, own) for failure in level["failures"]}
+        raise ValueError(
+            f"none of the {len(solved)} wrenches could be solved ({', '.join(sorted(kinds))}); "
+            "solve one and look at its job's files, or lower the component's load range"
+        )
+    return solved
+
+
 def random_wrenches(load_range: LoadRange, count: int, seed: int) -> Array:
-    """Return full six-component wrenches spread over the load range, shape (count, 6)."""
+    """Return full wrenches spread over the load range, shape (count, 6), N and N·m."""
     points = qmc.Halton(d=6, rng=seed).random(count)
     return load_range.low + points * (load_range.high - load_range.low)
 
@@ -200,7 +212,10 @@ def _query_times(surrogate: Surrogate, method: str, wrenches: Array) -> Array:
 
 
 def errors(error: Array, scale: Array) -> dict[str, list[float | None]]:
-    """Return RMS, 95 % and largest error per output, absolute and relative; NaN rows left out."""
+    """Return RMS, 95 % and largest error per output, m and rad; rows with NaN are left out.
+
+    `error` has shape (n, 6), m and rad; ``rms_relative`` is in parts of `scale`, shape (6,).
+    """
     kept = error[np.isfinite(error).all(axis=1)]
     if not len(kept):
         nothing: list[float | None] = [None] * 6

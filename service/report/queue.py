@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from service.files.child import child_command
 from service.jobs.attempt import write_whole
 from service.library.library import Component
 
@@ -69,7 +69,7 @@ class Reports:
             environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
             with (folder / "log.txt").open("wb") as log:
                 self._making[component.name] = subprocess.Popen(
-                    [sys.executable, "-m", "service.report", str(folder.absolute())],
+                    child_command("service.report", str(folder.absolute())),
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT,

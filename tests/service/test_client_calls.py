@@ -107,6 +107,58 @@ def test_the_options_of_the_main_call_go_as_the_contract_says(stub: Stub, client
     }
 
 
+def test_an_estimate_that_no_solve_was_queued_for_says_why(stub: Stub, client: Client):
+    full = {**QUEUED, "job": None, "reason": "64 jobs of queries are open: the queue is full"}
+    stub.answers(Answer(full, status=202))
+    answer = client.displacement("plate", [0, 0, -800])
+    assert answer.job is None
+    assert not answer.covered
+    assert answer.reason == "64 jobs of queries are open: the queue is full"
+    with pytest.raises(ValueError, match=r"not known .*the queue is full"):
+        answer.apply(np.eye(3), np.zeros(3))
+
+
+def test_a_batch_says_by_wrench_why_no_solve_was_queued(stub: Stub, client: Client):
+    jobs = [
+        {"index": 0, "id": 9, "status": "waiting", "url": "/v1/jobs/9"},
+        {"index": 1, "id": None, "reason": "beyond-range"},
+    ]
+    body = {"displacements": [None] * 2, "errors": [None] * 2, "coverage": ["thin", "outside"]}
+    stub.answers(Answer({**body, "jobs": jobs}, status=202))
+    answers = client.displacements("plate", np.ones((2, 6)))
+    assert list(answers.jobs) == [0]
+    assert answers.no_job == {1: "beyond-range"}
+
+
+def test_beyond_range_is_sent_where_it_is_asked_for_and_nowhere_else(stub: Stub, client: Client):
+    empty = {"displacements": [[0] * 6], "errors": [[0] * 6], "coverage": ["covered"], "jobs": []}
+    stub.answers(Answer(COVERED), Answer(empty), Answer(COVERED), Answer(COVERED))
+    client.displacement("plate", [9, 0, 0], on_thin="wait", beyond_range=True)
+    client.displacements("plate", [[9, 0, 0, 0, 0, 0]], beyond_range=True)
+    client.solve("plate", [9, 0, 0], beyond_range=True)
+    client.solve("plate", [9, 0, 0])
+    assert [one.body.get("beyond_range") for one in stub.seen] == [True, True, True, None]
+    stub.answers(Answer(np.zeros((1, 13)).tobytes(), kind="application/octet-stream"))
+    client.displacements("plate", [[9, 0, 0, 0, 0, 0]], beyond_range=True, binary=True)
+    assert stub.seen[-1].path.endswith("/displacements?on_thin=queue&beyond_range=true")
+
+
+@pytest.mark.parametrize(
+    ("ask", "held"),
+    [
+        (lambda client: client.displacement("plate", [1, 0, 0], on_thin="queue", wait_s=9), 0.2),
+        (lambda client: client.displacement("plate", [1, 0, 0], on_thin="wait", wait_s=0.5), 0.7),
+        (lambda client: client.solve("plate", [1, 0, 0], wait_s=0.5), 0.7),
+        (lambda client: client.solve("plate", [1, 0, 0]), 0.2),
+    ],
+)
+def test_a_call_is_given_the_time_that_it_lets_the_server_hold_it_back(stub: Stub, ask, held):
+    stub.answers(Answer(COVERED, delay=1.5))
+    says = pytest.raises(ServerTimeout, match=f"within {held:g} s")
+    with Client(stub.url, timeout=0.2) as client, says:
+        ask(client)
+
+
 def test_a_batch_keeps_unknown_rows_as_nan_and_jobs_by_wrench(stub: Stub, client: Client):
     stub.answers(
         Answer(
@@ -250,6 +302,17 @@ def test_jobs_are_listed_cancelled_and_retried(stub: Stub, client: Client):
         ("DELETE", "/v1/jobs/3"),
         ("GET", "/v1/jobs?component=bar"),
         ("POST", "/v1/jobs/3/retry"),
+    ]
+
+
+def test_many_jobs_are_cancelled_in_one_call_waiting_ones_unless_told(stub: Stub, client: Client):
+    one = {"id": 3, "status": "cancelled", "url": "/v1/jobs/3", "component": "bar"}
+    stub.answers(Answer({"jobs": [one]}))
+    assert [job.id for job in client.cancel_jobs("bar")] == [3]
+    client.cancel_jobs(status="running")
+    assert [(seen.method, seen.path) for seen in stub.seen] == [
+        ("DELETE", "/v1/jobs?component=bar&status=waiting"),
+        ("DELETE", "/v1/jobs?status=running"),
     ]
 
 

@@ -110,3 +110,13 @@ def test_components_are_listed_and_shown(stub: Stub, client: Client):
     )
     assert client.components() == [{"name": "bar"}]
     assert client.component("bar") == {"name": "bar"}
+
+
+def test_a_row_is_taken_out_and_back_by_its_number(stub, client):
+    stub.answers(Answer({}))
+    client.invalidate_row("my plate", 17)
+    client.restore_row("my plate", 17)
+    assert [(seen.method, seen.path) for seen in stub.seen] == [
+        ("DELETE", "/v1/components/my%20plate/table/17"),
+        ("POST", "/v1/components/my%20plate/table/17/restore"),
+    ]

@@ -1,11 +1,10 @@
 import io
 import zipfile
-from importlib.resources import files
-from pathlib import Path
 
 import pytest
 
-SHIPPED = Path(str(files("data"))) / "components"
+from fea.bundle.shipped import SHIPPED
+
 TABLE_ONLY = {"name": "rig", "title": "rig", "range": {"force": [1, 2, 3], "moment": [1, 1, 1]}}
 
 

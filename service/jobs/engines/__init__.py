@@ -3,53 +3,10 @@
 Every engine runs ``python -m service.jobs.solve_attempt FOLDER`` somewhere that sees the folder.
 """
 
-from pathlib import Path
-from typing import Literal, Protocol
+from service.jobs.engines.engine import Engine, EngineError, State
+from service.jobs.engines.local import LocalEngine
 
-State = Literal["running", "finished", "lost"]
 ENGINES = ("local",)
-
-
-class EngineError(Exception):
-    """The engine could not take an attempt now; the job should wait and be tried again."""
-
-
-class Engine(Protocol):
-    """What a dispatcher needs of an engine. Called from one thread at a time."""
-
-    @property
-    def slots(self) -> int:
-        """How many attempts it runs at the same time."""
-        ...
-
-    def submit(self, folder: Path) -> None:
-        """Start the attempt in `folder`.
-
-        Raises
-        ------
-        OSError, EngineError
-            If it could not be started; nothing runs then.
-        """
-        ...
-
-    def attach(self, folder: Path) -> None:
-        """Look after an attempt that another dispatcher's engine started."""
-        ...
-
-    def poll(self, folder: Path) -> State:
-        """Return ``finished`` if there is a result.json, else whether a solver is at it.
-
-        ``lost`` is final: no solver lives that could still write a result.json there.
-        """
-        ...
-
-    def cancel(self, folder: Path) -> None:
-        """Ask the attempt's solver to end soon; `poll` tells when it has. May be repeated."""
-        ...
-
-    def close(self) -> None:
-        """Let go of what the engine holds; solvers that run are left running."""
-        ...
 
 
 def open_engine(name: str = "local", slots: int | None = None) -> Engine:
@@ -61,7 +18,8 @@ def open_engine(name: str = "local", slots: int | None = None) -> Engine:
         If there is none of that name.
     """
     if name == "local":
-        from service.jobs.engines.local import LocalEngine
-
         return LocalEngine(slots)
     raise ValueError(f"there is no engine {name!r}; there are: {', '.join(ENGINES)}")
+
+
+__all__ = ["ENGINES", "Engine", "EngineError", "State", "open_engine"]

@@ -4,15 +4,15 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
 
 from service.files import lock as flock
+from service.files.child import child_command
 from service.jobs.attempt import LOCK, LOG, OUTCOME
-from service.jobs.engines import EngineError, State
+from service.jobs.engines.engine import EngineError, State
 
 # Several solvers share the cores, so each gets one; what the user has set is left alone.
 _THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR")
@@ -91,7 +91,7 @@ class LocalEngine:
         self._kill_after.clear()
 
     def _spawn(self, folder: Path, lock: int) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-P", "-m", "service.jobs.solve_attempt", str(folder)]
+        command = child_command("service.jobs.solve_attempt", str(folder))
         options = ["--lock-descriptor", str(lock), "--niceness", str(self._niceness)]
         variables = _ONE_THREAD_EACH | _READABLE_LOGS | dict(os.environ) | self._environment
         with (folder / LOG).open("ab") as log:

@@ -6,17 +6,17 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from service.client.connection import Connection
-from service.client.errors import ServerTimeout
-from service.client.questions import component_path
-from service.client.solves import Job, Round
-from service.client.wrenches import options
+from .connection import Connection
+from .errors import ServerTimeout
+from .job import Job, Round
+from .questions import component_path
+from .wrenches import options
 
 LONGEST_POLL_S = 20.0
 ROUND = 24
 
 
-class Working(Connection):
+class JobCalls(Connection):
     """Follow, cancel and retry jobs; fill tables."""
 
     def job(self, job: Job | int, wait_s: float | None = None) -> Job:
@@ -71,6 +71,30 @@ class Working(Connection):
     def cancel(self, job: Job | int) -> Job:
         """Cancel a job that has not ended, and return it."""
         return Job.read(self.call_json("DELETE", _path(job), repeatable=False))
+
+    def cancel_jobs(self, component: str | None = None, status: str = "waiting") -> list[Job]:
+        """Cancel all jobs of a status that has not ended, of one component if given.
+
+        Parameters
+        ----------
+        component : str, optional
+            Only this component's.
+        status : {"waiting", "running"}
+            Waiting jobs unless told: what runs is let finish.
+
+        Returns
+        -------
+        list of Job
+            Those that were cancelled.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such component (404), or jobs of that status have ended (422).
+        """
+        query = {"component": component, "status": status}
+        cancelled = self.call_json("DELETE", "/v1/jobs", query=query, repeatable=False)
+        return [Job.read(one) for one in cancelled["jobs"]]
 
     def retry(self, job: Job | int) -> Job:
         """Queue a failed or cancelled job again, and return it."""

@@ -104,7 +104,7 @@ class Round:
 
 
 def joined(first: Any, second: Any) -> Vector | None:
-    """Return translation and rotation as one vector, shape (6,), or None if one is unknown."""
+    """Return translation and rotation as one vector, shape (6,), m and rad; None if one is None."""
     if first is None or second is None:
         return None
     return np.concatenate([first, second])

@@ -1,1 +1,0 @@
-"""The shipped library of components, tables and scenes."""

@@ -1,0 +1,208 @@
+"""The wheel in a fresh environment, beside a project with packages of the same names as ours."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+ROOMS = ("fea", "surrogate", "service", "data")
+
+SIMULATOR = """
+import json, pickle, sys
+import service, data
+from wrenchbook import Client, ServerUnreachable, conventions
+import wrenchbook
+
+with Client(sys.argv[1], timeout=120) as client:
+    solved = client.displacement("bar", [0, 0, -5], on_thin="wait", wait_s=100)
+    client.add_component({"name": "rig", "title": "rig",
+                          "range": {"force": [9, 9, 9], "moment": [9, 9, 9]}})
+    loaded = client.import_table("rig", "Fz [N],ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]\\n"
+                                 "0,0,0,0,0,0,0\\n2,0,0,2e-3,0,0,0\\n")
+    measured = client.displacement("rig", [0, 0, 1], on_thin="estimate")
+again = pickle.loads(pickle.dumps(solved))
+print(json.dumps({
+    "face": wrenchbook.__file__,
+    "client": type(solved).__module__,
+    "owners": [service.OWNER, data.OWNER],
+    "source": solved.source,
+    "uz": again.translation[2],
+    "inserted": loaded["inserted"],
+    "measured_uz": measured.translation[2],
+    "ros": conventions.to_ros([1, 2, 3, 4, 5, 6])["torque"],
+}))
+"""
+
+
+@dataclass
+class Environment:
+    """A fresh environment, and the project that a user runs it in."""
+
+    folder: Path
+    project: Path
+
+    @property
+    def packages(self) -> Path:
+        return next(self.folder.glob("lib/python*/site-packages"))
+
+    def run(self, program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [str(self.folder / "bin" / program), *arguments],
+            cwd=self.project,
+            env=self.variables,
+            capture_output=True,
+            text=True,
+            timeout=200,
+            check=False,
+        )
+
+    @property
+    def variables(self) -> dict[str, str]:
+        kept = {name: word for name, word in os.environ.items() if not name.startswith("PYTHON")}
+        return {**kept, "PYTHONPATH": str(self.project), "PYTHONDONTWRITEBYTECODE": "1"}
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(command, cwd=ROOT, capture_output=True, check=True)
+    return next(folder.glob("*.whl"))
+
+
+def fresh(wheel: Path, folder: Path) -> Environment:
+    """Install the wheel, and nothing else, beside a project with rooms of the same names."""
+    for room in ROOMS:
+        package = folder / "project" / room
+        package.mkdir(parents=True)
+        (package / "__init__.py").write_text("OWNER = 'the project'\n")
+        # Whatever of ours would be looked for here.
+        for name in ("client", "cli", "jobs", "bundle", "table", "components"):
+            (package / f"{name}.py").write_text("raise RuntimeError('a stranger: ' + __name__)\n")
+    env = Environment(folder / "env", folder / "project")
+    make = [sys.executable, "-m", "venv", "--without-pip", str(env.folder)]
+    subprocess.run(make, capture_output=True, check=True)
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
+    install = ["--python", str(env.folder), "install", "--no-index", "--no-deps", str(wheel)]
+    subprocess.run([*pip, *install], capture_output=True, check=True)
+    return env
+
+
+@pytest.fixture(scope="module")
+def with_server(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
+    """With the third-party packages of the environment that runs the tests."""
+    env = fresh(wheel, tmp_path_factory.mktemp("server"))
+    # A path line adds that folder behind this environment's own and reads none of its .pth files,
+    # so an editable wrenchbook there stays out.
+    paths = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
+    (env.packages / "third_party.pth").write_text("\n".join(sorted(paths)) + "\n")
+    return env
+
+
+@pytest.fixture(scope="module")
+def with_numpy(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
+    """With numpy and no other package."""
+    env = fresh(wheel, tmp_path_factory.mktemp("numpy"))
+    for part in Path(np.__file__).parents[1].glob("numpy*"):
+        (env.packages / part.name).symlink_to(part)
+    return env
+
+
+@pytest.fixture(scope="module")
+def address(with_server: Environment, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of `wrenchbook serve`, run from the project's folder."""
+    folder = tmp_path_factory.mktemp("workspace")
+    command = [str(with_server.folder / "bin/wrenchbook"), "serve", "--data", str(folder)]
+    with (folder / "server.log").open("w") as log:
+        server = subprocess.Popen(
+            [*command, "--port", "0", "--solvers", "1"],
+            cwd=with_server.project,
+            env=with_server.variables,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+        )
+    assert server.stdout is not None
+    try:
+        words = server.stdout.readline().split()
+        assert words, (folder / "server.log").read_text()
+        yield words[-1]
+    finally:
+        server.terminate()
+        server.wait(60)
+        server.stdout.close()
+
+
+def test_the_wheel_puts_no_folder_named_data_among_other_packages(wheel: Path):
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+    tops = {name.partition("/")[0] for name in names if ".dist-info/" not in name}
+    assert tops == {"fea", "service", "surrogate", "wrenchbook.py"}
+    assert "fea/bundle/components/plate_ccx/plate.inp" in names
+
+
+def test_client_and_server_work_beside_a_project_with_a_package_named_service(
+    with_server: Environment, address: str
+):
+    (with_server.project / "simulator.py").write_text(SIMULATOR)
+    run = with_server.run("python", "simulator.py", address)
+    assert run.returncode == 0, run.stderr
+    told = json.loads(run.stdout)
+    assert Path(told["face"]) == with_server.packages / "wrenchbook.py"
+    assert told["client"] == "wrenchbook.client.replies"
+    assert told["owners"] == ["the project", "the project"]
+    assert told["source"] == "fea"
+    assert told["uz"] < 0.0
+    assert told["inserted"] == 2
+    assert told["measured_uz"] == pytest.approx(1e-3, rel=1e-9)
+    assert told["ros"] == {"x": 4.0, "y": 5.0, "z": 6.0}
+
+
+def test_commands_and_their_child_processes_run_the_installed_rooms(
+    with_server: Environment, tmp_path: Path
+):
+    # A private server and a mesh check: each a process that the command starts.
+    listed = with_server.run("wrenchbook", "components", "--json", "--data", str(tmp_path))
+    assert listed.returncode == 0, listed.stderr
+    assert {"bar", "spring"} <= {one["name"] for one in json.loads(listed.stdout)}
+    bundle = with_server.packages / "fea/bundle/components/bar"
+    for command in (["wrenchbook"], ["python", "-m", "wrenchbook"]):
+        checked = with_server.run(*command, "check", str(bundle))
+        assert checked.returncode == 0, checked.stderr
+        assert "ready to solve" in checked.stdout
+
+
+def test_with_numpy_alone_the_client_and_the_conventions_work(with_numpy: Environment):
+    code = (
+        "import sys, wrenchbook\n"
+        "assert 'numpy' not in sys.modules, 'loaded before it was used'\n"
+        "from wrenchbook import Client, ServerUnreachable, conventions\n"
+        "print(conventions.to_drake([1, 2, 3, 4, 5, 6]).tolist())\n"
+        "try:\n"
+        "    Client('http://127.0.0.1:9').components()\n"
+        "except ServerUnreachable as error:\n"
+        "    print(error)\n"
+    )
+    run = with_numpy.run("python", "-c", code)
+    assert run.returncode == 0, run.stderr
+    lines = run.stdout.splitlines()
+    assert lines[0] == "[4.0, 5.0, 6.0, 1.0, 2.0, 3.0]"
+    assert "start a server with: wrenchbook serve" in lines[1]
+
+
+def test_the_command_without_the_servers_packages_says_what_to_install(with_numpy: Environment):
+    run = with_numpy.run("wrenchbook", "serve")
+    assert run.returncode == 1
+    assert "pip install 'wrenchbook[server]'" in run.stderr
+    assert "Traceback" not in run.stderr

@@ -1,0 +1,263 @@
+"""The state of the house: rooms, circles, lengths, duplicates, and what docstrings state.
+
+``make house`` prints it; tests/test_house.py asserts what must hold. Counted are the rooms and the
+public face, not the tests. What each figure means:
+
+* upward imports: imports against a ``layers`` contract of pyproject.toml, also over several steps;
+* circles: groups of modules that import each other, directly or over others, in whatever place of
+  the file the import stands;
+* length of a function: from ``def`` to its last line, docstring, comments and blanks included;
+* duplicates: ten or more lines of code in a row that are the same in two places, token by token,
+  once comments, docstrings, imports and layout are taken away;
+* stated docstrings: of the public functions, methods and dataclasses whose annotations mention an
+  array, those whose docstring states a shape and also a unit, ``dimensionless`` or ``indices``. A
+  dataclass or a function counts once however many arrays it has: one of them stated is enough.
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import re
+import statistics
+import tokenize
+import tomllib
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import grimp
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("fea", "surrogate", "service")
+LONGEST_FUNCTION = 45
+DUPLICATE_LINES = 10
+
+# The annotations that say array in this code: numpy's own and the rooms' names for them.
+ARRAYS = {"ndarray", "NDArray", "ArrayLike", "Array", "Floats", "Vector", "Indices", "Mask"}
+SHAPE = re.compile(r"\b[Ss]hapes?\b|\((?:\w+, ?)+\w*\)")
+UNIT = re.compile(
+    r"(?<![\w'-])(?:N|N·m|m|mm|m\^[234]|rad|deg|Pa|J|kg|s|ms|µs|Hz|N/m|1/m|SI)(?![\w-])"
+    r"|dimensionless|[Uu]nitless|\bindices\b|\bindex\b|\bradians\b"
+)
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+Place = tuple[str, int]
+
+
+@dataclass(frozen=True)
+class Source:
+    """One file: its path below the root, its text and its syntax tree."""
+
+    path: str
+    text: str
+    tree: ast.Module
+
+    @property
+    def room(self) -> str:
+        """The folder it is in."""
+        return str(Path(self.path).parent)
+
+
+@cache
+def sources() -> tuple[Source, ...]:
+    """Read the files of the rooms and the public face."""
+    paths = [ROOT / "wrenchbook.py"]
+    paths += [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
+    texts = [(str(path.relative_to(ROOT)), path.read_text(encoding="utf-8")) for path in paths]
+    return tuple(Source(path, text, ast.parse(text)) for path, text in texts)
+
+
+@cache
+def graph() -> grimp.ImportGraph:
+    """Return who imports whom, imports inside functions and under TYPE_CHECKING included."""
+    return grimp.build_graph(*ROOMS, cache_dir=None)
+
+
+def imports() -> dict[str, set[str]]:
+    """Return the modules that each module imports."""
+    return {name: graph().find_modules_directly_imported_by(name) for name in graph().modules}
+
+
+def circles(imported: Mapping[str, set[str]]) -> list[list[str]]:
+    """Return the groups of modules that import each other (Tarjan 1972: connected components)."""
+    number: dict[str, int] = {}
+    lowest: dict[str, int] = {}
+    stack: list[str] = []
+    found: list[list[str]] = []
+
+    def visit(name: str) -> None:
+        number[name] = lowest[name] = len(number)
+        stack.append(name)
+        for other in imported[name]:
+            if other not in number:
+                visit(other)
+                lowest[name] = min(lowest[name], lowest[other])
+            elif other in stack:
+                lowest[name] = min(lowest[name], number[other])
+        if lowest[name] == number[name]:
+            place = stack.index(name)
+            if len(stack) - place > 1:
+                found.append(sorted(stack[place:]))
+            del stack[place:]
+
+    for name in sorted(imported):
+        if name not in number:
+            visit(name)
+    return found
+
+
+def upward_imports() -> list[str]:
+    """Return the imports against the layers contracts, as ``importer -> imported``."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    found = set()
+    for contract in settings["tool"]["importlinter"]["contracts"]:
+        if contract["type"] != "layers":
+            continue
+        layers = [
+            grimp.Layer(*re.split(r"\s*[|:]\s*", layer.strip("()")), independent="|" in layer)
+            for layer in contract["layers"]
+        ]
+        for wrong in graph().find_illegal_dependencies_for_layers(
+            layers=layers, containers=set(contract.get("containers", ()))
+        ):
+            found |= {
+                " -> ".join([*route.heads, *route.middle, *route.tails]) for route in wrong.routes
+            }
+    return sorted(found)
+
+
+def functions() -> Iterator[tuple[str, int]]:
+    """Yield each function as ``path:line name`` and its length in lines."""
+    for source in sources():
+        for node in ast.walk(source.tree):
+            if isinstance(node, Function):
+                assert node.end_lineno is not None
+                where = f"{source.path}:{node.lineno} {node.name}"
+                yield where, node.end_lineno - node.lineno + 1
+
+
+def long_functions() -> list[tuple[str, int]]:
+    """Return the functions that are longer than allowed, the longest first."""
+    return sorted((one for one in functions() if one[1] > LONGEST_FUNCTION), key=lambda f: -f[1])
+
+
+def duplicates(among: Iterable[Source]) -> list[tuple[Place, Place, int]]:
+    """Return pairs of places (path, line) with the same code, and over how many lines."""
+    files = [(source.path, _code_lines(source)) for source in among]
+    seen: dict[tuple[str, ...], list[tuple[int, int]]] = defaultdict(list)
+    for file, (_, lines) in enumerate(files):
+        for start in range(len(lines) - DUPLICATE_LINES + 1):
+            window = tuple(code for _, code in lines[start : start + DUPLICATE_LINES])
+            seen[window].append((file, start))
+    pairs = {
+        (one, other)
+        for places in seen.values()
+        for number, one in enumerate(places)
+        for other in places[number + 1 :]
+        # A run that repeats itself, such as the rows of a list, is no copy of itself.
+        if one[0] != other[0] or other[1] - one[1] >= DUPLICATE_LINES
+    }
+    found = []
+    for (file, start), (other, place) in sorted(pairs):
+        if ((file, start - 1), (other, place - 1)) in pairs:
+            continue  # inside a longer one that starts before
+        length = DUPLICATE_LINES
+        while (
+            (file, start + length - DUPLICATE_LINES + 1),
+            (other, place + length - DUPLICATE_LINES + 1),
+        ) in pairs:
+            length += 1
+        first = (files[file][0], files[file][1][start][0])
+        found.append((first, (files[other][0], files[other][1][place][0]), length))
+    return found
+
+
+def _code_lines(source: Source) -> list[tuple[int, str]]:
+    """Return (line number, its tokens) of the lines that hold code."""
+    left_out = set()
+    for node in ast.walk(source.tree):
+        is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        if isinstance(node, ast.stmt) and (
+            is_text or isinstance(node, ast.Import | ast.ImportFrom)
+        ):
+            left_out |= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    lines: dict[int, list[str]] = defaultdict(list)
+    layout = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
+    for token in tokenize.generate_tokens(io.StringIO(source.text).readline):
+        if token.type not in layout and token.start[0] not in left_out and token.string.strip():
+            lines[token.start[0]].append(token.string)
+    return [(number, " ".join(tokens)) for number, tokens in sorted(lines.items())]
+
+
+def array_docstrings(among: Iterable[Source]) -> dict[str, bool]:
+    """Return the public names with arrays, and whether their docstring states shape and unit."""
+    found = {}
+    for source in among:
+        for name, node in _public(source.tree.body):
+            if _annotations(node) & ARRAYS:
+                text = ast.get_docstring(node) or ""
+                stated = bool(SHAPE.search(text) and UNIT.search(text))
+                found[f"{source.path}:{node.lineno} {name}"] = stated
+    return found
+
+
+def _public(
+    body: list[ast.stmt], prefix: str = ""
+) -> Iterator[tuple[str, Function | ast.ClassDef]]:
+    for node in body:
+        if not isinstance(node, Function | ast.ClassDef) or node.name.startswith("_"):
+            continue
+        yield prefix + node.name, node
+        if isinstance(node, ast.ClassDef):
+            yield from _public(node.body, f"{node.name}.")
+
+
+def _annotations(node: Function | ast.ClassDef) -> set[str]:
+    """Return the names in a function's annotations, or in those of a class's own fields."""
+    if isinstance(node, ast.ClassDef):
+        parts = [one.annotation for one in node.body if isinstance(one, ast.AnnAssign)]
+    else:
+        every = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+        parts = [one.annotation for one in every] + [node.returns]
+    nodes = [inner for part in parts if part is not None for inner in ast.walk(part)]
+    names = {one.id for one in nodes if isinstance(one, ast.Name)}
+    return names | {one.attr for one in nodes if isinstance(one, ast.Attribute)}
+
+
+def report() -> str:
+    """Lay out all figures."""
+    lengths = sorted(length for _, length in functions())
+    long, same, stated = long_functions(), duplicates(sources()), array_docstrings(sources())
+    rooms = Counter(source.room for source in sources())
+    share = sum(stated.values()) / len(stated)
+    lines = [f"{count:4d} files in {room}" for room, count in sorted(rooms.items())]
+    lines += _list("circles", [" <-> ".join(circle) for circle in circles(imports())])
+    lines += _list("upward imports", upward_imports())
+    lines += [
+        f"{len(lengths)} functions: median {statistics.median(lengths):g} lines, "
+        f"90 % within {lengths[int(0.9 * len(lengths))]}"
+    ]
+    lines += _list(
+        f"functions over {LONGEST_FUNCTION} lines", [f"{size:4d} {name}" for name, size in long]
+    )
+    lines += _list(
+        f"duplicates of {DUPLICATE_LINES} lines or more",
+        [f"{size:4d} {a[0]}:{a[1]} = {b[0]}:{b[1]}" for a, b, size in same],
+    )
+    lines += _list(
+        f"public docstrings with arrays that state shape and unit: {share:.0%} of {len(stated)}; "
+        "without",
+        [name for name, is_stated in stated.items() if not is_stated],
+    )
+    return "\n".join(lines)
+
+
+def _list(title: str, found: list[str]) -> list[str]:
+    return [f"{title}: {len(found)}", *(f"    {one}" for one in found)]
+
+
+if __name__ == "__main__":
+    print(report())

@@ -1,0 +1,66 @@
+"""The public face: what it loads, and that the rooms beside it are the ones that run."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import wrenchbook
+from fea.bundle.shipped import SHIPPED
+from service.files.child import child_command
+
+FACE = Path(wrenchbook.__file__)
+
+
+def run_beside_strangers(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command in a folder whose own fea, surrogate and service are on PYTHONPATH."""
+    for room in ("fea", "surrogate", "service"):
+        (folder / room).mkdir()
+        (folder / room / "__init__.py").write_text("raise RuntimeError('a stranger')\n")
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+
+
+def test_a_name_is_loaded_when_it_is_first_used_and_not_before():
+    code = (
+        "import sys, wrenchbook\n"
+        "print('numpy' in sys.modules, 'wrenchbook.client' in sys.modules)\n"
+        "wrenchbook.conventions.to_ros([0] * 6), wrenchbook.Client\n"
+        "print(sorted(name for name in sys.modules if name in ('fea', 'surrogate', 'service')))\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=FACE.parent, capture_output=True, text=True, check=True
+    )
+    assert run.stdout.split("\n")[:2] == ["False False", "[]"]
+
+
+def test_a_name_that_is_not_there_is_answered_with_those_that_are():
+    with pytest.raises(AttributeError, match=r"has no 'client_'; it has Client, Displacement"):
+        _ = wrenchbook.client_  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_a_child_process_runs_our_rooms_though_strangers_come_first_on_the_path(tmp_path: Path):
+    run = run_beside_strangers(child_command("fea.check", str(SHIPPED / "bar")), tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert '"ok": true' in run.stdout
+
+
+def test_a_process_that_has_a_strangers_package_is_told_to_start_another():
+    code = (
+        "import runpy, sys, types\n"
+        "sys.modules['service'] = stranger = types.ModuleType('service')\n"
+        "stranger.__file__ = 'elsewhere/service.py'\n"
+        f"runpy.run_path({str(FACE)!r})['claim_rooms']()\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 1
+    assert "has imported the package 'service' of elsewhere/service.py" in run.stderr
+    assert "start wrenchbook in a process of its own" in run.stderr

@@ -1,0 +1,59 @@
+"""What must hold of the house, and that the tool which looks at it sees."""
+
+from __future__ import annotations
+
+import ast
+
+from tests import house
+
+TEN_LINES = "\n".join(f"    a{number} = b * {number}" for number in range(10))
+
+
+def source(path: str, text: str) -> house.Source:
+    return house.Source(path, text, ast.parse(text))
+
+
+def test_no_module_imports_another_in_a_circle():
+    assert house.circles(house.imports()) == []
+
+
+def test_no_room_imports_a_room_above_it():
+    assert house.upward_imports() == []
+
+
+def test_no_function_is_longer_than_one_can_read_in_one_go():
+    assert house.long_functions() == []
+
+
+def test_the_public_face_promises_what_it_has():
+    import wrenchbook
+
+    assert set(dir(wrenchbook)) == set(wrenchbook.__all__)
+    assert all(getattr(wrenchbook, name) is not None for name in wrenchbook.__all__)
+
+
+def test_a_circle_over_three_modules_is_seen_once_and_what_hangs_on_it_is_not():
+    imported = {"a": {"b"}, "b": {"c"}, "c": {"a", "d"}, "d": set(), "e": {"a"}}
+    assert house.circles(imported) == [["a", "b", "c"]]
+
+
+def test_the_same_ten_lines_are_seen_whatever_their_layout_and_comments():
+    first = source("first.py", f"def one():\n{TEN_LINES}\n")
+    spaced = TEN_LINES.replace(" * ", "*").replace("\n", "  # why\n\n")
+    second = source("second.py", f"import os\n\n\ndef two():\n{spaced}\n")
+    assert house.duplicates([first, second]) == [(("first.py", 2), ("second.py", 5), 10)]
+    nine = source("second.py", "\n".join(second.text.splitlines()[:-1]))
+    assert house.duplicates([first, nine]) == []
+
+
+def test_a_docstring_with_a_shape_but_no_unit_does_not_state_its_array():
+    text = '''
+def bare(load: Floats) -> None:
+    """Take loads, shape (n, 6)."""
+def stated(load: Floats) -> None:
+    """Take loads, shape (n, 6), N and N·m."""
+def number(load: float) -> None:
+    """Take a number."""
+'''
+    found = house.array_docstrings([source("loads.py", text)])
+    assert found == {"loads.py:2 bare": False, "loads.py:4 stated": True}
