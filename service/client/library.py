@@ -126,13 +126,7 @@ class Library(Connection):
             If rows have mistakes (422): ``errors`` names each by row, field and reason; nothing is
             loaded then.
         """
-        if isinstance(table, str) and table.lstrip()[:1] != "{" and len(table.splitlines()) <= 1:
-            table = Path(table)
-        if isinstance(table, Path):
-            format = format or table_format(table, reading=True)  # noqa: A001
-            table = table.read_bytes()
-        content = table.encode() if isinstance(table, str) else table
-        chosen = _known(format or "csv")
+        chosen, content = _table_file(table, format)
         reply = self.call(
             "POST",
             component_path(name, "table"),
@@ -228,6 +222,15 @@ class Library(Connection):
         except (ServerUnreachable, ServerTimeout, ProblemError):
             return False
         return True
+
+
+def _table_file(table: str | bytes | Path, format_: str | None) -> tuple[str, bytes]:
+    """Return the format and the content of a table given as a file, a path or its content."""
+    if isinstance(table, str) and table.lstrip()[:1] != "{" and len(table.splitlines()) <= 1:
+        table = Path(table)
+    if isinstance(table, Path):
+        return _known(format_ or table_format(table, reading=True)), table.read_bytes()
+    return _known(format_ or "csv"), table.encode() if isinstance(table, str) else table
 
 
 def _known(format_: str) -> str:

@@ -5,7 +5,7 @@ Functions of a file's content: no HTTP, no ledger. What may stand in a file is s
 in `limits`.
 """
 
-from service.tablefile.csvread import DECIMAL_MARKS, read_csv
+from service.tablefile.csvread import read_csv
 from service.tablefile.csvwrite import write_csv
 from service.tablefile.hdf5form import read_hdf5, write_hdf5
 from service.tablefile.jsonform import read_json, write_json
@@ -14,7 +14,6 @@ from service.tablefile.parsed import ParsedTable, RowError, TableRows
 from service.tablefile.units import UnitError, si_factor
 
 __all__ = [
-    "DECIMAL_MARKS",
     "ROTATION_LIMIT",
     "TRANSLATION_LIMIT",
     "ParsedTable",

@@ -8,6 +8,7 @@ comments; blank lines count in the numbering but hold no row. See `header` for t
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 
 from service.tablefile import header as head
@@ -25,7 +26,7 @@ from service.tablefile.header import Header
 from service.tablefile.parsed import ParsedTable, RowError, refused
 from surrogate.rows import LoadRange
 
-DECIMAL_MARKS = (".", ",")
+_LINE_END = re.compile(r"\r\n|\r|\n")
 
 
 @dataclass
@@ -121,7 +122,9 @@ def _take(body: _Body, header: Header, line: int, fields: list[str], delimiter: 
             message += "; is a quotation mark left open?"
         elif len(fields) > width and delimiter == ",":
             message += "; decimal commas need ; between the fields, a comma in a note needs quotes"
-    elif any(_holds_a_row(cell, header, delimiter) for cell in fields if "\n" in cell):
+    elif any("\n" in cell or "\r" in cell for cell in fields) and _holds_rows(
+        fields, header, delimiter
+    ):
         message = "a quoted text holds a whole row of the table; is a quotation mark left open?"
     if message:
         body.errors.append(RowError(line, "line", message))
@@ -130,14 +133,16 @@ def _take(body: _Body, header: Header, line: int, fields: list[str], delimiter: 
         body.fields.append(fields)
 
 
-def _holds_a_row(text: str, header: Header, delimiter: str) -> bool:
-    """Tell whether a line within a quoted text is a row that it has swallowed."""
+def _holds_rows(fields: list[str], header: Header, delimiter: str) -> bool:
+    """Tell whether two lines of a record are rows by themselves: its quote has swallowed some.
+
+    A text of several lines leaves one such line at most, the one that its numbers stand on.
+    """
     places = [column.place for name, column in header.columns.items() if name in head.NUMBERS]
-    for line in text.splitlines()[1:]:
-        cells = line.split(delimiter)
-        if len(cells) > max(places, default=len(cells)) and all(
-            plain(cells[place].replace(",", "."), False) is not None or not cells[place].strip()
-            for place in places
-        ):
-            return any(cells[place].strip() for place in places)
-    return False
+    rows = 0
+    for line in _LINE_END.split(delimiter.join(fields)):
+        cells = [cell.strip().replace(",", ".") for cell in line.split(delimiter)]
+        if len(cells) >= header.width:
+            numbers = [cells[place] for place in places if cells[place]]
+            rows += bool(numbers) and all(plain(number, False) is not None for number in numbers)
+    return rows > 1

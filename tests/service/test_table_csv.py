@@ -272,6 +272,13 @@ def test_an_open_quote_does_not_swallow_the_rows_below_it(body: str, row: int):
     assert "is a quotation mark left open?" in error.message
 
 
+def test_an_open_quote_in_a_first_column_swallows_nothing_either():
+    table = read_csv('note,fx [N],ux [m]\n"first,1,0\nsecond",2,0\n')
+    assert [(error.row, error.field) for error in table.errors] == [(2, "line")]
+    fine = read_csv('note,fx [N],ux [m]\r"first, 1\rsecond",2,0\r')
+    assert (fine.errors, fine.note) == ((), ("first, 1\rsecond",))
+
+
 def test_a_note_of_two_lines_is_no_swallowed_row():
     table = read_csv(NOTED + '1,0,"first, then\nsecond, and third, 4"\n')
     assert table.errors == ()
