@@ -103,8 +103,7 @@ class Library(Connection):
         name : str
             The component.
         table : path, str or bytes
-            A file as a `pathlib.Path`, or as a text its content; a text of one line that is no
-            JSON is taken for a path.
+            A file's path, or its content; a text of one line that is no JSON is a path.
         format : {"csv", "json", "hdf5"}, optional
             By the file's ending if not given; csv for a text.
         dry_run : bool
@@ -115,16 +114,15 @@ class Library(Connection):
         Returns
         -------
         dict
-            ``inserted``, ``existing``, ``errors`` (a list of ``{row, field, message}``),
-            ``dry_run``, ``table_version`` and ``in_use``: whether the rows answer already.
+            ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``dry_run``,
+            ``table_version`` and ``in_use``: whether the rows answer already.
 
         Raises
         ------
         ValueError
             If the file's ending is none of a table's.
         ProblemError
-            If rows have mistakes (422): ``errors`` names each by row, field and reason; nothing is
-            loaded then.
+            If rows have mistakes (422); ``errors`` names them, and nothing is loaded.
         """
         chosen, content = _table_file(table, format)
         reply = self.call(

@@ -153,6 +153,14 @@ def solved(http, wrenches):
     assert workspace.tables.catch_up("plate_thin", 20.0)
 
 
+def answers(http):
+    """Return what 40 random wrenches are answered, with bars and coverage."""
+    wrenches = np.random.default_rng(6).uniform(-40, 40, (40, 6)).tolist()
+    body = {"wrenches": wrenches, "on_thin": "estimate"}
+    reply = http.post("/v1/components/plate_thin/displacements", json=body).json()
+    return [reply[name] for name in ("displacements", "errors", "coverage")]
+
+
 def send(http, path, content, kind, **query):
     return http.post(path, content=content, headers={"content-type": KINDS[kind]}, params=query)
 
@@ -180,6 +188,7 @@ def test_57_solves_exported_and_imported_elsewhere_are_solves_with_their_tangent
         assert (body["inserted"], body["in_use"]) == (57, True)
         first = http.app.state.workspace.ledger.rows("plate_thin")
         second = other.app.state.workspace.ledger.rows("plate_thin")
+        assert answers(other) == answers(http)
     for name in ("wrench", "displacement", "compliance", "uncertainty", "source", "fingerprint"):
         assert [getattr(row, name) for row in first] == [getattr(row, name) for row in second]
     assert {row.source for row in second} == {"fea"}
