@@ -19,6 +19,9 @@ from surrogate.rows import LOAD_UNITS, OUTPUT_UNITS, LoadRange, RowError, Rows
 
 SCHEMA_VERSION = 1
 FORMAT = "wrenchbook table"
+# What an upload may unpack to. A row takes 450 bytes, so that this is half a million rows; a
+# compressed file of a few bytes can declare any size.
+MOST_FOREIGN_BYTES = 256 * 1024 * 1024
 
 CONTRACT = (
     "SI: N, N·m, m, rad. Order: force then moment; translation then rotation. The wrench acts ON "
@@ -197,3 +200,43 @@ def _read_rows(file: h5py.File) -> Rows:
     }
     numbers = {name: _numbers(file, f"rows/{name}") for name in ("seq", *_UNITS)}
     return Rows(**numbers, **words)
+
+
+def read_foreign_table(path: str | os.PathLike[str]) -> Rows:
+    """Read the rows of a table file that somebody else has sent.
+
+    Raises
+    ------
+    TableFileError
+        If it is damaged, foreign, of a newer schema, points to other files, or is larger when read
+        than `MOST_FOREIGN_BYTES`.
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            _check_contained(file)
+    except (OSError, KeyError, TypeError, AttributeError) as error:
+        raise TableFileError(f"is not a readable wrenchbook table ({error})") from error
+    return read_table(path)[0]
+
+
+def _check_contained(file: h5py.File) -> None:
+    """Refuse data outside of the file, and datasets that unpack to more than memory should hold."""
+    room = MOST_FOREIGN_BYTES
+    for folder in ("rows", "load_range"):
+        group = file[folder] if isinstance(file.get(folder, getlink=True), h5py.HardLink) else None
+        if not isinstance(group, h5py.Group):
+            raise TableFileError(f"has no group {folder}: it is no wrenchbook table")
+        for name in group:
+            found = (
+                group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+            )
+            if not isinstance(found, h5py.Dataset) or found.external or found.is_virtual:
+                raise TableFileError(
+                    f"holds {folder}/{name} outside of itself or not as a dataset; send a file "
+                    "that wrenchbook has written"
+                )
+            room -= found.nbytes
+    if room < 0:
+        raise TableFileError(
+            f"unpacks to more than {MOST_FOREIGN_BYTES >> 20} MiB; send the table in parts"
+        )

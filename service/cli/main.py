@@ -15,6 +15,7 @@ from rich.console import Console
 from service.cli import render
 from service.cli.local import LOCAL_COMMANDS
 from service.client import Client, Displacement, Job, ProblemError, ServerUnreachable
+from service.client.library import table_format
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -136,37 +137,45 @@ def fill(
 def import_(
     name: Name,
     file: Annotated[
-        Path, typer.Argument(help="a .csv or .json table", exists=True, dir_okay=False)
+        Path,
+        typer.Argument(help="a .csv, .json, .h5 or .hdf5 table", exists=True, dir_okay=False),
     ],
     dry_run: Annotated[bool, typer.Option(help="only check")] = False,
+    decimal: Annotated[
+        str | None, typer.Option(help="the decimal mark of a CSV: . or ,", metavar="MARK")
+    ] = None,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
     """Load a table from outside: all its rows, or none and the reasons."""
+    table_format(file, reading=True)  # before a server is asked, or started, for nothing
     with connected(server, data) as client:
-        format_ = "json" if file.suffix.lower() == ".json" else "csv"
-        reply = client.import_table(name, file.read_bytes(), format=format_, dry_run=dry_run)
+        reply = client.import_table(name, file, dry_run=dry_run, decimal=decimal)
     render.row_errors(out, reply["errors"])
     verb = "would be inserted" if dry_run else "inserted"
     out.print(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
+    if not (dry_run or reply["errors"] or reply["in_use"]):
+        out.print("The server still builds its table; it answers from the new rows shortly.")
     raise typer.Exit(1 if reply["errors"] else 0)
 
 
 @app.command()
 def export(
     name: Name,
-    file: Annotated[Path, typer.Argument(help="a .csv or .json file; - prints CSV")],
+    file: Annotated[Path, typer.Argument(help="a .csv, .json, .h5 or .hdf5 file; - prints CSV")],
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Write a table to a file."""
+    """Write a table to a file; its ending chooses the format."""
+    printed = str(file) == "-"
+    format_ = "csv" if printed else table_format(file)
     with connected(server, data) as client:
-        text = client.export_table(name, "json" if file.suffix.lower() == ".json" else "csv")
-    if str(file) == "-":
-        sys.stdout.write(text)
+        content = client.export_table(name, format_)
+    if printed:
+        sys.stdout.write(content)
         return
     partial = file.with_name(file.name + ".part")
-    partial.write_text(text, encoding="utf-8")
+    partial.write_bytes(content if isinstance(content, bytes) else content.encode())
     partial.replace(file)
     out.print(f"{file} written.")
 

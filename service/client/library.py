@@ -17,14 +17,29 @@ from .questions import component_path
 _KINDS = {
     "csv": "text/csv; charset=utf-8",
     "json": "application/json",
-    "parquet": "application/vnd.apache.parquet",
     "hdf5": "application/x-hdf5",
 }
-_SUFFIXES = {".csv": "csv", ".txt": "csv", ".tsv": "csv", ".json": "json"} | {
-    ".parquet": "parquet",
-    ".h5": "hdf5",
-    ".hdf5": "hdf5",
-}
+_ENDINGS = {".csv": "csv", ".json": "json", ".h5": "hdf5", ".hdf5": "hdf5"}
+# What loggers call their CSV; an export has no tab form, so these are read only.
+_READ_ENDINGS = _ENDINGS | {".txt": "csv", ".tsv": "csv"}
+
+
+def table_format(file: str | Path, *, reading: bool = False) -> str:
+    """Return the format of a table file by its ending.
+
+    Raises
+    ------
+    ValueError
+        If the ending is none of a table's; the message lists those there are.
+    """
+    endings = _READ_ENDINGS if reading else _ENDINGS
+    suffix = Path(file).suffix
+    if suffix.lower() not in endings:
+        named = f"the ending {suffix}" if suffix else "no ending"
+        raise ValueError(
+            f"{file} has {named}, which is no form of a table; there are {', '.join(endings)}"
+        )
+    return endings[suffix.lower()]
 
 
 class Library(Connection):
@@ -79,6 +94,7 @@ class Library(Connection):
         table: str | bytes | Path,
         format: str | None = None,  # noqa: A002 (the contract's word)
         dry_run: bool = False,
+        decimal: str | None = None,
     ) -> dict[str, Any]:
         """Load a table from outside: all its rows, or none.
 
@@ -87,37 +103,34 @@ class Library(Connection):
         name : str
             The component.
         table : path, str or bytes
-            A file as a `pathlib.Path`, or as a text its content; a text of one line that is no
-            JSON is taken for a path.
-        format : {"csv", "json", "parquet", "hdf5"}, optional
-            By the file's suffix if not given; csv without one.
+            A file's path, or its content; a text of one line that is no JSON is a path.
+        format : {"csv", "json", "hdf5"}, optional
+            By the file's ending if not given; csv for a text.
         dry_run : bool
             Only check: mistakes come back in ``errors`` instead of as a ProblemError.
+        decimal : {".", ","}, optional
+            The decimal mark of a CSV; told from its numbers if not given.
 
         Returns
         -------
         dict
-            ``inserted``, ``existing`` and ``errors``, a list of ``{row, field, message}``.
+            ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``dry_run``,
+            ``table_version`` and ``in_use``: whether the rows answer already.
 
         Raises
         ------
+        ValueError
+            If the file's ending is none of a table's.
         ProblemError
-            If rows have mistakes (422): ``errors`` names each by row, field and reason; nothing is
-            loaded then.
+            If rows have mistakes (422); ``errors`` names them, and nothing is loaded.
         """
-        if isinstance(table, str) and table.lstrip()[:1] != "{" and len(table.splitlines()) <= 1:
-            table = Path(table)
-        if isinstance(table, Path):
-            format = format or _SUFFIXES.get(table.suffix.lower())  # noqa: A001
-            table = table.read_bytes()
-        content = table.encode() if isinstance(table, str) else table
-        chosen = _known(format or "csv")
+        chosen, content = _table_file(table, format)
         reply = self.call(
             "POST",
             component_path(name, "table"),
             content,
             kind=_KINDS[chosen],
-            query={"format": chosen, "dry_run": True if dry_run else None},
+            query={"format": chosen, "dry_run": dry_run or None, "decimal": decimal},
         )
         return reply.json()
 
@@ -133,8 +146,8 @@ class Library(Connection):
         ----------
         name : str
             The component.
-        format : {"csv", "json", "parquet", "hdf5"}
-            Text of the first two, bytes of the others.
+        format : {"csv", "json", "hdf5"}
+            Text of the first two, bytes of the last.
         units : mapping, optional
             For csv, any of ``force``, ``moment``, ``translation``, ``rotation`` to a unit, such as
             ``{"force": "lbf", "translation": "mm"}``; SI otherwise.
@@ -228,6 +241,15 @@ class Library(Connection):
         except (ServerUnreachable, ServerTimeout, ProblemError):
             return False
         return True
+
+
+def _table_file(table: str | bytes | Path, format_: str | None) -> tuple[str, bytes]:
+    """Return the format and the content of a table given as a file, a path or its content."""
+    if isinstance(table, str) and table.lstrip()[:1] != "{" and len(table.splitlines()) <= 1:
+        table = Path(table)
+    if isinstance(table, Path):
+        return _known(format_ or table_format(table, reading=True)), table.read_bytes()
+    return _known(format_ or "csv"), table.encode() if isinstance(table, str) else table
 
 
 def _known(format_: str) -> str:

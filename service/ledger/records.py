@@ -83,7 +83,7 @@ class NewRow:
     compliance : 6 sequences of 6 floats, or None
         Tangent d(displacement)/d(wrench) at the wrench.
     uncertainty : sequence of 6 floats, or None
-        95 % half-width of the displacement, m and rad.
+        95 % half-width of the displacement, m and rad; NaN where unknown, but not all six.
     origin : str
         Free note, such as the file name and line.
     fingerprint : str or None

@@ -83,7 +83,10 @@ def _values(
     measured = job is None and row.source != "fea"
     displacement = pack6(row.displacement, "displacement", partial=measured)
     compliance = None if row.compliance is None else pack36(row.compliance)
-    uncertainty = None if row.uncertainty is None else pack6(row.uncertainty, "uncertainty")
+    # An output whose uncertainty is not known is NaN, which is not 0: exact.
+    uncertainty = (
+        None if row.uncertainty is None else pack6(row.uncertainty, "uncertainty", partial=True)
+    )
     # The compliance is left out of the key: a table exported to CSV comes back without it
     # and is still the same row.
     key = content_key(

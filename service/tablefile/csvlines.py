@@ -5,10 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+from collections.abc import Iterator
 
 _SEPARATOR_LINE = re.compile(r'"?sep=(?P<mark>[,;\t|])"?[,;\t]*\s*', re.IGNORECASE)
 # A line may begin with a spreadsheet's error value; it is a broken row, not a comment.
@@ -20,6 +17,14 @@ _IN_BRACKETS = re.compile(r"\[[^\]]*\]|\([^)]*\)|\"[^\"]*\"")
 
 class UnreadableFileError(ValueError):
     """The bytes are no CSV text; the message says how to save the file."""
+
+
+class BrokenLineError(ValueError):
+    """A record that is no CSV, so that what follows it means nothing; `line` is where it begins."""
+
+    def __init__(self, line: int, message: str) -> None:
+        super().__init__(message)
+        self.line = line
 
 
 def decoded(text: str | bytes) -> str:
@@ -80,8 +85,9 @@ def records(text: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
 
     Raises
     ------
-    csv.Error
-        If a field is longer than 131,072 characters.
+    BrokenLineError
+        If a quotation mark stays open or stands within a quoted field, or a field is longer than
+        131,072 characters.
     """
     fresh = True
 
@@ -92,13 +98,22 @@ def records(text: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
             begins, fresh = fresh, False
             yield "\n" if begins and is_comment(line) else line
 
-    reader = csv.reader(lines(), delimiter=delimiter, skipinitialspace=True)
+    # Strict: without it a quotation mark left open takes the lines below it into its field, and
+    # ends with the file or the next mark, without a word.
+    reader = csv.reader(lines(), delimiter=delimiter, skipinitialspace=True, strict=True)
     before = 0
-    for fields in reader:
-        fresh = True
-        line, before = before + 1, reader.line_num
-        if fields and (fields[0].strip() or any(field.strip() for field in fields)):
-            yield line, fields
+    try:
+        for fields in reader:
+            fresh = True
+            line, before = before + 1, reader.line_num
+            if fields and (fields[0].strip() or any(field.strip() for field in fields)):
+                yield line, fields
+    except csv.Error as error:
+        message = (
+            f"cannot be read as CSV ({error}); is a quotation mark left open? Within a quoted "
+            "text a quotation mark is written twice"
+        )
+        raise BrokenLineError(before + 1, message) from error
 
 
 def is_separator_line(fields: list[str], delimiter: str) -> bool:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import csv
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from decimal import Decimal
 
 import numpy as np
 
 from service.tablefile import header as head
+from service.tablefile.exact import in_unit, quotient
 from service.tablefile.parsed import TableRows, texts_of
 from service.tablefile.units import Quantity, chosen_units
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+_Chosen = dict[Quantity, tuple[str, Decimal]]
 
 
 def write_csv(table: TableRows, units: Mapping[str, str] | None = None) -> str:
@@ -21,12 +22,12 @@ def write_csv(table: TableRows, units: Mapping[str, str] | None = None) -> str:
     Parameters
     ----------
     table : TableRows
-        Rows in SI. Uncertainty columns are there only if one is known (NaN is left empty), source,
-        note and fingerprint only if one is not empty.
+        Rows in SI. Uncertainty and tangent columns are there only if one is known (NaN is left
+        empty), source, note and fingerprint only if one is not empty.
     units : mapping, optional
         Any of ``force``, ``moment``, ``translation``, ``rotation`` to the unit to write in, such as
-        ``{"force": "lbf", "translation": "mm"}``; SI otherwise. In SI each number is written with
-        the digits that give back the same float; in another unit it may move by its last bits.
+        ``{"force": "lbf", "translation": "mm"}``; SI otherwise. In every unit a number is written
+        with the digits that `read_csv` turns into the same float.
 
     Returns
     -------
@@ -40,13 +41,13 @@ def write_csv(table: TableRows, units: Mapping[str, str] | None = None) -> str:
     """
     chosen = chosen_units(units)
     labels: list[str] = []
-    columns: list[Sequence[object]] = []
-    blocks = [(head.WRENCH, table.wrench), (head.DISPLACEMENT, table.displacement)]
-    if np.isfinite(table.uncertainty).any():
-        blocks.append((head.UNCERTAINTY, table.uncertainty))
-    for names, values in blocks:
-        labels += [f"{name} [{chosen[head.quantity_of(name)][0]}]" for name in names]
-        columns += _columns(names, values, chosen)
+    columns: list[Sequence[str]] = []
+    for name, values in _numbers(table):
+        unit, factor = _unit(name, chosen)
+        labels.append(f"{name} [{unit}]")
+        columns.append(
+            ["" if number != number else in_unit(number, factor) for number in values.tolist()]
+        )
     for name, texts in texts_of(table).items():
         labels.append(name)
         columns.append(texts)
@@ -67,15 +68,21 @@ class _Lines(list[str]):
         self.append(line.removesuffix("\r\n") + "\n")
 
 
-def _columns(
-    names: Sequence[str], values: np.ndarray, chosen: dict[Quantity, tuple[str, float]]
-) -> list[Sequence[object]]:
-    """Return six columns of Python floats in the chosen units, an empty text for each NaN."""
-    columns: list[Sequence[object]] = []
-    for index, name in enumerate(names):
-        column = values[:, index] / chosen[head.quantity_of(name)][1]
-        known = column.tolist()
-        if np.isnan(column).any():
-            known = ["" if number != number else number for number in known]
-        columns.append(known)
-    return columns
+def _numbers(table: TableRows) -> list[tuple[str, np.ndarray]]:
+    """Return the number columns of an export by name, each of shape (n,), SI."""
+    blocks = [(head.WRENCH, table.wrench), (head.DISPLACEMENT, table.displacement)]
+    if np.isfinite(table.uncertainty).any():
+        blocks.append((head.UNCERTAINTY, table.uncertainty))
+    if np.isfinite(table.compliance).any():
+        blocks.append((head.COMPLIANCE, table.compliance.reshape(-1, 36)))
+    return [
+        (name, values[:, index]) for names, values in blocks for index, name in enumerate(names)
+    ]
+
+
+def _unit(name: str, chosen: _Chosen) -> tuple[str, Decimal]:
+    """Return the unit a column is written in, and its SI factor."""
+    if name not in head.COMPLIANCE:
+        return chosen[head.quantity_of(name)]
+    (upper, above), (lower, below) = (chosen[of] for of in head.tangent_quantities(name))
+    return head.over(upper, lower), quotient(above, below)

@@ -2,12 +2,12 @@
 
 One form only: ``name [unit]`` (round brackets do as well). Names, in any case: ``fx fy fz mx my
 mz`` (missing ones are zero loads), ``ux uy uz rx ry rz`` (at least one; a missing one, or an empty
-field, was not measured), ``ux_err`` ... ``rz_err``
-(standard uncertainty or error bound, optional) and ``source``, ``note``, ``fingerprint`` (text, no
-unit; the fingerprint names the setup that a solve was made with). Every
-number column names its unit: a rotation without one may be radians or degrees, and a guess would
-be loaded without a word. An unknown column is a mistake, because a misspelt load would count as
-zero.
+field, was not measured), ``ux_err`` ... ``rz_err`` (standard uncertainty or error bound, optional),
+``dux/dfx [m/N]`` ... ``drz/dmz [rad/(N*m)]`` (the 36 tangents of a solve, all or none) and
+``source``, ``note``, ``fingerprint`` (text, no unit; the fingerprint names the setup that a solve
+was made with). Every number column names its unit: a rotation without one may be radians or
+degrees, and a guess would be loaded without a word. An unknown column is a mistake, because a
+misspelt load would count as zero.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from __future__ import annotations
 import difflib
 import re
 from dataclasses import dataclass, field
+from decimal import Decimal
 
+from service.tablefile.exact import quotient
 from service.tablefile.parsed import RowError
 from service.tablefile.units import (
     FORCE,
@@ -30,14 +32,17 @@ from service.tablefile.units import (
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 DISPLACEMENT = ("ux", "uy", "uz", "rx", "ry", "rz")
 UNCERTAINTY = tuple(f"{name}_err" for name in DISPLACEMENT)
+COMPLIANCE = tuple(f"d{output}/d{load}" for output in DISPLACEMENT for load in WRENCH)
 TEXTS = ("source", "note", "fingerprint")
-NUMBERS = (*WRENCH, *DISPLACEMENT, *UNCERTAINTY)
+NUMBERS = (*WRENCH, *DISPLACEMENT, *UNCERTAINTY, *COMPLIANCE)
 
 _QUANTITY: dict[str, Quantity] = {
     name: (FORCE, MOMENT, TRANSLATION, ROTATION, TRANSLATION, ROTATION)[index // 3]
-    for index, name in enumerate(NUMBERS)
+    for index, name in enumerate((*WRENCH, *DISPLACEMENT, *UNCERTAINTY))
 }
-_CELL = re.compile(r"(?P<name>[^\[\](]*?)\s*(?:[\[(](?P<unit>[^\[\]()]*)[\])])?")
+_CELL = re.compile(
+    r"(?P<name>[^\[\](]*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()\[\]]*)\))?"
+)
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,7 @@ class Column:
     place: int
     label: str
     name: str
-    factor: float = 1.0
+    factor: Decimal = Decimal(1)
 
 
 @dataclass
@@ -60,8 +65,19 @@ class Header:
 
 
 def quantity_of(name: str) -> Quantity:
-    """Return what the number column `name` measures."""
+    """Return what the load, displacement or uncertainty column `name` measures."""
     return _QUANTITY[name]
+
+
+def tangent_quantities(name: str) -> tuple[Quantity, Quantity]:
+    """Return what the tangent column `name`, such as ``dux/dfx``, measures over what."""
+    output, load = name.split("/")
+    return _QUANTITY[output[1:]], _QUANTITY[load[1:]]
+
+
+def over(upper: str, lower: str) -> str:
+    """Write a unit over a unit, as a tangent column's: ``mm/lbf``, ``mm/(lbf*in)``."""
+    return f"{upper}/{lower}" if lower.isalpha() else f"{upper}/({lower})"
 
 
 def read_header(cells: list[str], line: int) -> Header:
@@ -96,16 +112,33 @@ def _column(place: int, label: str) -> Column:
     match = _CELL.fullmatch(label)
     if match is None or not match["name"]:
         raise UnitError("is not of the form name [unit], such as fx [N]")
-    name, unit = match["name"].lower(), match["unit"]
+    name, unit = match["name"].lower(), match["square"] or match["round"] or ""
     if name in TEXTS:
         return Column(place, label, name)
     if name not in NUMBERS:
         raise UnitError(_unknown(name))
-    quantity = _QUANTITY[name]
-    if unit is None or not unit.strip():
-        offer = ", ".join(f"{name} [{unit}]" for unit in quantity.examples[:3])
-        raise UnitError(f"has no unit; write for example {offer}")
-    return Column(place, label, name, si_factor(unit.strip(), quantity))
+    if not unit.strip():
+        raise UnitError(f"has no unit; write for example {_examples(name)}")
+    return Column(place, label, name, _factor(name, unit.strip()))
+
+
+def _factor(name: str, unit: str) -> Decimal:
+    """Return what one `unit` of the column `name` is in SI."""
+    if name not in COMPLIANCE:
+        return si_factor(unit, _QUANTITY[name])
+    upper, _, lower = unit.partition("/")
+    output, load = tangent_quantities(name)
+    lower = lower.strip().removeprefix("(").removesuffix(")")
+    if not lower:
+        raise UnitError(f"[{unit}] is not a unit over a unit; write for example {_examples(name)}")
+    return quotient(si_factor(upper.strip(), output), si_factor(lower, load))
+
+
+def _examples(name: str) -> str:
+    if name in COMPLIANCE:
+        output, load = tangent_quantities(name)
+        return f"{name} [{over(output.si, load.si)}]"
+    return ", ".join(f"{name} [{unit}]" for unit in _QUANTITY[name].examples[:3])
 
 
 def _unknown(name: str) -> str:
@@ -114,7 +147,8 @@ def _unknown(name: str) -> str:
     hint = f"; did you mean {near[0]}? Units stand in brackets: fx [N]" if near else ""
     return (
         f"is not a column of a table{hint}. Rename or remove it; there are {' '.join(WRENCH)} "
-        f"{' '.join(DISPLACEMENT)}, a displacement's with _err, source, note, fingerprint"
+        f"{' '.join(DISPLACEMENT)}, a displacement's with _err, {COMPLIANCE[0]} ... "
+        f"{COMPLIANCE[-1]}, source, note, fingerprint"
     )
 
 

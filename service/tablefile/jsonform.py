@@ -1,19 +1,24 @@
 """Tables as JSON: ``{"units": "SI", "rows": [{"wrench": [6], "displacement": [6], ...}]}``.
 
 A displacement that was not measured is null, but not all six. A row may have ``uncertainty`` (six
-numbers, null where unknown), ``source``, ``note`` and ``fingerprint``. Always SI.
+numbers, null where unknown), ``compliance`` (the tangent, six lists of six numbers: a line for each
+of ux uy uz rx ry rz, over fx fy fz mx my mz), ``source``, ``note`` and ``fingerprint``. Always SI.
+An export also names its ``component`` and its ``table_version``; both may stand in an import.
 """
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from service.tablefile.exact import vanished
 from service.tablefile.header import DISPLACEMENT, TEXTS, WRENCH
+from service.tablefile.limits import excesses
 from service.tablefile.parsed import (
     Array,
     ParsedTable,
@@ -21,17 +26,16 @@ from service.tablefile.parsed import (
     TableRows,
     listed,
     refused,
-    rotation_message,
     text_problem,
     texts_of,
-    turned_too_far,
 )
+from surrogate.rows import LoadRange
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-_KEYS = ("wrench", "displacement", "uncertainty", *TEXTS)
+_AROUND = ("units", "rows", "component", "table_version")
+_KEYS = ("wrench", "displacement", "uncertainty", "compliance", *TEXTS)
 _UNKNOWN = (math.nan,) * 6
+_NO_TANGENT = (math.nan,) * 36
+_WIDTH = 18 + 36  # wrench, displacement, uncertainty; compliance
 
 
 @dataclass
@@ -39,18 +43,31 @@ class _Rows:
     """The rows read so far that have no mistake, and the mistakes."""
 
     place: list[int] = field(default_factory=list)
-    numbers: list[tuple[float, ...]] = field(default_factory=list)  # 18 a row
+    numbers: list[tuple[float, ...]] = field(default_factory=list)  # 54 a row
     texts: list[tuple[str, ...]] = field(default_factory=list)
     errors: list[RowError] = field(default_factory=list)
 
 
-def read_json(text: str | bytes) -> ParsedTable:
+class _Vanished(float):
+    """A number of the file that became 0 though it is not."""
+
+
+def place_of(name: str) -> str:
+    """Return where the load or displacement `name` stands in a row: ``wrench[2]`` for fz."""
+    if name in WRENCH:
+        return f"wrench[{WRENCH.index(name)}]"
+    return f"displacement[{DISPLACEMENT.index(name)}]"
+
+
+def read_json(text: str | bytes, *, load_range: LoadRange | None = None) -> ParsedTable:
     """Read a JSON table into SI arrays.
 
     Parameters
     ----------
     text : str or bytes
         The whole file, UTF-8.
+    load_range : LoadRange, optional
+        The component's, N and N·m: loads far beyond it are mistakes (see `limits`).
 
     Returns
     -------
@@ -59,7 +76,7 @@ def read_json(text: str | bytes) -> ParsedTable:
         from 1, `RowError.field` the key, with the index of a number: ``wrench[2]``.
     """
     try:
-        content = json.loads(text)
+        content = json.loads(text, parse_float=_parsed_float)
     except (ValueError, RecursionError) as error:
         return refused([RowError(0, "file", f"is not JSON: {error}")])
     problem = _envelope(content)
@@ -68,17 +85,19 @@ def read_json(text: str | bytes) -> ParsedTable:
     rows = _Rows()
     for place, row in enumerate(content["rows"], start=1):
         _take(rows, place, row)
-    return _table(rows)
+    return _table(rows, load_range)
 
 
-def write_json(table: TableRows) -> str:
+def write_json(table: TableRows, about: Mapping[str, str | int] | None = None) -> str:
     """Write rows as JSON, in SI, with the digits that give back the same floats.
 
     Parameters
     ----------
     table : TableRows
         Rows in SI. What was not measured and an unknown uncertainty (NaN) become null; six unknown
-        uncertainties and an empty text are left out.
+        uncertainties, an unknown tangent and an empty text are left out.
+    about : mapping, optional
+        ``component`` and ``table_version``, to stand beside the rows.
     """
     loads, motions = table.wrench.tolist(), table.displacement.tolist()
     rows: list[dict[str, Any]] = [
@@ -88,11 +107,14 @@ def write_json(table: TableRows) -> str:
     for row, bounds in zip(rows, table.uncertainty.tolist(), strict=True):
         if not all(map(math.isnan, bounds)):
             row["uncertainty"] = _nulls(bounds)
+    for row, tangent in zip(rows, table.compliance.tolist(), strict=True):
+        if not math.isnan(tangent[0][0]):
+            row["compliance"] = tangent
     for name, texts in texts_of(table).items():
         for row, text in zip(rows, texts, strict=True):
             if text:
                 row[name] = text
-    return json.dumps({"units": "SI", "rows": rows}, allow_nan=False)
+    return json.dumps({**(about or {}), "units": "SI", "rows": rows}, allow_nan=False)
 
 
 def _nulls(values: list[float]) -> list[float | None]:
@@ -107,9 +129,10 @@ def _envelope(content: Any) -> RowError | None:
         return RowError(0, "rows", message)
     if content.get("units", "SI") != "SI":
         return RowError(0, "units", "a JSON table is in SI; convert it, or send CSV with units")
-    other = [key for key in content if key not in ("rows", "units")]
+    other = [key for key in content if key not in _AROUND]
     if other:
-        return RowError(0, str(other[0]), "is not a key of a table; there are rows and units")
+        message = f"is not a key of a table; there are {', '.join(_AROUND)}"
+        return RowError(0, str(other[0]), message)
     if not content["rows"]:
         return RowError(0, "rows", "there is no row")
     return None
@@ -129,6 +152,7 @@ def _take(rows: _Rows, place: int, row: Any) -> None:
     numbers = _six(row, "wrench", WRENCH, place, errors)
     numbers += _six(row, "displacement", DISPLACEMENT, place, errors)
     numbers += _bounds(row, place, errors)
+    numbers += _tangent(row, place, errors)
     texts = tuple(_text(row, name, place, errors) for name in TEXTS)
     if errors:
         rows.errors += errors
@@ -158,6 +182,9 @@ def _six(
 
 def _number(value: Any, place: int, where: str, errors: list[RowError]) -> float:
     """Return a finite number, or zero and the error."""
+    if isinstance(value, _Vanished):
+        errors.append(RowError(place, where, "is too small a number and would become 0; write 0"))
+        return 0.0
     # A bool is an int to Python, a number to nobody.
     if type(value) is float or type(value) is int:
         try:
@@ -191,6 +218,31 @@ def _bounds(row: dict[str, Any], place: int, errors: list[RowError]) -> tuple[fl
     return tuple(bounds)
 
 
+def _tangent(row: dict[str, Any], place: int, errors: list[RowError]) -> tuple[float, ...]:
+    """Return the 36 tangents by lines, NaN where the row has none."""
+    lines = row.get("compliance")
+    if lines is None:
+        return _NO_TANGENT
+    if not isinstance(lines, list) or [_length(line) for line in lines] != [6] * 6:
+        message = "is not six lists of six numbers; a row has all 36 tangents or none"
+        errors.append(RowError(place, "compliance", message))
+        return _NO_TANGENT
+    return tuple(
+        _number(value, place, f"compliance[{output}][{load}]", errors)
+        for output, line in enumerate(lines)
+        for load, value in enumerate(line)
+    )
+
+
+def _length(value: Any) -> int | None:
+    return len(value) if isinstance(value, list) else None
+
+
+def _parsed_float(text: str) -> float:
+    number = float(text)
+    return _Vanished(number) if vanished(text, number) else number
+
+
 def _text(row: dict[str, Any], key: str, place: int, errors: list[RowError]) -> str:
     """Return a text, empty if there is none."""
     value = row.get(key)
@@ -205,19 +257,20 @@ def _text(row: dict[str, Any], key: str, place: int, errors: list[RowError]) -> 
     return value.strip()
 
 
-def _table(rows: _Rows) -> ParsedTable:
+def _table(rows: _Rows, load_range: LoadRange | None) -> ParsedTable:
     """Make the arrays and check what concerns a row as a whole."""
-    block: Array = np.array(rows.numbers, dtype=float).reshape(-1, 18)
+    block: Array = np.array(rows.numbers, dtype=float).reshape(-1, _WIDTH)
     good = np.ones(len(block), dtype=bool)
-    for at in turned_too_far(block[:, 6:12]):
-        good[at] = False
-        message = rotation_message(block[at, 9:12])
-        rows.errors.append(RowError(rows.place[at], "displacement", message))
+    for excess in excesses(block[:, :6], block[:, 6:12], load_range):
+        good[excess.at] = False
+        place = rows.place[excess.at]
+        rows.errors.append(RowError(place, place_of(excess.name), excess.message))
     kept = [texts for texts, keep in zip(rows.texts, good, strict=True) if keep]
     return ParsedTable(
         wrench=block[good, :6],
         displacement=block[good, 6:12],
-        uncertainty=block[good, 12:],
+        uncertainty=block[good, 12:18],
+        compliance=block[good, 18:].reshape(-1, 6, 6),
         source=tuple(texts[0] for texts in kept),
         note=tuple(texts[1] for texts in kept),
         fingerprint=tuple(texts[2] for texts in kept),

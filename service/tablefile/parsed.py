@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-
-ROTATION_LIMIT = math.radians(20.0)
-"""Longest rotation vector a table may hold, rad: beyond it the small-deformation contract ends."""
 
 MOST_ERRORS = 1000
 """Errors listed at most; one more line then says that there are more."""
@@ -40,6 +36,11 @@ class TableRows(Protocol):
         ...
 
     @property
+    def compliance(self) -> Array:
+        """Shape (n, 6, 6), m and rad over N and N·m; NaN where unknown."""
+        ...
+
+    @property
     def source(self) -> Iterable[str]:
         """Where each row came from."""
         ...
@@ -63,7 +64,8 @@ class RowError:
     Parameters
     ----------
     row : int
-        CSV: the line of the file, from 1, as an editor counts. JSON: the place in ``rows``, from 1.
+        CSV: the line of the file, from 1, as an editor counts. JSON, HDF5: the place in ``rows``,
+        from 1.
         0: the file as a whole.
     field : str
         The column as the header writes it, or the JSON key with its index.
@@ -95,6 +97,9 @@ class ParsedTable:
         Shape (n, 6), m and rad; NaN where not measured, but never all six.
     uncertainty : numpy.ndarray
         Shape (n, 6), m and rad; NaN where the file gives none.
+    compliance : numpy.ndarray
+        Shape (n, 6, 6), the tangent d(displacement)/d(wrench), m and rad over N and N·m; all of a
+        row or NaN where the file gives none.
     source, note, fingerprint : tuple of str
         One a row; empty where the file gives none.
     row : numpy.ndarray
@@ -106,6 +111,7 @@ class ParsedTable:
     wrench: Array
     displacement: Array
     uncertainty: Array
+    compliance: Array
     source: tuple[str, ...]
     note: tuple[str, ...]
     fingerprint: tuple[str, ...]
@@ -118,8 +124,9 @@ class ParsedTable:
 
 def refused(errors: list[RowError]) -> ParsedTable:
     """Return a table without rows: the file as a whole could not be read."""
-    none = np.empty((0, 6))
-    return ParsedTable(none, none, none, (), (), (), np.empty(0, dtype=np.int64), listed(errors))
+    none, tangents = np.empty((0, 6)), np.empty((0, 6, 6))
+    row = np.empty(0, dtype=np.int64)
+    return ParsedTable(none, none, none, tangents, (), (), (), row, listed(errors))
 
 
 def listed(errors: list[RowError]) -> tuple[RowError, ...]:
@@ -130,29 +137,6 @@ def listed(errors: list[RowError]) -> tuple[RowError, ...]:
         message = f"{more} more errors are not listed; correct these first"
         ordered[MOST_ERRORS:] = [RowError(ordered[MOST_ERRORS].row, "", message)]
     return tuple(ordered)
-
-
-def turned_too_far(displacement: Array) -> Array:
-    """Return the indices of rows whose rotation vector is longer than `ROTATION_LIMIT`.
-
-    Parameters
-    ----------
-    displacement : numpy.ndarray
-        Shape (n, 6), m and rad; NaN (not measured) counts as no turn.
-    """
-    # The last bits of a conversion from degrees must not refuse exactly 20 degrees.
-    with np.errstate(over="ignore"):
-        angle = np.sqrt(np.nansum(displacement[:, 3:] ** 2, axis=1))
-    return np.flatnonzero(angle > ROTATION_LIMIT * (1.0 + 1e-12))
-
-
-def rotation_message(rotation: Array) -> str:
-    """Say that a rotation vector, shape (3,), rad, is too long."""
-    with np.errstate(over="ignore"):
-        degrees = math.degrees(float(np.sqrt(np.nansum(rotation**2))))
-    return (
-        f"the rotation is {degrees:.4g} degrees; a table ends at 20 (check the unit: rad or deg?)"
-    )
 
 
 def text_problem(text: str) -> str | None:

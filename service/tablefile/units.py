@@ -9,12 +9,11 @@ arithmetic either.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from decimal import Context, Decimal, localcontext
 from functools import cache
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from typing import Any
 
 
 class UnitError(ValueError):
@@ -60,10 +59,15 @@ _NEWTON_METRE = re.compile(r"((?:k|m|M|d|da|c|u|µ|μ)?N)((?:m|c|d|k)?m)")
 _PRODUCT = re.compile(r"\s*[*·⋅∙×.\-\s]\s*")
 _WORD = re.compile(r"[A-Za-z_µμ°Å]+")
 _LONGEST = 40
+# Pint's definitions are divisions of 28 digits (an inch is a yard over 36), whose last digits are
+# rounding. 25 digits give every factor that is a decimal number exactly, such as lbf*in, and pi
+# far below what a float64 can tell.
+_DIGITS = Context(prec=25)
+_PINT = Context(prec=50)  # pi as pint writes it
 
 
 @cache
-def si_factor(unit: str, quantity: Quantity) -> float:
+def si_factor(unit: str, quantity: Quantity) -> Decimal:
     """Return what one `unit` is in the SI unit of `quantity`.
 
     Parameters
@@ -76,8 +80,8 @@ def si_factor(unit: str, quantity: Quantity) -> float:
 
     Returns
     -------
-    float
-        Positive factor: SI value = factor times value.
+    Decimal
+        Positive factor of at most 25 digits: SI value = factor times value.
 
     Raises
     ------
@@ -93,13 +97,12 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     if one is None:
         raise UnitError(f"the unit [{unit}] is not known; {_offer(quantity, unit)}")
     # Pint's root units keep the radian, so that a percent is not taken for an angle.
-    root, wanted = one.to_root_units(), si.to_root_units()
-    if root.units != wanted.units:
+    if one.units != si.units:
         raise UnitError(f"[{unit}] is not a unit of {quantity.name}; {_offer(quantity, unit)}")
-    return float(root.magnitude / wanted.magnitude)
+    return _DIGITS.divide(one.magnitude, si.magnitude).normalize(_DIGITS)
 
 
-def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, float]]:
+def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, Decimal]]:
     """Complete the units asked of an export.
 
     Parameters
@@ -118,7 +121,7 @@ def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, f
         If a key is no quantity or a unit does not measure it.
     """
     asked = dict(units or {})
-    chosen: dict[Quantity, tuple[str, float]] = {}
+    chosen: dict[Quantity, tuple[str, Decimal]] = {}
     for quantity in QUANTITIES:
         unit = asked.pop(quantity.name, quantity.si)
         chosen[quantity] = (unit, si_factor(unit, quantity))
@@ -152,10 +155,11 @@ def _offer(quantity: Quantity, unit: str) -> str:
 
 
 def _parsed(text: str) -> Any:
-    """Return one of the unit as a pint quantity, or None if pint does not know it."""
+    """Return one of the unit in pint's root units, or None if pint does not know it."""
     registry = _registry()
     try:
-        return registry.Quantity(1.0, registry.parse_units(text))
+        with localcontext(_PINT):
+            return registry.Quantity(Decimal(1), registry.parse_units(text)).to_root_units()
     # Pint lets through whatever its tokenizer or an offset unit meets (AssertionError, TypeError,
     # TokenError, its own errors): none of them says more than "unknown" to the sender.
     except Exception:
@@ -164,7 +168,10 @@ def _parsed(text: str) -> Any:
 
 @cache
 def _registry() -> Any:
-    """Return pint's registry, made on first use: its import and definitions take 0.3 s."""
+    """Return pint's registry, made on first use."""
+    # Imported late: it and its definitions take 0.3 s, which a server without CSV never spends.
     import pint
 
-    return pint.UnitRegistry()
+    with localcontext(_PINT):
+        # Pint declares this as a kind of float; its documentation offers Decimal.
+        return pint.UnitRegistry(non_int_type=Decimal)  # pyright: ignore[reportArgumentType]

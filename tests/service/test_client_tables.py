@@ -8,8 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from service.cli.main import app
 from service.client import Client, ProblemError
+from service.client.library import table_format
 from tests.service.stub_server import Answer, Stub, running_stub
 
 
@@ -37,6 +40,8 @@ def test_a_table_is_imported_from_a_file_a_text_or_bytes(stub: Stub, client, tmp
     assert {seen.headers["Content-Type"] for seen in stub.seen} == {"text/csv; charset=utf-8"}
     client.import_table("bar", b"{}", format="json", dry_run=True)
     assert stub.seen[-1].path == "/v1/components/bar/table?format=json&dry_run=true"
+    client.import_table("bar", text, decimal=",")
+    assert stub.seen[-1].path == "/v1/components/bar/table?format=csv&decimal=%2C"
     with pytest.raises(ValueError, match="'xlsx' is no form of a table"):
         client.import_table("bar", text, format="xlsx")
     with pytest.raises(FileNotFoundError):
@@ -60,6 +65,58 @@ def test_a_table_is_exported_as_text_in_the_units_asked_for(stub: Stub, client: 
     assert stub.seen[0].path == "/v1/components/bar/table?format=csv&force=lbf"
     stub.answers(Answer(b"\x89HDF", kind="application/x-hdf5"))
     assert client.export_table("bar", "hdf5") == b"\x89HDF"
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("t.csv", "csv"), ("T.JSON", "json"), ("t.h5", "hdf5"), ("t.hdf5", "hdf5")]
+)
+def test_the_format_of_a_table_comes_from_its_ending(name: str, kind: str):
+    assert table_format(name) == table_format(name, reading=True) == kind
+
+
+@pytest.mark.parametrize("name", ["x.parquet", "x.xlsx", "x.tsv", "x", "-"])
+def test_an_ending_that_is_no_tables_is_refused_with_those_there_are(name: str):
+    with pytest.raises(ValueError, match=r"there are \.csv, \.json, \.h5, \.hdf5$"):
+        table_format(name)
+
+
+def test_a_file_of_unknown_ending_is_not_sent_as_csv(stub: Stub, client: Client, tmp_path: Path):
+    file = tmp_path / "table.parquet"
+    file.write_bytes(b"PAR1")
+    with pytest.raises(ValueError, match=r"the ending \.parquet, which is no form of a table"):
+        client.import_table("bar", file)
+    assert stub.seen == []
+
+
+def test_export_to_x_parquet_does_not_write_csv(stub: Stub, tmp_path: Path):
+    target = tmp_path / "x.parquet"
+    run = CliRunner().invoke(app, ["export", "bar", str(target), "--server", stub.url])
+    assert run.exit_code == 1
+    assert "there are .csv, .json, .h5, .hdf5" in str(run.exception)
+    assert stub.seen == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_export_to_x_h5_writes_the_bytes_that_came(stub: Stub, tmp_path: Path):
+    stub.answers(Answer(b"\x89HDF\r\n", kind="application/x-hdf5"))
+    target = tmp_path / "x.h5"
+    run = CliRunner().invoke(app, ["export", "bar", str(target), "--server", stub.url])
+    assert run.exit_code == 0, run.output
+    assert target.read_bytes() == b"\x89HDF\r\n"
+    assert stub.seen[0].path == "/v1/components/bar/table?format=hdf5"
+
+
+def test_import_takes_the_format_from_the_ending_and_the_decimal_mark(stub: Stub, tmp_path: Path):
+    reply = {"inserted": 1, "existing": 0, "errors": [], "dry_run": False, "in_use": False}
+    stub.answers(Answer(reply))
+    for name, kind in (("t.h5", "hdf5"), ("t.tsv", "csv")):
+        file = tmp_path / name
+        file.write_bytes(b"x")
+        arguments = ["import", "bar", str(file), "--decimal", ",", "--server", stub.url]
+        run = CliRunner().invoke(app, arguments)
+        assert run.exit_code == 0, run.output
+        assert stub.seen[-1].path == f"/v1/components/bar/table?format={kind}&decimal=%2C"
+        assert "still builds its table" in run.output
 
 
 def test_a_table_only_component_is_one_json_post(stub: Stub, client: Client):

@@ -3,6 +3,11 @@ import io
 
 import numpy as np
 import pytest
+from starlette.testclient import TestClient
+
+from service.http.app import create_app
+from service.ledger import NewRow
+from service.workspace import Settings
 
 RIG = {"name": "rig", "title": "rig", "range": {"force": [900] * 3, "moment": [90] * 3}}
 CALL = "/v1/components/rig/table"
@@ -130,3 +135,163 @@ def test_a_table_of_unknown_media_type_is_refused_with_what_to_do(rig):
     reply = rig.post(CALL, content=b"x", headers={"content-type": "application/pdf"})
     assert reply.status_code == 415
     assert "text/csv" in reply.json()["detail"]
+
+
+PLATE = "/v1/components/plate_thin/table"
+KINDS = {"csv": "text/csv", "json": "application/json", "hdf5": "application/x-hdf5"}
+
+
+def solved(http, wrenches):
+    """Put rows of solves, with tangents, where a solver would have put them."""
+    workspace = http.app.state.workspace
+    fingerprint = workspace.library["plate_thin"].fingerprint
+    compliance = np.linspace(-1e-6, 1e-6, 36).reshape(6, 6) / 3 + 1e-6 * np.eye(6)
+    rows = [
+        NewRow(w.tolist(), (compliance @ w).tolist(), "fea", compliance.tolist()) for w in wrenches
+    ]
+    assert workspace.ledger.insert_rows("plate_thin", fingerprint, rows) == (len(rows), 0)
+    assert workspace.tables.catch_up("plate_thin", 20.0)
+
+
+def answers(http):
+    """Return what 40 random wrenches are answered, with bars and coverage."""
+    wrenches = np.random.default_rng(6).uniform(-40, 40, (40, 6)).tolist()
+    body = {"wrenches": wrenches, "on_thin": "estimate"}
+    reply = http.post("/v1/components/plate_thin/displacements", json=body).json()
+    return [reply[name] for name in ("displacements", "errors", "coverage")]
+
+
+def send(http, path, content, kind, **query):
+    return http.post(path, content=content, headers={"content-type": KINDS[kind]}, params=query)
+
+
+UNITS = {"force": "lbf", "moment": "in-lbf", "translation": "mm", "rotation": "deg"}
+
+
+def test_an_export_in_lbf_and_mm_into_the_same_table_doubles_no_row(rig):
+    rows = np.random.default_rng(3).uniform(-200, 200, (500, 9)) * [*[1] * 3, *[1e-2] * 6]
+    load(rig, as_csv(rows))
+    for kind in KINDS:
+        text = rig.get(CALL, params={"format": kind, **UNITS}).content
+        body = send(rig, CALL, text, kind).json()
+        assert (body["inserted"], body["existing"]) == (0, 500)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_57_solves_exported_and_imported_elsewhere_are_solves_with_their_tangents(
+    http, tmp_path, kind
+):
+    solved(http, np.random.default_rng(5).uniform(-50, 50, (57, 6)))
+    exported = http.get(PLATE, params={"format": kind, **UNITS}).content
+    with TestClient(create_app(Settings(tmp_path / "elsewhere", solvers=0))) as other:
+        body = send(other, PLATE, exported, kind).json()
+        assert (body["inserted"], body["in_use"]) == (57, True)
+        first = http.app.state.workspace.ledger.rows("plate_thin")
+        second = other.app.state.workspace.ledger.rows("plate_thin")
+        assert answers(other) == answers(http)
+    for name in ("wrench", "displacement", "compliance", "uncertainty", "source", "fingerprint"):
+        assert [getattr(row, name) for row in first] == [getattr(row, name) for row in second]
+    assert {row.source for row in second} == {"fea"}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_solves_of_one_mesh_do_not_pass_for_solves_of_another(http, kind):
+    solved(http, np.eye(6))
+    exported = http.get(PLATE, params={"format": kind}).content
+    reply = send(http, "/v1/components/bar/table", exported, kind)
+    assert reply.status_code == 422
+    assert [error["field"] for error in reply.json()["errors"]] == ["fingerprint"] * 6
+    assert http.get("/v1/components/bar").json()["rows"] == 0
+
+
+def test_a_solve_that_does_not_know_all_outputs_is_refused_by_row(http):
+    fingerprint = http.app.state.workspace.library["plate_thin"].fingerprint
+    row = {"wrench": [1] * 6, "displacement": [0, 0, None, 0, 0, 0], "source": "fea"}
+    reply = http.post(PLATE, json={"rows": [{**row, "fingerprint": fingerprint}]})
+    assert reply.status_code == 422
+    assert [(e["row"], e["field"]) for e in reply.json()["errors"]] == [(1, "source")]
+
+
+def test_an_uncertainty_partly_null_does_not_come_back_as_zero(rig):
+    row = {"wrench": [1] * 6, "displacement": [0] * 6, "uncertainty": [1e-6, None, 0, *[None] * 3]}
+    assert rig.post(CALL, json={"rows": [row]}).json()["inserted"] == 1
+    back = rig.get(CALL, params={"format": "json"}).json()["rows"][0]
+    assert back["uncertainty"] == row["uncertainty"]
+    assert rig.post(CALL, json={"rows": [row]}).json()["existing"] == 1
+
+
+def test_a_load_beyond_10_times_the_range_is_refused_in_every_form(rig):
+    row = {"wrench": [9001, 0, 0, 0, 0, 0], "displacement": [0] * 6}
+    by_json = rig.post(CALL, json={"rows": [row]})
+    by_csv = load(rig, "fx [kN],ux [mm]\n9.001,0\n")
+    for reply, field in ((by_json, "wrench[0]"), (by_csv, "fx [kN]")):
+        assert reply.status_code == 422
+        (error,) = reply.json()["errors"]
+        assert error["field"] == field
+        assert "the component's range is -900 to 900 N" in error["message"]
+
+
+def test_1_234_in_a_semicolon_file_is_asked_for_and_then_taken(rig):
+    text = "fx [N];ux [mm]\n1,234;0\n"
+    assert "decimal=," in load(rig, text).json()["errors"][0]["message"]
+    assert load(rig, text, decimal=",").json()["inserted"] == 1
+    assert rig.get(CALL).json()["rows"][0]["wrench"][0] == 1.234
+    assert load(rig, text, decimal="x").status_code == 422
+    assert rig.post(CALL, json={"rows": []}, params={"decimal": ","}).status_code == 422
+
+
+def test_an_export_names_its_version_and_a_holder_of_it_gets_304(rig):
+    load(rig, as_csv(measured(5)))
+    version = rig.get("/v1/components/rig").json()["table_version"]
+    for kind in KINDS:
+        reply = rig.get(CALL, params={"format": kind})
+        assert reply.headers["etag"] == f'"{version}"'
+        for held in (f'"{version}"', f'"1", W/"{version}"', "*"):
+            again = rig.get(CALL, params={"format": kind}, headers={"if-none-match": held})
+            assert (again.status_code, again.content) == (304, b"")
+            assert again.headers["etag"] == f'"{version}"'
+    assert f"rig-v{version}.h5" in reply.headers["content-disposition"]
+    body = rig.get(CALL, params={"format": "json"}).json()
+    assert (body["component"], body["table_version"]) == ("rig", version)
+    load(rig, as_csv(measured(1, seed=8)))
+    newer = rig.get(CALL, headers={"if-none-match": f'"{version}"'})
+    assert newer.status_code == 200
+    assert len(newer.json()["rows"]) == 6
+
+
+def test_an_import_says_which_version_answers_and_whether_it_has_the_rows(rig, monkeypatch):
+    text = as_csv(measured(5))
+    tried = load(rig, text, dry_run=True).json()
+    assert (tried["dry_run"], tried["in_use"], tried["table_version"]) == (True, False, 0)
+    assert load(rig, text).json() == {
+        "inserted": 5,
+        "existing": 0,
+        "errors": [],
+        "dry_run": False,
+        "in_use": True,
+        "table_version": rig.get("/v1/components/rig").json()["table_version"],
+    }
+    monkeypatch.setattr(rig.app.state.workspace.tables, "catch_up", lambda name, timeout: False)
+    late = load(rig, as_csv(measured(3, seed=8))).json()
+    assert (late["inserted"], late["in_use"]) == (3, False)
+
+
+def test_a_table_that_is_too_large_is_413_without_a_declared_length(rig, monkeypatch):
+    monkeypatch.setattr("service.http.routes.table.MAX_TABLE_BYTES", 1 << 20)
+    pieces = (b"#" * 65536 for _ in range(17))
+    reply = rig.post(CALL, content=pieces, headers={"content-type": "text/csv"})
+    assert reply.status_code == 413
+    assert "Send at most 1 MiB a call" in reply.json()["detail"]
+    assert reply.headers["content-type"] == "application/problem+json"
+
+
+def test_openapi_lists_the_bodies_and_replies_of_both_table_calls(http):
+    calls = http.get("/openapi.json").json()["paths"]["/v1/components/{name}/table"]
+    assert set(calls["post"]["requestBody"]["content"]) == set(KINDS.values())
+    assert set(calls["get"]["responses"]["200"]["content"]) == set(KINDS.values())
+    assert set(calls["get"]["responses"]) == {"200", "304", "404", "422"}
+    assert set(calls["post"]["responses"]) == {"200", "404", "413", "415", "422"}
+    for call in calls.values():
+        for status, reply in call["responses"].items():
+            if status >= "400":
+                assert set(reply["content"]) == {"application/problem+json"}

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from service.tablefile import ParsedTable, RowError, read_csv
+from service.tablefile.header import COMPLIANCE
+from surrogate.rows import LoadRange
 
 SI = (
     "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],"
@@ -109,7 +111,10 @@ def test_three_bad_rows_among_500_are_each_named_by_row_field_and_reason():
         (",0,0,0,0,0,0", "fx [N]", "is empty; write 0 for no load"),
         ("1,,,,,,", "ux [m]", "no displacement is given; a row needs at least one"),
         ("1e999,0,0,0,0,0,0", "fx [N]", "'1e999' is too large a number"),
-        ("1,0,1e308,0,0,0,1e-3", None, ""),
+        ("1,0,1e308,0,0,0,1e-3", "uy [mm]", "the translation is 1e+305 m; a table ends at 10 m"),
+        ("1,1e6,0,0,0,0,0", "ux [m]", "the translation is 1e+06 m; a table ends at 10 m"),
+        ("1,0,1e-400,0,0,0,0", "uy [mm]", "'1e-400' is too small a number and would become 0"),
+        ("-1e-400,0,0,0,0,0,0", "fx [N]", "'-1e-400' is too small a number"),
         ("-inf,0,0,0,0,0,0", "fx [N]", "'-inf' is not finite"),
         ("12 N,0,0,0,0,0,0", "fx [N]", "'12 N' is not a number alone; the unit stands in the"),
         ("1_000,0,0,0,0,0,0", "fx [N]", "'1_000' is not a number"),
@@ -121,13 +126,9 @@ def test_three_bad_rows_among_500_are_each_named_by_row_field_and_reason():
         ("1,0,0,0,0.3,0.2,0.1", "rx [rad]", "the rotation is 21.44 degrees; a table ends at 20"),
     ],
 )
-def test_each_kind_of_bad_row_says_what_to_write(line: str, field: str | None, says: str):
+def test_each_kind_of_bad_row_says_what_to_write(line: str, field: str, says: str):
     header = "fx [N],ux [m],uy [mm],uz [m],rx [rad],ry [rad],rz [rad]"
-    table = read_csv(f"{header}\n{line}\n")
-    if field is None:
-        assert table.errors == ()
-        return
-    error = only_error(table)
+    error = only_error(read_csv(f"{header}\n{line}\n"))
     assert (error.row, error.field) == (2, field)
     assert says in error.message
 
@@ -249,6 +250,111 @@ def test_a_file_of_nothing_but_mistakes_gives_a_list_that_can_be_read():
     table = read_csv(SI + "\n" + "a,b,c,d,e,f,g,h,i,j,k,l\n" * 1000)
     assert len(table.errors) == 1001
     assert table.errors[-1].message == "11000 more errors are not listed; correct these first"
+
+
+NOTED = "fx [N],ux [m],note\n"
+
+
+@pytest.mark.parametrize(
+    ("body", "row"),
+    [
+        ('1,0,"first\n2,0,second\n3,0,third\n', 2),
+        ('1,0,fine\n2,0,"first\n3,0,second\n4,0,"third"\n', 3),
+        ('1,0,"first\n2,0,second"\n', 2),
+        ('1,0,"first\n2,0,second\n3,0,"\n', 2),
+        ('1,0,"a" b\n', 2),
+    ],
+)
+def test_an_open_quote_does_not_swallow_the_rows_below_it(body: str, row: int):
+    table = read_csv(NOTED + body)
+    (error,) = table.errors
+    assert (error.row, error.field) == (row, "line")
+    assert "is a quotation mark left open?" in error.message
+
+
+def test_an_open_quote_in_a_first_column_swallows_nothing_either():
+    table = read_csv('note,fx [N],ux [m]\n"first,1,0\nsecond",2,0\n')
+    assert [(error.row, error.field) for error in table.errors] == [(2, "line")]
+    fine = read_csv('note,fx [N],ux [m]\r"first, 1\rsecond",2,0\r')
+    assert (fine.errors, fine.note) == ((), ("first, 1\rsecond",))
+
+
+def test_a_note_of_two_lines_is_no_swallowed_row():
+    table = read_csv(NOTED + '1,0,"first, then\nsecond, and third, 4"\n')
+    assert table.errors == ()
+    assert table.note == ("first, then\nsecond, and third, 4",)
+
+
+MARKED = "fx [N];ux [mm];note\n"
+
+
+@pytest.mark.parametrize("cell", ["1,234", "-1,234", "1.234"])
+def test_a_mark_that_may_part_thousands_is_asked_for_and_not_guessed(cell: str):
+    error = only_error(read_csv(f"{MARKED}{cell};0;1,5 in a note\n"))
+    assert (error.row, error.field) == (2, "fx [N]")
+    point, bare = cell.replace(",", "."), cell.replace(",", "").replace(".", "")
+    assert f"is {point} or {bare}" in error.message
+    assert "say decimal=" in error.message
+
+
+def test_the_decimal_mark_that_was_asked_for_is_taken():
+    comma = read_csv(f"{MARKED}1,234;0;\n", decimal=",")
+    assert (comma.errors, comma.wrench[0, 0]) == ((), 1.234)
+    assert "a decimal point" in only_error(read_csv(f"{MARKED}1,234;0;\n", decimal=".")).message
+    assert read_csv(f"{MARKED}1.234;0;\n", decimal=".").wrench[0, 0] == 1.234
+    assert "a decimal comma" in only_error(read_csv(f"{MARKED}1.234;0;\n", decimal=",")).message
+    quoted = read_csv('fx [N],ux [mm]\n"1,234",0\n', decimal=",")
+    assert (quoted.errors, quoted.wrench[0, 0]) == ((), 1.234)
+
+
+@pytest.mark.parametrize("other", ["0,5", "1,2", "0,123", "1,2345", "1,234e0", ",5"])
+def test_any_other_number_with_the_mark_tells_what_it_is(other: str):
+    table = read_csv(f"{MARKED}1,234;0;\n{other};0;\n")
+    assert (table.errors, table.wrench[0, 0]) == ((), 1.234)
+
+
+RIG = LoadRange(low=np.array([-900, 0, -50, -90, 0, 0.0]), high=np.array([900, 0, 10, 90, 0, 0]))
+
+
+def test_a_load_beyond_10_times_the_range_is_refused_with_the_range():
+    header = "fx [N],fy [N],fz [N],mx [N*m],ux [m]\n"
+    table = read_csv(f"{header}9000,0,0,0,0\n0,0,-501,0,0\n0,0,0,1e308,0\n", load_range=RIG)
+    assert [(error.row, error.field) for error in table.errors] == [(3, "fz [N]"), (4, "mx [N*m]")]
+    says = "the component's range is -50 to 10 N, and a table ends at 500"
+    assert says in table.errors[0].message
+    assert table.wrench[:, 0].tolist() == [9000.0]
+
+
+def test_a_load_without_a_range_of_its_own_goes_by_the_largest_of_its_kind():
+    header = "fy [N],mx [N*m],ux [m]\n"
+    assert read_csv(f"{header}9000,0,0\n", load_range=RIG).errors == ()
+    assert only_error(read_csv(f"{header}9001,0,0\n", load_range=RIG)).field == "fy [N]"
+    none = LoadRange(low=np.zeros(6), high=np.zeros(6))
+    assert read_csv(f"{header}1e6,0,0\n", load_range=none).errors == ()
+
+
+def test_a_row_has_all_36_tangents_or_none():
+    names = [
+        f"{name} [{'m' if name[1] == 'u' else 'rad'}/{'N' if '/df' in name else '(N*m)'}]"
+        for name in COMPLIANCE
+    ]
+    header = "fx [N],ux [m]," + ",".join(names)
+    tangents = ",".join(str(number) for number in range(36))
+    table = read_csv(f"{header}\n1,0,{tangents}\n1,0{',' * 36}\n")
+    assert table.errors == ()
+    assert table.compliance[0].ravel().tolist() == list(range(36))
+    assert np.isnan(table.compliance[1]).all()
+    error = only_error(read_csv(f"{header}\n1,0,{tangents[:-2]}\n"))
+    assert (error.row, error.field) == (2, "drz/dmz")
+    assert only_error(read_csv("fx [N],ux [m],dux/dfx [m/N]\n1,0,1\n")).field == "dux/dfy"
+
+
+@pytest.mark.parametrize("unit", ["mm/(lbf*in)", "mm/lbf*in", "mm/in-lbf", "mm/ (in lbf)"])
+def test_a_tangent_is_in_a_unit_over_a_unit(unit: str):
+    (error,) = read_csv(f"fx [N],ux [m],dux/dmx [{unit}]\n1,0,1\n").errors
+    assert "all 36" in error.message
+    (error,) = read_csv("fx [N],ux [m],dux/dmx [m]\n1,0,1\n").errors
+    assert "is not a unit over a unit; write for example dux/dmx [m/(N*m)]" in error.message
 
 
 def test_100_000_rows_are_read_in_seconds():

@@ -46,7 +46,10 @@ def test_rows_become_si_arrays():
         ({**ROW, "wrench": [0, None, 0, 0, 0, 0]}, "wrench[1]", "null is not a number"),
         ({**ROW, "wrench": [math.nan, 0, 0, 0, 0, 0]}, "wrench[0]", "is not finite"),
         ({**ROW, "wrench": [10**400, 0, 0, 0, 0, 0]}, "wrench[0]", "is not finite"),
-        ({**ROW, "displacement": [0, 0, 0, 0.3, 0.2, 0]}, "displacement", "a table ends at 20"),
+        ({**ROW, "displacement": [0, 0, 0, 0.3, 0.2, 0]}, "displacement[3]", "a table ends at 20"),
+        ({**ROW, "displacement": [0, 11, 0, 0, 0, 0]}, "displacement[1]", "a table ends at 10 m"),
+        ({**ROW, "compliance": [1] * 36}, "compliance", "is not six lists of six numbers"),
+        ({**ROW, "compliance": [[None] * 6] * 6}, "compliance[0][0]", "null is not a number"),
         ({**ROW, "uncertainty": [-1, 0, 0, 0, 0, 0]}, "uncertainty[0]", "is not negative"),
         ({**ROW, "uncertainty": 1e-6}, "uncertainty", "is not a list of six numbers"),
         ({**ROW, "source": 3}, "source", "is not a text"),
@@ -58,7 +61,8 @@ def test_rows_become_si_arrays():
 )
 def test_each_kind_of_bad_row_is_named_by_its_place_and_key(row: Any, field: str, says: str):
     table = read(ROW, row, ROW)
-    assert [(error.row, error.field) for error in table.errors] == [(2, field)]
+    assert (table.errors[0].row, table.errors[0].field) == (2, field)
+    assert {error.row for error in table.errors} == {2}
     assert says in table.errors[0].message
     assert table.row.tolist() == [1, 3]
 
@@ -82,3 +86,14 @@ def test_a_file_that_is_no_table_says_so(text: str | bytes, field: str, says: st
     assert [(error.row, error.field) for error in table.errors] == [(0, field)]
     assert says in table.errors[0].message
     assert len(table) == 0
+
+
+def test_1e_400_does_not_become_zero():
+    text = json.dumps({"rows": [ROW]}).replace("[1, 2", "[1e-400, 0.0e-5")
+    (error,) = read_json(text).errors
+    assert (error.row, error.field) == (1, "wrench[0]")
+    assert "too small a number and would become 0" in error.message
+
+
+def test_what_an_export_says_about_itself_may_stand_in_an_import():
+    assert read(ROW, component="plate", table_version=17, units="SI").errors == ()

@@ -1,0 +1,113 @@
+"""What OpenAPI says of the table's two calls, whose bodies are read by hand."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+MEDIA_TYPES: Final = {
+    "csv": "text/csv",
+    "json": "application/json",
+    "hdf5": "application/x-hdf5",
+}
+
+_PROBLEM: Final = {
+    "type": "object",
+    "properties": {
+        "type": {"type": "string"},
+        "title": {"type": "string"},
+        "status": {"type": "integer"},
+        "detail": {"type": "string", "description": "what is wrong and what to do"},
+    },
+}
+_ROW_ERROR: Final = {
+    "type": "object",
+    "properties": {
+        "row": {"type": "integer", "description": "line or place, from 1; 0: the whole file"},
+        "field": {"type": "string"},
+        "message": {"type": "string", "description": "what is wrong and what to write"},
+    },
+}
+
+
+def _numbers(count: int, unit: str) -> dict[str, Any]:
+    """Return a list of numbers of which some may be null."""
+    items = {"type": ["number", "null"]}
+    return {
+        "type": "array",
+        "items": items,
+        "minItems": count,
+        "maxItems": count,
+        "description": unit,
+    }
+
+
+_ROW: Final = {
+    "type": "object",
+    "required": ["wrench", "displacement"],
+    "properties": {
+        "wrench": {**_numbers(6, "N and N·m"), "items": {"type": "number"}},
+        "displacement": _numbers(6, "m and rad; null where not measured"),
+        "uncertainty": _numbers(6, "m and rad; null where not known"),
+        "compliance": {
+            "type": "array",
+            "items": {**_numbers(6, "m and rad over N and N·m"), "items": {"type": "number"}},
+            "minItems": 6,
+            "maxItems": 6,
+            "description": "tangent d(displacement)/d(wrench), a line an output",
+        },
+        "source": {"type": "string", "description": "fea, measured ..."},
+        "note": {"type": "string"},
+        "fingerprint": {"type": "string", "description": "the setup that was solved"},
+    },
+}
+_TABLE: Final = {
+    "type": "object",
+    "required": ["rows"],
+    "properties": {
+        "units": {"enum": ["SI"]},
+        "component": {"type": "string"},
+        "table_version": {"type": "integer"},
+        "rows": {"type": "array", "items": _ROW},
+    },
+}
+_FILES: Final = {
+    MEDIA_TYPES["json"]: {"schema": _TABLE},
+    MEDIA_TYPES["csv"]: {"schema": {"type": "string", "description": "units in the header"}},
+    MEDIA_TYPES["hdf5"]: {"schema": {"type": "string", "format": "binary"}},
+}
+_REPLY: Final = {
+    "type": "object",
+    "properties": {
+        "inserted": {"type": "integer"},
+        "existing": {"type": "integer", "description": "rows that were there already"},
+        "errors": {"type": "array", "items": _ROW_ERROR, "description": "with dry_run only"},
+        "dry_run": {"type": "boolean"},
+        "table_version": {"type": "integer", "description": "the version that answers now"},
+        "in_use": {"type": "boolean", "description": "whether the rows answer already"},
+    },
+}
+
+
+def _problem(description: str, **properties: Any) -> dict[str, Any]:
+    schema = {**_PROBLEM, "properties": {**_PROBLEM["properties"], **properties}}
+    return {"description": description, "content": {"application/problem+json": {"schema": schema}}}
+
+
+_ETAG: Final = {"ETag": {"schema": {"type": "string"}, "description": "the table version"}}
+_UNKNOWN: Final = _problem("no such component")
+_ROWS: Final = {"errors": {"type": "array", "items": _ROW_ERROR}}
+
+EXPORT_REPLIES: Final[dict[int | str, dict[str, Any]]] = {
+    200: {"description": "the table", "content": _FILES, "headers": _ETAG},
+    304: {"description": "the version named by If-None-Match is the present one", "headers": _ETAG},
+    404: _UNKNOWN,
+    422: _problem("no such format, or a unit that does not measure its quantity"),
+}
+IMPORT_REPLIES: Final[dict[int | str, dict[str, Any]]] = {
+    200: {"description": "all rows are in", "content": {"application/json": {"schema": _REPLY}}},
+    404: _UNKNOWN,
+    413: _problem("the table is too large; send it in parts"),
+    415: _problem("the content type is no form of a table"),
+    422: _problem("the table has mistakes; nothing was loaded", **_ROWS),
+}
+IMPORT_BODY: Final[dict[str, Any]] = {"requestBody": {"required": True, "content": _FILES}}

@@ -1,0 +1,129 @@
+"""Tables as HDF5: the form of the table store, with what an upload may not be.
+
+The store's own file (`surrogate.store`) is what is sent and taken, so that one file serves both.
+Always SI. It holds no notes.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from service.tablefile.header import DISPLACEMENT
+from service.tablefile.jsonform import place_of
+from service.tablefile.limits import excesses
+from service.tablefile.parsed import (
+    Array,
+    ParsedTable,
+    RowError,
+    TableRows,
+    listed,
+    refused,
+    text_problem,
+)
+from surrogate.rows import LoadRange, Rows
+from surrogate.store import TableMeta, read_foreign_table, write_table
+
+
+def write_hdf5(table: TableRows, seq: Sequence[int], meta: TableMeta) -> bytes:
+    """Return the file of a table.
+
+    Parameters
+    ----------
+    table : TableRows
+        Rows in SI.
+    seq : sequence of int
+        The number of each row in the ledger.
+    meta : TableMeta
+        What the file says about its rows.
+    """
+    rows = Rows.of(
+        table.wrench,
+        table.displacement,
+        seq=np.array(seq, dtype=np.int64),
+        uncertainty=table.uncertainty,
+        compliance=table.compliance,
+        source=list(table.source),
+        fingerprint=list(getattr(table, "fingerprint", ())),
+    )
+    with tempfile.TemporaryDirectory(prefix="wrenchbook-") as folder:
+        path = Path(folder) / "table.h5"
+        write_table(path, rows, meta)
+        return path.read_bytes()
+
+
+def read_hdf5(content: bytes, *, load_range: LoadRange | None = None) -> ParsedTable:
+    """Read an HDF5 table into SI arrays.
+
+    Parameters
+    ----------
+    content : bytes
+        The whole file.
+    load_range : LoadRange, optional
+        The component's, N and N·m: loads far beyond it are mistakes (see `limits`).
+
+    Returns
+    -------
+    ParsedTable
+        The rows without a mistake, and all mistakes. `RowError.row` is the place in the file's
+        columns, from 1, `RowError.field` as for JSON.
+    """
+    with tempfile.TemporaryDirectory(prefix="wrenchbook-") as folder:
+        path = Path(folder) / "upload.h5"
+        path.write_bytes(content)
+        try:
+            rows = read_foreign_table(path)
+        except (ValueError, RuntimeError, OSError) as error:
+            return refused([RowError(0, "file", str(error))])
+    if not len(rows):
+        return refused([RowError(0, "file", "there is no row")])
+    beyond = [
+        RowError(excess.at + 1, place_of(excess.name), excess.message)
+        for excess in excesses(rows.wrench, rows.displacement, load_range)
+    ]
+    return _table(rows, [*_numbers(rows), *_texts(rows), *beyond])
+
+
+def _numbers(rows: Rows) -> list[RowError]:
+    """Name uncertainties below zero or infinite, and tangents that are not whole."""
+    errors = []
+    bounds = rows.uncertainty
+    for at, output in np.argwhere(np.isinf(bounds) | (bounds < 0.0)).tolist():
+        message = f"{bounds[at, output]}: an uncertainty of {DISPLACEMENT[output]} is 0 or more"
+        errors.append(RowError(at + 1, f"uncertainty[{output}]", message))
+    tangents: Array = rows.compliance.reshape(-1, 36)
+    broken = ~np.isfinite(tangents).all(axis=1) & ~np.isnan(tangents).all(axis=1)
+    for at in np.flatnonzero(broken).tolist():
+        message = "is not 36 finite numbers; a row has all 36 tangents or none (NaN)"
+        errors.append(RowError(at + 1, "compliance", message))
+    return errors
+
+
+def _texts(rows: Rows) -> list[RowError]:
+    return [
+        RowError(at, name, problem)
+        for name in ("source", "fingerprint")
+        for at, text in enumerate(getattr(rows, name).tolist(), start=1)
+        if (problem := text_problem(text))
+    ]
+
+
+def _table(rows: Rows, errors: list[RowError]) -> ParsedTable:
+    """Keep the rows that no error names."""
+    place = np.arange(1, len(rows) + 1)
+    kept = ~np.isin(place, [error.row for error in errors])
+    good = rows.take(kept)
+    return ParsedTable(
+        wrench=good.wrench,
+        displacement=good.displacement,
+        uncertainty=good.uncertainty,
+        compliance=good.compliance,
+        source=tuple(str(text).strip() for text in good.source),
+        note=("",) * len(good),
+        fingerprint=tuple(str(text).strip() for text in good.fingerprint),
+        row=place[kept],
+        errors=listed(errors),
+    )
