@@ -64,3 +64,13 @@ def test_a_process_that_has_a_strangers_package_is_told_to_start_another():
     assert run.returncode == 1
     assert "has imported the package 'service' of elsewhere/service.py" in run.stderr
     assert "start wrenchbook in a process of its own" in run.stderr
+
+
+def test_every_python_process_is_started_in_the_one_way_that_finds_our_rooms():
+    files = [
+        path
+        for room in ("fea", "surrogate", "service")
+        for path in FACE.parent.glob(f"{room}/**/*.py")
+    ]
+    starters = [path.name for path in files if "sys.executable" in path.read_text(encoding="utf-8")]
+    assert starters == ["child.py"]

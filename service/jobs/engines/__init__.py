@@ -1,6 +1,7 @@
 """Engines: where solvers run. They only execute; what counts is decided by the ledger.
 
-Every engine runs ``python -m service.jobs.solve_attempt FOLDER`` somewhere that sees the folder.
+Every engine runs `service.jobs.solve_attempt` FOLDER, as `child_command` puts it, somewhere that
+sees the folder.
 """
 
 from service.jobs.engines.engine import Engine, EngineError, State
