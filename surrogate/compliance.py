@@ -12,7 +12,7 @@ from surrogate.rows import Floats, LoadRange, Rows
 
 RANK = 1e-9  # relative singular value below which the rows do not tell a load
 LONE = 1e-6  # of a row's own weight in its prediction: with less to spare the others do not tell it
-LEAST = 1e-12  # of the largest displacement of its kind: rounding, the least bar of any answer
+LEAST = 1e-15  # of the largest displacement of its kind: rounding, the least bar of any answer
 SMALLEST = 1e-30  # m and rad: where nothing moves at all; its square is still a number
 
 
