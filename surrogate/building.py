@@ -111,6 +111,8 @@ def _read_at_zero(table: AxisTable) -> list[tuple[Floats, Floats, Floats]]:
     if found[0] < 0:
         return []
     moved, bars, bends = table.read_six(found, origin)
+    # Zero is on the line of one moment alone, and errs to the side that this line does.
+    bars[0, 3:] = np.hypot(bars[0, 3:], table.lean)
     return [(moved[0], bars[0], bends[0])]
 
 
