@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.coverage import over_tolerance
-from surrogate.rows import Floats, Tolerance
+from surrogate.rows import OUTPUT_SYMBOLS, OUTPUT_UNITS, Floats, Tolerance
+
+COVERED, THIN, OUTSIDE = 0, 1, 2
+NAMES = ("covered", "thin", "outside")
 
 COMPOSED = ("tangent", "rbf", "corrected", "auto")  # read where griddata is covered
 METHODS = ("griddata", *COMPOSED, "linear", "nearest")
+
+
+class UnknownMethodError(ValueError):
+    """A method that is none of `METHODS`; the text names those."""
+
+    def __init__(self, method: str) -> None:
+        super().__init__(f"unknown method {method!r}: one of {', '.join(METHODS)}")
 
 
 class Answer(NamedTuple):
@@ -29,6 +39,9 @@ class Answer(NamedTuple):
         Why not covered; empty if covered.
     method : str
         One of `METHODS`, "row" (one row has just this wrench) or "estimate".
+    missing : tuple of str
+        The outputs, by their names in `OUTPUTS`, that no row tells: None in the other two, and
+        no part of what `coverage` says.
     """
 
     displacement: tuple[float, ...] | None
@@ -36,6 +49,7 @@ class Answer(NamedTuple):
     coverage: str
     reason: str
     method: str
+    missing: tuple[str, ...] = ()
 
 
 class Batch(NamedTuple):
@@ -60,6 +74,24 @@ def judged(
     tolerance: Tolerance | None,
     method: str,
 ) -> Answer:
-    """Return a covered answer, or a thin one if its error bars are over the tolerance."""
+    """Return a covered answer, or a thin one if its error bars are over the tolerance.
+
+    Displacement and error are six numbers each, m and rad.
+    """
     reason = over_tolerance(error, tolerance) if tolerance is not None else ""
     return Answer(displacement, error, "thin" if reason else "covered", reason, method)
+
+
+def over_tolerance(error: Sequence[float], tolerance: Tolerance) -> str:
+    """Return why error bars (6,), m and rad, are over the tolerance, or an empty text."""
+    worst, name = 1.0, ""
+    for output in range(6):
+        allowed = tolerance.translation if output < 3 else tolerance.rotation
+        if error[output] > worst * allowed:
+            worst = error[output] / allowed
+            unit = OUTPUT_UNITS[output]
+            name = (
+                f"the error bar of {OUTPUT_SYMBOLS[output]}, {error[output]:.2g} {unit}, "
+                f"is over the tolerance, {allowed:.2g} {unit}"
+            )
+    return name

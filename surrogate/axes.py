@@ -6,19 +6,16 @@ Axis i of a cyclic order (i, j, k) has the inputs (F_i, M_j, M_k) and the output
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrogate.compliance import ComplianceFit
-from surrogate.rows import Floats, LoadRange, Rows
+from surrogate.merging import close_groups
+from surrogate.rows import CLEAN, Floats, LoadRange, Rows
 
 OffAxis = Literal["correct", "ignore", "exclude"]
-
-CLEAN = 1e-9  # of the load range: a load below it counts as none
-SAME = 12  # decimals, in scaled units, to which two inputs are one point
 
 
 class Axis(NamedTuple):
@@ -113,24 +110,24 @@ def _merge(
     clean: NDArray[np.bool_],
     used: NDArray[np.bool_],
 ) -> AxisRows:
-    """Merge the used rows whose points coincide, in an order that the rows' order cannot change."""
+    """Merge the used rows whose points are one, in an order that the rows' order cannot change."""
     inputs = list(axis.inputs)
     scaled = rows.wrench[:, inputs] / load_range.scale[inputs]
     places = np.flatnonzero(used)
-    # + 0.0 turns -0.0 into 0.0, which a byte-wise comparison would keep apart
-    keys = np.round(scaled[places], SAME) + 0.0
-    _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    group = group.reshape(-1)
-    order = places[np.lexsort((rows.seq[places], group))]
-    bounds = np.searchsorted(np.sort(group), np.arange(len(first) + 1))
-    members = tuple(_trusted(order[start:end], clean) for start, end in pairwise(bounds))
+    group = close_groups(scaled[places])
+    # A group's point is that of a clean row, if it has one, and the outermost: the hull stays.
+    far = -(scaled[places] ** 2).sum(axis=1)
+    order = places[np.lexsort((rows.seq[places], far, ~clean[places], group))]
+    bounds = np.searchsorted(np.sort(group), np.arange(int(group.max(initial=-1)) + 2))
+    order_of = np.lexsort(scaled[order[bounds[:-1]]].T[::-1])
+    members = tuple(_trusted(order[bounds[k] : bounds[k + 1]], clean) for k in order_of.tolist())
+    first = np.array([each[0] for each in members], dtype=np.intp)
     stored = np.nan_to_num(rows.uncertainty)
-    means = displacement[places[first]]
-    spreads = stored[places[first]]
+    means, spreads = displacement[first], stored[first]
     tangent = rows.compliance[:, :, inputs] * load_range.scale[inputs]
     tangent[~clean] = np.nan  # a full wrench's tangent is not that of its axis' loads alone
-    slopes = tangent[np.array([m[0] for m in members], dtype=np.intp)]
-    for point in np.flatnonzero(np.diff(bounds) > 1):
+    slopes = tangent[first]
+    for point in np.flatnonzero(np.diff(bounds)[order_of] > 1):
         chosen = list(members[point])
         means[point] = displacement[chosen].mean(axis=0)
         slopes[point] = tangent[chosen].mean(axis=0)
@@ -138,11 +135,11 @@ def _merge(
         spreads[point] = np.maximum(spread, stored[chosen].max(axis=0))
     return AxisRows(
         axis=axis,
-        points=scaled[places[first]].reshape(-1, 3),
+        points=scaled[first].reshape(-1, 3) + 0.0,
         displacement=means.reshape(-1, 6),
         uncertainty=spreads.reshape(-1, 6),
-        members=members,
-        clean=np.array([clean[m[0]] for m in members], dtype=bool),
+        members=tuple(tuple(sorted(each)) for each in members),
+        clean=clean[first],
         tangent=slopes.reshape(-1, 6, 3),
     )
 

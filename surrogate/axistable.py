@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from surrogate.axes import AxisRows
 from surrogate.errorbar import RowBars, calibrate
+from surrogate.hull import nearest_in_hull
 from surrogate.interpolant import Indices, Interpolant
 from surrogate.momentline import MomentLine
 from surrogate.rows import Floats, LoadRange
@@ -41,6 +45,24 @@ class Reading(NamedTuple):
     def bars(self) -> Floats:
         """The error bars, shape (k, 4)."""
         return np.abs(self.bends) + self.rest
+
+
+class Beyond(NamedTuple):
+    """Six outputs estimated outside the hull at k scaled inputs.
+
+    Attributes
+    ----------
+    displacement, bars : ndarray, shape (k, 6), m and rad
+    simplices : ndarray of int, shape (k,)
+        Those that hold the hull's nearest point.
+    aside : ndarray of bool, shape (k, 3)
+        Which loads lead off the plane, the line or the point that all rows lie in.
+    """
+
+    displacement: Floats
+    bars: Floats
+    simplices: Indices
+    aside: NDArray[np.bool_]
 
 
 class AxisTable:
@@ -89,7 +111,11 @@ class AxisTable:
         self.sound = len(rows.points) >= self.fewest
         self.find = self._finder()
         self.lean = self._line_lean()
-        self.line = MomentLine(self) if self.interpolant.dimension == 3 else None
+        self.line = (
+            MomentLine(self.interpolant, self.pieces, self.weak_at, self.bending)
+            if self.interpolant.dimension == 3
+            else None
+        )
 
     def _finder(self):
         """Return the cheapest point location: qhull's own in three dimensions."""
@@ -165,6 +191,87 @@ class AxisTable:
             part = slice(start, start + CHUNK)
             self._read_part(simplices[part], x[part], Reading(*(each[part] for each in reading)))
         return reading
+
+    def read_six(self, simplices: Indices, x: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return all six outputs, bars and bends, each (k, 6), m and rad, at scaled inputs (k, 3).
+
+        The two translations that are not the axis' own have no calibrated bar: how much they vary
+        over the simplex stands in for it.
+        """
+        corners = self.rows.displacement[self.interpolant.simplices[simplices]]
+        shares = self.interpolant.barycentric(simplices, x)
+        moved, bars = np.einsum("kd,kdq->kq", shares, corners), np.ptp(corners, axis=1)
+        reading, outputs = self.read(simplices, x), list(self.axis.outputs)
+        bends = np.zeros_like(moved)
+        moved[:, outputs], bars[:, outputs] = reading.outputs, reading.bars
+        bends[:, outputs] = reading.bends
+        return moved, bars, bends
+
+    def beyond(self, x: Floats, columns: Floats) -> Beyond:
+        """Estimate outside the hull: the value at its nearest point, and the slope from there.
+
+        Parameters
+        ----------
+        x : ndarray, shape (k, 3), dimensionless
+            Scaled inputs outside the hull.
+        columns : ndarray, shape (6, 3), m and rad
+            The fitted compliance per scaled input, for what no row of this axis varies.
+        """
+        shape = self.interpolant
+        start = nearest_in_hull(self._hull, x)
+        simplices = shape.locate(start)
+        lost = np.flatnonzero(simplices < 0)  # on a hull of slivers: some simplex of that vertex
+        if len(lost):
+            simplices[lost] = self._simplex_of[shape.nearest(start[lost])]
+        moved, bars, _ = self.read_six(simplices, start)
+        shares = np.clip(shape.barycentric(simplices, start), 0.0, 1.0)
+        shares /= shares.sum(axis=1, keepdims=True)
+        off_span = np.eye(3) - shape.basis.T @ shape.basis
+        known, slopes = self._slopes
+        slopes = slopes + np.where(known[:, None, None], 0.0, columns @ off_span)
+        slope = np.einsum("kd,kdqi->kqi", shares, slopes[shape.simplices[simplices]])
+        step = x - start
+        moved += np.einsum("kqi,ki->kq", slope, step)
+        steepest = np.maximum(np.abs(slope), np.abs(columns))
+        bars = bars + np.einsum("kqi,ki->kq", steepest, np.abs(step))
+        return Beyond(moved, bars, simplices, np.abs(step @ off_span) > shape.slack)
+
+    @cached_property
+    def _hull(self) -> Floats:
+        """The points that may be vertices of the hull, shape (h, 3), scaled."""
+        points, dimension = self.interpolant.points, self.interpolant.dimension
+        if dimension < 2:
+            return points
+        flat = (points - self.interpolant.origin) @ self.interpolant.basis.T
+        try:
+            return points[ConvexHull(flat).vertices]
+        except QhullError:
+            return points
+
+    @cached_property
+    def _simplex_of(self) -> Indices:
+        """One simplex at each point, shape (n,)."""
+        found = np.zeros(len(self.rows.points), dtype=np.intp)
+        found[self.interpolant.simplices] = np.arange(len(self.interpolant.simplices))[:, None]
+        return found
+
+    @cached_property
+    def _slopes(self) -> tuple[NDArray[np.bool_], Floats]:
+        """Which points bring a tangent, (n,), and all points' slopes, (n, 6, 3), m and rad.
+
+        Without a tangent it is the mean of the simplices' slopes around, by their volumes. Slopes
+        at points, rather than in simplices, are what makes estimates continuous outside the hull.
+        """
+        shape, moved = self.interpolant, self.rows.displacement
+        weight = np.where(shape.degenerate, 0.0, shape.volumes)
+        own = weight[:, None, None] * shape.gradients(moved)
+        total, size = np.zeros((len(moved), 6, 3)), np.zeros(len(moved))
+        for corner in shape.simplices.T:
+            np.add.at(total, corner, own)
+            np.add.at(size, corner, weight)
+        slopes = total / np.maximum(size, np.finfo(float).tiny)[:, None, None]
+        known = np.asarray(np.isfinite(self.rows.tangent).all(axis=(1, 2)), dtype=bool)
+        return known, np.where(known[:, None, None], self.rows.tangent, slopes)
 
     def _read_part(self, simplices: Indices, x: Floats, into: Reading) -> None:
         apart = x - self.interpolant.anchors.take(simplices, axis=0)

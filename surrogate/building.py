@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,8 +11,8 @@ from numpy.typing import NDArray
 
 from surrogate.axes import AXES, CLEAN, AxisRows, OffAxis, axis_rows, clean_rows
 from surrogate.axistable import AxisTable
-from surrogate.compliance import ComplianceFit
-from surrogate.composition import Composition
+from surrogate.compliance import LEAST, SMALLEST, ComplianceFit
+from surrogate.composition import AtRest, Composition
 from surrogate.influence import Influence, fit_output, monomials, shown_by
 from surrogate.leftout import LeftOut, across_axes, acting_together
 from surrogate.rows import Floats, LoadRange, Rows
@@ -29,7 +30,7 @@ def build_composition(
     """Build the three axes with calibrated error bars, and calibrate what they leave out."""
     composition = axes_of(rows, load_range, fit, off_axis)
     left_out = _left_out(composition, rows, load_range, fit, off_axis)
-    return Composition(composition.tables, composition.zero, left_out)
+    return Composition(composition.tables, composition.rest, left_out)
 
 
 def axes_of(
@@ -46,7 +47,7 @@ def axes_of(
         table = AxisTable(chosen, load_range, repeatable=repeatable) if len(chosen.points) else None
         tables.append(table)
     silent = LeftOut(tuple(load_range.scale.tolist()))
-    return Composition(tables, zero_displacement(rows, load_range), silent)
+    return Composition(tables, at_rest(rows, load_range, tables), silent)
 
 
 def _worth_joining(
@@ -72,10 +73,47 @@ def _worth_joining(
     return joined.take(joined.clean | ~better)
 
 
-def zero_displacement(rows: Rows, load_range: LoadRange) -> list[float]:
-    """Return the mean displacement, m and rad, of the rows at zero load, or zeros."""
+def at_rest(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable | None]) -> AtRest:
+    """Return what the component does without load, as the rows or else the axes tell it.
+
+    Measured tables have offsets, and not all have a row at zero load. Where nothing tells it, it is
+    taken to be zero, and may be as wrong as the rows' displacements are large.
+    """
+    none = (0.0,) * 6
+    if not len(rows):
+        return AtRest(none, none, none, none, known=False)
+    largest = np.abs(rows.displacement).max(axis=0)
+    kinds = np.repeat([largest[:3].max(), largest[3:].max()], 3)
+    rounding = tuple(np.maximum(LEAST * kinds, SMALLEST).tolist())
     unloaded = (np.abs(rows.wrench) <= CLEAN * load_range.scale).all(axis=1)
-    return rows.displacement[unloaded].mean(axis=0).tolist() if unloaded.any() else [0.0] * 6
+    if unloaded.any():
+        moved = rows.displacement[unloaded].mean(axis=0)
+        doubt = np.nan_to_num(rows.uncertainty[unloaded]).max(axis=0)
+        return AtRest(tuple(moved.tolist()), tuple(doubt.tolist()), none, rounding, known=True)
+    read = [found for table in tables if table is not None for found in _read_at_zero(table)]
+    if not read:
+        return AtRest(none, tuple(largest.tolist()), none, rounding, known=False)
+    moved, bars, bends = (np.array(each) for each in zip(*read, strict=True))
+    spread = np.maximum(np.ptp(moved, axis=0) / 2, bars.mean(axis=0))
+    return AtRest(
+        tuple(moved.mean(axis=0).tolist()),
+        tuple(spread.tolist()),
+        tuple(bends.mean(axis=0).tolist()),
+        rounding,
+        known=True,
+    )
+
+
+def _read_at_zero(table: AxisTable) -> list[tuple[Floats, Floats, Floats]]:
+    """Return outputs, bars and bends, (6,) each, at zero load, or nothing outside the hull."""
+    origin = np.zeros((1, 3))
+    found = table.interpolant.locate(origin)
+    if found[0] < 0:
+        return []
+    moved, bars, bends = table.read_six(found, origin)
+    # Zero is on the line of one moment alone, and errs to the side that this line does.
+    bars[0, 3:] = np.hypot(bars[0, 3:], table.lean)
+    return [(moved[0], bars[0], bends[0])]
 
 
 def _left_out(

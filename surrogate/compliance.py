@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surrogate.conformal import conformal_factor
 from surrogate.rows import Floats, LoadRange, Rows
 
 RANK = 1e-9  # relative singular value below which the rows do not tell a load
+LONE = 1e-6  # of a row's own weight in its prediction: with less to spare the others do not tell it
+LEAST = 1e-15  # of the largest displacement of its kind: rounding, the least bar of any answer
+SMALLEST = 1e-30  # m and rad: where nothing moves at all; its square is still a number
 
 
 @dataclass(frozen=True)
@@ -46,10 +50,22 @@ def fit_compliance(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compli
     tangent at each row, and what its rows share is the least-squares secant; tangents only fill
     the columns of loads which no row tells.
     """
+    fit = _fit(rows, load_range, linear=linear)
+    if not len(rows):
+        return fit
+    # Rounding errs too: no bar is 0.
+    full = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
+    moved = np.maximum(np.abs(rows.displacement).max(axis=0), np.abs(fit.matrix) @ full)
+    kinds = np.repeat([moved[:3].max(), moved[3:].max()], 3)
+    least = np.maximum(LEAST * kinds, SMALLEST)
+    return replace(fit, bar=np.maximum(fit.bar, least))
+
+
+def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
     stored = rows.compliance[np.isfinite(rows.compliance).all(axis=(1, 2))]
     if linear and len(stored):
         return _from_stored(stored, load_range)
-    fit = _from_rows(rows, load_range)
+    fit = _from_rows(rows, load_range, linear=linear)
     if len(stored) and not fit.complete:
         matrix = np.where(fit.known, fit.matrix, stored.mean(axis=0))
         return ComplianceFit(matrix, np.ones(6, dtype=bool), fit.bar, fit.origin)
@@ -63,7 +79,7 @@ def _from_stored(stored: Floats, load_range: LoadRange) -> ComplianceFit:
     return ComplianceFit(stored.mean(axis=0), np.ones(6, dtype=bool), spread @ loads, "stored")
 
 
-def _from_rows(rows: Rows, load_range: LoadRange) -> ComplianceFit:
+def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
     """Fit the columns that the rows tell, by least squares on scaled loads."""
     scaled = rows.wrench / load_range.scale
     if not scaled.any():
@@ -75,7 +91,24 @@ def _from_rows(rows: Rows, load_range: LoadRange) -> ComplianceFit:
     columns, *_ = np.linalg.lstsq(scaled, rows.displacement, rcond=RANK)
     residual = rows.displacement - scaled @ columns
     matrix = np.where(known, columns.T / load_range.scale, 0.0)
-    return ComplianceFit(matrix, known, _fit_bar(rows, residual, len(spanned)), "fitted")
+    if linear:
+        return ComplianceFit(matrix, known, _fit_bar(rows, residual, len(spanned)), "fitted")
+    return ComplianceFit(matrix, known, _secant_bar(rows, scaled, residual), "fitted")
+
+
+def _secant_bar(rows: Rows, scaled: Floats, residual: Floats) -> Floats:
+    """Return the error bar of the secant of a nonlinear table, (6,), m and rad.
+
+    It holds 95 % of the rows, each predicted from the others (PRESS residuals: Allen 1974). A row
+    that the others do not span shows nothing: there the bar is what the row moved.
+    """
+    basis, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
+    basis = basis[:, sizes > RANK * sizes[0]]
+    spare = 1.0 - (basis**2).sum(axis=1)[:, None]
+    alone = spare < LONE
+    missed = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, spare))
+    stored = np.nan_to_num(rows.uncertainty).max(axis=0)
+    return conformal_factor(np.abs(missed), np.ones_like(missed)) + stored
 
 
 def _fit_bar(rows: Rows, residual: Floats, rank: int) -> Floats:

@@ -52,26 +52,57 @@ class Composed(NamedTuple):
         return Composed(*columns)
 
 
+class AtRest(NamedTuple):
+    """What the component does without load, u(0) and r(0).
+
+    Attributes
+    ----------
+    displacement : tuple of float, length 6, m and rad
+        Of the row at zero load; or the mean of what axes that hold zero interpolate there; or 0.
+    bars : tuple of float, length 6, m and rad
+        What is to be expected of the error, `bends`, included.
+    bends : tuple of float, length 6, m and rad
+        The error to be expected, with its sign.
+    rounding : tuple of float, length 6, m and rad
+        The smallest bar any answer has.
+    known : bool
+        False where no row is at zero load and no axis holds it: zero load is not covered then.
+    """
+
+    displacement: tuple[float, ...]
+    bars: tuple[float, ...]
+    bends: tuple[float, ...]
+    rounding: tuple[float, ...]
+    known: bool
+
+
 class Composition:
-    """Three axis tables (None where there are no rows), the zero row, and what they leave out.
+    """Three axis tables (None where there are no rows), what no load does, and what is left out.
 
     Attributes
     ----------
     tables : tuple of AxisTable or None, length 3
+    rest : AtRest
     zero : tuple of float, length 6, m and rad
-        The displacement of the row at zero load, or zeros.
+        The displacement at rest.
     left_out : LeftOut
     """
 
     def __init__(
         self,
         tables: Sequence[AxisTable | None],
-        zero: Sequence[float],
+        rest: AtRest,
         left_out: LeftOut,
     ) -> None:
         self.tables = tuple(tables)
-        self.zero = tuple(float(z) for z in zero)
+        self.rest, self.zero = rest, rest.displacement
         self.left_out = left_out
+        self._least = [bar * bar for bar in rest.rounding]
+        # Of the bars at rest, what comes on top of their bends, squared.
+        self._doubt = [
+            max(bar - abs(bend), 0.0) ** 2 for bar, bend in zip(rest.bars, rest.bends, strict=True)
+        ]
+        self._sure = rest.known and not any(rest.bars)
 
     def quick(self, wrench: Sequence[float]) -> tuple[tuple, tuple] | None:
         """Return the six outputs and their six error bars, or None.
@@ -80,12 +111,14 @@ class Composition:
         weak simplex; the careful path then says why. This is the hot path: plain floats, one
         point location per axis, one small product per point.
         """
-        moved, spread, bent = list(self.zero), [0.0] * 6, [0.0] * 6
-        lean = [0.0] * 3
+        moved, spread, bent = list(self.zero), self._least.copy(), [0.0] * 6
+        lean, times = [0.0] * 3, 1  # how often r(0) is counted in all
         for axis, table in enumerate(self.tables):
             i, j, k = _INPUTS[axis]
             force, first, second = wrench[i], wrench[j], wrench[k]
             if force == 0.0 and first == 0.0 and second == 0.0:
+                spread[axis] += self._doubt[axis]
+                bent[axis] = self.rest.bends[axis]
                 continue
             if table is None or not table.sound:
                 return None
@@ -93,12 +126,15 @@ class Composition:
             x, y, z = force / scale[0], first / scale[1], second / scale[2]
             if first == 0.0:
                 points = ((x, 0.0, z),)
+                times -= 1
             elif force == 0.0 and second == 0.0:
                 points = ((0.0, y, 0.0),)
             else:
                 points = ((x, y, z), (0.0, y, 0.0))
             if not self._add_axis(table, axis, points, moved, spread, bent, lean):
                 return None
+        if not (self._sure or self._add_rest(wrench, times, spread, bent)):
+            return None
         for turn in (0, 1, 2):
             spread[3 + turn] += lean[turn] * lean[turn]
         self.left_out.widen(wrench, spread, bent)
@@ -108,6 +144,15 @@ class Composition:
         a, b, c, d, e, f, p, q, r = size
         size = (a, b, c, max(d, p), max(e, q), max(f, r))
         return tuple(moved), tuple([b + sqrt(s) for b, s in zip(size, spread, strict=True)])
+
+    def _add_rest(
+        self, wrench: Sequence[float], times: int, spread: list[float], bent: list[float]
+    ) -> bool:
+        """Add the doubt about r(0), so often counted; False if nothing but it answers, unknown."""
+        for turn in (3, 4, 5) if times else ():
+            spread[turn] += times * times * self._doubt[turn]
+            bent[turn] += times * self.rest.bends[turn]
+        return self.rest.known or any(wrench)
 
     def _add_axis(
         self,
@@ -127,7 +172,7 @@ class Composition:
             return False
         u, rx, ry, rz, eu, ex, ey, ez, bu, bx, by, bz = _piece(table, simplex, points[0])
         moved[axis] = u
-        spread[axis] = eu * eu
+        spread[axis] += eu * eu
         bent[axis] = bu
         if len(points) == 2:
             simplex = found[1]
@@ -159,7 +204,7 @@ class Composition:
     def many(self, wrenches: Floats) -> Composed:
         """Return the same for many wrenches, shape (n, 6), at once."""
         moved = np.tile(self.zero, (len(wrenches), 1))
-        spread, bent = np.zeros((len(wrenches), 6)), np.zeros((len(wrenches), 6))
+        spread, bent = np.tile(self._least, (len(wrenches), 1)), np.zeros((len(wrenches), 6))
         told = np.ones(len(wrenches), dtype=bool)
         lean = np.zeros((len(wrenches), 3))
         for axis, table in enumerate(self.tables):
@@ -179,12 +224,28 @@ class Composition:
                 spread[used, axis] += share.squares[:, 0]
                 spread[used, 3:] += share.squares[:, 1:]
                 lean[used] -= share.both[:, None] * np.array(table.lean)
+        if not self._sure:
+            self._add_rests(wrenches, spread, bent)
+        if not self.rest.known:
+            told &= wrenches.any(axis=1)
         spread[:, 3:] += lean**2
         bend, rest = bent.copy(), np.sqrt(spread)
         self.left_out.widen_many(wrenches, spread, bent)
         expected = np.abs(bent)
         expected[:, 3:] = np.maximum(expected[:, 3:], np.abs(bent[:, 3:] + lean))
         return Composed(moved, expected + np.sqrt(spread), told, bend, rest, expected)
+
+    def _add_rests(self, wrenches: Floats, spread: Floats, bent: Floats) -> None:
+        """Do for wrenches (n, 6) what `quick` does with the doubt about u(0) and r(0)."""
+        times, doubt, bends = np.ones(len(wrenches)), np.array(self._doubt), self.rest.bends
+        for axis, inputs in enumerate(_INPUTS):
+            force, first, second = (wrenches[:, load] == 0 for load in inputs)
+            idle = force & first & second
+            spread[idle, axis] += doubt[axis]
+            bent[idle, axis] += bends[axis]
+            times -= first & ~idle
+        spread[:, 3:] += times[:, None] ** 2 * doubt[3:]
+        bent[:, 3:] += times[:, None] * np.array(bends[3:])
 
 
 class _Share(NamedTuple):

@@ -1,37 +1,29 @@
-"""The careful path: what an answer rests on, how far it can be trusted, and why not further.
+"""What an answer rests on, how far it can be trusted and why not further, in words.
 
-It is taken when the quick path finds a wrench outside an axis or in a weak simplex, and for the
-detail of any answer. It never gives up while there is a row to estimate from.
+The numbers are those of batches.py. It is asked when the quick path finds a wrench outside an axis
+or in a weak simplex, and for the detail of any answer.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import sqrt
 from typing import Any
 
 import numpy as np
 
+from surrogate.answers import COVERED, NAMES, THIN
 from surrogate.axes import AXES, Axis
 from surrogate.axistable import DEGENERATE, LARGE, LARGEST, AxisTable
+from surrogate.batches import NOWHERE, Spots, diagnose
 from surrogate.compliance import ComplianceFit
 from surrogate.composition import Composition
-from surrogate.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS, Floats, Rows, Tolerance
+from surrogate.rows import LOAD_SYMBOLS, LOAD_UNITS, LOADS, OUTPUTS, Floats
 
-COVERED, THIN, OUTSIDE = 0, 1, 2
-NAMES = ("covered", "thin", "outside")
-
-
-@dataclass
-class Spot:
-    """Six outputs read at one point of an axis, with bars, state, reason and places of rows."""
-
-    displacement: Floats
-    bars: Floats | None
-    state: int = COVERED
-    reason: str = ""
-    rows: tuple[int, ...] = ()
+UNKNOWN_AT_REST = (
+    "no row is at zero load and the rows of no axis surround it: what the component does without "
+    "load is not known"
+)
 
 
 @dataclass
@@ -46,178 +38,77 @@ class Careful:
 
 
 def read_carefully(
-    composition: Composition, fit: ComplianceFit, rows: Rows, wrench: Sequence[float]
+    composition: Composition,
+    fit: ComplianceFit,
+    members: Sequence[tuple[int, ...]],
+    wrench: Sequence[float],
 ) -> Careful:
-    """Compose the answer to one wrench (N, N·m) axis by axis, with states, reasons and rows."""
+    """Compose the answer to one wrench (N, N·m) axis by axis, with states, reasons and rows.
+
+    `members` are the numbers of the rows behind each row that the composition was made from.
+    """
     loads = np.array(wrench, dtype=float)
-    zero = np.array(composition.zero)
-    moved, squares, lean = zero.copy(), np.zeros(6), np.zeros(3)
-    spots: list[tuple[Axis, Spot]] = []
-    known = True
-    for axis in AXES:
-        spot, base = _axis_spots(composition, fit, axis, loads)
-        spots.append((axis, spot))
-        outputs = list(axis.outputs)
-        moved[outputs[0]] = spot.displacement[outputs[0]]
-        moved[3:] += spot.displacement[3:] - base.displacement[3:]
-        if spot.bars is None or base.bars is None:
-            known = False
-            continue
-        squares[outputs[0]] += spot.bars[outputs[0]] ** 2
-        squares[3:] += spot.bars[3:] ** 2 + base.bars[3:] ** 2
-        table = composition.tables[AXES.index(axis)]
-        if table is not None and base.rows:
-            lean += table.lean
-    squares[3:] += lean**2
-    spread = squares.tolist()
-    composition.left_out.widen(loads.tolist(), spread)
-    state = max(spot.state for _, spot in spots)
-    reasons = [spot.reason for _, spot in spots if spot.state == state and spot.reason]
-    detail = [_detail(axis, spot, loads, rows) for axis, spot in spots]
-    error = np.array([sqrt(square) for square in spread]) if known else None
-    return Careful(moved, error, state, "; ".join(reasons), detail)
+    (moved, errors, states), spots, adrift = diagnose(composition, fit, loads[None])
+    state, error = int(states[0]), errors[0]
+    detail, reasons = [], []
+    for index, (axis, spot) in enumerate(zip(AXES, spots, strict=True)):
+        reason = _reason(composition, index, spot, loads, base_lost=bool(adrift[index, 0]))
+        detail.append(_detail(axis, spot, loads, reason, _rows_behind(composition, spot, members)))
+        if reason and int(spot.state[0]) == state:
+            reasons.append(reason)
+    if not loads.any() and not composition.rest.known:
+        reasons = [UNKNOWN_AT_REST]
+    known = bool(np.isfinite(error).all())
+    return Careful(moved[0], error if known else None, state, "; ".join(reasons), detail)
 
 
-def over_tolerance(error: Sequence[float], tolerance: Tolerance) -> str:
-    """Return why error bars (6,) are over the tolerance, or an empty text."""
-    worst, name = 1.0, ""
-    for output in range(6):
-        allowed = tolerance.translation if output < 3 else tolerance.rotation
-        if error[output] > worst * allowed:
-            worst = error[output] / allowed
-            unit = OUTPUT_UNITS[output]
-            name = (
-                f"the error bar of {OUTPUTS[output]}, {error[output]:.2g} {unit}, "
-                f"is over the tolerance, {allowed:.2g} {unit}"
-            )
-    return name
-
-
-def _axis_spots(
-    composition: Composition, fit: ComplianceFit, axis: Axis, loads: Floats
-) -> tuple[Spot, Spot]:
-    """Return an axis' spot and the spot its rotation counts from (one moment alone, or r(0))."""
-    zero = Spot(np.array(composition.zero), np.zeros(6))
-    force, first, second = loads[list(axis.inputs)]
-    if not (force or first or second):
-        return zero, zero
-    alone = None
-    if not force and not (first and second):
-        alone = _alone(composition, axis.inputs[1] if first else axis.inputs[2], loads)
-    spot = _spot(composition, fit, axis, loads, alone)
-    if not first:
-        return spot, zero
-    if not force and not second:
-        return spot, Spot(spot.displacement, np.zeros(6))
-    base = _alone(composition, axis.inputs[1], loads)
-    if base is None:
-        base = _guess(composition, fit, axis, np.where(np.arange(6) == axis.inputs[1], loads, 0.0))
-        spot.state = OUTSIDE
-        spot.reason = spot.reason or (
+def _reason(
+    composition: Composition, index: int, spot: Spots, loads: Floats, *, base_lost: bool
+) -> str:
+    """Return why an axis' spot is not covered, or an empty text."""
+    state, axis, table = int(spot.state[0]), AXES[index], composition.tables[index]
+    if state == COVERED:
+        return ""
+    read, simplex = int(spot.table[0]), int(spot.simplex[0])
+    source = None if read == NOWHERE else composition.tables[read]
+    if state == THIN and source is not None:
+        return _why_thin(source, simplex)
+    if base_lost and _holds(table, loads):
+        return (
             f"axis {axis.name}: {_amount(axis.inputs[1], loads)} alone, from which the "
             "composition counts, lies outside the rows"
         )
-    return spot, base
+    return _why_outside(axis, table, loads)
 
 
-def _spot(
-    composition: Composition,
-    fit: ComplianceFit,
-    axis: Axis,
-    loads: Floats,
-    alone: Spot | None,
-) -> Spot:
-    """Return an axis' own answer, that of another axis to one moment alone, or an estimate."""
-    table = composition.tables[AXES.index(axis)]
-    spot = _read(table, loads) if table is not None else None
-    if spot is not None and (spot.state == COVERED or alone is None):
-        return spot
-    if alone is not None and (spot is None or alone.state < spot.state):
-        return alone
-    if spot is not None:
-        return spot
-    spot = _guess(composition, fit, axis, np.where(np.isin(np.arange(6), axis.inputs), loads, 0.0))
-    spot.state = OUTSIDE
-    spot.reason = _why_outside(axis, table, loads)
-    return spot
-
-
-def _alone(composition: Composition, moment: int, loads: Floats) -> Spot | None:
-    """Return the answer to one moment alone: from the axis it is first in, else the other."""
-    only = np.where(np.arange(6) == moment, loads, 0.0)
-    for place in (1, 2):
-        index = next(i for i, axis in enumerate(AXES) if axis.inputs[place] == moment)
-        table = composition.tables[index]
-        spot = _read(table, only) if table is not None else None
-        if spot is not None:
-            return spot
-    return None
-
-
-def _read(table: AxisTable, loads: Floats) -> Spot | None:
-    """Read all six outputs of a table at an axis' loads, or None outside its hull.
-
-    The two translations that are not the axis' own have no calibrated bar: how much they vary
-    over the simplex stands in for it.
-    """
-    outputs = list(table.axis.outputs)
+def _holds(table: AxisTable | None, loads: Floats) -> bool:
+    if table is None:
+        return False
     x = loads[list(table.axis.inputs)] / np.array(table.scale)
-    found = table.interpolant.locate(x[None])
-    if found[0] < 0:
-        return None
-    vertices = table.interpolant.simplices[found[0]]
-    shares = table.interpolant.barycentric(found, x[None])[0]
-    corners = table.rows.displacement[vertices]
-    reading = table.read(found, x[None])
-    displacement, bars = shares @ corners, np.ptp(corners, axis=0)
-    displacement[outputs], bars[outputs] = reading.outputs[0], reading.bars[0]
-    state, reason = _strength(table, int(found[0]))
-    near = tuple(row for vertex in vertices for row in table.rows.members[vertex])
-    return Spot(displacement, bars, state, reason, near)
+    return bool(table.interpolant.locate(x[None])[0] >= 0)
 
 
-def _strength(table: AxisTable, simplex: int) -> tuple[int, str]:
-    """Return whether a table is thin at a simplex, and why."""
+def _why_thin(table: AxisTable, simplex: int) -> str:
+    """Say why a table is thin at a simplex."""
     name, points = table.axis.name, len(table.rows.points)
     if not table.sound:
-        return THIN, (
+        return (
             f"axis {name}: {points} row{'s' if points > 1 else ''}, "
             f"at least {table.fewest} are needed to tell the error"
         )
     if table.weak[simplex] == DEGENERATE:
-        return THIN, f"axis {name}: the rows around this wrench lie almost in one plane or line"
-    if table.weak[simplex] == LARGE:
-        part = table.parts()[simplex]
-        most = LARGEST[table.interpolant.dimension]
-        return THIN, (
-            f"axis {name}: the rows around this wrench are far apart, "
-            f"{part:.0%} of the load range lies between them (at most {most:.0%})"
-        )
-    return COVERED, ""
+        return f"axis {name}: the rows around this wrench lie almost in one plane or line"
+    assert table.weak[simplex] == LARGE
+    part = table.parts()[simplex]
+    most = LARGEST[table.interpolant.dimension]
+    return (
+        f"axis {name}: the rows around this wrench are far apart, "
+        f"{part:.0%} of the load range lies between them (at most {most:.0%})"
+    )
 
 
-def _guess(composition: Composition, fit: ComplianceFit, axis: Axis, loads: Floats) -> Spot:
-    """Estimate from the axis' nearest row and the fitted compliance; r(0) if it has no rows."""
-    table = composition.tables[AXES.index(axis)]
-    start, from_loads, near = np.array(composition.zero), np.zeros(6), ()
-    bars = np.zeros(6)
-    if table is not None:
-        inputs = list(axis.inputs)
-        x = loads[inputs] / np.array(table.scale)
-        nearest = int(table.interpolant.nearest(x[None])[0])
-        start, near = table.rows.displacement[nearest], table.rows.members[nearest]
-        from_loads[inputs] = table.interpolant.points[nearest] * np.array(table.scale)
-        bars = table.rows.uncertainty[nearest].copy()
-    step = loads - from_loads
-    change = fit.matrix @ np.where(fit.known, step, 0.0)
-    told = not (~fit.known & (np.abs(step) > 0)).any()
-    # As far as the rows are from it, the estimate may be as wrong as the step is long.
-    bars = bars + np.abs(fit.matrix) @ np.abs(step) + fit.bar
-    return Spot(start + change, bars if told else None, OUTSIDE, "", near)
-
-
-def _amount(load: int, loads: Floats) -> str:
-    return f"{LOADS[load]} = {loads[load]:.6g} {LOAD_UNITS[load]}"
+def _amount(load: int, loads: Floats, digits: int = 6) -> str:
+    return f"{LOAD_SYMBOLS[load]} = {loads[load]:.{digits}g} {LOAD_UNITS[load]}"
 
 
 def _why_outside(axis: Axis, table: AxisTable | None, loads: Floats) -> str:
@@ -231,27 +122,45 @@ def _why_outside(axis: Axis, table: AxisTable | None, loads: Floats) -> str:
         slack = 1e-9 * table.scale[column]
         if not low - slack <= loads[load] <= high + slack:
             if high - low <= slack:
-                where = f"all rows hold {LOADS[load]} = {low:.6g} {LOAD_UNITS[load]}"
-            else:
-                where = (
-                    f"lies outside the rows, which span {low:.6g}..{high:.6g} {LOAD_UNITS[load]}"
-                )
-            joint = ": " if high - low <= slack else " "
-            return f"axis {axis.name}: {_amount(load, loads)}{joint}{where}"
+                amount = _amount(load, loads)
+                held = f"{LOAD_SYMBOLS[load]} = {low:.6g} {LOAD_UNITS[load]}"
+                return f"axis {axis.name}: {amount}: all rows hold {held}"
+            digits = _digits(float(loads[load]), low if loads[load] < low else high)
+            span = f"{low:.{digits}g}..{high:.{digits}g} {LOAD_UNITS[load]}"
+            amount = _amount(load, loads, digits)
+            return f"axis {axis.name}: {amount} lies outside the rows, which span {span}"
     count = len(table.rows.points)
     return f"axis {axis.name}: {amounts} together lie outside the hull of its {count} rows"
 
 
-def _detail(axis: Axis, spot: Spot, loads: Floats, rows: Rows) -> dict[str, Any]:
+def _digits(one: float, other: float) -> int:
+    """Return the digits, at least six, by which two numbers are told apart in writing."""
+    return next((n for n in range(6, 17) if f"{one:.{n}g}" != f"{other:.{n}g}"), 17)
+
+
+def _rows_behind(
+    composition: Composition, spot: Spots, members: Sequence[tuple[int, ...]]
+) -> list[int]:
+    """Return the numbers of the rows that a spot of one wrench was read from, ascending."""
+    if spot.table[0] == NOWHERE:
+        return []
+    table = composition.tables[int(spot.table[0])]
+    assert table is not None
+    vertices = table.interpolant.simplices[int(spot.simplex[0])].tolist()
+    places = [place for vertex in vertices for place in table.rows.members[vertex]]
+    return sorted({seq for place in places for seq in members[place]})
+
+
+def _detail(axis: Axis, spot: Spots, loads: Floats, reason: str, rows: list[int]) -> dict[str, Any]:
     """Return one axis' part of the answer as JSON-able values."""
-    used = rows.seq[sorted(set(spot.rows))].tolist() if spot.rows else []
-    outputs = list(axis.outputs)
+    bars, outputs = spot.bars[0], axis.outputs
+    known = bool(np.isfinite(bars).all())
     return {
         "axis": axis.name,
         "inputs": {LOADS[load]: float(loads[load]) for load in axis.inputs},
-        "outputs": {OUTPUTS[k]: float(spot.displacement[k]) for k in outputs},
-        "error": None if spot.bars is None else {OUTPUTS[k]: float(spot.bars[k]) for k in outputs},
-        "coverage": NAMES[spot.state],
-        "reason": spot.reason,
-        "rows": used,
+        "outputs": {OUTPUTS[k]: float(spot.displacement[0, k]) for k in outputs},
+        "error": {OUTPUTS[k]: float(bars[k]) for k in outputs} if known else None,
+        "coverage": NAMES[int(spot.state[0])],
+        "reason": reason,
+        "rows": rows,
     }

@@ -17,11 +17,12 @@ from scipy.stats import qmc
 
 from surrogate.axes import AXES, CLEAN, clean_rows
 from surrogate.axistable import AxisTable
+from surrogate.build import AnyTable
 from surrogate.composition import Composition
 from surrogate.firstdesign import Known, axis_box, first_design, full_wrenches
 from surrogate.leftout import LeftOut
 from surrogate.rows import Floats, Rows, Tolerance
-from surrogate.surrogate import Surrogate
+from surrogate.surrogate import ENOUGH_FULL
 
 SAMPLE = 256  # wrenches at which the composed error bar is held against the tolerance
 
@@ -30,7 +31,6 @@ SAMPLE = 256  # wrenches at which the composed error bar is held against the tol
 FULL_SHARE = 0.2
 LEAST_FULL, MOST_FULL = 0.1, 0.35
 FEWEST_FULL = 8  # full wrenches from which on they are believed
-ENOUGH_FULL = 20  # with so many the bars held on all shipped components; no table is done with less
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Design:
 
 
 def next_wrenches(
-    surrogate: Surrogate,
+    surrogate: AnyTable,
     budget: int,
     *,
     pending: ArrayLike | None = None,
@@ -74,7 +74,7 @@ def next_wrenches(
     return _refine(surrogate, known, budget, tolerance or surrogate.tolerance)
 
 
-def _linear_design(surrogate: Surrogate, known: Known, budget: int) -> Design:
+def _linear_design(surrogate: AnyTable, known: Known, budget: int) -> Design:
     """Return one wrench, since any solve of a linear component brings the whole compliance.
 
     Where solves bring none (an expert's deck), the six single loads.
@@ -93,7 +93,7 @@ def _linear_design(surrogate: Surrogate, known: Known, budget: int) -> Design:
     return Design(fresh[:budget], "first", "a solve that tells the 6x6 compliance is needed")
 
 
-def _refine(surrogate: Surrogate, known: Known, budget: int, tolerance: Tolerance | None) -> Design:
+def _refine(surrogate: AnyTable, known: Known, budget: int, tolerance: Tolerance | None) -> Design:
     """Pick full wrenches, then the middles of the worst simplices, one after another."""
     limit = tolerance or _whole_range(surrogate)
     axes, whole = _composed_losses(surrogate, limit)
@@ -134,9 +134,9 @@ def _worst_first(spots: _Spots, known: Known, count: int, least: float) -> Float
     return np.array(chosen).reshape(-1, 6)
 
 
-def _full_count(surrogate: Surrogate, known: Known, budget: int, axes: float, whole: float) -> int:
+def _full_count(surrogate: AnyTable, known: Known, budget: int, axes: float, whole: float) -> int:
     """Return how many full wrenches the table lacks to have their share of all its solves."""
-    asked = len(surrogate.rows) + len(known.pending)
+    asked = len(surrogate.used) + len(known.pending)
     share = FULL_SHARE
     if surrogate.composition.left_out.shown >= FEWEST_FULL and whole > 0:
         left = np.sqrt(max(whole**2 - axes**2, 0.0)) / whole
@@ -144,20 +144,20 @@ def _full_count(surrogate: Surrogate, known: Known, budget: int, axes: float, wh
     return max(int(np.ceil(share * (asked + budget))) - _full_rows(surrogate, known), 0)
 
 
-def _full_rows(surrogate: Surrogate, known: Known) -> int:
+def _full_rows(surrogate: AnyTable, known: Known) -> int:
     """Return how many wrenches, solved or pending, load more than one axis."""
-    asked = np.concatenate((surrogate.rows.wrench, known.pending))
+    asked = np.concatenate((surrogate.used.wrench, known.pending))
     return int((~clean_rows(Rows.of(asked, asked), surrogate.load_range).any(axis=1)).sum())
 
 
-def _whole_range(surrogate: Surrogate) -> Tolerance:
+def _whole_range(surrogate: AnyTable) -> Tolerance:
     """Return the sizes of the displacements, which stand in for a tolerance without one."""
-    moved, tiny = np.abs(surrogate.rows.displacement), np.finfo(float).tiny
+    moved, tiny = np.abs(surrogate.used.displacement), np.finfo(float).tiny
     translation, rotation = moved[:, :3].max(initial=tiny), moved[:, 3:].max(initial=tiny)
     return Tolerance(float(translation), float(rotation))
 
 
-def _composed_losses(surrogate: Surrogate, tolerance: Tolerance) -> tuple[float, float]:
+def _composed_losses(surrogate: AnyTable, tolerance: Tolerance) -> tuple[float, float]:
     """Return the composed error bars over the tolerance that 95 % of the load range stays below.
 
     First without what straight direction influence leaves out, which no row of one axis lowers;
@@ -166,7 +166,7 @@ def _composed_losses(surrogate: Surrogate, tolerance: Tolerance) -> tuple[float,
     low, high = surrogate.load_range.low, surrogate.load_range.high
     sample = low + qmc.Halton(6, scramble=False).random(SAMPLE) * (high - low)
     composition = surrogate.composition
-    silent = Composition(composition.tables, composition.zero, LeftOut(composition.left_out.scale))
+    silent = Composition(composition.tables, composition.rest, LeftOut(composition.left_out.scale))
     allowed = np.repeat([tolerance.translation, tolerance.rotation], 3)
     losses = []
     for one in (silent, composition):
@@ -176,7 +176,7 @@ def _composed_losses(surrogate: Surrogate, tolerance: Tolerance) -> tuple[float,
     return losses[0], losses[1]
 
 
-def _met_reason(surrogate: Surrogate, lacking: int) -> str:
+def _met_reason(surrogate: AnyTable, lacking: int) -> str:
     reason = "every error bar looked at is within the tolerance"
     if surrogate.composition.left_out.silent or not lacking:
         return reason
@@ -211,7 +211,7 @@ class _Spots:
     sizes: Floats
 
 
-def _candidates(surrogate: Surrogate, tolerance: Tolerance | None) -> _Spots:
+def _candidates(surrogate: AnyTable, tolerance: Tolerance | None) -> _Spots:
     parts = [(np.empty((0, 6)), np.empty(0), np.empty(0), np.empty(0))]
     for axis, table in zip(AXES, surrogate.composition.tables, strict=True):
         low, high = axis_box(surrogate.load_range, axis)

@@ -25,11 +25,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surrogate.conformal import conformal_factor
 from surrogate.heldout import HeldOut, hold_out
 from surrogate.interpolant import Indices, Interpolant
 from surrogate.rows import Floats
 
-LEVEL = 0.95
 # Noise of unit variance in each row leaves a variance of sum_i lambda_i^2 in an answer, and one
 # more in a held-out error. `NOISY` is the part of their variance that the bend leaves unexplained,
 # from where on they start to be taken for noise and where they are.
@@ -39,7 +39,6 @@ CARE = 1.05  # what is taken for noise may be a little of curvature
 NEARLY = 0.2
 BENT = (0.3, 1.3)  # below which share a bend explains nothing, and the most that is taken of it
 FEWEST = 5  # held-out errors below which nothing can be calibrated
-CAUTION = 6.0  # a quantile of h errors is enlarged by this over h
 TINY = np.finfo(float).tiny
 
 # Shares of six indicators: curvature at the row, around it, of the whole axis; flat error at the
@@ -170,25 +169,6 @@ def _noise(held: HeldOut, unexplained: Floats) -> tuple[Floats, Floats]:
     size = np.sqrt((held.errors**2).mean(axis=0) / (1.0 + answer))
     left = CARE * math.sqrt(answer / (1.0 + answer))
     return 1.0 - part * (1.0 - left), 2.0 * part * size
-
-
-def conformal_factor(
-    errors: Floats, bars: Floats, level: float = LEVEL, caution: float = CAUTION
-) -> Floats:
-    """Return, per column, the factor on bars (h, q) that covers a level of the errors (h, q).
-
-    The quantile of their ratios is taken at ceil(level (h + 1)) of h, the largest if h is too
-    small for that, and enlarged the more, the fewer there are. It is infinite if too many bars are
-    zero where errors are not.
-    """
-    ratios = np.full(errors.shape, np.inf)
-    np.divide(errors, bars, out=ratios, where=bars > 0)
-    ratios[errors == 0] = 0.0
-    count = len(ratios)
-    if not count:
-        return np.zeros(errors.shape[1])
-    rank = min(math.ceil(level * (count + 1)), count) - 1
-    return np.partition(ratios, rank, axis=0)[rank] * (1 + caution / count)
 
 
 def _indicators(simplices: Indices, held: HeldOut, excess: Floats, n: int) -> Floats:

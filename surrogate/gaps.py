@@ -10,15 +10,15 @@ from scipy.spatial import ConvexHull, QhullError
 
 from surrogate.axes import AXES, Axis
 from surrogate.axistable import SOUND, AxisTable
+from surrogate.build import AnyTable
 from surrogate.firstdesign import axis_box
 from surrogate.rows import LOADS, OUTPUTS, Floats, LoadRange
-from surrogate.surrogate import Surrogate
 
 MOST_SPOTS = 5
 MOST_VERTICES = 200
 
 
-def axis_gaps(surrogate: Surrogate) -> list[dict[str, Any]]:
+def axis_gaps(surrogate: AnyTable) -> list[dict[str, Any]]:
     """Return, per axis, hull, corners of the range outside it and worst spots, JSON-able."""
     tables = surrogate.composition.tables
     return [

@@ -22,6 +22,7 @@ Indices = NDArray[np.intp]
 
 FLAT = 1e-9  # of the points' extent: what lies closer to a plane, a line or a point is in it
 SLIVER = 1e-10  # volume over cubed longest edge (or the like) below which a simplex is degenerate
+INWARD = 2e-9  # of the way to the middle: what lies 1e-9 of the range beyond the hull is on it
 SHEAR = np.eye(3) + 1e-3 * np.array([[0.31, 0.77, -0.53], [0.19, -0.41, 0.97], [-0.61, 0.37, 0.23]])
 
 
@@ -133,14 +134,14 @@ class Interpolant:
     def locate(self, x: ArrayLike) -> Indices:
         """Return the simplex of each point, shape (k, 3) -> (k,), or -1 outside the hull.
 
-        Points on the hull are inside: what rounding put just outside is looked up again a little
-        further in.
+        Points on the hull are inside, and so is what lies 1e-9 of the range beyond it: what is
+        found just outside is looked up again a little further in.
         """
         points = np.asarray(x, dtype=float)
         found = self._find_flat(points)
         missed = np.asarray(found < 0)
         if missed.any():
-            inward = points[missed] + 1e-10 * (self.origin - points[missed])
+            inward = points[missed] + INWARD * (self.origin - points[missed])
             found[missed] = self._find_flat(inward)
         return found
 

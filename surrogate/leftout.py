@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surrogate.axes import AXES
-from surrogate.errorbar import LEVEL, conformal_factor
+from surrogate.conformal import LEVEL, conformal_factor
 from surrogate.influence import NO_INFLUENCE, Influence
 from surrogate.rows import Floats
 

@@ -10,7 +10,7 @@ import numpy as np
 from surrogate.answers import Answer, judged
 from surrogate.axes import AXES, CLEAN
 from surrogate.compliance import ComplianceFit
-from surrogate.rows import LOAD_UNITS, LOADS, OUTPUTS, LoadRange, Rows, Tolerance
+from surrogate.rows import LOAD_SYMBOLS, LOAD_UNITS, LOADS, OUTPUTS, LoadRange, Rows, Tolerance
 
 
 def answer_linearly(
@@ -21,30 +21,35 @@ def answer_linearly(
     displacement = tuple((fit.matrix @ loads).tolist())
     unknown = ~fit.known & (np.abs(loads) > CLEAN * load_range.scale)
     if unknown.any():
-        reason = f"no row tells the influence of {LOADS[int(np.argmax(unknown))]}"
+        reason = f"no row tells the influence of {LOAD_SYMBOLS[int(np.argmax(unknown))]}"
         return Answer(displacement, None, "outside", reason, "linear")
     error = tuple(fit.bar.tolist())
-    beyond = (loads < load_range.low) | (loads > load_range.high)
-    if not beyond.any():
+    if load_range.holds(loads[None])[0]:
         return judged(displacement, error, tolerance, "linear")
+    beyond = np.maximum(load_range.low - loads, loads - load_range.high) / load_range.scale
     load = int(np.argmax(beyond))
     low, high = load_range.low[load], load_range.high[load]
     reason = (
-        f"{LOADS[load]} = {loads[load]:.6g} {LOAD_UNITS[load]} is outside "
+        f"{LOAD_SYMBOLS[load]} = {loads[load]:.6g} {LOAD_UNITS[load]} is outside "
         f"the load range, {low:.6g}..{high:.6g} {LOAD_UNITS[load]}"
     )
     return Answer(displacement, error, "outside", reason, "linear")
 
 
 def explain_linearly(
-    fit: ComplianceFit, rows: Rows, wrench: Sequence[float], answer: Answer
+    fit: ComplianceFit,
+    rows: Rows,
+    members: Sequence[tuple[int, ...]],
+    wrench: Sequence[float],
+    answer: Answer,
 ) -> list[dict[str, Any]]:
     """Return what each axis' three loads contribute to a linear answer, as `explain` lists it.
 
     The rows are those the compliance comes from; the error bars are those of the whole answer.
     """
     stored = np.isfinite(rows.compliance).all(axis=(1, 2))
-    used = rows.seq[stored] if fit.origin == "stored" else rows.seq
+    behind = np.flatnonzero(stored) if fit.origin == "stored" else np.arange(len(rows))
+    used = sorted(seq for place in behind.tolist() for seq in members[place])
     parts = []
     for axis in AXES:
         loads = np.zeros(6)
@@ -58,7 +63,7 @@ def explain_linearly(
                 "error": answer.error and {OUTPUTS[k]: answer.error[k] for k in axis.outputs},
                 "coverage": answer.coverage,
                 "reason": answer.reason,
-                "rows": used.tolist(),
+                "rows": used,
             }
         )
     return parts

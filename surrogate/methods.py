@@ -19,8 +19,8 @@ from surrogate.building import axes_of
 from surrogate.choosing import Choice, choose, straight_scores
 from surrogate.compliance import ComplianceFit
 from surrogate.composition import Composed, Composition
+from surrogate.conformal import conformal_factor
 from surrogate.corrected import Corrected
-from surrogate.errorbar import conformal_factor
 from surrogate.leftout import product_sizes
 from surrogate.rows import Floats, LoadRange, Rows
 from surrogate.straight import StraightSplines
@@ -129,11 +129,14 @@ class Methods:
 
     def _read_rbf(self, wrenches: Floats, composed: Composed) -> Told:
         moved = self.straight.at(wrenches / self.scale)
-        return moved, self._bars("rbf", wrenches, moved, composed)
+        return moved, np.maximum(
+            self._bars("rbf", wrenches, moved, composed), self._least(composed)
+        )
 
     def _read_corrected(self, wrenches: Floats, composed: Composed) -> Told:
         moved = self.corrected.at(wrenches / self.scale)
-        return moved, self._bars("corrected", wrenches, moved, composed)
+        bars = self._bars("corrected", wrenches, moved, composed)
+        return moved, np.maximum(bars, self._least(composed))
 
     def _read_auto(self, wrenches: Floats, composed: Composed) -> Told:
         displacement, error = composed.displacement.copy(), composed.error.copy()
@@ -155,6 +158,16 @@ class Methods:
         doubt = np.nan_to_num(self.rows.uncertainty).max(axis=0)
         sizes, factors = self._indicators(wrenches), self._factors[method]
         return np.einsum("npk,pk->nk", sizes, factors) + doubt
+
+    def _least(self, composed: Composed) -> Floats:
+        """Return the least bars of splines, shape (6,) or (n, 6), m and rad.
+
+        Rounding; or, with no clean row at all, those of the composition, since nothing was left
+        out of any axis.
+        """
+        if any(spline is not None for spline in self.straight.splines):
+            return np.array(self.composition.rest.rounding)
+        return composed.error
 
     def _bars_of_axes(self, wrenches: Floats) -> Floats:
         lean = np.zeros(6)

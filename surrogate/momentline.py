@@ -6,16 +6,13 @@ their simplices are found by bisection and need no walk.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrogate.interpolant import Indices, Interpolant
 from surrogate.rows import Floats
-
-if TYPE_CHECKING:
-    from surrogate.axistable import AxisTable
 
 APART = 1e-12  # stations closer than this, in scaled units, are one
 
@@ -40,15 +37,29 @@ class MomentLine:
         The simplex of each stretch, -1 outside the hull.
     """
 
-    def __init__(self, table: AxisTable) -> None:
-        """Find the stretches of a table of three dimensions."""
-        shape = table.interpolant
+    def __init__(
+        self,
+        shape: Interpolant,
+        pieces: Floats,
+        weak: NDArray[np.intp],
+        bending: tuple[float, ...],
+    ) -> None:
+        """Find the stretches of a triangulation of three dimensions.
+
+        Parameters
+        ----------
+        pieces : ndarray, shape (m, 13 or 25, 4)
+            What `AxisTable` holds of each simplex.
+        weak : ndarray of int, shape (m,)
+            Which simplices are not sound: not 0.
+        bending : tuple of float, length 4, dimensionless
+        """
         self.stations = _crossings(shape)
         middle = np.zeros((max(len(self.stations) - 1, 0), 3))
         middle[:, 1] = (self.stations[:-1] + self.stations[1:]) / 2
         self.simplices: Indices = shape.locate(middle)
-        self.sound = (self.simplices >= 0) & (np.asarray(table.weak)[self.simplices] == 0)
-        pieces, anchors = table.pieces[self.simplices], shape.anchors[self.simplices]
+        self.sound = (self.simplices >= 0) & (weak[self.simplices] == 0)
+        pieces, anchors = pieces[self.simplices], shape.anchors[self.simplices]
         # pieces * (-a_0, y - a_1, -a_2, 1) = start + y * slope
         ends = np.concatenate((-anchors, np.ones((len(anchors), 1))), axis=1)
         self.start = np.einsum("sij,sj->si", pieces, ends)
@@ -56,7 +67,7 @@ class MomentLine:
         # The bubble's part |x - anchor|^2 = |a|^2 - 2 y a_1 + y^2
         self.start[:, 12] -= (anchors**2).sum(axis=1)
         self.slope[:, 12] += 2 * anchors[:, 1]
-        self.anchors, self.bending = anchors, table.bending
+        self.anchors, self.bending = anchors, bending
 
     def read(self, along: Floats) -> LineReading:
         """Return outputs and bars at scaled moments, shape (k,)."""

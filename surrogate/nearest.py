@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from surrogate.errorbar import conformal_factor
+from surrogate.compliance import LEAST, SMALLEST
+from surrogate.conformal import conformal_factor
 from surrogate.rows import Floats, LoadRange, Rows
 
 
@@ -16,6 +17,8 @@ class NearestRow:
     ----------
     factor : ndarray, shape (6,), m and rad
         Per unit of scaled distance; covers 95 % of the differences of rows to their nearest.
+    least : ndarray, shape (6,), m and rad
+        The least bar: rounding.
     """
 
     def __init__(self, rows: Rows, load_range: LoadRange) -> None:
@@ -24,6 +27,8 @@ class NearestRow:
         scaled = rows.wrench / self.scale
         self.tree = KDTree(scaled)
         self.factor = np.abs(rows.displacement).max(axis=0)
+        kinds = np.repeat([self.factor[:3].max(), self.factor[3:].max()], 3)
+        self.least = np.maximum(LEAST * kinds, SMALLEST)
         if len(rows) > 1:
             found = self.tree.query(scaled, k=2)
             far, near = np.asarray(found[0], dtype=float), np.asarray(found[1], dtype=np.intp)
@@ -36,5 +41,5 @@ class NearestRow:
         """Return displacements and error bars, each (n, 6), m and rad, at wrenches (n, 6)."""
         found = self.tree.query(wrenches / self.scale)
         far, near = np.asarray(found[0], dtype=float), np.asarray(found[1], dtype=np.intp)
-        bars = far[:, None] * self.factor + np.nan_to_num(self.rows.uncertainty[near])
+        bars = far[:, None] * self.factor + self.least + np.nan_to_num(self.rows.uncertainty[near])
         return self.rows.displacement[near], bars

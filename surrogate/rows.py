@@ -15,10 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
-LOADS = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
+# As the contract spells them: keys and lists. Sentences for people say F_x and u_x.
+LOADS = ("fx", "fy", "fz", "mx", "my", "mz")
+LOAD_SYMBOLS = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
 LOAD_UNITS = ("N", "N", "N", "N·m", "N·m", "N·m")
-OUTPUTS = ("u_x", "u_y", "u_z", "rx", "ry", "rz")
+OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
+OUTPUT_SYMBOLS = ("u_x", "u_y", "u_z", "r_x", "r_y", "r_z")
 OUTPUT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+
+CLEAN = 1e-9  # of the range: a load below it counts as none (rounding)
+ON_END = 1e-9  # of the range: what a load may lie beyond its end and still be on it (rounding)
 
 
 class RowError(ValueError):
@@ -50,7 +56,7 @@ class LoadRange:
                 raise RowError(f"load range: {name} must be six finite numbers")
             object.__setattr__(self, name, bound)
         if (self.low > self.high).any():
-            load = LOADS[int(np.argmax(self.low > self.high))]
+            load = LOAD_SYMBOLS[int(np.argmax(self.low > self.high))]
             raise RowError(f"load range: the low end of {load} is above its high end")
 
     @property
@@ -63,6 +69,16 @@ class LoadRange:
         half = (self.high - self.low) / 2
         size = np.maximum(np.abs(self.low), np.abs(self.high))
         return np.where(half > 0, half, np.where(size > 0, size, 1.0))
+
+    def holds(self, wrenches: ArrayLike) -> NDArray[np.bool_]:
+        """Return which wrenches, shape (n, 6), N and N·m, lie within the range, shape (n,).
+
+        It is stretched to hold zero, from where every answer is counted. A load within 1e-9 of
+        the range beyond an end counts as on it.
+        """
+        loads, slack = np.asarray(wrenches, dtype=float), ON_END * self.scale
+        low, high = np.minimum(self.low, 0.0) - slack, np.maximum(self.high, 0.0) + slack
+        return np.asarray(np.all((loads >= low) & (loads <= high), axis=-1), dtype=bool)
 
 
 @dataclass(frozen=True)
@@ -131,8 +147,8 @@ class Rows:
                     f"rows: {name} has shape {np.shape(getattr(self, name))}, not {shape}"
                 )
         unmeasured = np.isnan(self.displacement)
-        self._refuse(~np.isfinite(self.wrench), LOADS, "is not a finite number")
-        self._refuse(np.isinf(self.displacement), OUTPUTS, "is not a finite number")
+        self._refuse(~np.isfinite(self.wrench), LOAD_SYMBOLS, "is not a finite number")
+        self._refuse(np.isinf(self.displacement), OUTPUT_SYMBOLS, "is not a finite number")
         if unmeasured.all(axis=1).any():
             row = int(np.argmax(unmeasured.all(axis=1)))
             raise RowError(f"row {self.seq[row]}: no displacement is a finite number")

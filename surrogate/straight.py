@@ -6,7 +6,8 @@ import numpy as np
 
 from surrogate.axes import AXES, AxisRows, axis_rows
 from surrogate.compliance import ComplianceFit
-from surrogate.errorbar import FEWEST, conformal_factor
+from surrogate.conformal import conformal_factor
+from surrogate.errorbar import FEWEST
 from surrogate.rows import Floats, LoadRange, Rows
 from surrogate.spline import MOST, Spline
 

@@ -2,32 +2,42 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from surrogate.axes import AXES
 from surrogate.axistable import SOUND, AxisTable
+from surrogate.compliance import ComplianceFit
+from surrogate.composition import Composition
 from surrogate.conflicts import row_conflicts
-from surrogate.rows import LOADS, OUTPUTS
-
-if TYPE_CHECKING:
-    from surrogate.surrogate import Surrogate
+from surrogate.rows import LOADS, OUTPUTS, LoadRange, Rows
 
 
-def summarise(surrogate: Surrogate) -> dict[str, Any]:
-    """Return rows, default method, conflicts, spans and error bars per axis, what is left out."""
-    fit, summary = surrogate.fit, {"rows": len(surrogate.rows), "method": surrogate.default}
-    summary["table_version"] = surrogate.version
-    summary["compliance"] = {
-        "origin": fit.origin,
-        "loads": [LOADS[load] for load in np.flatnonzero(fit.known)],
-        "error": fit.bar.tolist(),
+def summarise(
+    rows: Rows,
+    used: Rows,
+    load_range: LoadRange,
+    fit: ComplianceFit,
+    composition: Composition | None,
+) -> dict[str, Any]:
+    """Return rows, conflicts, spans and error bars per axis, what is left out.
+
+    `used` are the rows that answers are made of; without a composition the 6x6 compliance answers.
+    """
+    summary: dict[str, Any] = {
+        "rows": len(rows),
+        "beyond_range": int((~load_range.holds(rows.wrench)).sum()),
+        "used_rows": len(used),
+        "compliance": {
+            "origin": fit.origin,
+            "loads": [LOADS[load] for load in np.flatnonzero(fit.known)],
+            "error": fit.bar.tolist(),
+        },
+        **row_conflicts(rows, load_range),
     }
-    summary.update(row_conflicts(surrogate.rows, surrogate.load_range))
-    if surrogate.default == "linear":
+    if composition is None:
         return {**summary, "axes": [], "left_out": None}
-    composition = surrogate.composition
     left_out = composition.left_out
     summary["axes"] = [
         _axis(axis.name, [LOADS[load] for load in axis.inputs], table)

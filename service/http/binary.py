@@ -12,7 +12,7 @@ from starlette.responses import Response
 from service.http.bodies import MAX_BATCH, Body, OnThin, Seconds
 from service.http.parsing import Batch
 from service.http.problems import bad_body, plain_errors
-from surrogate.rows import LOADS, Tolerance
+from surrogate.rows import LOAD_SYMBOLS, Tolerance
 
 MEDIA_TYPE: Final = "application/octet-stream"
 ROW_BYTES: Final = 6 * 8
@@ -95,6 +95,6 @@ def _wrenches(body: bytes) -> np.ndarray:
     bad = np.argwhere(~np.isfinite(wrenches))
     if len(bad):
         row, load = bad[0].tolist()
-        message = f"{LOADS[load]} is {wrenches[row, load]}, not finite"
+        message = f"{LOAD_SYMBOLS[load]} is {wrenches[row, load]}, not finite"
         raise bad_body([{"loc": f"wrenches.{row}.{load}", "msg": message}])
     return wrenches

@@ -18,8 +18,8 @@ from fea.mesh.refine import refined
 from fea.solve import Solver
 from fea.spec.schema import Bundle
 from surrogate.answers import METHODS
+from surrogate.build import AnyTable, build
 from surrogate.rows import LoadRange, Rows
-from surrogate.surrogate import Surrogate
 
 Array = np.ndarray
 Report = Callable[[float, str], None]
@@ -70,7 +70,7 @@ def measure(
         "fea": meshes,
         "tables": tables,
         "pareto": pareto(meshes, tables),
-        "left_out": Surrogate.build(rows, load_range).coverage_summary().get("left_out"),
+        "left_out": build(rows, load_range).coverage_summary().get("left_out"),
     }
 
 
@@ -155,15 +155,15 @@ def _tables(
     """Measure one size of the table with every method."""
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
-    surrogate = Surrogate.build(rows, load_range)
+    surrogate = build(rows, load_range)
     memory = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     started = time.perf_counter()
-    Surrogate.build(rows, load_range)
-    build = time.perf_counter() - started
+    build(rows, load_range)
+    build_s = time.perf_counter() - started
     size = {
         "rows": len(rows),
-        "build_s": build,
+        "build_s": build_s,
         "memory_bytes": memory,
         "fea_s": float(np.sum(rows.source == "fea") * solve_seconds),
     }
@@ -174,7 +174,7 @@ def _tables(
 
 
 def _method(
-    surrogate: Surrogate,
+    surrogate: AnyTable,
     method: str,
     wrenches: Array,
     references: dict[str, Array],
@@ -198,7 +198,7 @@ def _method(
     }
 
 
-def _query_times(surrogate: Surrogate, method: str, wrenches: Array) -> Array:
+def _query_times(surrogate: AnyTable, method: str, wrenches: Array) -> Array:
     """Return the time of single answers, shape (n,), µs."""
     asked = wrenches.tolist()
     times: list[float] = []

@@ -13,9 +13,9 @@ import numpy as np
 from service.contract import CONTRACT
 from service.ledger import Ledger, LedgerRow, NewRow
 from service.library.library import Component, Library
+from surrogate.build import AnyTable, build
 from surrogate.rows import Rows
 from surrogate.store import TableFileError, TableMeta, read_table, write_table
-from surrogate.surrogate import Surrogate
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +44,7 @@ class Tables:
         self._library = library
         self._folder = folder
         folder.mkdir(parents=True, exist_ok=True)
-        self._surrogates: dict[str, Surrogate] = {}
+        self._surrogates: dict[str, AnyTable] = {}
         self._seen: dict[str, int] = {}
         self._unsaved: dict[str, float] = {}
         self._grown = threading.Condition()
@@ -70,7 +70,7 @@ class Tables:
             self._thread.join()
         self._save(quiet_s=0.0)
 
-    def surrogate(self, name: str) -> Surrogate:
+    def surrogate(self, name: str) -> AnyTable:
         """Return the newest surrogate of a component.
 
         Raises
@@ -92,7 +92,7 @@ class Tables:
         with self._grown:
             return self._grown.wait_for(lambda: self._seen.get(name, 0) >= goal, timeout)
 
-    def _first(self, name: str) -> Surrogate:
+    def _first(self, name: str) -> AnyTable:
         """Make the empty surrogate of a component that was added after the start."""
         component = self._library[name]
         with self._grown:
@@ -176,9 +176,9 @@ class Tables:
         return self._folder / f"{name}.h5"
 
 
-def _surrogate(component: Component, rows: Rows) -> Surrogate:
+def _surrogate(component: Component, rows: Rows) -> AnyTable:
     """Build the surrogate; its version is the ledger's number of its newest row."""
-    return Surrogate.build(
+    return build(
         rows,
         component.load_range,
         tolerance=component.tolerance,
@@ -219,7 +219,7 @@ def _new_row(rows: Rows, place: int) -> NewRow:
     )
 
 
-def _meta(component: Component, surrogate: Surrogate) -> TableMeta:
+def _meta(component: Component, surrogate: AnyTable) -> TableMeta:
     return TableMeta(
         component=component.name,
         last_seq=surrogate.version,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.surrogate import Surrogate
+from surrogate.build import build
 from tests.surrogate.calibrating import Calibration, calibration, noisy, shipped, with_slopes
 from tests.surrogate.responses import (
     HIGH,
@@ -49,7 +49,7 @@ def test_synthetic_responses() -> None:
             "noisy": (noisy(size, 1), smooth),
         }
         for name, (rows, response) in tables.items():
-            surrogate = Surrogate.build(rows, RANGE)
+            surrogate = build(rows, RANGE)
             for method in ("griddata", "tangent", "rbf", "auto"):
                 found = calibration(surrogate, asked * HIGH, response(asked), method)
                 line(name, f"3x{size}", method, found)
@@ -60,7 +60,7 @@ def test_shipped_components() -> None:
     for name in ("plate_thin", "plate", "spring", "bar"):
         for full in (20, 40, 80) if name == "plate_thin" else (20,):
             component = shipped(name, full)
-            surrogate = Surrogate.build(component.rows, component.load_range)
+            surrogate = build(component.rows, component.load_range)
             for method in METHODS:
                 found = calibration(surrogate, component.asked, component.true, method)
                 line(name, f"{len(component.rows) - full}+{full}", method, found)

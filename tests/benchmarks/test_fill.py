@@ -17,9 +17,9 @@ from scipy.interpolate import NearestNDInterpolator, griddata
 from fea.bundle.read import read_bundle
 from fea.solve import Solver
 from surrogate.answers import METHODS
+from surrogate.build import build
 from surrogate.design import next_wrenches
 from surrogate.rows import LoadRange, Rows
-from surrogate.surrogate import Surrogate
 
 COMPONENTS = Path(__file__).parents[2] / "data" / "components"
 CAP = int(os.environ.get("FILL_CAP", "400"))
@@ -96,13 +96,13 @@ def filled(lab: Lab, methods: list[str]) -> dict[str, int | None]:
     """Fill until every method is at the goal or the cap is reached; return who needed how many."""
     rows, needed = Rows.empty(), dict.fromkeys(methods)
     while len(rows) < CAP and None in needed.values():
-        table = Surrogate.build(rows, lab.range)
+        table = build(rows, lab.range)
         budget = min(4 if not len(rows) else ROUND, CAP - len(rows))
         design = next_wrenches(table, budget)
         if not len(design.wrenches):
             break
         rows = rows + lab.rows(design.wrenches)
-        table = Surrogate.build(rows, lab.range)
+        table = build(rows, lab.range)
         told = []
         for method in methods:
             errors = lab.rms(table.batch(lab.checked, method=method).displacement)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 
+from surrogate.build import build
 from surrogate.rows import OUTPUTS, Rows
-from surrogate.surrogate import Surrogate
 from tests.surrogate.calibrating import Shipped, shipped
 
 
@@ -31,7 +31,7 @@ def test_rms_at_equal_numbers_of_solves() -> None:
         for full in (0, solves // 4, solves * 2 // 5):
             kept = np.concatenate((np.arange(solves - full), clean + np.arange(full)))
             some = rows.take(kept)
-            surrogate = Surrogate.build(some, component.load_range)
+            surrogate = build(some, component.load_range)
             answers = {
                 name: surrogate.batch(component.asked, None, method).displacement
                 for name, method in (
@@ -43,7 +43,7 @@ def test_rms_at_equal_numbers_of_solves() -> None:
             }
             bare = some.take(np.arange(len(some)))
             bare.compliance[:] = np.nan
-            plain = Surrogate.build(bare, component.load_range)
+            plain = build(bare, component.load_range)
             for name, method in (("straight RBF", "rbf"), ("corrected, no tangents", "corrected")):
                 answers[name] = plain.batch(component.asked, None, method).displacement
             answers["full 6-D RBF"] = full_rbf(component, some)

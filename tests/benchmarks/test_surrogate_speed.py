@@ -15,6 +15,7 @@ import pytest
 from scipy.interpolate import LinearNDInterpolator, griddata
 
 from surrogate.axes import AXES
+from surrogate.build import build
 from surrogate.rows import Rows, Tolerance
 from surrogate.surrogate import Surrogate
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
@@ -41,7 +42,7 @@ def per_call(call: Callable[[int], object], count: int = 2000) -> float:
 def built(per_axis: int) -> tuple[Surrogate, list[LinearNDInterpolator], float]:
     rows = table(smooth, clean_wrenches(per_axis, 1))
     start = time.perf_counter()
-    surrogate = Surrogate.build(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
+    surrogate = build(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
     took = time.perf_counter() - start
     bare = [
         LinearNDInterpolator(axis.interpolant.delaunay, axis.values)
@@ -124,7 +125,7 @@ def test_answers_go_on_while_the_next_version_is_built() -> None:
     surrogate, _, _ = built(1000)
     rows: Rows = table(smooth, clean_wrenches(3400, 1))
     wrenches = (ASKED * HIGH).tolist()
-    builder = threading.Thread(target=Surrogate.build, args=(rows, RANGE))
+    builder = threading.Thread(target=build, args=(rows, RANGE))
     times = []
     builder.start()
     while builder.is_alive():

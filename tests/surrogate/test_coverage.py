@@ -3,11 +3,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from surrogate.build import build
 from surrogate.rows import LoadRange, Rows, Tolerance
-from surrogate.surrogate import Surrogate
+from tests.surrogate.calibrating import with_slopes
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, smooth, table
 
-FULL = Surrogate.build(table(smooth, clean_wrenches(60, 1)), RANGE)
+FULL = build(with_slopes(smooth, clean_wrenches(60, 1)), RANGE)
 
 
 def test_inside_the_rows_is_covered_without_a_word() -> None:
@@ -27,7 +28,7 @@ def test_beyond_the_rows_is_outside_and_says_which_load_of_which_axis() -> None:
 def test_in_the_span_but_beyond_the_hull_says_so() -> None:
     scaled = np.zeros((40, 6))
     scaled[:, [0, 4, 5]] = np.random.default_rng(1).dirichlet(np.ones(4), 40)[:, :3]
-    surrogate = Surrogate.build(table(smooth, scaled), RANGE)
+    surrogate = build(table(smooth, scaled), RANGE)
     answer = surrogate.answer([500.0, 0, 0, 0, 300.0, 120.0])
     assert answer.coverage == "outside"
     assert "axis x: F_x = 500 N, M_y = 300 N·m, M_z = 120 N·m together lie outside" in answer.reason
@@ -36,7 +37,7 @@ def test_in_the_span_but_beyond_the_hull_says_so() -> None:
 def test_a_load_that_no_row_varies_is_outside_and_says_what_the_rows_hold() -> None:
     wrench = np.zeros((9, 6))
     wrench[:, 0] = np.linspace(-1000, 1000, 9)
-    surrogate = Surrogate.build(Rows.of(wrench, wrench * 1e-8), RANGE)
+    surrogate = build(Rows.of(wrench, wrench * 1e-8), RANGE)
     assert surrogate.answer([10.0, 0, 0, 0, 3.0, 0]).reason.startswith(
         "axis x: M_y = 3 N·m: all rows hold M_y = 0 N·m"
     )
@@ -47,9 +48,9 @@ def test_a_load_that_no_row_varies_is_outside_and_says_what_the_rows_hold() -> N
 
 
 def test_an_empty_table_knows_nothing_and_says_so() -> None:
-    surrogate = Surrogate.build(Rows.empty(), RANGE)
+    surrogate = build(Rows.empty(), RANGE)
     answer = surrogate.answer([1.0, 0, 0, 0, 0, 0])
-    assert answer == (None, None, "outside", "the table has no rows", "estimate")
+    assert answer == (None, None, "outside", "the table has no rows", "estimate", ())
     assert surrogate.batch(np.ones((2, 6))).coverage.tolist() == [2, 2]
     assert [axis["coverage"] for axis in surrogate.explain([1.0] * 6)] == ["outside"] * 3
 
@@ -57,7 +58,7 @@ def test_an_empty_table_knows_nothing_and_says_so() -> None:
 def test_too_few_rows_are_thin() -> None:
     wrench = np.zeros((3, 6))
     wrench[:, 2] = [-5000, 0, 5000]
-    answer = Surrogate.build(Rows.of(wrench, wrench * 1e-8), RANGE).answer([0, 0, 7.0, 0, 0, 0])
+    answer = build(Rows.of(wrench, wrench * 1e-8), RANGE).answer([0, 0, 7.0, 0, 0, 0])
     assert answer.coverage == "thin"
     assert answer.reason == "axis z: 3 rows, at least 4 are needed to tell the error"
     assert answer.displacement is not None
@@ -67,7 +68,7 @@ def test_too_few_rows_are_thin() -> None:
 def test_rows_far_apart_are_thin() -> None:
     wrench = np.zeros((8, 6))
     wrench[:, 2] = [-5000, -4900, -4800, -4700, -4600, -4500, -4400, 5000]
-    answer = Surrogate.build(Rows.of(wrench, wrench * 1e-8), RANGE).answer([0, 0, 7.0, 0, 0, 0])
+    answer = build(Rows.of(wrench, wrench * 1e-8), RANGE).answer([0, 0, 7.0, 0, 0, 0])
     assert answer.coverage == "thin"
     assert "94% of the load range" in answer.reason
 
@@ -84,8 +85,8 @@ def test_an_error_bar_over_the_tolerance_is_thin_and_names_the_output() -> None:
 
 
 def test_the_surrogates_own_tolerance_holds_unless_another_is_asked_for() -> None:
-    rows = table(smooth, clean_wrenches(60, 1))
-    surrogate = Surrogate.build(rows, RANGE, tolerance=Tolerance(1e-12, 1e-12))
+    rows = with_slopes(smooth, clean_wrenches(60, 1))
+    surrogate = build(rows, RANGE, tolerance=Tolerance(1e-12, 1e-12))
     wrench = [100.0, -200.0, 300.0, 40.0, 50.0, -60.0]
     assert surrogate.answer(wrench).coverage == "thin"
     assert surrogate.answer(wrench, Tolerance(1, 1)).coverage == "covered"
@@ -94,7 +95,7 @@ def test_the_surrogates_own_tolerance_holds_unless_another_is_asked_for() -> Non
 def test_a_row_of_just_this_wrench_is_covered_where_the_table_is_not() -> None:
     wrench = np.array([[100.0, 20, 30, 4, 5, 6]])
     doubt = np.full((1, 6), 1e-9)
-    surrogate = Surrogate.build(Rows.of(wrench, wrench * 1e-8, uncertainty=doubt), RANGE)
+    surrogate = build(Rows.of(wrench, wrench * 1e-8, uncertainty=doubt), RANGE)
     answer = surrogate.answer(wrench[0].tolist())
     assert answer.coverage == "covered"
     assert answer.method == "row"
@@ -110,7 +111,7 @@ def test_points_on_the_hull_are_inside() -> None:
     scaled[:, [2, 3, 4]] = np.array(np.meshgrid(steps, steps, steps)).reshape(3, -1).T
     high = HIGH * [1, 1, 0.3, 0.7, 1.1, 1]
     load_range = LoadRange(-high, high)
-    surrogate = Surrogate.build(Rows.of(scaled * high, smooth(scaled)), load_range)
+    surrogate = build(Rows.of(scaled * high, smooth(scaled)), load_range)
     rng = np.random.default_rng(2)
     asked = np.zeros((500, 6))
     asked[:, 2] = rng.choice([-1, 1], 500)  # the moments alone lie inside
@@ -141,8 +142,8 @@ def test_outside_is_never_covered_and_no_nan_ever_leaves(x: list[float], axis: i
 def test_detail_names_inputs_outputs_and_the_rows_used() -> None:
     detail = FULL.explain([100.0, 0, 300.0, 0, 50.0, 0])
     assert [axis["axis"] for axis in detail] == ["x", "y", "z"]
-    assert detail[0]["inputs"] == {"F_x": 100.0, "M_y": 50.0, "M_z": 0.0}
-    assert set(detail[2]["outputs"]) == {"u_z", "rx", "ry", "rz"}
+    assert detail[0]["inputs"] == {"fx": 100.0, "my": 50.0, "mz": 0.0}
+    assert set(detail[2]["outputs"]) == {"uz", "rx", "ry", "rz"}
     assert len(detail[0]["rows"]) == 4
     assert set(detail[0]["rows"]) <= set(range(1, 61))
     assert set(detail[2]["rows"]) <= set(range(121, 181))
@@ -156,6 +157,6 @@ def test_the_summary_is_plain_values() -> None:
     summary = json.loads(json.dumps(FULL.coverage_summary(), allow_nan=False))
     assert summary["rows"] == 180
     assert [axis["dimensions"] for axis in summary["axes"]] == [3, 3, 3]
-    assert summary["axes"][0]["spans"]["F_x"] == [-1000, 1000]
+    assert summary["axes"][0]["spans"]["fx"] == [-1000, 1000]
     assert summary["axes"][0]["part_of_range"] == pytest.approx(1.0)
-    assert json.dumps(Surrogate.build(Rows.empty(), RANGE).coverage_summary(), allow_nan=False)
+    assert json.dumps(build(Rows.empty(), RANGE).coverage_summary(), allow_nan=False)

@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 
 from surrogate.axes import clean_rows
+from surrogate.build import build
 from surrogate.design import next_wrenches
 from surrogate.firstdesign import first_design
 from surrogate.rows import LoadRange, Rows, Tolerance
-from surrogate.surrogate import Surrogate
 from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, smooth, table
 
-EMPTY = Surrogate.build(Rows.empty(), RANGE)
+EMPTY = build(Rows.empty(), RANGE)
 
 
 def test_the_first_design_has_centre_faces_corners_and_a_sequence_for_every_axis() -> None:
@@ -29,7 +29,7 @@ def test_the_first_design_loads_one_axis_at_a_time() -> None:
 def test_refinement_gives_full_wrenches_their_share_and_one_axis_the_rest() -> None:
     scaled, counts = first_design(RANGE) / HIGH, []
     for _ in range(4):
-        surrogate = Surrogate.build(table(coupled, scaled), RANGE, off_axis="exclude")
+        surrogate = build(table(coupled, scaled), RANGE, off_axis="exclude")
         asked = next_wrenches(surrogate, 20).wrenches
         scaled = np.concatenate((scaled, asked / HIGH))
         assert len(asked) == 20
@@ -44,9 +44,7 @@ def test_refinement_gives_full_wrenches_their_share_and_one_axis_the_rest() -> N
 def test_a_scene_of_one_axis_asks_for_no_full_wrench() -> None:
     high = np.array([0, 0, 5000.0, 500.0, 500.0, 0])
     scene = LoadRange(-high, high)
-    surrogate = Surrogate.build(
-        Rows.of(first_design(scene), smooth(first_design(scene) / HIGH)), scene
-    )
+    surrogate = build(Rows.of(first_design(scene), smooth(first_design(scene) / HIGH)), scene)
     asked = next_wrenches(surrogate, 30).wrenches
     assert len(asked) == 30
     assert (asked[:, [0, 1, 5]] == 0).all()
@@ -56,7 +54,7 @@ def test_rows_with_tangents_shorten_the_first_design_to_faces_and_corners() -> N
     first = first_design(RANGE)
     assert len(first_design(RANGE, tangents=True)) == 37  # 1 + 12 + 24
     one = Rows.of(first[:1], np.zeros((1, 6)), compliance=np.eye(6)[None])
-    assert len(next_wrenches(Surrogate.build(one, RANGE), 100).wrenches) == 36
+    assert len(next_wrenches(build(one, RANGE), 100).wrenches) == 36
 
 
 def test_a_small_budget_is_spent_on_all_axes_alike() -> None:
@@ -67,7 +65,7 @@ def test_a_small_budget_is_spent_on_all_axes_alike() -> None:
 
 def test_rows_and_pending_wrenches_are_not_asked_again() -> None:
     first = next_wrenches(EMPTY, 20).wrenches
-    surrogate = Surrogate.build(table(smooth, first[:10] / HIGH), RANGE)
+    surrogate = build(table(smooth, first[:10] / HIGH), RANGE)
     rest = next_wrenches(surrogate, 1000, pending=first[10:])
     assert len(rest.wrenches) == 47
     together = np.concatenate((first, rest.wrenches))
@@ -88,12 +86,12 @@ def test_a_one_sided_range_is_stretched_to_no_load_where_the_composition_reads_m
     design = first_design(LoadRange(low, high))
     assert design[:, 2].min() == -5000
     assert design[:, 2].max() == 0
-    surrogate = Surrogate.build(Rows.of(design, smooth(design / HIGH)), LoadRange(low, high))
+    surrogate = build(Rows.of(design, smooth(design / HIGH)), LoadRange(low, high))
     assert surrogate.answer([0, 0, -3000.0, 100.0, 50.0, 0]).coverage == "covered"
 
 
 def test_refinement_asks_where_the_error_bar_is_largest_and_spreads_out() -> None:
-    surrogate = Surrogate.build(table(smooth, first_design(RANGE) / HIGH), RANGE)
+    surrogate = build(table(smooth, first_design(RANGE) / HIGH), RANGE)
     one = next_wrenches(surrogate, 1)
     assert one.stage == "refine"
     many = next_wrenches(surrogate, 30)
@@ -109,7 +107,7 @@ def test_refinement_lowers_the_error_and_ends_at_the_tolerance() -> None:
     asked, errors, stages = full_wrenches(500, 1), [], []
     for _ in range(8):
         rows = table(smooth, scaled)
-        surrogate = Surrogate.build(rows, RANGE, tolerance=tolerance, off_axis="exclude")
+        surrogate = build(rows, RANGE, tolerance=tolerance, off_axis="exclude")
         answers = surrogate.batch(asked * HIGH)
         errors.append(np.abs(answers.displacement - smooth(asked)).mean())
         design = next_wrenches(surrogate, 40)
@@ -124,31 +122,31 @@ def test_refinement_lowers_the_error_and_ends_at_the_tolerance() -> None:
 
 
 def test_a_linear_component_needs_one_solve() -> None:
-    linear = Surrogate.build(Rows.empty(), RANGE, linear=True)
+    linear = build(Rows.empty(), RANGE, linear=True)
     design = next_wrenches(linear, 10)
     assert design.stage == "first"
     assert len(design.wrenches) == 1
     assert len(next_wrenches(linear, 10, pending=design.wrenches).wrenches) == 0
     matrix = np.eye(6)[None] * 1e-8
     rows = Rows.of(design.wrenches, design.wrenches * 1e-8, compliance=matrix)
-    assert next_wrenches(Surrogate.build(rows, RANGE, linear=True), 10).stage == "met"
+    assert next_wrenches(build(rows, RANGE, linear=True), 10).stage == "met"
     bare = Rows.of(design.wrenches, design.wrenches * 1e-8)
-    assert len(next_wrenches(Surrogate.build(bare, RANGE, linear=True), 10).wrenches) == 5
+    assert len(next_wrenches(build(bare, RANGE, linear=True), 10).wrenches) == 5
 
 
 @pytest.mark.parametrize("budget", [0, 1, 7])
 def test_no_more_than_the_budget_is_asked(budget: int) -> None:
     assert len(next_wrenches(EMPTY, budget).wrenches) == budget
-    surrogate = Surrogate.build(table(smooth, first_design(RANGE) / HIGH), RANGE)
+    surrogate = build(table(smooth, first_design(RANGE) / HIGH), RANGE)
     assert len(next_wrenches(surrogate, budget).wrenches) == budget
 
 
 def test_a_table_is_not_done_before_full_wrenches_have_told_what_axes_leave_out() -> None:
     loose = Tolerance(1e3, 1e3)
     scaled = first_design(RANGE) / HIGH
-    first = next_wrenches(Surrogate.build(table(smooth, scaled), RANGE), 30, tolerance=loose)
+    first = next_wrenches(build(table(smooth, scaled), RANGE), 30, tolerance=loose)
     assert (first.stage, len(first.wrenches)) == ("refine", 20)
     assert (first.wrenches != 0).all()
     scaled = np.concatenate((scaled, first.wrenches / HIGH))
-    then = next_wrenches(Surrogate.build(table(smooth, scaled), RANGE), 30, tolerance=loose)
+    then = next_wrenches(build(table(smooth, scaled), RANGE), 30, tolerance=loose)
     assert then.stage == "met"

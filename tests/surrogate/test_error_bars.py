@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from surrogate.errorbar import conformal_factor
+from surrogate.build import build
+from surrogate.conformal import conformal_factor
 from surrogate.interpolant import Interpolant
-from surrogate.surrogate import Surrogate
 from tests.surrogate.calibrating import calibration, noisy, shipped, synthetic, with_slopes
 from tests.surrogate.responses import (
     HIGH,
@@ -91,7 +91,7 @@ def test_bars_with_the_rows_own_slopes_are_sharp(response, per_axis: int) -> Non
 @pytest.mark.parametrize("full", [20, 40, 80])
 def test_full_wrench_bars_hold_and_are_sharp_on_the_thin_plate(full: int) -> None:
     component = shipped("plate_thin", full)
-    surrogate = Surrogate.build(component.rows, component.load_range)
+    surrogate = build(component.rows, component.load_range)
     inside, ratio, _ = calibration(surrogate, component.asked, component.true)
     assert inside.min() >= 0.9
     assert ratio.max() <= 5
@@ -100,7 +100,7 @@ def test_full_wrench_bars_hold_and_are_sharp_on_the_thin_plate(full: int) -> Non
 @pytest.mark.parametrize("name", ["plate", "spring", "bar"])
 def test_full_wrench_bars_hold_and_are_sharp_on_the_other_components(name: str) -> None:
     component = shipped(name, 20)
-    surrogate = Surrogate.build(component.rows, component.load_range)
+    surrogate = build(component.rows, component.load_range)
     inside, ratio, _ = calibration(surrogate, component.asked, component.true)
     assert inside.min() >= 0.9
     assert ratio.max() <= 5
@@ -138,10 +138,10 @@ def test_rows_of_another_axis_show_the_influence_across_axes() -> None:
 
 def test_stored_uncertainty_of_rows_is_in_the_bar() -> None:
     scaled = clean_wrenches(60, 1)
-    plain = Surrogate.build(table(smooth, scaled), RANGE).batch(full_wrenches(50, 2) * HIGH)
+    plain = build(table(smooth, scaled), RANGE).batch(full_wrenches(50, 2) * HIGH)
     doubt = np.full((len(scaled), 6), 5e-4)
     rows = table(smooth, scaled, uncertainty=doubt)
-    wide = Surrogate.build(rows, RANGE).batch(full_wrenches(50, 2) * HIGH)
+    wide = build(rows, RANGE).batch(full_wrenches(50, 2) * HIGH)
     assert (wide.error >= 5e-4 - 1e-15).all()
     np.testing.assert_array_equal(wide.displacement, plain.displacement)
 
@@ -150,7 +150,7 @@ def test_slivers_at_the_hull_make_the_bar_grow_but_not_blow_up() -> None:
     rng = np.random.default_rng(3)
     scaled = clean_wrenches(80, 3)
     scaled[8:80, [0, 4, 5]] = np.clip(rng.uniform(-1, 1, (72, 3)) * 1.3, -1, 1 - 1e-7)
-    surrogate = Surrogate.build(table(smooth, scaled), RANGE)
+    surrogate = build(table(smooth, scaled), RANGE)
     shape = surrogate.composition.tables[0]
     assert shape is not None
     middle = shape.interpolant.points[shape.interpolant.simplices].mean(axis=1)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from surrogate.build import build
 from surrogate.rows import RowError, Rows
-from surrogate.surrogate import Surrogate
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth
 
 SCALED = clean_wrenches(40, 1)
@@ -19,8 +19,8 @@ def rows_with(measured: np.ndarray) -> Rows:
 def test_an_output_nobody_measured_is_none_and_the_reason_says_so() -> None:
     measured = np.zeros((len(SCALED), 6), dtype=bool)
     measured[:, 2] = True
-    surrogate = Surrogate.build(rows_with(measured), RANGE)
-    whole = Surrogate.build(Rows.of(SCALED * HIGH, smooth(SCALED)), RANGE)
+    surrogate = build(rows_with(measured), RANGE)
+    whole = build(Rows.of(SCALED * HIGH, smooth(SCALED)), RANGE)
     answer = surrogate.answer((ASKED[0] * HIGH).tolist())
     assert answer.displacement is not None
     assert answer.error is not None
@@ -30,17 +30,21 @@ def test_an_output_nobody_measured_is_none_and_the_reason_says_so() -> None:
     others = [value for k, value in enumerate(answer.displacement) if k != 2]
     assert others == [None] * 5
     assert [value for k, value in enumerate(answer.error) if k != 2] == [None] * 5
-    assert answer.coverage == "covered"
-    assert answer.reason == "not measured in any row: u_x, u_y, rx, ry, rz"
-    assert surrogate.coverage_summary()["unmeasured"] == ["u_x", "u_y", "rx", "ry", "rz"]
+    assert answer.coverage == "thin"  # no full wrenches
+    assert answer.missing == ("ux", "uy", "rx", "ry", "rz")
+    only_z = surrogate.answer([0.0, 0.0, 2000.0, 50.0, 50.0, 0.0])
+    assert only_z.coverage == "covered"
+    assert only_z.missing == answer.missing
+    assert only_z.reason == "not measured in any row: ux, uy, rx, ry, rz"
+    assert surrogate.coverage_summary()["unmeasured"] == ["ux", "uy", "rx", "ry", "rz"]
 
 
 def test_each_output_uses_all_rows_that_hold_it_and_no_other() -> None:
     measured = np.ones((len(SCALED), 6), dtype=bool)
     measured[::3, 3:] = False
-    surrogate = Surrogate.build(rows_with(measured), RANGE)
-    whole = Surrogate.build(Rows.of(SCALED * HIGH, smooth(SCALED)), RANGE)
-    fewer = Surrogate.build(rows_with(measured).take(measured[:, 3]), RANGE)
+    surrogate = build(rows_with(measured), RANGE)
+    whole = build(Rows.of(SCALED * HIGH, smooth(SCALED)), RANGE)
+    fewer = build(rows_with(measured).take(measured[:, 3]), RANGE)
     batch = surrogate.batch(ASKED * HIGH)
     np.testing.assert_array_equal(
         batch.displacement[:, :3], whole.batch(ASKED * HIGH).displacement[:, :3]
@@ -49,7 +53,7 @@ def test_each_output_uses_all_rows_that_hold_it_and_no_other() -> None:
         batch.displacement[:, 3:], fewer.batch(ASKED * HIGH).displacement[:, 3:]
     )
     assert surrogate.coverage_summary()["rows_per_output"] == {
-        **dict.fromkeys(("u_x", "u_y", "u_z"), 120),
+        **dict.fromkeys(("ux", "uy", "uz"), 120),
         **dict.fromkeys(("rx", "ry", "rz"), 80),
     }
 
@@ -58,7 +62,7 @@ def test_single_answers_and_batches_agree_and_hold_no_nan_as_a_number() -> None:
     measured = np.ones((len(SCALED), 6), dtype=bool)
     measured[:, 4] = False
     measured[1::2, 0] = False
-    surrogate = Surrogate.build(rows_with(measured), RANGE)
+    surrogate = build(rows_with(measured), RANGE)
     asked = np.concatenate((ASKED, 2 * ASKED)) * HIGH
     batch = surrogate.batch(asked)
     for place, wrench in enumerate(asked.tolist()):

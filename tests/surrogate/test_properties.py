@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from surrogate.build import build
 from surrogate.rows import Rows
-from surrogate.surrogate import Surrogate
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -31,7 +31,7 @@ def some_table(seed: int) -> Rows:
 @given(SEEDS)
 def test_a_row_returns_itself(seed: int) -> None:
     rows = some_table(seed)
-    surrogate = Surrogate.build(rows, RANGE)
+    surrogate = build(rows, RANGE)
     told = surrogate.batch(rows.wrench, method="griddata")
     assert (told.coverage != 2).all()
     off = np.array([[1, 2, 3], [0, 2, 4], [0, 1, 5]])
@@ -46,7 +46,7 @@ def test_a_row_returns_itself(seed: int) -> None:
 def test_a_row_of_a_table_of_one_axis_returns_all_its_outputs(seed: int) -> None:
     rows = some_table(seed)
     rows = rows.take((rows.wrench[:, 1:4] == 0).all(axis=1))
-    told = Surrogate.build(rows, RANGE).batch(rows.wrench, method="griddata")
+    told = build(rows, RANGE).batch(rows.wrench, method="griddata")
     inside = told.coverage != 2
     outputs = [0, 3, 4, 5]
     np.testing.assert_allclose(
@@ -64,7 +64,7 @@ def test_the_order_of_rows_changes_nothing(seed: int) -> None:
     rows = some_table(seed)
     shuffled = rows.take(np.random.default_rng(seed).permutation(len(rows)))
     asked = full_wrenches(40, seed) * HIGH
-    one, other = (Surrogate.build(each, RANGE).batch(asked) for each in (rows, shuffled))
+    one, other = (build(each, RANGE).batch(asked) for each in (rows, shuffled))
     np.testing.assert_array_equal(one.coverage, other.coverage)
     np.testing.assert_allclose(one.displacement, other.displacement, rtol=1e-9, atol=1e-13)
     np.testing.assert_allclose(one.error, other.error, rtol=1e-6, atol=1e-12)
@@ -80,7 +80,7 @@ def test_one_more_row_changes_only_the_simplices_around_it(seed: int) -> None:
     new = np.zeros(6)
     new[[0, 4, 5]] = rng.uniform(-0.8, 0.8, 3)
     more = rows + Rows.of(new * HIGH, smooth(new[None]) + 1e-3, seq=[10_000])
-    before, after = Surrogate.build(rows, RANGE), Surrogate.build(more, RANGE)
+    before, after = build(rows, RANGE), build(more, RANGE)
     asked = np.zeros((300, 6))
     asked[:, [0, 4, 5]] = rng.uniform(-0.85, 0.85, (300, 3))
     old = before.batch(asked * HIGH, method="griddata").displacement[:, 0]
@@ -97,7 +97,7 @@ def test_one_more_row_changes_only_the_simplices_around_it(seed: int) -> None:
 @FEW
 @given(SEEDS, st.floats(1.01, 5.0))
 def test_outside_is_never_covered(seed: int, beyond: float) -> None:
-    surrogate = Surrogate.build(some_table(seed), RANGE)
+    surrogate = build(some_table(seed), RANGE)
     rng = np.random.default_rng(seed)
     asked = rng.uniform(-1, 1, (40, 6))
     asked[np.arange(40), rng.integers(0, 6, 40)] = beyond * rng.choice([-1, 1], 40)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from surrogate.build import build
 from surrogate.interpolant import Interpolant
 from surrogate.rows import LoadRange, Rows
 from surrogate.surrogate import Surrogate
@@ -59,7 +60,7 @@ def test_an_affine_response_on_a_grid_is_exact() -> None:
 
 
 def test_answers_on_a_grids_planes_do_not_jump() -> None:
-    surrogate = Surrogate.build(grid_table(), RANGE)
+    surrogate = build(grid_table(), RANGE)
     plane = full_wrenches(300, 4) * 0.9
     plane[:, 0] = 0.5  # a plane of the grid
     near = plane.copy()
@@ -85,7 +86,7 @@ def test_answers_on_a_grids_planes_do_not_jump() -> None:
 )
 @pytest.mark.parametrize("method", [None, "linear", "nearest"])
 def test_a_batch_says_what_single_answers_say_outside_too(rows: Rows, method: str | None) -> None:
-    surrogate = Surrogate.build(rows, RANGE, linear=method == "linear")
+    surrogate = build(rows, RANGE, linear=method == "linear")
     rng = np.random.default_rng(5)
     asked = full_wrenches(60, 5) * 1.3
     asked[rng.uniform(size=asked.shape) < 0.4] = 0
@@ -97,7 +98,7 @@ def test_slivers_on_the_hull_do_not_blow_up_the_bar() -> None:
     wrenches = clean_wrenches(60, 3)
     wrenches[8:60, [0, 4, 5]] = rng.uniform(-1, 1, (52, 3))
     wrenches[8:30, 0] = 1 - rng.uniform(0, 1e-7, 22)  # almost on the hull's face
-    surrogate = Surrogate.build(table(smooth, wrenches), RANGE)
+    surrogate = build(table(smooth, wrenches), RANGE)
     asked = np.zeros((500, 6))
     asked[:, [0, 4, 5]] = rng.uniform(-1, 1, (500, 3))
     asked[:, 0] = 1 - rng.uniform(0, 2e-7, 500)
@@ -114,8 +115,8 @@ def test_inputs_of_any_size_give_the_same_answers(factor: float) -> None:
     scaled = clean_wrenches(50, 6)
     sizes = factor * np.array([1.0, 1e3, 1e6, 1e-6, 1.0, 1e6])
     rows = Rows.of(scaled * sizes, smooth(scaled))
-    surrogate = Surrogate.build(rows, LoadRange(-sizes, sizes))
-    plain = Surrogate.build(table(smooth, scaled), RANGE)
+    surrogate = build(rows, LoadRange(-sizes, sizes))
+    plain = build(table(smooth, scaled), RANGE)
     asked = full_wrenches(100, 7) * 0.8
     np.testing.assert_allclose(
         surrogate.batch(asked * sizes).displacement,
@@ -127,7 +128,7 @@ def test_inputs_of_any_size_give_the_same_answers(factor: float) -> None:
 
 def test_points_on_the_hull_are_inside() -> None:
     rng = np.random.default_rng(8)
-    surrogate = Surrogate.build(table(smooth, clean_wrenches(60, 1)), RANGE)
+    surrogate = build(table(smooth, clean_wrenches(60, 1)), RANGE)
     face = rng.uniform(-1, 1, (200, 6))
     face[np.arange(200), rng.integers(0, 6, 200)] = 1.0
     assert (surrogate.batch(face * HIGH).coverage != 2).all()

@@ -9,10 +9,10 @@ from fastapi import APIRouter, Request
 from starlette.responses import Response
 
 from service.workspace import Workspace
+from surrogate.build import AnyTable
 from surrogate.checks import check_physics
 from surrogate.gaps import axis_gaps
 from surrogate.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
-from surrogate.surrogate import Surrogate
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"])
 CATCH_UP_S = 30.0
@@ -43,7 +43,7 @@ def compliance(name: str, request: Request) -> Response:
     return _json(body)
 
 
-def _newest(request: Request, name: str) -> Surrogate:
+def _newest(request: Request, name: str) -> AnyTable:
     workspace: Workspace = request.app.state.workspace
     workspace.tables.surrogate(name)  # a name that is unknown ends here
     workspace.tables.catch_up(name, CATCH_UP_S)

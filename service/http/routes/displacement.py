@@ -21,8 +21,8 @@ from service.http.problems import ProblemError
 from service.http.routes.jobs import job_link
 from service.ledger import Job, LedgerRow
 from service.workspace import Workspace
-from surrogate.answers import Answer
-from surrogate.surrogate import Surrogate
+from surrogate.answers import Answer, UnknownMethodError
+from surrogate.build import AnyTable
 
 
 class DirectRoute(APIRoute):
@@ -53,7 +53,7 @@ async def displacement(request: Request) -> Response:
     started = perf_counter_ns()
     try:
         answer = await _answered(surrogate, query)
-    except ValueError as error:
+    except UnknownMethodError as error:
         raise unknown_method(error) from None
     elapsed_us = (perf_counter_ns() - started) / 1e3
     fields = _fields(name, surrogate, query.wrench, answer, elapsed_us)
@@ -64,7 +64,7 @@ async def displacement(request: Request) -> Response:
     return await _when_thin(workspace, name, query, answer, fields)
 
 
-async def _answered(surrogate: Surrogate, query: Query) -> Answer:
+async def _answered(surrogate: AnyTable, query: Query) -> Answer:
     """Answer here by the component's own method; others may have to be built first, elsewhere."""
     asked = (query.wrench, query.tolerance, query.method)
     if query.method is None:
@@ -146,7 +146,7 @@ def _answer_batch(workspace: Workspace, name: str, batch: Batch) -> dict[str, An
     started = perf_counter_ns()
     try:
         answers = surrogate.batch(batch.wrenches, batch.tolerance, batch.method)
-    except ValueError as error:
+    except UnknownMethodError as error:
         raise unknown_method(error) from None
     elapsed_us = (perf_counter_ns() - started) / 1e3
     reply: dict[str, Any] = {
@@ -192,7 +192,7 @@ def _fill_in(workspace: Workspace, reply: dict[str, Any]) -> None:
 
 def _fields(
     name: str,
-    surrogate: Surrogate,
+    surrogate: AnyTable,
     wrench: tuple[float, ...],
     answer: Answer,
     elapsed_us: float,
@@ -211,9 +211,11 @@ def _fields(
     }
     if answer.reason:
         fields["reason"] = answer.reason
+    if answer.missing:
+        fields["missing"] = answer.missing
     if answer.method == "row":
         fields["source"] = surrogate.source_of(wrench)
-        fields["reason"] = EXACT
+        fields["reason"] = f"{EXACT} {answer.reason}".rstrip()
     return fields
 
 

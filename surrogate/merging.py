@@ -1,0 +1,101 @@
+"""The rows that answers are made of: those within the load range, repeated ones merged.
+
+A row beyond the load range answers its own wrench and nothing else: one row at 25 times the range
+makes simplices that take most of it, and bends every fit. Two rows that are almost one tell, by the
+little they differ, slopes and curvatures that are nothing but noise: they are one row, and what
+they differ by is its uncertainty.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from surrogate.rows import CLEAN, Floats, LoadRange, Rows
+
+NEAR = 1e-6  # of the range: rows closer than this, in each load, are one
+EQUAL = 12  # decimals of scaled loads to which rows are one before any distance is measured
+
+
+class Merged(NamedTuple):
+    """Rows of distinct wrenches.
+
+    Attributes
+    ----------
+    rows : Rows
+        Displacement and tangent are the mean of the merged rows, the uncertainty is their largest
+        or half the spread of their displacements; the number, the wrench and the source are those
+        of one of them.
+    members : tuple of tuple of int
+        The numbers (`seq`) of the rows behind each.
+    within : ndarray of bool, shape (n,)
+        Which lie within the load range.
+    owner : ndarray of int, shape (given rows,)
+        The place, in these rows, of each row that was given.
+    """
+
+    rows: Rows
+    members: tuple[tuple[int, ...], ...]
+    within: NDArray[np.bool_]
+    owner: NDArray[np.intp]
+
+
+def merge(rows: Rows, load_range: LoadRange) -> Merged:
+    """Merge rows, in ascending order of `seq`, whose wrenches lie within 1e-6 of the range.
+
+    A row beyond the range never merges with one within it.
+    """
+    scaled = rows.wrench / load_range.scale
+    within = load_range.holds(rows.wrench)
+    owner = close_groups(np.column_stack((scaled, np.where(within, 0.0, 1.0))))
+    count = int(owner.max(initial=-1)) + 1
+    # The wrench is that of the row with the fewest loads, so that a clean row stays clean and the
+    # row at no load at no load; then of the outermost, so that the hull does not shrink.
+    loaded = (np.abs(scaled) > CLEAN).sum(axis=1)
+    order = np.lexsort((rows.seq, -(scaled**2).sum(axis=1), loaded, owner))
+    first = order[np.searchsorted(owner[order], np.arange(count))]
+    by_seq = np.argsort(owner, kind="stable")
+    ends = np.cumsum(np.bincount(owner, minlength=count))
+    groups = np.split(by_seq, ends[:-1]) if count else []
+    found = rows.take(first)
+    for place in np.flatnonzero(np.bincount(owner, minlength=count) > 1):
+        _put_mean(found, int(place), rows.take(groups[place]))
+    members = tuple(tuple(rows.seq[group].tolist()) for group in groups)
+    return Merged(found, members, within[first], owner)
+
+
+def close_groups(points: Floats) -> NDArray[np.intp]:
+    """Return the group of each scaled point, shape (n, d) -> (n,): 0, 1, ... by first appearance.
+
+    Points within 1e-6 of each other in every coordinate, by themselves or by others between them,
+    are one group.
+    """
+    if not len(points):
+        return np.empty(0, dtype=np.intp)
+    # + 0.0 turns -0.0 into 0.0, which a byte-wise comparison would keep apart
+    keys = np.round(points, EQUAL) + 0.0
+    distinct, group = np.unique(keys, axis=0, return_inverse=True)
+    pairs = KDTree(distinct).query_pairs(NEAR, p=np.inf, output_type="ndarray")
+    size = len(distinct)
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
+    label = np.asarray(connected_components(links, directed=False)[1])[group.reshape(-1)]
+    _, first, number = np.unique(label, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.intp)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return rank[number.reshape(-1)]
+
+
+def _put_mean(into: Rows, place: int, merged: Rows) -> None:
+    """Put the mean of merged rows in the place of one of them."""
+    into.displacement[place] = merged.displacement.mean(axis=0)
+    stored = np.nan_to_num(merged.uncertainty).max(axis=0)
+    into.uncertainty[place] = np.maximum(np.ptp(merged.displacement, axis=0) / 2, stored)
+    told = np.isfinite(merged.compliance).all(axis=(1, 2))
+    into.compliance[place] = merged.compliance[told].mean(axis=0) if told.any() else np.nan
+    measured = merged.source != "fea"  # solves repeat exactly; a merged row does only if all do
+    into.source[place] = merged.source[measured][0] if measured.any() else "fea"

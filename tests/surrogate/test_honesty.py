@@ -1,0 +1,195 @@
+"""Tables that made answers look surer than they were, each named after the symptom."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from surrogate.answers import METHODS, UnknownMethodError
+from surrogate.build import build
+from surrogate.hull import nearest_in_hull
+from surrogate.missing import MissingOutputs
+from surrogate.rows import Rows
+from tests.surrogate.calibrating import with_slopes
+from tests.surrogate.responses import (
+    HIGH,
+    RANGE,
+    clean_wrenches,
+    coupled,
+    full_wrenches,
+    smooth,
+    table,
+)
+
+CLEAN = clean_wrenches(25, 1)
+ASKED = full_wrenches(80, 2) * 0.9
+
+
+def test_one_solve_at_25_times_the_range_changes_no_answer_but_its_own() -> None:
+    rows = with_slopes(smooth, CLEAN)
+    far = np.array([[0.0, 0, 25, 0, 0, 0]])
+    odd = with_slopes(lambda x: 0.2 * smooth(x), far)
+    odd.seq[:] = 1000
+    with_odd, without = build(rows + odd, RANGE), build(rows, RANGE)
+    for method in (None, "linear", "nearest", "tangent"):
+        told, expected = (s.batch(ASKED * HIGH, method=method) for s in (with_odd, without))
+        for one, other in zip(told, expected, strict=True):
+            np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(with_odd.fit.matrix, without.fit.matrix)
+    own = with_odd.answer((far[0] * HIGH).tolist())
+    assert (own.coverage, own.method) == ("covered", "row")
+    assert own.displacement == tuple(odd.displacement[0].tolist())
+    assert with_odd.answer((far[0] * HIGH * 0.99).tolist()).coverage == "outside"
+    assert with_odd.coverage_summary()["beyond_range"] == 1
+
+
+def test_a_row_a_billionth_beyond_the_range_is_used() -> None:
+    rows = table(smooth, CLEAN * (1 + 5e-10))
+    assert len(build(rows, RANGE).used) == len(rows)
+
+
+def test_almost_equal_rows_do_not_make_slopes_of_their_noise() -> None:
+    """Loads times 1 + 1e-8 and 0.1 % apart: 5e-2 m was answered, 4e-4 is true."""
+    near = Rows.of(
+        CLEAN * HIGH * (1 - 1e-8), smooth(CLEAN) * 1.001, seq=1000 + np.arange(len(CLEAN))
+    )
+    rows = table(smooth, CLEAN) + near
+    surrogate = build(rows, RANGE)
+    assert len(surrogate.used) == len(CLEAN)
+    x = ASKED[:, [0, 4, 5]] * 1.2
+    asked = np.zeros((len(x), 6))
+    asked[:, [0, 4, 5]] = x
+    told = surrogate.batch(asked * HIGH)
+    assert np.abs(told.displacement).max() < 2 * np.abs(smooth(asked)).max()
+    merged = surrogate.answer((CLEAN[10] * HIGH * (1 - 1e-8)).tolist())
+    assert merged.displacement is not None
+    assert merged.error is not None
+    np.testing.assert_allclose(merged.displacement[0], smooth(CLEAN[10:11])[0, 0] * 1.0005)
+    assert merged.error[0] >= abs(smooth(CLEAN[10:11])[0, 0]) * 0.0005 * 0.999
+    behind = surrogate.explain((CLEAN[10] * HIGH).tolist())[0]["rows"]
+    assert {11, 1010} <= set(behind)
+
+
+@pytest.mark.parametrize("method", ["griddata", "nearest", "linear", "tangent", "corrected"])
+def test_full_wrenches_are_thin_on_tables_without_full_wrenches(method: str) -> None:
+    surrogate = build(table(coupled, CLEAN), RANGE)
+    one = surrogate.answer((ASKED[0] * HIGH).tolist(), method=method)
+    assert one.coverage == "thin"
+    assert "0 full wrenches and no tangents: at least 20" in one.reason
+    assert (surrogate.batch(ASKED[:9] * HIGH, method=method).coverage == 1).all()
+    assert surrogate.answer([100.0, 0, 0, 0, 5, 5], method=method).coverage == "covered"
+
+
+def test_twenty_full_wrenches_or_tangents_tell_what_axes_leave_out() -> None:
+    for count, state in ((19, 1), (20, 0)):
+        rows = table(coupled, np.concatenate((CLEAN, full_wrenches(count, 5))))
+        assert (build(rows, RANGE).batch(ASKED[:9] * HIGH).coverage == state).all()
+    assert (build(with_slopes(coupled, CLEAN), RANGE).batch(ASKED[:9] * HIGH).coverage == 0).all()
+
+
+@pytest.mark.parametrize("count", range(1, 9))
+@pytest.mark.parametrize("tangents", [True, False])
+def test_linear_asked_of_a_few_nonlinear_rows_has_a_bar_of_nothing(
+    count: int, tangents: bool
+) -> None:
+    scaled = np.concatenate((np.eye(6), -np.eye(6)[:2]))[:count]
+    rows = with_slopes(smooth, scaled) if tangents else table(smooth, scaled)
+    rows.source[:] = "fea"
+    surrogate = build(rows, RANGE)
+    asked = scaled * 0.5
+    told = surrogate.batch(asked * HIGH, method="linear")
+    missed = np.abs(told.displacement - smooth(asked))
+    assert (missed <= told.error + 1e-12).mean() >= 0.9
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_bar_is_nothing_off_a_row(method: str) -> None:
+    for rows in (
+        table(smooth, full_wrenches(25, 1)),
+        table(smooth, CLEAN * [0, 0, 1, 0, 0, 0]),
+        table(lambda x: 0 * x, np.concatenate((CLEAN, np.zeros((1, 6))))),
+    ):
+        told = build(rows, RANGE).batch(ASKED[:5] * HIGH * [0, 0, 1, 0, 0, 0], method=method)
+        assert not (told.error == 0).any()
+
+
+def test_source_of_a_partly_measured_table_is_that_of_the_row_itself() -> None:
+    moved = smooth(CLEAN)
+    moved[:20, 3:] = np.nan
+    source = [f"rig {place}" for place in range(len(CLEAN))]
+    surrogate = build(Rows.of(CLEAN * HIGH, moved, source=source), RANGE)
+    assert isinstance(surrogate, MissingOutputs)
+    for place in (0, 19, 20, 50):
+        assert surrogate.source_of((CLEAN[place] * HIGH).tolist()) == f"rig {place}"
+    assert surrogate.source_of([1.0] * 6) is None
+
+
+def test_an_unknown_method_has_an_error_of_its_own() -> None:
+    surrogate = build(table(smooth, CLEAN), RANGE)
+    with pytest.raises(UnknownMethodError, match="griddata"):
+        surrogate.answer([1.0] * 6, None, "spline")
+    assert not issubclass(np.linalg.LinAlgError, UnknownMethodError)
+
+
+def test_two_thousandths_of_a_newton_across_the_hull_do_not_jump() -> None:
+    """-1999.999 to -2000.001 N moved u_z by 44 um, and -2000 was said to lie outside -2000."""
+    wrench = np.zeros((9, 6))
+    wrench[:, 2] = np.linspace(-2000, 2000, 9)
+    moved = np.tanh(wrench[:, 2:3] / 1000) * np.full(6, 1e-3)
+    surrogate = build(Rows.of(wrench, moved), RANGE)
+    inside, outside = (surrogate.answer([0, 0, f, 0, 0, 0]) for f in (-1999.999, -2000.001))
+    assert inside.displacement is not None
+    assert outside.displacement is not None
+    assert abs(inside.displacement[2] - outside.displacement[2]) < 1e-9
+    assert outside.coverage == "outside"
+    assert "-2000.001 N lies outside the rows, which span -2000..2000 N" in outside.reason
+    assert surrogate.answer([0, 0, -2000 - 1e-7, 0, 0, 0]).coverage == "covered"
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.booleans())
+def test_estimates_are_continuous_across_the_hull_along_any_line(seed: int, slopes: bool) -> None:
+    rng = np.random.default_rng(seed)
+    scaled = np.zeros((40, 6))
+    scaled[:, [0, 4, 5]] = rng.uniform(-0.8, 0.8, (40, 3))
+    surrogate = build((with_slopes if slopes else table)(smooth, scaled), RANGE)
+    line = np.linspace(0, 1, 4001)[:, None]
+    start, end = rng.uniform(-0.1, 0.1, 3), rng.normal(size=3)
+    asked = np.zeros((len(line), 6))
+    asked[:, [0, 4, 5]] = start + line * (1.6 * end / np.linalg.norm(end) - start)
+    told = surrogate.batch(asked * HIGH)
+    assert set(told.coverage) >= {2}
+    assert len(set(told.coverage)) > 1
+    outputs = [0, 3, 4, 5]
+    out = told.coverage == 2
+    steps = np.abs(np.diff(told.displacement[:, outputs], axis=0))
+    assert steps[out[1:] & out[:-1]].max() < 4e-5  # of 4e-4 of the way, outside as well
+    for place in np.flatnonzero(np.diff(out.astype(int)))[:6]:
+        near, far = asked[place], asked[place + 1]
+        for _ in range(24):  # to some 1e-11 of the range
+            middle = (near + far) / 2
+            same = (surrogate.batch(middle * HIGH).coverage[0] == 2) == out[place]
+            near, far = (middle, far) if same else (near, middle)
+        pair = surrogate.batch(np.array([near, far]) * HIGH).displacement[:, outputs]
+        assert np.abs(pair[0] - pair[1]).max() < 1e-9
+
+
+def test_the_nearest_point_of_a_hull_is_nearer_than_any_other() -> None:
+    rng = np.random.default_rng(3)
+    for points in (rng.normal(size=(60, 3)), rng.normal(size=(20, 3)) * [1, 1, 0], np.ones((1, 3))):
+        x = 5 * rng.normal(size=(200, 3))
+        x = x[np.linalg.norm(x, axis=1) > 4]
+        nearest = nearest_in_hull(points, x)
+        way = x - nearest
+        farther = (way @ points.T).max(axis=1) - (way * nearest).sum(axis=1)
+        assert farther.max() < 1e-10
+
+
+def test_the_summary_tells_what_is_not_used_in_plain_values() -> None:
+    rows = table(smooth, np.concatenate((CLEAN, CLEAN[:3], 9 * CLEAN[:1])))
+    summary = json.loads(json.dumps(build(rows, RANGE).coverage_summary(), allow_nan=False))
+    assert (summary["rows"], summary["used_rows"], summary["beyond_range"]) == (79, 75, 1)

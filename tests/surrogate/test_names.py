@@ -1,0 +1,45 @@
+"""The names of loads and outputs: one spelling in everything that leaves the room as data."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
+from surrogate.checks import check_physics
+from surrogate.gaps import axis_gaps
+from surrogate.rows import LOAD_SYMBOLS, LOADS, OUTPUT_SYMBOLS, OUTPUTS
+from surrogate.surrogate import Surrogate
+from tests.surrogate.responses import RANGE, clean_wrenches, smooth, table
+
+
+def keys_and_words(value: object) -> set[str]:
+    """Return all keys, and all texts in lists, of nested JSON values."""
+    if isinstance(value, dict):
+        return set(value).union(*map(keys_and_words, value.values()))
+    if isinstance(value, list):
+        texts = {one for one in value if isinstance(one, str)}
+        return texts.union(*map(keys_and_words, value))
+    return set()
+
+
+def test_the_lists_of_loads_and_outputs_are_the_contracts() -> None:
+    assert LOADS == WRENCH_NAMES
+    assert OUTPUTS == DISPLACEMENT_NAMES
+    assert [s.replace("_", "").lower() for s in LOAD_SYMBOLS + OUTPUT_SYMBOLS] == [*LOADS, *OUTPUTS]
+
+
+def test_no_key_or_list_that_leaves_the_room_spells_them_another_way() -> None:
+    surrogate = Surrogate(table(smooth, clean_wrenches(30, 1)), RANGE)
+    told = {
+        "explained": surrogate.explain([100.0, 50, 30, 4, 5, 6]),
+        "linear": surrogate.explain([100.0, 50, 30, 4, 5, 6], None, "linear"),
+        "gaps": axis_gaps(surrogate),
+        "summary": surrogate.coverage_summary(),
+        "checks": check_physics(surrogate.rows, RANGE, surrogate.fit),
+    }
+    words = keys_and_words(json.loads(json.dumps(told)))
+    assert not words & {*LOAD_SYMBOLS, *OUTPUT_SYMBOLS}
+    assert {*LOADS, *OUTPUTS} <= words
+    assert np.isin([choice.output for choice in surrogate.methods.choices], OUTPUTS).all()
