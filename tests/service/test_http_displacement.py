@@ -141,7 +141,7 @@ def test_detail_tells_per_axis_inputs_outputs_and_rows(http):
     ).json()
     x = body["axes"][0]
     assert x["axis"] == "x"
-    assert x["inputs"] == {"F_x": 30.0, "M_y": 1.0, "M_z": 0.0}
+    assert x["inputs"] == {"fx": 30.0, "my": 1.0, "mz": 0.0}
     assert x["rows"]
 
 

@@ -35,7 +35,7 @@ def test_what_was_not_measured_is_null_and_what_was_is_a_number(rig):
     assert body["rotation"] == [None] * 3
     assert body["error"]["translation"][0] is None
     assert body["coverage"] == "covered"
-    assert "not measured in any row: u_x, u_y, rx, ry, rz" in body["reason"]
+    assert "not measured in any row: ux, uy, rx, ry, rz" in body["reason"]
 
 
 def test_a_batch_and_an_export_have_null_and_empty_fields(rig):
@@ -51,5 +51,5 @@ def test_a_batch_and_an_export_have_null_and_empty_fields(rig):
 
 def test_the_component_says_what_no_row_holds(rig):
     summary = rig.get(CALL).json()["coverage"]
-    assert summary["unmeasured"] == ["u_x", "u_y", "rx", "ry", "rz"]
-    assert summary["rows_per_output"]["u_z"] == 30
+    assert summary["unmeasured"] == ["ux", "uy", "rx", "ry", "rz"]
+    assert summary["rows_per_output"]["uz"] == 30
