@@ -24,6 +24,7 @@ Floats = NDArray[np.float64]
 GRAIN = 1e-6  # of a load's scale: two wrenches that round to the same are one job
 REACH = 0.05  # of a load's scale: an open job as near as this is joined
 QUEUE_LIMIT = 64  # open jobs of a component that queries may have
+BLOCK = 65_536  # differences of wrenches looked at in one go, 3 MB
 WRENCH_BYTES = 6 * 8
 
 
@@ -232,11 +233,19 @@ def spread(scaled: Floats, reach: float, most: int) -> list[int]:
     list of int
         Places; every point is within reach of one of them unless `most` were picked.
     """
-    left, picked = np.arange(len(scaled)), []
-    while len(left) and len(picked) < most:
-        picked.append(int(left[0]))
-        near = np.abs(scaled[left] - scaled[left[0]]).max(axis=1) <= reach
-        left = left[~near]
+    picked: list[int] = []
+    start = 0
+    while start < len(scaled) and len(picked) < most:
+        # In blocks: where points lie apart, the first few are enough and the rest is never read.
+        stop = start + max(1, BLOCK // max(len(picked), 64))
+        left = np.arange(start, min(stop, len(scaled)))
+        if picked:
+            apart = np.abs(scaled[left, None] - scaled[picked]).max(axis=2)
+            left = left[(apart > reach).all(axis=1)]
+        while len(left) and len(picked) < most:
+            picked.append(int(left[0]))
+            left = left[np.abs(scaled[left] - scaled[left[0]]).max(axis=1) > reach]
+        start = stop
     return picked
 
 

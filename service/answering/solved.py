@@ -17,7 +17,8 @@ def read_row(row: LedgerRow, wrench: Floats, scale: Floats) -> tuple[Floats, Flo
     """Return the displacement and the error bar of a row for the wrench it was rounded from.
 
     The row's tangent leads from its wrench to the asked one; the bar grows by that step. A row
-    without a tangent answers as it is, and the bar grows by the step of a proportional response.
+    without a tangent answers as it is, and the bars of translation and of rotation grow by twice
+    the step of a response in proportion to the largest load: smaller loads may move more.
 
     Parameters
     ----------
@@ -37,5 +38,6 @@ def read_row(row: LedgerRow, wrench: Floats, scale: Floats) -> tuple[Floats, Flo
     if row.compliance is not None:
         moved = np.array(row.compliance) @ step
         return solved + moved, bar + np.abs(moved)
-    share = np.abs(step / scale).max() / np.abs(wrench / scale).max()
-    return solved, bar + share * np.abs(solved)
+    share = 2 * np.abs(step / scale).max() / np.abs(wrench / scale).max()
+    most = np.nanmax(np.abs(solved).reshape(2, 3), axis=1)
+    return solved, bar + share * np.repeat(most, 3)
