@@ -50,7 +50,7 @@ def test_two_wrenches_a_millionth_of_a_millionth_apart_are_one_job_even_when_it_
     wrench = np.array([10.0, 0.0, -20.0, 0.0, 3.0, 0.0])
     job = ask(http, wrench).json()["job"]
     assert http.get(job["url"], params={"wait_s": 20}).json()["status"] == "done"
-    reply = ask(http, wrench + [0, 0, 1e-12, 0, 0, 0])
+    reply = ask(http, wrench + 1e-12 * np.eye(6)[2])
     body = reply.json()
     assert reply.status_code == 200
     assert body["source"] == "fea"
@@ -75,7 +75,7 @@ def test_a_wrench_within_5_percent_of_an_open_job_joins_it_and_one_beyond_does_n
     wrench = 0.3 * scale
     first = ask(http, wrench).json()["job"]["id"]
     assert ask(http, wrench + 0.049 * scale).json()["job"]["id"] == first
-    assert ask(http, wrench + [0.051 * scale[0], 0, 0, 0, 0, 0]).json()["job"]["id"] != first
+    assert ask(http, wrench + 0.051 * scale * np.eye(6)[0]).json()["job"]["id"] != first
 
 
 def test_a_query_joins_an_open_job_of_a_fill(http):
