@@ -21,7 +21,7 @@ from service.library.library import Component, Library
 
 Floats = NDArray[np.float64]
 
-GRAIN = 1e-6  # of a load's scale: two wrenches that round to the same are one job
+GRAINS = 1e6  # to a load's scale: two wrenches that round to the same grains are one job
 REACH = 0.05  # of a load's scale: an open job as near as this is joined
 QUEUE_LIMIT = 64  # open jobs of a component that queries may have
 BLOCK = 65_536  # differences of wrenches looked at in one go, 3 MB
@@ -121,8 +121,8 @@ class Orders:
     def queue(self, name: str, wrenches: Floats) -> list[Placed]:
         """Find or accept the jobs of queries' wrenches, shape (n, 6), N and N·m.
 
-        Each is rounded to `GRAIN`, takes the job there is for it, else joins the open job within
-        `REACH`, else becomes a job unless `queue_limit` of them are open.
+        Each is rounded to whole grains, takes the job there is for it, else joins the open job
+        within `REACH`, else becomes a job unless `queue_limit` of them are open.
 
         Raises
         ------
@@ -130,8 +130,9 @@ class Orders:
             If the component has no finite-element setup.
         """
         component = self.solvable(name)
-        scale = component.load_range.scale
-        return self._place(component, np.round(wrenches / (GRAIN * scale)) * (GRAIN * scale), REACH)
+        # Divided at the end, not multiplied: a decimal wrench then stays the decimal it is.
+        per_unit = GRAINS / component.load_range.scale
+        return self._place(component, np.round(wrenches * per_unit) / per_unit, REACH)
 
     def each(self, name: str, wrenches: Floats) -> list[Placed]:
         """Find or accept each wrench's own exact job, shape (n, 6), N and N·m, up to the limit.

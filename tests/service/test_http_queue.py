@@ -5,7 +5,9 @@ import time
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
+from typer.testing import CliRunner
 
+from service.cli.main import app
 from service.http.app import create_app
 from service.workspace import Settings
 
@@ -158,3 +160,12 @@ def test_many_waiting_jobs_are_cancelled_by_one_call_that_says_how_many(folder, 
         assert [job["component"] for job in left] == ["plate", "plate"]
         assert http.delete("/v1/jobs", params={"status": "done"}).status_code == 422
         assert http.delete("/v1/jobs", params={"component": "nope"}).status_code == 404
+
+
+def test_serve_takes_the_queue_limit(monkeypatch, tmp_path):
+    served = []
+    monkeypatch.setattr("service.http.server.serve", lambda settings, *_: served.append(settings))
+    words = ["serve", "--data", str(tmp_path), "--queue-limit", "7"]
+    reply = CliRunner().invoke(app, words)
+    assert reply.exit_code == 0, reply.output
+    assert served[0].queue_limit == 7

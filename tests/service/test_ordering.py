@@ -7,7 +7,7 @@ import pytest
 
 from service.ledger import Ledger
 from service.library.library import Library
-from service.ordering import GRAIN, Orders, spread
+from service.ordering import GRAINS, Orders, spread
 
 NAME = "plate_thin"
 
@@ -43,10 +43,16 @@ def test_wrenches_that_round_to_the_same_are_one_job_and_its_own(opened):
     orders = opened[0]
     scale = orders.solvable(NAME).load_range.scale
     wrench = 0.25 * scale
-    first, second = orders.queue(NAME, np.array([wrench, wrench + 0.4 * GRAIN * scale]))
+    first, second = orders.queue(NAME, np.array([wrench, wrench + 0.4 / GRAINS * scale]))
     assert first.own
     assert second.own
     assert first.job == second.job
+
+
+def test_a_decimal_wrench_is_solved_as_it_was_written(opened):
+    wrench = (123.457, -0.003, 1999.998, 33.3333, -0.0001, 7.1)
+    job = opened[0].queue(NAME, np.array([wrench]))[0].job
+    assert job.wrench == wrench
 
 
 def test_a_done_job_is_found_again_even_at_the_limit(opened):
