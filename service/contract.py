@@ -7,6 +7,8 @@ from typing import Final
 WRENCH_NAMES: Final = ("fx", "fy", "fz", "mx", "my", "mz")
 DISPLACEMENT_NAMES: Final = ("ux", "uy", "uz", "rx", "ry", "rz")
 
+MOMENT_POINT: Final = "the undeformed interface point"
+
 CONTRACT: Final[dict[str, str]] = {
     "units": "SI: N, N·m, m, rad",
     "wrench": (
@@ -17,8 +19,11 @@ CONTRACT: Final[dict[str, str]] = {
         "translation then rotation of the same point, in the same frame; the rotation is a "
         "rotation vector r, applied as R0 · exp(r)"
     ),
-    "moment": "spatial: fixed to the undeformed axes, it does not follow the section as it turns",
-    "sign": "a hanging weight in a z-up frame gives a negative F_z",
+    "moment": (
+        "spatial: fixed to the undeformed axes, it does not follow the section as it turns; about "
+        f"{MOMENT_POINT}"
+    ),
+    "sign": "a hanging weight in a z-up frame gives a negative fz",
     "rotation_limit": "20 degrees; rows beyond it are refused",
 }
 

@@ -7,7 +7,6 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from starlette.concurrency import run_in_threadpool
 from threadpoolctl import threadpool_limits
 
@@ -15,7 +14,8 @@ from service.jobs.attempt import Progress, attempt_folder, read_progress
 from service.jobs.dispatcher import Dispatcher
 from service.jobs.engines import open_engine
 from service.ledger import Change, Job, Ledger
-from service.library.library import Component, Library
+from service.library.library import Library
+from service.ordering import QUEUE_LIMIT, Orders
 from service.report.queue import Reports
 from service.tables.live import Tables
 
@@ -36,16 +36,15 @@ class Settings:
         Where they run, by name.
     allow_decks:
         Whether an uploaded bundle may have a deck: it names a command, which solvers then run.
+    queue_limit:
+        Open jobs of a component that queries may have; those of fills and solves do not count.
     """
 
     folder: Path
     solvers: int = 2
     engine: str = "local"
     allow_decks: bool = False
-
-
-class NoSetupError(ValueError):
-    """The component has no finite-element setup, so nothing can be solved for it."""
+    queue_limit: int = QUEUE_LIMIT
 
 
 class Workspace:
@@ -60,6 +59,7 @@ class Workspace:
         self._jobs_folder = settings.folder / "jobs"
         self.ledger = Ledger(settings.folder / "ledger.sqlite")
         self.library = Library(settings.folder / "components", allow_decks=settings.allow_decks)
+        self.orders = Orders(self.ledger, self.library, settings.queue_limit)
         self.tables = Tables(self.ledger, self.library, settings.folder / "tables")
         self.reports = Reports(settings.folder / "reports", settings.folder / "tables")
         self._dispatcher: Dispatcher | None = None
@@ -92,25 +92,6 @@ class Workspace:
         self.tables.stop()
         self.ledger.close()
 
-    def order(self, name: str, wrench: tuple[float, ...], *, urgent: bool = False) -> Job:
-        """Accept a job for one wrench; the same job however often it is asked for.
-
-        An urgent one, somebody waits for it, starts before those of a fill.
-
-        Raises
-        ------
-        NoSetupError
-            If the component has no finite-element setup.
-        """
-        component = self._solvable(name)
-        priority = 1 if urgent else 0
-        return self.ledger.accept(name, component.fingerprint, wrench, priority=priority)[0]
-
-    def order_many(self, name: str, wrenches: np.ndarray) -> list[Job]:
-        """Accept jobs for wrenches of shape (n, 6), in one transaction."""
-        component = self._solvable(name)
-        return self.ledger.accept_many(name, component.fingerprint, wrenches.tolist())
-
     async def wait(self, job_id: int, seconds: float) -> Job:
         """Return the job once it has ended, or as it is after ``seconds``."""
         return (await self.wait_all([job_id], seconds))[0]
@@ -142,28 +123,10 @@ class Workspace:
         """Return the folder of a job's latest attempt."""
         return attempt_folder(self._jobs_folder, job.id, job.attempt)
 
-    def pending(self, name: str) -> np.ndarray:
-        """Return the wrenches of a component's open jobs, shape (n, 6), N and N·m."""
-        jobs = [
-            job
-            for status in ("waiting", "running")
-            for job in self.ledger.jobs(name, status, limit=100_000)
-        ]
-        return np.array([job.wrench for job in jobs], dtype=float).reshape(-1, 6)
-
     def faults(self) -> list[str]:
         """Return what keeps this workspace from doing its work; empty if nothing does."""
         trouble = self._dispatcher.trouble if self._dispatcher else None
         return [f"jobs do not run: {trouble}"] if trouble else []
-
-    def _solvable(self, name: str) -> Component:
-        component = self.library[name]
-        if not component.has_fea:
-            raise NoSetupError(
-                f"{name!r} has rows loaded from outside and no finite-element setup, so nothing "
-                "can be solved for it. Load more rows, or ask with on_thin 'estimate'."
-            )
-        return component
 
     def _bundle(self, name: str) -> Path:
         return self.library[name].folder

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.rows import OUTPUT_SYMBOLS, OUTPUT_UNITS, Floats, Tolerance
+from surrogate.rows import OUTPUT_UNITS, OUTPUTS, Floats, Tolerance
 
 COVERED, THIN, OUTSIDE = 0, 1, 2
 NAMES = ("covered", "thin", "outside")
@@ -91,7 +91,7 @@ def over_tolerance(error: Sequence[float], tolerance: Tolerance) -> str:
             worst = error[output] / allowed
             unit = OUTPUT_UNITS[output]
             name = (
-                f"the error bar of {OUTPUT_SYMBOLS[output]}, {error[output]:.2g} {unit}, "
+                f"the error bar of {OUTPUTS[output]}, {error[output]:.2g} {unit}, "
                 f"is over the tolerance, {allowed:.2g} {unit}"
             )
     return name

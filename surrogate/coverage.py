@@ -18,7 +18,7 @@ from surrogate.axistable import DEGENERATE, LARGE, LARGEST, AxisTable
 from surrogate.batches import NOWHERE, Spots, diagnose
 from surrogate.compliance import ComplianceFit
 from surrogate.composition import Composition
-from surrogate.rows import LOAD_SYMBOLS, LOAD_UNITS, LOADS, OUTPUTS, Floats
+from surrogate.rows import LOAD_UNITS, LOADS, OUTPUTS, Floats
 
 UNKNOWN_AT_REST = (
     "no row is at zero load and the rows of no axis surround it: what the component does without "
@@ -108,7 +108,7 @@ def _why_thin(table: AxisTable, simplex: int) -> str:
 
 
 def _amount(load: int, loads: Floats, digits: int = 6) -> str:
-    return f"{LOAD_SYMBOLS[load]} = {loads[load]:.{digits}g} {LOAD_UNITS[load]}"
+    return f"{LOADS[load]} = {loads[load]:.{digits}g} {LOAD_UNITS[load]}"
 
 
 def _why_outside(axis: Axis, table: AxisTable | None, loads: Floats) -> str:
@@ -123,7 +123,7 @@ def _why_outside(axis: Axis, table: AxisTable | None, loads: Floats) -> str:
         if not low - slack <= loads[load] <= high + slack:
             if high - low <= slack:
                 amount = _amount(load, loads)
-                held = f"{LOAD_SYMBOLS[load]} = {low:.6g} {LOAD_UNITS[load]}"
+                held = f"{LOADS[load]} = {low:.6g} {LOAD_UNITS[load]}"
                 return f"axis {axis.name}: {amount}: all rows hold {held}"
             digits = _digits(float(loads[load]), low if loads[load] < low else high)
             span = f"{low:.{digits}g}..{high:.{digits}g} {LOAD_UNITS[load]}"

@@ -10,7 +10,7 @@ import numpy as np
 from surrogate.answers import Answer, judged
 from surrogate.axes import AXES, CLEAN
 from surrogate.compliance import ComplianceFit
-from surrogate.rows import LOAD_SYMBOLS, LOAD_UNITS, LOADS, OUTPUTS, LoadRange, Rows, Tolerance
+from surrogate.rows import LOAD_UNITS, LOADS, OUTPUTS, LoadRange, Rows, Tolerance
 
 
 def answer_linearly(
@@ -21,7 +21,7 @@ def answer_linearly(
     displacement = tuple((fit.matrix @ loads).tolist())
     unknown = ~fit.known & (np.abs(loads) > CLEAN * load_range.scale)
     if unknown.any():
-        reason = f"no row tells the influence of {LOAD_SYMBOLS[int(np.argmax(unknown))]}"
+        reason = f"no row tells the influence of {LOADS[int(np.argmax(unknown))]}"
         return Answer(displacement, None, "outside", reason, "linear")
     error = tuple(fit.bar.tolist())
     if load_range.holds(loads[None])[0]:
@@ -30,7 +30,7 @@ def answer_linearly(
     load = int(np.argmax(beyond))
     low, high = load_range.low[load], load_range.high[load]
     reason = (
-        f"{LOAD_SYMBOLS[load]} = {loads[load]:.6g} {LOAD_UNITS[load]} is outside "
+        f"{LOADS[load]} = {loads[load]:.6g} {LOAD_UNITS[load]} is outside "
         f"the load range, {low:.6g}..{high:.6g} {LOAD_UNITS[load]}"
     )
     return Answer(displacement, error, "outside", reason, "linear")

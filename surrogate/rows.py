@@ -17,10 +17,8 @@ Floats = NDArray[np.float64]
 
 # As the contract spells them: keys and lists. Sentences for people say F_x and u_x.
 LOADS = ("fx", "fy", "fz", "mx", "my", "mz")
-LOAD_SYMBOLS = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
 LOAD_UNITS = ("N", "N", "N", "N·m", "N·m", "N·m")
 OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
-OUTPUT_SYMBOLS = ("u_x", "u_y", "u_z", "r_x", "r_y", "r_z")
 OUTPUT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 CLEAN = 1e-9  # of the range: a load below it counts as none (rounding)
@@ -56,7 +54,7 @@ class LoadRange:
                 raise RowError(f"load range: {name} must be six finite numbers")
             object.__setattr__(self, name, bound)
         if (self.low > self.high).any():
-            load = LOAD_SYMBOLS[int(np.argmax(self.low > self.high))]
+            load = LOADS[int(np.argmax(self.low > self.high))]
             raise RowError(f"load range: the low end of {load} is above its high end")
 
     @property
@@ -147,8 +145,8 @@ class Rows:
                     f"rows: {name} has shape {np.shape(getattr(self, name))}, not {shape}"
                 )
         unmeasured = np.isnan(self.displacement)
-        self._refuse(~np.isfinite(self.wrench), LOAD_SYMBOLS, "is not a finite number")
-        self._refuse(np.isinf(self.displacement), OUTPUT_SYMBOLS, "is not a finite number")
+        self._refuse(~np.isfinite(self.wrench), LOADS, "is not a finite number")
+        self._refuse(np.isinf(self.displacement), OUTPUTS, "is not a finite number")
         if unmeasured.all(axis=1).any():
             row = int(np.argmax(unmeasured.all(axis=1)))
             raise RowError(f"row {self.seq[row]}: no displacement is a finite number")

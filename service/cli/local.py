@@ -25,6 +25,9 @@ def serve(
     allow_decks: Annotated[
         bool, typer.Option(help="take uploaded bundles with a deck: solvers run its command")
     ] = False,
+    queue_limit: Annotated[
+        int, typer.Option(min=0, help="open jobs of a component that queries may have")
+    ] = 64,
     log_level: Annotated[str, typer.Option(help="debug, info, warning or error")] = "info",
 ) -> None:
     """Serve the API and solve what is queued."""
@@ -34,7 +37,7 @@ def serve(
 
     if engine not in ENGINES:
         raise typer.BadParameter(f"there is no engine {engine!r}; there are: {', '.join(ENGINES)}")
-    run(Settings(data, solvers, engine, allow_decks), host, port, log_level)
+    run(Settings(data, solvers, engine, allow_decks, queue_limit), host, port, log_level)
 
 
 def work(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-NAMES = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
+NAMES = ("fx", "fy", "fz", "mx", "my", "mz")
 ON_THIN = ("queue", "wait", "estimate", "reject")
 
 Vector = NDArray[np.float64]

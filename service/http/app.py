@@ -11,7 +11,7 @@ from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 
 from service.contract import CONTRACT_TEXT
-from service.http import problems
+from service.http import openapi, problems
 from service.http.routes import components, coverage, displacement, health, jobs, report, table
 from service.workspace import Settings, Workspace
 
@@ -46,4 +46,5 @@ def create_app(settings: Settings) -> FastAPI:
     problems.install(app)
     for part in (displacement, components, coverage, table, report, jobs, health):
         app.include_router(part.router)
+    openapi.install(app)
     return app

@@ -7,18 +7,18 @@ from typing import Annotated, Any, Final
 import numpy as np
 from fastapi import Request
 from pydantic import Field, ValidationError
-from starlette.responses import Response
 
-from service.http.bodies import MAX_BATCH, Body, OnThin, Seconds
-from service.http.parsing import Batch
+from service.answering.queries import BatchQuery
+from service.http.bodies import MAX_BATCH, Body, Flag, OnThin, Seconds
+from service.http.parsing import known_method
 from service.http.problems import bad_body, plain_errors
-from surrogate.rows import LOAD_SYMBOLS, Tolerance
+from surrogate.rows import LOADS, Tolerance
 
 MEDIA_TYPE: Final = "application/octet-stream"
 ROW_BYTES: Final = 6 * 8
 _Bar = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
-PARAMETERS: Final[list[dict[str, Any]]] = [
+PARAMETERS: Final[tuple[dict[str, Any], ...]] = tuple(
     {"name": name, "in": "query", "required": False, "schema": schema, "description": text}
     for name, schema, text in (
         ("on_thin", {"enum": ["queue", "wait", "estimate", "reject"]}, "binary form: as in JSON"),
@@ -26,12 +26,19 @@ PARAMETERS: Final[list[dict[str, Any]]] = [
         ("method", {"type": "string"}, "binary form: as in JSON"),
         ("translation", {"type": "number"}, "binary form: tolerance, m"),
         ("rotation", {"type": "number"}, "binary form: tolerance, rad"),
+        ("beyond_range", {"type": "boolean"}, "binary form: as in JSON"),
     )
-]
+)
 BODY: Final[dict[str, Any]] = {
-    "schema": {"type": "string", "format": "binary"},
-    "description": "little-endian float64 (n, 6), N and N·m; the reply is (n, 13): displacement, "
-    "error bar, coverage 0 covered, 1 thin, 2 outside; NaN where nothing can be said",
+    "type": "string",
+    "format": "binary",
+    "description": "little-endian float64 (n, 6): force and moment, N and N·m",
+}
+REPLY: Final[dict[str, Any]] = {
+    "type": "string",
+    "format": "binary",
+    "description": "little-endian float64 (n, 13): displacement and error bar, m and rad; coverage "
+    "0 covered, 1 thin, 2 outside; NaN where nothing can be said",
 }
 
 
@@ -43,6 +50,7 @@ class BinaryOptions(Body):
     method: str | None = None
     translation: _Bar | None = None
     rotation: _Bar | None = None
+    beyond_range: Flag = False
 
 
 def is_binary(request: Request) -> bool:
@@ -51,7 +59,7 @@ def is_binary(request: Request) -> bool:
     return kind == MEDIA_TYPE
 
 
-def read_binary(body: bytes, options: dict[str, str]) -> Batch:
+def read_binary(body: bytes, options: dict[str, str]) -> BatchQuery:
     """Read a binary batch and its query parameters.
 
     Raises
@@ -69,20 +77,14 @@ def read_binary(body: bytes, options: dict[str, str]) -> Batch:
     limit = None
     if full.translation is not None and full.rotation is not None:
         limit = Tolerance(full.translation, full.rotation)
-    return Batch(_wrenches(body), full.on_thin, full.wait_s, limit, full.method)
-
-
-def write_binary(reply: dict[str, Any], status: int) -> Response:
-    """Lay out answers as little-endian float64 (n, 13)."""
-    block = np.empty((len(reply["coverage"]), 13), dtype="<f8")
-    block[:, :6], block[:, 6:12] = reply["displacements"], reply["errors"]
-    block[:, 12] = reply["coverage"]
-    headers = {
-        "Wrenchbook-Table-Version": str(reply["table_version"]),
-        "Wrenchbook-Elapsed-Us": f"{reply['elapsed_us']:.1f}",
-        "Wrenchbook-Jobs": str(len(reply["jobs"])),
-    }
-    return Response(block.tobytes(), status, headers, MEDIA_TYPE)
+    return BatchQuery(
+        _wrenches(body),
+        full.on_thin,
+        full.wait_s,
+        limit,
+        known_method(full.method),
+        full.beyond_range,
+    )
 
 
 def _wrenches(body: bytes) -> np.ndarray:
@@ -95,6 +97,6 @@ def _wrenches(body: bytes) -> np.ndarray:
     bad = np.argwhere(~np.isfinite(wrenches))
     if len(bad):
         row, load = bad[0].tolist()
-        message = f"{LOAD_SYMBOLS[load]} is {wrenches[row, load]}, not finite"
+        message = f"{LOADS[load]} is {wrenches[row, load]}, not finite"
         raise bad_body([{"loc": f"wrenches.{row}.{load}", "msg": message}])
     return wrenches

@@ -11,6 +11,9 @@ Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Wrench = Annotated[list[Finite], Field(min_length=6, max_length=6)]
 OnThin = Literal["queue", "wait", "estimate", "reject"]
+Flag = Annotated[
+    bool, Field(description="whether a wrench outside the load range may be solved as well")
+]
 Seconds = Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)]
 
 MAX_BATCH = 1_000_000
@@ -47,7 +50,7 @@ class WrenchBody(Body):
         return tuple(map(float, (self.force or zero) + (self.moment or zero)))
 
 
-class DisplacementQuery(WrenchBody):
+class DisplacementBody(WrenchBody):
     """The main call's body."""
 
     on_thin: OnThin = "queue"
@@ -55,9 +58,10 @@ class DisplacementQuery(WrenchBody):
     tolerance: ToleranceBody | None = None
     method: str | None = None
     detail: bool = False
+    beyond_range: Flag = False
 
 
-class BatchQuery(Body):
+class BatchBody(Body):
     """A batch of wrenches, each force then moment."""
 
     wrenches: Annotated[list[Wrench], Field(max_length=MAX_BATCH)]
@@ -65,15 +69,17 @@ class BatchQuery(Body):
     wait_s: Seconds = 30.0
     tolerance: ToleranceBody | None = None
     method: str | None = None
+    beyond_range: Flag = False
 
 
-class SolveOrder(WrenchBody):
+class SolveBody(WrenchBody):
     """DirectFEA: solve this wrench now, whatever the table says."""
 
     wait_s: Seconds = 0.0
+    beyond_range: Flag = False
 
 
-class FillOrder(Body):
+class FillBody(Body):
     """How thick the table shall become, and how many solves that may cost in this round."""
 
     tolerance: ToleranceBody | None = None

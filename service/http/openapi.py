@@ -1,110 +1,88 @@
-"""OpenAPI descriptions of the calls whose bodies are read by hand for speed."""
+"""The OpenAPI document: what FastAPI knows of each call, and what `calls` adds."""
 
 from __future__ import annotations
 
-from typing import Any, Final
+import re
+from typing import Any
 
-from service.contract import CONTRACT
-from service.http.binary import BODY, MEDIA_TYPE, PARAMETERS
-from service.http.bodies import BatchQuery, Body, DisplacementQuery, FillOrder, SolveOrder
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
 
-_BODIES: Final[dict[str, type[Body]]] = {
-    body.__name__: body for body in (DisplacementQuery, BatchQuery, SolveOrder, FillOrder)
-}
-_THREE = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
-_SIX = {"type": "array", "items": {"type": "number"}, "minItems": 6, "maxItems": 6}
-_COVERAGE = {"enum": ["covered", "thin", "outside"]}
-_JOB = {
-    "type": "object",
-    "properties": {
-        "id": {"type": "integer"},
-        "status": {"enum": ["waiting", "running", "done", "failed", "cancelled"]},
-        "url": {"type": "string"},
-    },
-}
+from service.http.calls import CALLS, REFUSALS, Call
+from service.http.problems import MEDIA_TYPE
+from service.http.schemas import PROBLEM
 
-_REPLIES: Final[dict[str, dict[str, Any]]] = {
-    "displacement": {
-        "component": {"type": "string"},
-        "translation": {**_THREE, "description": "m; null when nothing can be said"},
-        "rotation": {**_THREE, "description": "rotation vector, rad"},
-        "error": {
-            "type": "object",
-            "description": "estimated 95 % error bar per output, m and rad",
-            "properties": {"translation": _THREE, "rotation": _THREE},
-        },
-        "coverage": _COVERAGE,
-        "source": {"description": "table, or where the row that answers came from: fea, measured"},
-        "method": {"type": "string"},
-        "table_version": {"type": "integer"},
-        "elapsed_us": {"type": "number", "description": "time spent on the answer, µs"},
-        "reason": {"type": "string", "description": "why not covered"},
-        "job": _JOB,
-    },
-    "displacements": {
-        "displacements": {"type": "array", "items": _SIX, "description": "m and rad"},
-        "errors": {"type": "array", "items": _SIX, "description": "95 % error bars, m and rad"},
-        "coverage": {"type": "array", "items": _COVERAGE},
-        "jobs": {
-            "type": "array",
-            "items": {**_JOB, "properties": {"index": {"type": "integer"}, **_JOB["properties"]}},
-            "description": "one per wrench that is not covered; index is the wrench's number",
-        },
-        "table_version": {"type": "integer"},
-        "elapsed_us": {"type": "number"},
-    },
-}
+_PROBLEM_CONTENT = {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}
+_METHODS = ("get", "post", "put", "patch", "delete")
 
 
-def body_schema(name: str) -> dict[str, Any]:
-    """Return the ``openapi_extra`` of a call that reads the body ``name``."""
-    schema = _BODIES[name].model_json_schema(ref_template="#/components/schemas/{model}")
-    schema.update(_inlined(schema))
-    schema.pop("$defs", None)
-    return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
+def install(app: FastAPI) -> None:
+    """Make ``/openapi.json`` say all that calls take and answer."""
+
+    def document() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            app.openapi_schema = _document(app)
+        return app.openapi_schema
+
+    app.openapi = document
 
 
-def component_call(name: str) -> dict[str, Any]:
-    """Return `body_schema` with the path's parameter, for a call that reads both by hand."""
-    parameter = {"name": "name", "in": "path", "required": True, "schema": {"type": "string"}}
-    return {"parameters": [parameter], **body_schema(name)}
+def _document(app: FastAPI) -> dict[str, Any]:
+    found = get_openapi(
+        title=app.title,
+        version=app.version,
+        summary=app.summary,
+        description=app.description,
+        routes=app.routes,
+    )
+    schemas = found.setdefault("components", {}).setdefault("schemas", {})
+    schemas["Problem"] = PROBLEM
+    for path, operations in found["paths"].items():
+        for method in operations.keys() & set(_METHODS):
+            call = CALLS.get((method, path)) or _usual(path, operations[method])
+            _complete(path, operations[method], call)
+    for validation in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(validation, None)  # mistakes are problems here
+    return found
 
 
-def batch_schema() -> dict[str, Any]:
-    """Return the ``openapi_extra`` of the batch call, with its binary form."""
-    extra = body_schema("BatchQuery")
-    extra["requestBody"]["content"][MEDIA_TYPE] = BODY
-    return {**extra, "parameters": PARAMETERS}
+def _usual(path: str, operation: dict[str, Any]) -> Call:
+    """Return what a call that `CALLS` does not name answers: what calls of its form do."""
+    told = [int(code) for code in operation["responses"] if code.isdigit()]
+    refusals = (404, 422) if "{" in path else (422,)
+    return Call({}, (*refusals, *(code for code in told if code in REFUSALS)))
 
 
-def reply_schema(name: str) -> dict[int | str, dict[str, Any]]:
-    """Return the ``responses`` of a call, with the wrench contract in the schema."""
-    schema = {
-        "type": "object",
-        "description": " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items()),
-        "properties": _REPLIES[name],
+def _complete(path: str, operation: dict[str, Any], call: Call) -> None:
+    """Add to an operation what it does not say by itself."""
+    operation["responses"] = _answers(operation["responses"], call) | {
+        str(status): {"description": REFUSALS[status], "content": _PROBLEM_CONTENT}
+        for status in call.all_refusals
     }
-    content = {"application/json": {"schema": schema}}
-    problem = {"content": {"application/problem+json": {}}}
+    if call.bodies and "requestBody" not in operation:
+        content = {kind: {"schema": schema} for kind, schema in call.bodies.items()}
+        operation["requestBody"] = {"required": True, "content": content}
+    parameters = operation.get("parameters", []) + list(call.parameters)
+    named = {one["name"] for one in parameters}
+    parameters += [
+        {"name": name, "in": "path", "required": True, "schema": {"type": "string"}}
+        for name in re.findall(r"{(\w+)}", path)
+        if name not in named
+    ]
+    if parameters:
+        operation["parameters"] = parameters
+
+
+def _answers(told: dict[str, Any], call: Call) -> dict[str, Any]:
+    """Return the answers that are not problems; FastAPI's own where the call says nothing."""
+    if not call.answers:
+        return {status: one for status, one in told.items() if status.startswith("2")}
+    content = {kind: {"schema": schema} for kind, schema in call.replies.items()}
+    plain: dict[str, Any] = {"application/json": {}}
     return {
-        200: {"description": "covered, solved or estimated", "content": content},
-        202: {"description": "too thin: a solve is queued", "content": content},
-        404: {"description": "no such component", **problem},
-        409: {"description": "not covered, and no solve was asked for or possible", **problem},
-        422: {"description": "the body has mistakes; nothing was changed", **problem},
-        424: {"description": "the solve of this wrench failed", **problem},
+        str(status): {
+            "description": text,
+            "content": content or told.get(str(status), {}).get("content", plain),
+        }
+        for status, text in call.answers.items()
     }
-
-
-def _inlined(schema: dict[str, Any]) -> dict[str, Any]:
-    """Put the definitions of nested bodies where they are referred to."""
-    definitions = schema.get("$defs", {})
-
-    def walk(node: Any) -> Any:
-        if isinstance(node, dict):
-            if "$ref" in node:
-                return walk(definitions[node["$ref"].rsplit("/", 1)[-1]])
-            return {key: walk(value) for key, value in node.items() if key != "$defs"}
-        return [walk(item) for item in node] if isinstance(node, list) else node
-
-    return walk(schema)

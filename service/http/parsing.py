@@ -1,44 +1,22 @@
-"""Reading the bodies of the two displacement calls: quickly when well formed, kindly when not."""
+"""Reading the bodies of the displacement calls: quickly when well formed, kindly when not."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import isfinite
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import orjson
 from pydantic import ValidationError
 
-from service.http.bodies import BatchQuery, Body, DisplacementQuery
-from service.http.problems import ProblemError, bad_body, plain_errors
+from service.answering.queries import BatchQuery, Query
+from service.http.bodies import BatchBody, Body, DisplacementBody, OnThin, SolveBody
+from service.http.problems import bad_body, plain_errors
+from surrogate.answers import METHODS
 from surrogate.rows import Tolerance
 
 _PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})
-_ON_THIN = frozenset({"queue", "wait", "estimate", "reject"})
-
-
-@dataclass(frozen=True, slots=True)
-class Query:
-    """What the main call asks for; ``wrench`` is six floats, N and N·m."""
-
-    wrench: tuple[float, ...]
-    on_thin: str = "queue"
-    wait_s: float = 30.0
-    tolerance: Tolerance | None = None
-    method: str | None = None
-    detail: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Batch:
-    """What the batch call asks for; ``wrenches`` has shape (n, 6), N and N·m."""
-
-    wrenches: np.ndarray
-    on_thin: str
-    wait_s: float
-    tolerance: Tolerance | None
-    method: str | None
+_ON_THIN: dict[str, OnThin] = {word: word for word in get_args(OnThin)}
 
 
 def read_query(body: bytes) -> Query:
@@ -55,21 +33,35 @@ def read_query(body: bytes) -> Query:
     fields = _json(body)
     if isinstance(fields, dict) and fields.keys() <= _PLAIN_FIELDS:
         wrench = _plain_wrench(fields.get("force"), fields.get("moment"))
-        on_thin = fields.get("on_thin", "queue")
-        if wrench is not None and isinstance(on_thin, str) and on_thin in _ON_THIN:
+        word = fields.get("on_thin", "queue")
+        on_thin = _ON_THIN.get(word) if isinstance(word, str) else None
+        if wrench is not None and on_thin is not None:
             return Query(wrench, on_thin)
-    full = _checked(DisplacementQuery, fields)
+    full = _checked(DisplacementBody, fields)
     return Query(
         full.wrench(),
         full.on_thin,
         full.wait_s,
         _tolerance(full.tolerance),
-        full.method,
+        known_method(full.method),
         full.detail,
+        full.beyond_range,
     )
 
 
-def read_batch(body: bytes) -> Batch:
+def read_solve(body: bytes) -> Query:
+    """Read DirectFEA's body.
+
+    Raises
+    ------
+    ProblemError
+        422, with every mistake's place.
+    """
+    full = _checked(SolveBody, _json(body))
+    return Query(full.wrench(), "solve", full.wait_s, beyond_range=full.beyond_range)
+
+
+def read_batch(body: bytes) -> BatchQuery:
     """Read the batch call's JSON body.
 
     Raises
@@ -81,10 +73,31 @@ def read_batch(body: bytes) -> Batch:
     wrenches = _plain_wrenches(fields)
     if wrenches is not None:
         fields = {**fields, "wrenches": []}
-    full = _checked(BatchQuery, fields)
+    full = _checked(BatchBody, fields)
     if wrenches is None:
         wrenches = np.array(full.wrenches, dtype=float).reshape(-1, 6)
-    return Batch(wrenches + 0.0, full.on_thin, full.wait_s, _tolerance(full.tolerance), full.method)
+    return BatchQuery(
+        wrenches + 0.0,
+        full.on_thin,
+        full.wait_s,
+        _tolerance(full.tolerance),
+        known_method(full.method),
+        full.beyond_range,
+    )
+
+
+def known_method(method: str | None) -> str | None:
+    """Return a method's name as it is.
+
+    Raises
+    ------
+    ProblemError
+        422, if the surrogate has no such method.
+    """
+    if method is not None and method not in METHODS:
+        message = f"unknown method {method!r}: one of {', '.join(METHODS)}"
+        raise bad_body([{"loc": "method", "msg": message}])
+    return method
 
 
 def read_body(kind: type[Body], body: bytes) -> Any:
@@ -145,8 +158,3 @@ def _plain_wrenches(fields: Any) -> np.ndarray | None:
 
 def _tolerance(body: Any) -> Tolerance | None:
     return Tolerance(body.translation, body.rotation) if body else None
-
-
-def unknown_method(error: ValueError) -> ProblemError:
-    """Describe a method name the surrogate does not know."""
-    return bad_body([{"loc": "method", "msg": str(error)}])

@@ -13,6 +13,8 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from fea.bundle.read import BundleError
+from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
+from service.http.links import job_link
 from service.ledger import (
     InvalidTransitionError,
     LedgerUnavailableError,
@@ -20,7 +22,7 @@ from service.ledger import (
     UnknownRowError,
 )
 from service.library.library import ComponentExistsError, UnknownComponentError
-from service.workspace import NoSetupError
+from service.ordering import NoSetupError
 
 MEDIA_TYPE = "application/problem+json"
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
@@ -29,6 +31,8 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     NoSetupError: (409, "no-fea-setup", "The component has no finite-element setup"),
     UnknownJobError: (404, "unknown-job", "No such job"),
     UnknownRowError: (404, "unknown-row", "No such row"),
+    NotCoveredError: (409, "not-covered", "The table does not cover this"),
+    BeyondRangeError: (409, "beyond-range", "Outside the component's load range"),
     InvalidTransitionError: (409, "job-status", "The job's status does not allow this"),
     LedgerUnavailableError: (503, "ledger", "The ledger cannot be written; nothing was accepted"),
 }
@@ -98,9 +102,19 @@ def problem_of(error: Exception) -> ProblemError:
         return ProblemError(
             422, "bad-bundle", "The component bundle has mistakes", detail, errors=errors
         )
+    if isinstance(error, SolveFailedError):
+        return ProblemError(
+            424,
+            "solve-failed",
+            f"The solve failed: {error.kind}",
+            str(error),
+            job=job_link(error.job),
+            **error.facts,
+        )
     for kind, (status, slug, title) in _NAMED.items():
         if isinstance(error, kind):
-            return ProblemError(status, slug, title, str(error))
+            facts = getattr(error, "facts", {})
+            return ProblemError(status, slug, title, str(error), **facts)
     raise error
 
 
@@ -130,7 +144,8 @@ def install(app: FastAPI) -> None:
             f"{request.method} {request.url.path} failed; the server's log has the traceback.",
         ).response()
 
-    for kind in (ProblemError, BundleError, ValidationError, RequestValidationError, *_NAMED):
+    named = (BundleError, ValidationError, RequestValidationError, SolveFailedError, *_NAMED)
+    for kind in (ProblemError, *named):
         app.add_exception_handler(kind, answer)
     app.add_exception_handler(HTTPException, http_answer)
     app.add_exception_handler(Exception, crash)

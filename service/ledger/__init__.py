@@ -10,7 +10,16 @@ from service.ledger.errors import (
     UnknownRowError,
 )
 from service.ledger.ledger import Ledger
-from service.ledger.records import FINAL, STATUSES, Change, Job, LedgerRow, NewRow, Status
+from service.ledger.records import (
+    FINAL,
+    STATUSES,
+    Change,
+    Job,
+    LedgerRow,
+    NewRow,
+    OpenJob,
+    Status,
+)
 
 __all__ = [
     "FINAL",
@@ -24,6 +33,7 @@ __all__ = [
     "LedgerRow",
     "LedgerUnavailableError",
     "NewRow",
+    "OpenJob",
     "StaleAttemptError",
     "Status",
     "UnknownJobError",

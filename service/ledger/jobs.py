@@ -6,26 +6,32 @@ from collections.abc import Iterable
 
 from service.ledger import states
 from service.ledger.errors import UnknownJobError
-from service.ledger.records import STATUSES, Job, unpack6
+from service.ledger.records import STATUSES, Job, OpenJob, pack6, unpack6
 from service.ledger.schema import Connection
+
+MOST_VALUES = 500  # of one statement; SQLite before 3.32 takes 999
 
 _COLUMNS = (
     "id, component, fingerprint, wrench, status, priority, attempt, lost, owner, "
-    "created, started, finished, error, row"
+    "created, started, finished, error, row, asked_by"
 )
 
 
 def accept(
-    db: Connection, same: tuple[str, str, bytes], priority: int, reopen_cancelled: bool
+    db: Connection,
+    same: tuple[str, str, bytes],
+    priority: int,
+    reopen_cancelled: bool,
+    asked_by: str = "",
 ) -> tuple[Job, bool]:
     """Return the one job of (component, fingerprint, wrench), and whether it is new."""
     job = find_same(db, *same)
     if job is not None:
-        return save(db, states.asked_again(job, priority, reopen_cancelled)), False
+        return save(db, states.asked_again(job, priority, reopen_cancelled, asked_by)), False
     added = db.execute(
         "INSERT INTO jobs (component, fingerprint, wrench, status, priority, attempt, lost,"
-        " created) VALUES (?, ?, ?, 'waiting', ?, 0, 0, ?)",
-        (*same, priority, time.time()),
+        " created, asked_by) VALUES (?, ?, ?, 'waiting', ?, 0, 0, ?, ?)",
+        (*same, priority, time.time(), asked_by),
     )
     assert added.lastrowid is not None
     return get(db, added.lastrowid), True
@@ -36,10 +42,11 @@ def save(db: Connection, job: Job) -> Job:
     error = None if job.error is None else json.dumps(job.error)
     now = (job.status, job.priority, job.attempt, job.lost, job.owner)
     times = (job.started, job.finished)
+    ends = (error, job.row, job.asked_by)
     db.execute(
         "UPDATE jobs SET status = ?, priority = ?, attempt = ?, lost = ?, owner = ?,"
-        " started = ?, finished = ?, error = ?, row = ? WHERE id = ?",
-        (*now, *times, error, job.row, job.id),
+        " started = ?, finished = ?, error = ?, row = ?, asked_by = ? WHERE id = ?",
+        (*now, *times, *ends, job.id),
     )
     return job
 
@@ -57,6 +64,30 @@ def find_same(db: Connection, component: str, fingerprint: str, wrench: bytes) -
     where = "WHERE component = ? AND fingerprint = ? AND wrench = ?"
     found = _select(db, where, (component, fingerprint, wrench))
     return found[0] if found else None
+
+
+def find_many(
+    db: Connection, component: str, fingerprint: str, wrenches: Iterable[bytes]
+) -> dict[bytes, Job]:
+    """Return, by packed wrench, the jobs there are for any of these wrenches."""
+    wanted, found = list(wrenches), {}
+    for start in range(0, len(wanted), MOST_VALUES):
+        part = wanted[start : start + MOST_VALUES]
+        marks = ", ".join("?" * len(part))
+        tail = f"WHERE component = ? AND fingerprint = ? AND wrench IN ({marks})"
+        same = _select(db, tail, (component, fingerprint, *part))
+        found |= {pack6(job.wrench): job for job in same}
+    return found
+
+
+def opened(db: Connection, component: str, fingerprint: str) -> list[OpenJob]:
+    """Return the waiting and running jobs of one setup, oldest first."""
+    found = db.execute(
+        "SELECT id, wrench, asked_by FROM jobs WHERE component = ? AND fingerprint = ?"
+        " AND status IN ('waiting', 'running') ORDER BY id",
+        (component, fingerprint),
+    )
+    return [OpenJob(*record) for record in found]
 
 
 def next_waiting(db: Connection) -> Job | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from service.ledger import jobs, rows, states
 from service.ledger.listeners import Listener, Listeners
-from service.ledger.records import Change, Job, LedgerRow, NewRow, Status, pack6
+from service.ledger.records import Change, Job, LedgerRow, NewRow, OpenJob, Status, pack6
 from service.ledger.schema import Connections
 
 FOLLOW_SECONDS = 0.02  # how late `wait` sees what another process wrote
@@ -43,6 +43,7 @@ class Ledger:
         *,
         priority: int = 0,
         reopen_cancelled: bool = True,
+        asked_by: str = "",
     ) -> tuple[Job, bool]:
         """Return the job for this wrench, and whether it is new.
 
@@ -60,11 +61,11 @@ class Ledger:
         key = pack6(wrench)
         with self._db.reading() as db:
             found = jobs.find_same(db, component, fingerprint, key)
-        if found and states.asked_again(found, priority, reopen_cancelled) == found:
+        if found and states.asked_again(found, priority, reopen_cancelled, asked_by) == found:
             return found, False
         with self._db.writing() as db:
             same = (component, fingerprint, key)
-            job, created = jobs.accept(db, same, priority, reopen_cancelled)
+            job, created = jobs.accept(db, same, priority, reopen_cancelled, asked_by)
         self._tell(job)
         return job, created
 
@@ -76,11 +77,42 @@ class Ledger:
         *,
         priority: int = 0,
         reopen_cancelled: bool = True,
+        asked_by: str = "",
     ) -> list[Job]:
         """Accept jobs in one transaction, all or none; one job a wrench, in their order."""
-        keys = [(component, fingerprint, pack6(wrench)) for wrench in wrenches]
+        keys = [pack6(wrench) for wrench in wrenches]
+        return self.accept_chosen(
+            component,
+            fingerprint,
+            lambda _: keys,
+            priority=priority,
+            reopen_cancelled=reopen_cancelled,
+            asked_by=asked_by,
+        )
+
+    def accept_chosen(
+        self,
+        component: str,
+        fingerprint: str,
+        choose: Callable[[list[OpenJob]], Sequence[bytes]],
+        *,
+        priority: int = 0,
+        reopen_cancelled: bool = True,
+        asked_by: str = "",
+    ) -> list[Job]:
+        """Accept the packed wrenches that `choose` picks once it has seen the open jobs.
+
+        Choosing and accepting are one transaction, so a limit on open jobs holds however many
+        processes accept at once.
+        """
         with self._db.writing() as db:
-            accepted = [jobs.accept(db, key, priority, reopen_cancelled)[0] for key in keys]
+            keys = choose(jobs.opened(db, component, fingerprint))
+            accepted = [
+                jobs.accept(
+                    db, (component, fingerprint, key), priority, reopen_cancelled, asked_by
+                )[0]
+                for key in keys
+            ]
         self._tell(*accepted)
         return accepted
 
@@ -157,6 +189,21 @@ class Ledger:
         """Cancel a waiting or running job; its dispatcher then stops the solver."""
         return self._move(job_id, lambda job: states.cancelled(job, time.time()))
 
+    def cancel_many(self, component: str | None, status: Status) -> int:
+        """Cancel all jobs of a status (of one component), and return how many there were.
+
+        Raises
+        ------
+        InvalidTransitionError
+            If jobs of that status cannot be cancelled; then none is.
+        """
+        with self._db.writing() as db:
+            found = jobs.listed(db, component, status, limit=-1)  # no limit, to SQLite
+            for job in found:
+                jobs.save(db, states.cancelled(job, time.time()))
+        self._tell(*found)
+        return len(found)
+
     def retry(self, job_id: int) -> Job:
         """Let a failed or cancelled job wait again."""
         return self._move(job_id, states.retried)
@@ -174,6 +221,18 @@ class Ledger:
         """Return jobs, newest first."""
         with self._db.reading() as db:
             return jobs.listed(db, component, status, limit)
+
+    def open_jobs(self, component: str, fingerprint: str) -> list[OpenJob]:
+        """Return the waiting and running jobs of one setup, oldest first."""
+        with self._db.reading() as db:
+            return jobs.opened(db, component, fingerprint)
+
+    def jobs_for(
+        self, component: str, fingerprint: str, wrenches: Iterable[bytes]
+    ) -> dict[bytes, Job]:
+        """Return, by packed wrench, the jobs there are for any of these wrenches."""
+        with self._db.reading() as db:
+            return jobs.find_many(db, component, fingerprint, wrenches)
 
     def running(self) -> list[Job]:
         """Return all running jobs, oldest first."""

@@ -5,7 +5,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
-from typing import Literal
+from typing import Literal, NamedTuple
 
 Status = Literal["waiting", "running", "done", "failed", "cancelled"]
 STATUSES: tuple[Status, ...] = ("waiting", "running", "done", "failed", "cancelled")
@@ -46,6 +46,8 @@ class Job:
         ``{"kind", "message", "remedy"}`` of a failed job.
     row : int or None
         ``seq`` of the row a done job gave.
+    asked_by : str
+        Which call the job comes from, such as ``query`` or ``fill``.
     """
 
     id: int
@@ -62,11 +64,20 @@ class Job:
     finished: float | None
     error: dict[str, str] | None
     row: int | None
+    asked_by: str = ""
 
     @property
     def is_final(self) -> bool:
         """True if nothing more happens to the job by itself."""
         return self.status in FINAL
+
+
+class OpenJob(NamedTuple):
+    """A job that waits or runs, in short: its number, its wrench as `pack6` writes it, its call."""
+
+    id: int
+    wrench: bytes
+    asked_by: str
 
 
 @dataclass(frozen=True)

@@ -59,6 +59,7 @@ SCRIPTS = (
     );
     CREATE INDEX rows_of_component ON rows (component, seq);
     """,
+    "ALTER TABLE jobs ADD COLUMN asked_by TEXT NOT NULL DEFAULT ''",
 )
 
 

@@ -84,10 +84,10 @@ def reopened(job: Job) -> Job:
     return _moved(job, "reopen", **_FRESH)
 
 
-def asked_again(job: Job, priority: int, reopen_cancelled: bool) -> Job:
+def asked_again(job: Job, priority: int, reopen_cancelled: bool, asked_by: str = "") -> Job:
     """Return the job there is, after its wrench was asked for once more."""
     if job.status == "cancelled" and reopen_cancelled:
-        job = reopened(job)
+        job = replace(reopened(job), asked_by=asked_by)
     if job.status == "waiting" and priority > job.priority:
         job = replace(job, priority=priority)
     return job

@@ -22,6 +22,7 @@ from surrogate.rows import LoadRange, Tolerance
 
 MAX_BUNDLE_BYTES = 512 * 1024 * 1024
 CHECK_SECONDS = 300
+CHECK_FILE = "check.json"  # beside component.toml: what the check found at the upload
 _DECKS_REFUSED = (
     "A deck names a command that the server's solvers run, and this server takes none from "
     "outside. Ask its operator to start it with: wrenchbook serve --allow-decks; or to put the "
@@ -127,7 +128,8 @@ class Library:
             folder = _extract(archive, Path(incoming))
             if read_bundle(folder).deck is not None and not self._allow_decks:
                 raise _one_problem("deck", _DECKS_REFUSED)
-            check_mesh(folder)
+            report = check_mesh(folder)
+            (folder / CHECK_FILE).write_text(json.dumps(report), encoding="utf-8")
             return self._adopt(folder)
 
     def add_table_only(

@@ -75,7 +75,7 @@ def test_a_refusal_is_one_message_with_each_mistake_and_status_1(stub: Stub, run
         (("query", "bar", "--server", "127.0.0.1:9"), 1, "start a server with: wrenchbook serve"),
         (("solve", "bar", "--server", "127.0.0.1:9"), 1, "start a server with: wrenchbook serve"),
         (("query", "bar", "--server", "ftp://x"), 1, "write http://127.0.0.1:8000"),
-        (("query", "bar", "--force", "nan", "0", "0"), 1, "F_x is nan, not finite"),
+        (("query", "bar", "--force", "nan", "0", "0"), 1, "fx is nan, not finite"),
         (("query", "bar", "--on-thin", "maybe"), 1, "on_thin must be one of queue, wait"),
         (("query", "bar", "--force", "1", "2"), 2, "'--force' requires 3 arguments"),
         (("fill", "bar", "--translation", "1e-6"), 2, "--translation and --rotation together"),

@@ -194,9 +194,9 @@ def test_an_empty_batch_is_an_empty_answer(stub: Stub, client: Client):
     [
         ([0, 0], None, r"force must be three numbers, it has shape \(2,\)"),
         ([0, 0, 0], [1], r"moment must be three numbers"),
-        ([0, np.nan, 0], None, "F_y is nan"),
-        ([0, 0, 0], [0, 0, np.inf], "M_z is inf"),
-        ([0, 0, 0, 0, -np.inf, 0], None, "M_y is -inf"),
+        ([0, np.nan, 0], None, "fy is nan"),
+        ([0, 0, 0], [0, 0, np.inf], "mz is inf"),
+        ([0, 0, 0, 0, -np.inf, 0], None, "my is -inf"),
         (["1", "2", "3"], None, "force must be numbers"),
         ([1, None, 3], None, "force must be numbers"),
         ([[1], [2, 3]], None, "regular array"),
@@ -212,7 +212,7 @@ def test_a_bad_wrench_is_named_before_anything_is_sent(stub: Stub, client, force
 def test_a_bad_batch_or_option_is_named_before_anything_is_sent(stub: Stub, client: Client):
     wrenches = np.zeros((3, 6))
     wrenches[1, 4] = np.nan
-    with pytest.raises(ValueError, match="wrench 1: M_y is nan"):
+    with pytest.raises(ValueError, match="wrench 1: my is nan"):
         client.displacements("plate", wrenches)
     with pytest.raises(ValueError, match=r"shape \(n, 6\), not \(3, 5\)"):
         client.displacements("plate", np.zeros((3, 5)))

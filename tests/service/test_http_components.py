@@ -2,8 +2,12 @@ import io
 import zipfile
 
 import pytest
+from starlette.testclient import TestClient
 
 from fea.bundle.shipped import SHIPPED
+from service.http.app import create_app
+from service.library.library import Library
+from service.workspace import Settings
 
 TABLE_ONLY = {"name": "rig", "title": "rig", "range": {"force": [1, 2, 3], "moment": [1, 1, 1]}}
 
@@ -209,3 +213,51 @@ def test_an_uploaded_deck_is_refused_unless_the_operator_allows_decks(http, fold
     assert reply.status_code == 422
     assert "--allow-decks" in str(reply.json()["errors"])
     assert list((folder / "components").iterdir()) == []
+
+
+def test_a_component_tells_its_interface(http):
+    interface = http.get("/v1/components/plate_thin").json()["interface"]
+    assert interface["section"] == "patch"
+    assert interface["point"] == [0, 0, 0.004]
+    assert interface["axes"] == [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    assert interface["coupling"] == "distributed"
+    assert interface["locked"] == []
+    assert "undeformed interface point" in interface["moment"]
+
+
+def test_a_table_without_a_setup_has_no_interface(http):
+    http.post("/v1/components", json=TABLE_ONLY)
+    assert http.get("/v1/components/rig").json()["interface"] is None
+
+
+def test_an_uploaded_bundle_tells_where_its_section_has_its_centre(http):
+    assert upload(http, bundle_zip(bar_text())).status_code == 201
+    point = http.get("/v1/components/beam").json()["interface"]["point"]
+    assert len(point) == 3
+    assert point[0] > 0
+
+
+def test_what_the_check_of_a_bundle_warns_of_is_in_the_reply_and_in_the_component(http, folder):
+    reply = upload(http, bundle_zip(bar_text(slender=("cells_along = 40", "cells_along = 2"))))
+    assert reply.status_code == 201, reply.text
+    warnings = reply.json()["warnings"]
+    assert warnings
+    assert {"where", "message"} == warnings[0].keys()
+    assert "aspect ratio" in warnings[0]["message"]
+    assert http.get("/v1/components/beam").json()["warnings"] == warnings
+    with TestClient(create_app(Settings(folder, solvers=0))) as restarted:
+        assert restarted.get("/v1/components/beam").json()["warnings"] == warnings
+
+
+def test_a_sound_component_has_no_warnings(http):
+    assert upload(http, bundle_zip(bar_text())).json()["warnings"] == []
+
+
+def test_a_broken_component_is_listed_with_its_reason_beside_the_healthy_ones(http, monkeypatch):
+    def broken(self):
+        return {"bent": "component.toml: line 3: not TOML"}
+
+    monkeypatch.setattr(Library, "broken", broken, raising=False)
+    body = http.get("/v1/components").json()
+    assert body["broken"] == [{"name": "bent", "reason": "component.toml: line 3: not TOML"}]
+    assert "plate" in [one["name"] for one in body["components"]]

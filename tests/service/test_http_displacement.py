@@ -2,6 +2,11 @@ import time
 
 import numpy as np
 import pytest
+from starlette.testclient import TestClient
+
+from service.http.app import create_app
+from service.workspace import Settings
+from surrogate.surrogate import Surrogate
 
 CALL = "/v1/components/plate_thin/displacement"
 WRENCH = {"force": [10.0, 0.0, -20.0], "moment": [0.0, 3.0, 0.0]}
@@ -238,3 +243,47 @@ def test_every_method_answers_a_linear_table_rightly(http, method):
     if method != "nearest":
         assert body["translation"] == pytest.approx([30e-6, -20e-6, 10e-6], rel=1e-6)
     assert body["method"] == method
+
+
+@pytest.mark.parametrize("error", [np.linalg.LinAlgError("singular"), ValueError("shapes differ")])
+@pytest.mark.parametrize("call", ["displacement", "displacements"])
+def test_a_mistake_of_the_server_is_500_and_not_blamed_on_the_method(
+    folder, stand_in, monkeypatch, error, call
+):
+    def fail(self, *_):
+        raise error
+
+    monkeypatch.setattr(Surrogate, "answer", fail)
+    monkeypatch.setattr(Surrogate, "batch", fail)
+    app = create_app(Settings(folder, solvers=0))
+    with TestClient(app, raise_server_exceptions=False) as http:
+        body = {"wrenches": [[1.0] * 6]} if call == "displacements" else WRENCH
+        reply = http.post(f"/v1/components/plate/{call}", json={**body, "method": "griddata"})
+        assert reply.status_code == 500
+        assert reply.headers["content-type"] == "application/problem+json"
+        assert reply.json()["type"].endswith("internal")
+
+
+def test_a_solve_that_failed_is_the_same_problem_whichever_call_asks(http, stand_in):
+    stand_in("diverges")
+    first = http.post("/v1/components/plate_thin/solve", json={**WRENCH, "wait_s": 20})
+    second = ask(http, on_thin="wait", wait_s=20)
+    assert (first.status_code, second.status_code) == (424, 424)
+    assert first.json() == second.json()
+
+
+def test_a_row_that_answers_names_its_own_source(http):
+    load_plane_table(http)
+    row = {"wrench": [50, 0, 10, 0, 0, 3], "displacement": [1e-5] * 6, "source": "measured"}
+    assert http.post("/v1/components/plane/table", json={"rows": [row]}).status_code == 200
+    body = http.post(
+        "/v1/components/plane/displacement",
+        json={
+            "force": [50, 0, 10],
+            "moment": [0, 0, 3],
+            "tolerance": {"translation": 1e-30, "rotation": 1e-30},
+        },
+    ).json()
+    assert body["method"] == "row"
+    assert body["source"] == "measured"
+    assert body["translation"] == [1e-5] * 3

@@ -20,7 +20,7 @@ def test_beyond_the_rows_is_outside_and_says_which_load_of_which_axis() -> None:
     answer = FULL.answer([1200.0, 0, 0, 0, 0, 0])
     assert answer.coverage == "outside"
     assert answer.method == "estimate"
-    assert answer.reason == "axis x: F_x = 1200 N lies outside the rows, which span -1000..1000 N"
+    assert answer.reason == "axis x: fx = 1200 N lies outside the rows, which span -1000..1000 N"
     assert answer.displacement is not None
     assert answer.error is not None
 
@@ -31,7 +31,7 @@ def test_in_the_span_but_beyond_the_hull_says_so() -> None:
     surrogate = build(table(smooth, scaled), RANGE)
     answer = surrogate.answer([500.0, 0, 0, 0, 300.0, 120.0])
     assert answer.coverage == "outside"
-    assert "axis x: F_x = 500 N, M_y = 300 N·m, M_z = 120 N·m together lie outside" in answer.reason
+    assert "axis x: fx = 500 N, my = 300 N·m, mz = 120 N·m together lie outside" in answer.reason
 
 
 def test_a_load_that_no_row_varies_is_outside_and_says_what_the_rows_hold() -> None:
@@ -39,10 +39,10 @@ def test_a_load_that_no_row_varies_is_outside_and_says_what_the_rows_hold() -> N
     wrench[:, 0] = np.linspace(-1000, 1000, 9)
     surrogate = build(Rows.of(wrench, wrench * 1e-8), RANGE)
     assert surrogate.answer([10.0, 0, 0, 0, 3.0, 0]).reason.startswith(
-        "axis x: M_y = 3 N·m: all rows hold M_y = 0 N·m"
+        "axis x: my = 3 N·m: all rows hold my = 0 N·m"
     )
     assert (
-        "axis y: F_y = 5 N: all rows hold F_y = 0 N"
+        "axis y: fy = 5 N: all rows hold fy = 0 N"
         in surrogate.answer([0, 5.0, 0, 0, 0, 0]).reason
     )
 

@@ -76,5 +76,5 @@ def test_single_answers_and_batches_agree_and_hold_no_nan_as_a_number() -> None:
 def test_a_row_without_any_output_is_refused() -> None:
     with pytest.raises(RowError, match="row 1: no displacement"):
         Rows.of(np.zeros(6), np.full(6, np.nan))
-    with pytest.raises(RowError, match="u_y is not a finite number"):
+    with pytest.raises(RowError, match="uy is not a finite number"):
         Rows.of(np.zeros(6), [0, np.inf, 0, 0, 0, 0])

@@ -82,7 +82,7 @@ def test_linear_components_answer_by_their_stored_compliance_in_the_whole_range(
     np.testing.assert_allclose(answer.displacement, COMPLIANCE @ asked, rtol=1e-14)
     beyond = surrogate.answer([1001.0, 0, 0, 0, 0, 0])
     assert beyond.coverage == "outside"
-    assert beyond.reason == "F_x = 1001 N is outside the load range, -1000..1000 N"
+    assert beyond.reason == "fx = 1001 N is outside the load range, -1000..1000 N"
     assert surrogate.answer(asked, method="griddata").coverage == "outside"
 
 
@@ -111,7 +111,7 @@ def test_the_linear_method_can_be_asked_of_any_table_and_says_what_no_row_tells(
     rows = table(smooth, clean_wrenches(20, 1)[:20])
     answer = build(rows, RANGE).answer([0, 5.0, 0, 0, 0, 0], method="linear")
     assert answer.coverage == "outside"
-    assert answer.reason == "no row tells the influence of F_y"
+    assert answer.reason == "no row tells the influence of fy"
     assert answer.error is None
 
 

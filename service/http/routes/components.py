@@ -1,8 +1,9 @@
-"""Components: list, show, add; DirectFEA solves and filling of a component's table."""
+"""Components: list, show, add, and fill the table of one."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import orjson
@@ -12,16 +13,25 @@ from starlette.datastructures import UploadFile
 from starlette.responses import Response
 
 from service.contract import CONTRACT
-from service.http.bodies import FillOrder, SolveOrder, TableOnlyComponent
-from service.http.openapi import body_schema
+from service.http.bodies import FillBody, TableOnlyComponent
+from service.http.links import job_link
 from service.http.parsing import read_body
 from service.http.problems import ProblemError, bad_body
-from service.http.routes.displacement import job_reply
-from service.http.routes.jobs import job_link
+from service.library.checked import interface_of, warnings_of
 from service.library.library import Component
 from service.workspace import Workspace
-from surrogate.design import Design, next_wrenches
+from surrogate.design import next_wrenches
 from surrogate.rows import Tolerance
+
+
+@runtime_checkable
+class TellsBroken(Protocol):
+    """A library that goes on without the components it cannot read."""
+
+    def broken(self) -> Mapping[str, str]:
+        """Return, by name, why a component cannot be read."""
+        ...
+
 
 router = APIRouter(prefix="/v1/components", tags=["components"])
 CATCH_UP_S = 25.0
@@ -30,10 +40,11 @@ CATCH_UP_S = 25.0
 @router.get("", summary="The library")
 def list_components(request: Request) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
+    library = workspace.library
+    broken = library.broken() if isinstance(library, TellsBroken) else {}
     return {
-        "components": [
-            _summary(workspace, workspace.library[name]) for name in workspace.library.names()
-        ]
+        "components": [_summary(workspace, library[name]) for name in library.names()],
+        "broken": [{"name": name, "reason": reason} for name, reason in sorted(broken.items())],
     }
 
 
@@ -84,48 +95,34 @@ def _add_table_only(workspace: Workspace, body: TableOnlyComponent) -> Component
 
 
 @router.post(
-    "/{name}/solve",
-    summary="DirectFEA: solve this wrench, whatever the table says",
-    openapi_extra=body_schema("SolveOrder"),
-)
-async def solve(name: str, request: Request) -> Response:
-    order = read_body(SolveOrder, await request.body())
-    workspace: Workspace = request.app.state.workspace
-    job = await run_in_threadpool(workspace.order, name, order.wrench(), urgent=order.wait_s > 0)
-    if order.wait_s and not job.is_final:
-        job = await workspace.wait(job.id, order.wait_s)
-    fields = {"component": name, "translation": None, "rotation": None, "error": None}
-    return await job_reply(workspace, job, {**fields, "coverage": "thin", "source": None})
-
-
-@router.post(
     "/{name}/fill",
     summary="Queue the solves that lower the table's error most",
-    openapi_extra=body_schema("FillOrder"),
 )
 async def fill(name: str, request: Request) -> Response:
-    order = read_body(FillOrder, await request.body())
+    order = read_body(FillBody, await request.body())
     workspace: Workspace = request.app.state.workspace
     reply = await run_in_threadpool(_fill, workspace, name, order)
     return Response(orjson.dumps(reply), 202 if reply["jobs"] else 200, None, "application/json")
 
 
-def _fill(workspace: Workspace, name: str, order: FillOrder) -> dict[str, Any]:
+def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
     """Design one round of solves on the newest table and accept them."""
     workspace.tables.catch_up(name, CATCH_UP_S)
     limit = Tolerance(**order.tolerance.model_dump()) if order.tolerance else None
     design = next_wrenches(
         workspace.tables.surrogate(name),
         order.budget,
-        pending=workspace.pending(name),
+        pending=workspace.orders.open_wrenches(name),
         tolerance=limit,
     )
-    jobs = workspace.order_many(name, design.wrenches)
-    return {"component": name, "jobs": [job_link(job) for job in jobs], **_stage(design)}
-
-
-def _stage(design: Design) -> dict[str, str]:
-    return {"stage": design.stage, "reason": design.reason}
+    jobs = workspace.orders.fill(name, design.wrenches)
+    links = [job_link(job) for job in jobs]
+    return {
+        "component": name,
+        "jobs": links,
+        "stage": design.stage,
+        "reason": design.reason,
+    }
 
 
 def component_body(workspace: Workspace, component: Component) -> dict[str, Any]:
@@ -136,6 +133,8 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
         **_summary(workspace, component),
         "fingerprint": component.fingerprint,
         "contract": CONTRACT,
+        "interface": interface_of(component),
+        "warnings": warnings_of(component.folder),
         "sources": dict(zip(sources.tolist(), counts.tolist(), strict=True)),
         "coverage": surrogate.coverage_summary(),
         "jobs": workspace.ledger.counts(component.name),

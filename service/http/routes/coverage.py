@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import orjson
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
+from service.http.replies import json_reply
 from service.workspace import Workspace
 from surrogate.build import AnyTable
 from surrogate.checks import check_physics
@@ -22,7 +22,7 @@ CATCH_UP_S = 30.0
 def coverage(name: str, request: Request) -> Response:
     surrogate = _newest(request, name)
     body = {"component": name, **surrogate.coverage_summary(), "gaps": axis_gaps(surrogate)}
-    return _json(body)
+    return json_reply(body)
 
 
 @router.get("/compliance", summary="The fitted 6x6, its checks, and the rows that break them")
@@ -40,7 +40,7 @@ def compliance(name: str, request: Request) -> Response:
         "columns": [f"{name} [{unit}]" for name, unit in zip(LOADS, LOAD_UNITS, strict=True)],
         **check_physics(surrogate.rows, surrogate.load_range, fit),
     }
-    return _json(body)
+    return json_reply(body)
 
 
 def _newest(request: Request, name: str) -> AnyTable:
@@ -48,8 +48,3 @@ def _newest(request: Request, name: str) -> AnyTable:
     workspace.tables.surrogate(name)  # a name that is unknown ends here
     workspace.tables.catch_up(name, CATCH_UP_S)
     return workspace.tables.surrogate(name)
-
-
-def _json(body: dict[str, Any]) -> Response:
-    """Write a body; what is not finite is null, never a number."""
-    return Response(orjson.dumps(body), 200, None, "application/json")

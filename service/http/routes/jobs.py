@@ -6,12 +6,13 @@ import io
 import zipfile
 from dataclasses import asdict
 from datetime import UTC, datetime
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
+from service.http.links import job_link
 from service.http.problems import ProblemError
 from service.ledger import Job, Status
 from service.workspace import Workspace
@@ -22,11 +23,6 @@ JobId = int
 WaitSeconds = Annotated[
     float, Query(ge=0, le=600, description="wait up to this long for the job to end")
 ]
-
-
-def job_link(job: Job) -> dict[str, Any]:
-    """Return the short form of a job, as displacement answers carry it."""
-    return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}"}
 
 
 def job_body(workspace: Workspace, job: Job) -> dict[str, Any]:
@@ -73,6 +69,18 @@ async def one_job(job_id: JobId, request: Request, wait_s: WaitSeconds = 0.0) ->
     workspace: Workspace = request.app.state.workspace
     job = await workspace.wait(job_id, wait_s)
     return await run_in_threadpool(job_body, workspace, job)
+
+
+@router.delete("", summary="Cancel all jobs that wait, or that run")
+def cancel_many(
+    request: Request,
+    component: Annotated[str | None, Query(description="only those of this component")] = None,
+    status: Literal["waiting", "running"] = "waiting",
+) -> dict[str, Any]:
+    workspace: Workspace = request.app.state.workspace
+    if component is not None:
+        _ = workspace.library[component]
+    return {"cancelled": workspace.ledger.cancel_many(component, status)}
 
 
 @router.delete("/{job_id}", summary="Cancel a job that has not ended")

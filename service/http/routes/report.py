@@ -10,7 +10,8 @@ from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
 from service.http.problems import ProblemError
-from service.workspace import NoSetupError, Workspace
+from service.ordering import NoSetupError
+from service.workspace import Workspace
 
 router = APIRouter(prefix="/v1/components/{name}/report", tags=["report"])
 

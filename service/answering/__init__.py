@@ -1,0 +1,1 @@
+"""From a query to its answer or its solve; knows no HTTP."""

@@ -1,0 +1,114 @@
+"""The walk of the batch call: many queries to their answers and their solves."""
+
+from __future__ import annotations
+
+from time import perf_counter_ns
+
+import numpy as np
+from numpy.typing import NDArray
+from starlette.concurrency import run_in_threadpool
+
+from service.answering.load_range import why_beyond
+from service.answering.queries import BatchOutcome, BatchQuery, WrenchJob
+from service.answering.refusals import BeyondRangeError, NotCoveredError
+from service.answering.solved import read_row
+from service.ordering import Placed
+from service.workspace import Workspace
+from surrogate.answers import COVERED
+
+Places = NDArray[np.intp]
+
+
+async def answer_or_submit_many(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcome:
+    """Answer a batch from a component's table and, where that is too thin, by solves.
+
+    ``queue`` places wrenches as a loop's are; ``wait`` gives each its own exact solve. Either adds
+    no more open jobs than queries may have.
+
+    Raises
+    ------
+    UnknownComponentError
+        If there is no such component.
+    NotCoveredError
+        If the table does not cover all wrenches and ``on_thin`` is ``reject``.
+    BeyondRangeError
+        If solves were to be waited for, and a wrench is outside the load range.
+    NoSetupError
+        If a solve is needed and the component has no finite-element setup.
+    """
+    outcome = await run_in_threadpool(_answered, workspace, name, batch)
+    if batch.on_thin == "wait":
+        waited = {one.job.id for one in outcome.jobs if one.job and not one.job.is_final}
+        if waited:
+            await workspace.wait_all(sorted(waited), batch.wait_s)
+            await run_in_threadpool(_look_again, workspace, batch, outcome)
+    return outcome
+
+
+def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcome:
+    """Answer from the table, and place what it does not cover."""
+    surrogate = workspace.tables.surrogate(name)
+    started = perf_counter_ns()
+    answers = surrogate.batch(batch.wrenches, batch.tolerance, batch.method)
+    elapsed_us = (perf_counter_ns() - started) / 1e3
+    outcome = BatchOutcome(name, *answers, surrogate.version, elapsed_us, [])
+    thin = np.flatnonzero(answers.coverage)
+    if not len(thin) or batch.on_thin == "estimate":
+        return outcome
+    if batch.on_thin == "reject":
+        raise NotCoveredError(
+            f"{len(thin)} of {len(batch.wrenches)} wrenches are not covered, the first is number "
+            f"{thin[0]}. Ask with on_thin 'queue', 'wait' or 'estimate'.",
+            uncovered=thin.tolist(),
+        )
+    outcome.jobs = _placed(workspace, name, batch, thin)
+    _take_rows(workspace, batch, outcome)
+    return outcome
+
+
+def _placed(workspace: Workspace, name: str, batch: BatchQuery, thin: Places) -> list[WrenchJob]:
+    """Find a job for each of the thin wrenches, or the reason why it has none."""
+    component, orders = workspace.orders.solvable(name), workspace.orders
+    out = ~component.load_range.holds(batch.wrenches[thin]) & (not batch.beyond_range)
+    if out.any() and batch.on_thin == "wait":
+        first = int(thin[out][0])
+        raise BeyondRangeError(
+            f"{int(out.sum())} wrenches are outside the load range, the first is number {first}: "
+            f"{why_beyond(component.load_range, batch.wrenches[first])}. Nothing was queued. Ask "
+            "with beyond_range true to have them solved all the same.",
+            beyond=thin[out].tolist(),
+        )
+    place = orders.each if batch.on_thin == "wait" else orders.queue
+    within = iter(place(name, batch.wrenches[thin[~out]]))
+    return [
+        WrenchJob(index, None, own=False, reason="beyond-range")
+        if is_out
+        else _with_reason(index, next(within))
+        for index, is_out in zip(thin.tolist(), out.tolist(), strict=True)
+    ]
+
+
+def _with_reason(index: int, placed: Placed) -> WrenchJob:
+    return WrenchJob(index, placed.job, placed.own, "" if placed.job else "queue-limit")
+
+
+def _look_again(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) -> None:
+    """Read the jobs anew and take the rows of those that are done by now."""
+    numbers = {one.job.id for one in outcome.jobs if one.job}
+    now = {number: workspace.ledger.job(number) for number in numbers}
+    outcome.jobs = [
+        WrenchJob(one.index, now[one.job.id], one.own) if one.job else one for one in outcome.jobs
+    ]
+    _take_rows(workspace, batch, outcome)
+
+
+def _take_rows(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) -> None:
+    """Put the rows of the jobs that are done in the place of the table's estimates."""
+    scale = workspace.library[outcome.component].load_range.scale
+    for one in outcome.jobs:
+        if one.job is None or one.job.row is None or not one.own:
+            continue
+        row = workspace.ledger.row(one.job.row)
+        asked = batch.wrenches[one.index]
+        outcome.displacements[one.index], outcome.errors[one.index] = read_row(row, asked, scale)
+        outcome.coverage[one.index] = COVERED

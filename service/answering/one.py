@@ -1,0 +1,151 @@
+"""The walk of the main call and of DirectFEA: from one query to its answer or its solve."""
+
+from __future__ import annotations
+
+from time import perf_counter_ns
+
+import numpy as np
+from starlette.concurrency import run_in_threadpool
+
+from service.answering.load_range import why_beyond
+from service.answering.queries import Outcome, Query
+from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
+from service.answering.solved import EXACT, ROUNDED, read_row
+from service.ledger import Job
+from service.ordering import Placed
+from service.workspace import Workspace
+from surrogate.build import AnyTable
+
+
+async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Outcome:
+    """Answer a query from a component's table or, where that is too thin, by a solve.
+
+    Raises
+    ------
+    UnknownComponentError
+        If there is no such component.
+    NotCoveredError
+        If the table does not cover the wrench and ``on_thin`` is ``reject``.
+    BeyondRangeError
+        If a solve was to be waited for, and the wrench is outside the load range.
+    NoSetupError
+        If a solve is needed and the component has no finite-element setup.
+    SolveFailedError
+        If the solve of this wrench failed.
+    """
+    surrogate = workspace.tables.surrogate(name)
+    if query.on_thin == "solve":
+        outcome = _unanswered(name, surrogate)
+    else:
+        outcome = await _answered(name, surrogate, query)
+        if outcome.coverage == "covered" or query.on_thin == "estimate":
+            return outcome
+        if query.on_thin == "reject":
+            raise NotCoveredError(
+                f"{outcome.reason} Ask with on_thin 'queue' or 'wait' to have it solved, or "
+                "'estimate' for the best guess.",
+                coverage=outcome.coverage,
+            )
+    return await _submitted(workspace, query, outcome)
+
+
+async def _answered(name: str, surrogate: AnyTable, query: Query) -> Outcome:
+    """Answer here by the component's own method; others may have to be built first, elsewhere."""
+    started = perf_counter_ns()
+    if query.method is None:
+        answer = surrogate.answer(query.wrench, query.tolerance)
+    else:
+        answer = await run_in_threadpool(
+            surrogate.answer, query.wrench, query.tolerance, query.method
+        )
+    elapsed_us = (perf_counter_ns() - started) / 1e3
+    displacement, error, coverage, reason, method, missing = answer
+    outcome = Outcome(
+        name,
+        displacement,
+        error,
+        coverage,
+        "table" if displacement else None,
+        method,
+        surrogate.version,
+        elapsed_us,
+        reason,
+    )
+    if method == "row":
+        outcome.source = surrogate.source_of(query.wrench)
+        outcome.reason = f"{EXACT} {reason}".rstrip()
+    outcome.missing = missing
+    if query.detail:
+        outcome.axes = surrogate.explain(query.wrench, query.tolerance, query.method)
+    return outcome
+
+
+def _unanswered(name: str, surrogate: AnyTable) -> Outcome:
+    return Outcome(name, None, None, "thin", None, None, surrogate.version, 0.0)
+
+
+async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
+    """Have the wrench solved as the query wants it, and take the solve's row if it is there."""
+    if query.on_thin == "queue":
+        placed = await run_in_threadpool(_queued, workspace, query, outcome)
+    else:
+        job = await run_in_threadpool(_own_job, workspace, query, outcome.component)
+        if query.wait_s and not job.is_final:
+            job = await workspace.wait(job.id, query.wait_s)
+        placed = Placed(job, own=True)
+    outcome.unsolved, outcome.job = True, placed.job
+    if placed.job is None or not placed.own:
+        return outcome
+    if placed.job.status == "failed":
+        raise SolveFailedError(placed.job)
+    if placed.job.row is not None:
+        await run_in_threadpool(_take_row, workspace, query, outcome, placed.job.row)
+    return outcome
+
+
+def _queued(workspace: Workspace, query: Query, outcome: Outcome) -> Placed:
+    """Queue without getting in the way of a loop: what cannot be queued is said, not raised."""
+    component = workspace.orders.solvable(outcome.component)
+    wrench = np.array([query.wrench])
+    if not query.beyond_range and not component.load_range.holds(wrench)[0]:
+        why = why_beyond(component.load_range, wrench[0])
+        outcome.reason = _also(
+            outcome.reason, f"no solve is queued beyond the load range unless beyond_range: {why}"
+        )
+        return Placed(None, own=False)
+    placed = workspace.orders.queue(outcome.component, wrench)[0]
+    if placed.job is None:
+        limit = workspace.orders.queue_limit
+        outcome.reason = _also(
+            outcome.reason,
+            f"no solve is queued: {limit} jobs of queries are open already (serve --queue-limit)",
+        )
+    return placed
+
+
+def _own_job(workspace: Workspace, query: Query, name: str) -> Job:
+    """Accept the job of exactly this wrench."""
+    component = workspace.orders.solvable(name)
+    wrench = np.array([query.wrench])
+    if not query.beyond_range and not component.load_range.holds(wrench)[0]:
+        raise BeyondRangeError(
+            f"{why_beyond(component.load_range, wrench[0])}. Nothing was queued. Ask with "
+            "beyond_range true to have it solved all the same.",
+            coverage="outside",
+        )
+    return workspace.orders.own(name, query.wrench, urgent=query.wait_s > 0, asked_by=query.on_thin)
+
+
+def _take_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) -> None:
+    """Answer with the row of a solve in the place of the table's estimate."""
+    row = workspace.ledger.row(seq)
+    scale = workspace.library[outcome.component].load_range.scale
+    displacement, error = read_row(row, np.array(query.wrench), scale)
+    outcome.displacement, outcome.error = tuple(displacement.tolist()), tuple(error.tolist())
+    outcome.coverage, outcome.method, outcome.source = "covered", "row", row.source
+    outcome.reason = EXACT if row.wrench == query.wrench else ROUNDED
+    outcome.row, outcome.unsolved = seq, False
+
+
+def _also(reason: str, more: str) -> str:
+    return f"{reason}; {more}" if reason else more

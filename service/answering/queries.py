@@ -1,0 +1,154 @@
+"""What is asked and what is answered, as plain values. All quantities are SI."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.ledger import Job
+from surrogate.rows import Tolerance
+
+Floats = NDArray[np.float64]
+Wanted = Literal["queue", "wait", "estimate", "reject", "solve"]
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """One question.
+
+    Attributes
+    ----------
+    wrench : tuple of 6 floats, N and N·m
+    on_thin : str
+        What to do where the table is not thick enough; ``solve`` does not ask the table at all.
+    wait_s : float, s
+        How long ``wait`` and ``solve`` may take.
+    tolerance : Tolerance or None
+        The component's own if None.
+    method : str or None
+        One of `surrogate.answers.METHODS`; the component's own if None.
+    detail : bool
+        Whether the axes are to be explained.
+    beyond_range : bool
+        Whether a wrench outside the load range may be solved.
+    """
+
+    wrench: tuple[float, ...]
+    on_thin: Wanted = "queue"
+    wait_s: float = 30.0
+    tolerance: Tolerance | None = None
+    method: str | None = None
+    detail: bool = False
+    beyond_range: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class BatchQuery:
+    """Many questions at once; as `Query`, with ``wrenches`` of shape (n, 6), N and N·m."""
+
+    wrenches: Floats
+    on_thin: Wanted = "queue"
+    wait_s: float = 30.0
+    tolerance: Tolerance | None = None
+    method: str | None = None
+    beyond_range: bool = False
+
+
+@dataclass(slots=True)
+class Outcome:
+    """One answer.
+
+    Attributes
+    ----------
+    displacement, error : tuple of 6 floats or None, m and rad
+        None, as a whole or a number, where nothing can be said.
+    coverage : str
+        "covered", "thin" or "outside".
+    source : str or None
+        "table", or the source of the row that answers.
+    method : str or None
+    table_version : int
+    elapsed_us : float
+        Time the table took to answer, µs.
+    reason : str
+        Why not covered, why nothing is queued, or which row answers; may be empty.
+    unsolved : bool
+        Whether a solve was asked for and has not answered: ask again later.
+    job : Job or None
+        The solve that answers or will answer; None if none is queued.
+    row : int or None
+        The ledger's number of the row that a solve gave.
+    axes : list or None
+        `Surrogate.explain`, if asked for.
+    missing : tuple of str
+        The outputs that no row of the table holds.
+    """
+
+    component: str
+    displacement: tuple[float, ...] | None
+    error: tuple[float, ...] | None
+    coverage: str
+    source: str | None
+    method: str | None
+    table_version: int
+    elapsed_us: float
+    reason: str = ""
+    unsolved: bool = False
+    job: Job | None = None
+    row: int | None = None
+    axes: list[dict[str, Any]] | None = None
+    missing: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class WrenchJob:
+    """The solve of one wrench of a batch: the wrench's number, its job, or why it has none.
+
+    Attributes
+    ----------
+    index : int
+    job : Job or None
+    own : bool
+        Whether the job solves this very wrench, not one near by.
+    reason : str
+        ``beyond-range`` or ``queue-limit`` if there is no job.
+    """
+
+    index: int
+    job: Job | None
+    own: bool
+    reason: str = ""
+
+
+@dataclass(slots=True)
+class BatchOutcome:
+    """Many answers.
+
+    Attributes
+    ----------
+    displacements, errors : ndarray, shape (n, 6), m and rad
+        NaN where nothing can be said.
+    coverage : ndarray of uint8, shape (n,)
+        0 covered, 1 thin, 2 outside.
+    jobs : list of WrenchJob
+        One for each wrench that the table did not cover, in their order.
+    table_version : int
+    elapsed_us : float
+        Time the table took to answer, µs.
+    """
+
+    component: str
+    displacements: Floats
+    errors: Floats
+    coverage: NDArray[np.uint8]
+    table_version: int
+    elapsed_us: float
+    jobs: list[WrenchJob]
+
+    @property
+    def unsolved(self) -> bool:
+        """Whether a solve that was asked for has not answered."""
+        return any(one.job is None or not one.job.is_final for one in self.jobs)

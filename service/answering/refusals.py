@@ -1,0 +1,43 @@
+"""Why a query is not answered; each says what to do instead."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from service.ledger import Job
+
+
+class RefusedError(Exception):
+    """Base of the refusals.
+
+    Attributes
+    ----------
+    facts : dict
+        What a program may want to know of it.
+    """
+
+    def __init__(self, message: str, **facts: Any) -> None:
+        super().__init__(message)
+        self.facts = facts
+
+
+class NotCoveredError(RefusedError):
+    """The table does not cover the wrench, and the query wanted nothing else."""
+
+
+class BeyondRangeError(RefusedError):
+    """The wrench is outside the load range, and the query did not say that it may be."""
+
+
+class SolveFailedError(RefusedError):
+    """The solve of this wrench failed."""
+
+    def __init__(self, job: Job) -> None:
+        error = job.error or {}
+        message = (
+            f"{error.get('message', '')} {error.get('remedy', '')} "
+            f"Once mended, POST /v1/jobs/{job.id}/retry."
+        )
+        super().__init__(message.strip(), error=error)
+        self.kind = error.get("kind", "unknown")
+        self.job = job

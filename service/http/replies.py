@@ -1,0 +1,91 @@
+"""Outcomes as JSON or float64: the last step of the main call, the batch and DirectFEA."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import orjson
+from starlette.responses import Response
+
+from service.answering.queries import BatchOutcome, Outcome, WrenchJob
+from service.http.binary import MEDIA_TYPE
+from service.http.links import job_link
+
+COVERAGE = ("covered", "thin", "outside")
+
+
+def json_reply(
+    fields: dict[str, Any], status: int = 200, headers: dict[str, str] | None = None
+) -> Response:
+    """Write a body; what is not finite is null, never a number."""
+    content = orjson.dumps(fields, option=orjson.OPT_SERIALIZE_NUMPY)
+    return Response(content, status, headers, "application/json")
+
+
+def write_outcome(outcome: Outcome) -> Response:
+    """Answer one query: 200, or 202 while its solve has not answered."""
+    value, error = outcome.displacement, outcome.error
+    fields: dict[str, Any] = {
+        "component": outcome.component,
+        "translation": value[:3] if value else None,
+        "rotation": value[3:] if value else None,
+        "error": {"translation": error[:3], "rotation": error[3:]} if error else None,
+        "coverage": outcome.coverage,
+        "source": outcome.source,
+        "method": outcome.method,
+        "table_version": outcome.table_version,
+        "elapsed_us": outcome.elapsed_us,
+    }
+    if outcome.reason:
+        fields["reason"] = outcome.reason
+    if outcome.missing:
+        fields["missing"] = outcome.missing
+    if outcome.row is not None:
+        fields["row"] = outcome.row
+    if outcome.axes is not None:
+        fields["axes"] = outcome.axes
+    if outcome.job is not None:
+        fields["job"] = job_link(outcome.job)
+    if not outcome.unsolved:
+        return json_reply(fields)
+    job = fields.setdefault("job", None)
+    return json_reply(fields, 202, {"Location": job["url"]} if job else None)
+
+
+def write_batch(outcome: BatchOutcome) -> Response:
+    """Answer a batch as JSON: 200, or 202 while a solve has not answered."""
+    fields = {
+        "component": outcome.component,
+        "displacements": outcome.displacements,
+        "errors": outcome.errors,
+        "coverage": [COVERAGE[code] for code in outcome.coverage.tolist()],
+        "jobs": [_wrench_job(one) for one in outcome.jobs],
+        "table_version": outcome.table_version,
+        "elapsed_us": outcome.elapsed_us,
+    }
+    return json_reply(fields, _status(outcome))
+
+
+def write_binary(outcome: BatchOutcome) -> Response:
+    """Answer a batch as little-endian float64 (n, 13)."""
+    block = np.empty((len(outcome.coverage), 13), dtype="<f8")
+    block[:, :6], block[:, 6:12] = outcome.displacements, outcome.errors
+    block[:, 12] = outcome.coverage
+    headers = {
+        "Wrenchbook-Table-Version": str(outcome.table_version),
+        "Wrenchbook-Elapsed-Us": f"{outcome.elapsed_us:.1f}",
+        "Wrenchbook-Jobs": str(len({one.job.id for one in outcome.jobs if one.job})),
+    }
+    return Response(block.tobytes(), _status(outcome), headers, MEDIA_TYPE)
+
+
+def _wrench_job(one: WrenchJob) -> dict[str, Any]:
+    if one.job is None:
+        none = {"id": None, "status": None, "url": None, "reason": one.reason}
+        return {"index": one.index, **none}
+    return {"index": one.index, **job_link(one.job)}
+
+
+def _status(outcome: BatchOutcome) -> int:
+    return 202 if outcome.unsolved else 200

@@ -1,0 +1,126 @@
+"""Schemas of replies and of problems, for the OpenAPI document."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from service.contract import CONTRACT
+from service.http.bodies import Body
+
+Schema = dict[str, Any]
+
+_NUMBER: Final[Schema] = {"type": ["number", "null"]}
+_THREE: Final[Schema] = {"type": "array", "items": _NUMBER, "minItems": 3, "maxItems": 3}
+_SIX: Final[Schema] = {"type": "array", "items": _NUMBER, "minItems": 6, "maxItems": 6}
+_COVERAGE: Final[Schema] = {"enum": ["covered", "thin", "outside"]}
+_STATUS: Final = ["waiting", "running", "done", "failed", "cancelled"]
+_LINK: Final[dict[str, Schema]] = {
+    "id": {"type": "integer"},
+    "status": {"enum": _STATUS},
+    "url": {"type": "string"},
+}
+_JOB: Final[Schema] = {"type": "object", "properties": _LINK}
+_WRENCH_JOB: Final[Schema] = {
+    "type": "object",
+    "properties": {
+        "index": {"type": "integer", "description": "number of the wrench, from 0"},
+        "id": {"type": ["integer", "null"], "description": "null: no solve is queued"},
+        "status": {"enum": [*_STATUS, None]},
+        "url": {"type": ["string", "null"]},
+        "reason": {"enum": ["beyond-range", "queue-limit"], "description": "why none is queued"},
+    },
+}
+
+PROBLEM: Final[Schema] = {
+    "type": "object",
+    "description": "RFC 9457; further members tell more",
+    "required": ["type", "title", "status", "detail"],
+    "properties": {
+        "type": {"type": "string", "description": "urn:wrenchbook:problem:..."},
+        "title": {"type": "string"},
+        "status": {"type": "integer"},
+        "detail": {"type": "string", "description": "what is wrong and what to do"},
+        "errors": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "required": ["loc", "msg"],
+                "properties": {"loc": {"type": "string"}, "msg": {"type": "string"}},
+            },
+        },
+    },
+}
+OBJECT: Final[Schema] = {"type": "object"}
+BYTES: Final[Schema] = {"type": "string", "format": "binary"}
+TEXT: Final[Schema] = {"type": "string"}
+
+
+def _with_contract(properties: dict[str, Schema]) -> Schema:
+    told = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
+    return {"type": "object", "description": told, "properties": properties}
+
+
+DISPLACEMENT: Final[Schema] = _with_contract(
+    {
+        "component": {"type": "string"},
+        "translation": {**_THREE, "type": ["array", "null"], "description": "m"},
+        "rotation": {**_THREE, "type": ["array", "null"], "description": "rotation vector, rad"},
+        "error": {
+            "type": ["object", "null"],
+            "description": "estimated 95 % error bar per output, m and rad",
+            "properties": {"translation": _THREE, "rotation": _THREE},
+        },
+        "coverage": _COVERAGE,
+        "source": {
+            "type": ["string", "null"],
+            "description": "table, or where the row that answers came from: fea, measured",
+        },
+        "method": {"type": ["string", "null"]},
+        "table_version": {"type": "integer"},
+        "elapsed_us": {"type": "number", "description": "time spent on the answer, µs"},
+        "reason": {"type": "string", "description": "why not covered, why no solve is queued"},
+        "row": {"type": "integer", "description": "the row that the solve gave"},
+        "job": {**_JOB, "type": ["object", "null"]},
+        "axes": {"type": "array", "items": OBJECT, "description": "with detail"},
+    }
+)
+DISPLACEMENTS: Final[Schema] = _with_contract(
+    {
+        "component": {"type": "string"},
+        "displacements": {"type": "array", "items": _SIX, "description": "m and rad"},
+        "errors": {"type": "array", "items": _SIX, "description": "95 % error bars, m and rad"},
+        "coverage": {"type": "array", "items": _COVERAGE},
+        "jobs": {
+            "type": "array",
+            "items": _WRENCH_JOB,
+            "description": "one for each wrench that is not covered; several may share a job",
+        },
+        "table_version": {"type": "integer"},
+        "elapsed_us": {"type": "number", "description": "time spent on the answers, µs"},
+    }
+)
+JOBS: Final[Schema] = {
+    "type": "object",
+    "properties": {
+        "component": {"type": "string"},
+        "jobs": {"type": "array", "items": _JOB},
+        "stage": {"type": "string"},
+        "reason": {"type": "string"},
+    },
+}
+CANCELLED: Final[Schema] = {"type": "object", "properties": {"cancelled": {"type": "integer"}}}
+
+
+def body_of(kind: type[Body]) -> Schema:
+    """Return the schema of a body, with nested bodies where they are referred to."""
+    schema = kind.model_json_schema()
+    definitions = schema.pop("$defs", {})
+
+    def walk(node: Any) -> Any:
+        if isinstance(node, dict):
+            if "$ref" in node:
+                return walk(definitions[node["$ref"].rsplit("/", 1)[-1]])
+            return {key: walk(value) for key, value in node.items()}
+        return [walk(item) for item in node] if isinstance(node, list) else node
+
+    return walk(schema)

@@ -1,0 +1,151 @@
+"""The OpenAPI document says what each call takes and what it can answer."""
+
+import pytest
+
+from service.http.calls import CALLS
+
+COMPONENT = "/v1/components/{name}"
+BODIES = {
+    ("post", f"{COMPONENT}/displacement"): {"application/json"},
+    ("post", f"{COMPONENT}/displacements"): {"application/json", "application/octet-stream"},
+    ("post", f"{COMPONENT}/solve"): {"application/json"},
+    ("post", f"{COMPONENT}/fill"): {"application/json"},
+    ("post", "/v1/components"): {"application/json", "multipart/form-data"},
+    ("post", f"{COMPONENT}/table"): {"application/json", "text/csv"},
+}
+PLATE = "/v1/components/plate_thin"
+JSON = {"json": {"force": [0, 0, 1]}}
+TEXT = {"content": b"x", "headers": {"content-type": "text/plain"}}
+WRONG = [
+    ("post", f"{COMPONENT}/displacement", "/v1/components/nope/displacement", JSON, 404),
+    ("post", f"{COMPONENT}/displacement", f"{PLATE}/displacement", {"content": b"{"}, 422),
+    (
+        "post",
+        f"{COMPONENT}/displacement",
+        f"{PLATE}/displacement",
+        {"json": {"force": [0, 0, 1], "on_thin": "reject"}},
+        409,
+    ),
+    ("post", f"{COMPONENT}/displacements", f"{PLATE}/displacements", JSON, 422),
+    (
+        "post",
+        f"{COMPONENT}/displacements",
+        "/v1/components/nope/displacements",
+        {"json": {"wrenches": [[0] * 6]}},
+        404,
+    ),
+    ("post", f"{COMPONENT}/solve", "/v1/components/nope/solve", JSON, 404),
+    ("post", f"{COMPONENT}/solve", f"{PLATE}/solve", {"json": {"force": [0, 0, 1e9]}}, 409),
+    ("post", f"{COMPONENT}/solve", f"{PLATE}/solve", {"json": {}}, 422),
+    ("post", f"{COMPONENT}/fill", "/v1/components/nope/fill", {"json": {}}, 404),
+    ("post", f"{COMPONENT}/fill", f"{PLATE}/fill", {"json": {"budget": 0}}, 422),
+    ("get", COMPONENT, "/v1/components/nope", {}, 404),
+    ("post", "/v1/components", "/v1/components", TEXT, 415),
+    ("post", "/v1/components", "/v1/components", {"json": {}}, 422),
+    ("post", "/v1/components", "/v1/components", {"files": {"bundle": b"no zip"}}, 422),
+    ("get", f"{COMPONENT}/coverage", "/v1/components/nope/coverage", {}, 404),
+    ("get", f"{COMPONENT}/compliance", "/v1/components/nope/compliance", {}, 404),
+    ("get", f"{COMPONENT}/table", "/v1/components/nope/table", {}, 404),
+    ("get", f"{COMPONENT}/table", f"{PLATE}/table?format=png", {}, 422),
+    ("post", f"{COMPONENT}/table", f"{PLATE}/table", TEXT, 415),
+    ("post", f"{COMPONENT}/table", "/v1/components/nope/table", {"json": {"rows": []}}, 404),
+    ("post", f"{COMPONENT}/table", f"{PLATE}/table", {"json": {"rows": [{}]}}, 422),
+    ("get", f"{COMPONENT}/report", "/v1/components/nope/report", {}, 404),
+    ("get", f"{COMPONENT}/report", f"{PLATE}/report?format=png", {}, 422),
+    ("post", f"{COMPONENT}/report", "/v1/components/nope/report", {}, 404),
+    ("post", f"{COMPONENT}/report", f"{PLATE}/report", {}, 409),
+    ("post", f"{COMPONENT}/report", f"{PLATE}/report?wrenches=1", {}, 422),
+    ("get", "/v1/jobs", "/v1/jobs?status=lost", {}, 422),
+    ("delete", "/v1/jobs", "/v1/jobs?status=done", {}, 422),
+    ("delete", "/v1/jobs", "/v1/jobs?component=nope", {}, 404),
+    ("get", "/v1/jobs/{job_id}", "/v1/jobs/99", {}, 404),
+    ("get", "/v1/jobs/{job_id}", "/v1/jobs/first", {}, 422),
+    ("delete", "/v1/jobs/{job_id}", "/v1/jobs/99", {}, 404),
+    ("delete", "/v1/jobs/{job_id}", "/v1/jobs/first", {}, 422),
+    ("post", "/v1/jobs/{job_id}/retry", "/v1/jobs/99/retry", {}, 404),
+    ("get", "/v1/jobs/{job_id}/files", "/v1/jobs/99/files", {}, 404),
+]
+
+
+@pytest.fixture
+def document(http):
+    return http.get("/openapi.json").json()
+
+
+def operations(document):
+    for path, of_path in document["paths"].items():
+        for method, operation in of_path.items():
+            yield method, path, operation
+
+
+def problems(operation):
+    return {code: one for code, one in operation["responses"].items() if code >= "400"}
+
+
+def test_every_error_is_documented_as_a_problem_and_never_as_json(document):
+    for method, path, operation in operations(document):
+        if path.startswith("/health"):
+            continue
+        found = problems(operation)
+        assert {"500", "503"} <= found.keys(), (method, path)
+        if "{" in path:
+            assert {"404", "422"} <= found.keys(), (method, path)
+        for code, one in found.items():
+            reference = one["content"]["application/problem+json"]["schema"]["$ref"]
+            assert reference == "#/components/schemas/Problem", (method, path, code)
+            assert set(one["content"]) == {"application/problem+json"}, (method, path, code)
+            assert one["description"]
+    assert "detail" in document["components"]["schemas"]["Problem"]["required"]
+
+
+def test_the_path_and_the_bodies_of_every_call_are_in_the_document(document):
+    for method, path, operation in operations(document):
+        named = {one["name"] for one in operation.get("parameters", []) if one["in"] == "path"}
+        assert all(f"{{{name}}}" in path for name in named)
+        assert path.count("{") == len(named), (method, path)
+        for kind in BODIES.get((method, path), ()):
+            schema = operation["requestBody"]["content"][kind]["schema"]
+            assert schema["type"] in ("object", "string"), (method, path, kind)
+
+
+def test_the_binary_batch_is_in_the_document(document):
+    batch = document["paths"][f"{COMPONENT}/displacements"]["post"]
+    assert "octet-stream" in str(list(batch["responses"]["200"]["content"]))
+    assert "octet-stream" in str(list(batch["responses"]["202"]["content"]))
+    names = {one["name"] for one in batch["parameters"]}
+    assert names >= {"on_thin", "wait_s", "method", "translation", "rotation", "beyond_range"}
+
+
+@pytest.mark.parametrize(
+    ("path", "codes"),
+    [
+        (f"{COMPONENT}/displacement", {"200", "202", "404", "409", "422", "424"}),
+        (f"{COMPONENT}/solve", {"200", "202", "404", "409", "422", "424"}),
+        (f"{COMPONENT}/displacements", {"200", "202", "404", "409", "422"}),
+        (f"{COMPONENT}/fill", {"200", "202", "404", "409", "422"}),
+        ("/v1/components", {"201", "409", "415", "422"}),
+        (f"{COMPONENT}/table", {"200", "404", "413", "415", "422"}),
+    ],
+)
+def test_a_call_documents_what_the_contract_says_it_answers(document, path, codes):
+    assert codes <= document["paths"][path]["post"]["responses"].keys()
+
+
+@pytest.mark.parametrize(("method", "path", "url", "request_", "status"), WRONG)
+def test_a_wrong_call_answers_as_documented(
+    http, document, stand_in, method, path, url, request_, status
+):
+    stand_in("endless")
+    reply = http.request(method.upper(), url, **request_)
+    assert reply.status_code == status, reply.text
+    kind = reply.headers["content-type"]
+    assert kind in document["paths"][path][method]["responses"][str(status)]["content"]
+    required = document["components"]["schemas"]["Problem"]["required"]
+    assert set(required) <= reply.json().keys()
+
+
+def test_every_described_call_is_there_and_called_wrongly_here(document):
+    called = {(method, path) for method, path, *_ in WRONG}
+    there = {(method, path) for method, path, _ in operations(document)}
+    assert CALLS.keys() <= there
+    assert {call for call in CALLS if "{" in call[1]} <= called

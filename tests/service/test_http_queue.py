@@ -1,0 +1,171 @@
+"""`queue` in a simulator's loop: joined, limited, and said when nothing is queued."""
+
+import time
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient
+from typer.testing import CliRunner
+
+from service.cli.main import app
+from service.http.app import create_app
+from service.workspace import Settings
+
+CALL = "/v1/components/plate_thin/displacement"
+
+
+@pytest.fixture(autouse=True)
+def _endless(stand_in):
+    stand_in("endless")
+
+
+@pytest.fixture
+def scale(http):
+    spans = http.get("/v1/components/plate_thin").json()["range"]
+    return np.array([high for _, high in spans["force"] + spans["moment"]])
+
+
+def ask(http, wrench, **fields):
+    wrench = np.asarray(wrench, dtype=float).tolist()
+    return http.post(CALL, json={"force": wrench[:3], "moment": wrench[3:], **fields})
+
+
+def open_jobs(http):
+    return http.get("/v1/jobs", params={"component": "plate_thin"}).json()["jobs"]
+
+
+def test_300_steps_of_a_pendulum_do_not_queue_300_jobs(http, scale):
+    angle = 0.4 * np.cos(2 * np.pi * 0.5 * np.arange(0, 0.3, 1e-3))
+    for one in angle:
+        wrench = np.zeros(6)
+        wrench[0], wrench[2] = 0.5 * scale[0] * np.sin(one), -0.5 * scale[2] * np.cos(one)
+        reply = ask(http, wrench)
+        assert reply.status_code == 202
+        assert reply.json()["job"]["url"] == reply.headers["location"]
+    assert 1 <= len(open_jobs(http)) <= 10
+
+
+def test_two_wrenches_a_millionth_of_a_millionth_apart_are_one_job_even_when_it_is_done(
+    http, stand_in, scale
+):
+    stand_in("quick")
+    wrench = np.array([10.0, 0.0, -20.0, 0.0, 3.0, 0.0])
+    job = ask(http, wrench).json()["job"]
+    assert http.get(job["url"], params={"wait_s": 20}).json()["status"] == "done"
+    reply = ask(http, wrench + 1e-12 * np.eye(6)[2])
+    body = reply.json()
+    assert reply.status_code == 200
+    assert body["source"] == "fea"
+    assert body["translation"] == pytest.approx([1e-5, 0.0, -2e-5], abs=2e-6 * scale[0] * 1e-6)
+    assert len(open_jobs(http)) == 1
+
+
+def test_an_answer_from_a_rounded_wrench_has_a_bar_that_holds_the_error(http, stand_in, scale):
+    stand_in("quick")
+    wrench = scale * np.array([0.1234567, 0, -0.2345678, 0, 0.3456789, 0])
+    job = ask(http, wrench).json()["job"]
+    http.get(job["url"], params={"wait_s": 20})
+    body = ask(http, wrench).json()
+    error = np.abs(np.array(body["translation"] + body["rotation"]) - 1e-6 * wrench)
+    bars = np.array(body["error"]["translation"] + body["error"]["rotation"])
+    assert error.max() > 0
+    assert (error <= bars).all()
+    assert "rounded" in body["reason"]
+
+
+def test_a_wrench_within_5_percent_of_an_open_job_joins_it_and_one_beyond_does_not(http, scale):
+    wrench = 0.3 * scale
+    first = ask(http, wrench).json()["job"]["id"]
+    assert ask(http, wrench + 0.049 * scale).json()["job"]["id"] == first
+    assert ask(http, wrench + 0.051 * scale * np.eye(6)[0]).json()["job"]["id"] != first
+
+
+def test_a_query_joins_an_open_job_of_a_fill(http):
+    job = http.post("/v1/components/plate_thin/fill", json={"budget": 1}).json()["jobs"][0]
+    filled = http.get(job["url"]).json()
+    near = 1.01 * np.array(filled["force"] + filled["moment"]) + 1e-3
+    assert ask(http, near, beyond_range=True).json()["job"]["id"] == job["id"]
+
+
+def test_beyond_the_limit_a_loop_goes_on_with_job_null_and_the_reason(folder, stand_in):
+    with TestClient(create_app(Settings(folder, solvers=0, queue_limit=3))) as http:
+        replies = [ask(http, [step, 0, 0, 0, 0, 0]) for step in (300, 100, 200, -100)]
+        assert [reply.status_code for reply in replies] == [202] * 4
+        jobs = [reply.json()["job"] for reply in replies]
+        assert len({job["id"] for job in jobs[:3]}) == 3
+        assert jobs[3] is None
+        assert "queue-limit" in replies[3].json()["reason"]
+        assert len(open_jobs(http)) == 3
+        assert ask(http, [101, 0, 0, 0, 0, 0]).json()["job"]["id"] == jobs[1]["id"]
+
+
+def test_fills_and_solves_do_not_count_against_the_limit_of_queries(folder, stand_in):
+    with TestClient(create_app(Settings(folder, solvers=0, queue_limit=1))) as http:
+        http.post("/v1/components/plate_thin/fill", json={"budget": 5})
+        http.post("/v1/components/plate_thin/solve", json={"force": [1, 2, 3]})
+        before = len(open_jobs(http))
+        assert before == 6
+        assert ask(http, [77, 33, -55, 1, 2, 1]).json()["job"]
+        assert ask(http, [-77, 33, 55, 1, 2, 1]).json()["job"] is None
+        assert http.post("/v1/components/plate_thin/solve", json={"force": [3, 2, 1]}).json()["job"]
+        assert len(open_jobs(http)) == before + 2
+
+
+def test_wait_gets_its_own_exact_solve_beside_an_open_job_near_by(http, scale):
+    wrench = 0.3 * scale + 1e-9
+    first = ask(http, wrench).json()["job"]["id"]
+    reply = ask(http, wrench, on_thin="wait", wait_s=0.1)
+    assert reply.status_code == 202
+    job = reply.json()["job"]
+    assert job["id"] != first
+    told = http.get(job["url"]).json()
+    assert told["force"] + told["moment"] == wrench.tolist()
+
+
+def test_a_batch_of_100000_thin_wrenches_queues_at_most_64_and_quickly(http, scale):
+    wrenches = scale * np.random.default_rng(1).uniform(-1, 1, (100_000, 6))
+    started = time.monotonic()
+    reply = http.post(
+        f"{CALL}s",
+        content=wrenches.astype("<f8").tobytes(),
+        headers={"content-type": "application/octet-stream"},
+    )
+    assert reply.status_code == 202
+    assert int(reply.headers["wrenchbook-jobs"]) == len(open_jobs(http)) == 64
+    assert time.monotonic() - started < 20  # one job a wrench took minutes
+
+
+def test_a_batch_tells_for_each_thin_wrench_its_job_or_null_and_why(folder, stand_in, scale):
+    with TestClient(create_app(Settings(folder / "other", solvers=0, queue_limit=2))) as http:
+        wrenches = np.zeros((5, 6))
+        wrenches[:, 0] = [0.2, 0.5, 0.51, -0.5, 2.0]
+        reply = http.post(f"{CALL}s", json={"wrenches": (wrenches * scale).tolist()})
+        jobs = reply.json()["jobs"]
+        assert reply.status_code == 202
+        assert [job["index"] for job in jobs] == [0, 1, 2, 3, 4]
+        assert jobs[0]["id"] != jobs[1]["id"] == jobs[2]["id"]
+        assert [job["id"] for job in jobs[3:]] == [None, None]
+        assert [job["reason"] for job in jobs[3:]] == ["queue-limit", "beyond-range"]
+
+
+def test_many_waiting_jobs_are_cancelled_by_one_call_that_says_how_many(folder, stand_in):
+    with TestClient(create_app(Settings(folder, solvers=0))) as http:
+        http.post("/v1/components/plate_thin/fill", json={"budget": 5})
+        http.post("/v1/components/plate/fill", json={"budget": 2})
+        reply = http.delete("/v1/jobs", params={"component": "plate_thin", "status": "waiting"})
+        assert reply.status_code == 200
+        assert reply.json() == {"cancelled": 5}
+        assert {job["status"] for job in open_jobs(http)} == {"cancelled"}
+        left = http.get("/v1/jobs", params={"status": "waiting"}).json()["jobs"]
+        assert [job["component"] for job in left] == ["plate", "plate"]
+        assert http.delete("/v1/jobs", params={"status": "done"}).status_code == 422
+        assert http.delete("/v1/jobs", params={"component": "nope"}).status_code == 404
+
+
+def test_serve_takes_the_queue_limit(monkeypatch, tmp_path):
+    served = []
+    monkeypatch.setattr("service.http.server.serve", lambda settings, *_: served.append(settings))
+    words = ["serve", "--data", str(tmp_path), "--queue-limit", "7"]
+    reply = CliRunner().invoke(app, words)
+    assert reply.exit_code == 0, reply.output
+    assert served[0].queue_limit == 7

@@ -1,0 +1,90 @@
+"""Placing wrenches as jobs, by several threads and processes at once."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from service.ledger import Ledger
+from service.library.library import Library
+from service.ordering import GRAINS, Orders, spread
+
+NAME = "plate_thin"
+
+
+@pytest.fixture
+def opened(tmp_path):
+    """Open the same data directory twice, as two processes would."""
+    ledgers = [Ledger(tmp_path / "ledger.sqlite") for _ in range(2)]
+    library = Library(tmp_path / "components")
+    yield [Orders(ledger, library, queue_limit=10) for ledger in ledgers]
+    for ledger in ledgers:
+        ledger.close()
+
+
+def wrenches(orders, count, seed):
+    scale = orders.solvable(NAME).load_range.scale
+    return scale * np.random.default_rng(seed).uniform(-1, 1, (count, 6))
+
+
+def test_the_limit_holds_when_many_threads_of_two_processes_queue_at_once(opened):
+    def ask(turn):
+        orders = opened[turn % 2]
+        return [orders.queue(NAME, one[None])[0] for one in wrenches(orders, 20, turn)]
+
+    with ThreadPoolExecutor(8) as pool:
+        placed = [one for found in pool.map(ask, range(8)) for one in found]
+    assert len(opened[0].open_wrenches(NAME)) == 10
+    assert {one.job.id for one in placed if one.job} == set(range(1, 11))
+    assert any(one.job is None for one in placed)
+
+
+def test_wrenches_that_round_to_the_same_are_one_job_and_its_own(opened):
+    orders = opened[0]
+    scale = orders.solvable(NAME).load_range.scale
+    wrench = 0.25 * scale
+    first, second = orders.queue(NAME, np.array([wrench, wrench + 0.4 / GRAINS * scale]))
+    assert first.own
+    assert second.own
+    assert first.job == second.job
+
+
+def test_a_decimal_wrench_is_solved_as_it_was_written(opened):
+    wrench = (123.457, -0.003, 1999.998, 33.3333, -0.0001, 7.1)
+    job = opened[0].queue(NAME, np.array([wrench]))[0].job
+    assert job.wrench == wrench
+
+
+def test_a_done_job_is_found_again_even_at_the_limit(opened):
+    orders, ledger = opened[0], opened[0]._ledger
+    wrench = wrenches(orders, 1, 7)
+    job = orders.queue(NAME, wrench)[0].job
+    claimed = ledger.claim("test")
+    assert claimed.id == job.id
+    ledger.commit(job.id, claimed.attempt, [0.0] * 6)
+    orders.queue(NAME, wrenches(orders, 50, 8))
+    placed = orders.queue(NAME, wrench)[0]
+    assert (placed.job.id, placed.job.status, placed.own) == (job.id, "done", True)
+
+
+def test_a_cancelled_job_is_not_joined_but_asked_for_anew(opened):
+    orders, ledger = opened[0], opened[0]._ledger
+    wrench = wrenches(orders, 1, 9)
+    job = orders.queue(NAME, wrench)[0].job
+    ledger.cancel(job.id)
+    again = orders.queue(NAME, wrench)[0].job
+    assert (again.id, again.status, again.asked_by) == (job.id, "waiting", "query")
+
+
+@pytest.mark.parametrize("reach", [0.0, 0.05, 0.4])
+@pytest.mark.parametrize("count", [1, 300, 3000])
+def test_picked_points_are_apart_and_near_every_point(reach, count):
+    points = np.random.default_rng(count).uniform(-1, 1, (count, 6))
+    points[count // 2 :] = 0.01 * points[count // 2 :]
+    picked = spread(points, reach, count)
+    apart = np.abs(points[picked][:, None] - points[picked]).max(axis=2)
+    assert (apart + np.eye(len(picked)) > reach).all()
+    nearest = np.abs(points[:, None] - points[picked[:500]]).max(axis=2).min(axis=1)
+    if len(picked) <= 500:
+        assert (nearest <= reach).all()
+    assert spread(points, reach, 5) == picked[:5]
