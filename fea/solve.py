@@ -37,7 +37,7 @@ MOST_DEGREES = 20.0
 
 def solve(
     bundle: Bundle | Component,
-    wrench: Sequence[float],
+    wrench: Sequence[float] | Array,
     progress: Progress | None = None,
     folder: Path | None = None,
     warm: Path | None = None,
@@ -70,7 +70,10 @@ def solve(
 
 
 def _solve_near(
-    component: Component, wrench: Sequence[float], progress: Progress | None, warm: Path | None
+    component: Component,
+    wrench: Sequence[float] | Array,
+    progress: Progress | None,
+    warm: Path | None,
 ) -> Solution:
     solver = Solver(component)
     if warm is None or component.bundle is None:
@@ -142,7 +145,7 @@ class Solver:
 
     def solve(
         self,
-        wrench: Sequence[float],
+        wrench: Sequence[float] | Array,
         progress: Progress | None = None,
         start: State | None = None,
     ) -> Solution:

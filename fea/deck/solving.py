@@ -32,7 +32,7 @@ _ROUNDOFF = 1e-9
 
 def solve_deck(
     bundle: Bundle,
-    wrench: Sequence[float],
+    wrench: Sequence[float] | Array,
     progress: Progress | None = None,
     folder: Path | None = None,
     accept: Callable[[Array], None] = lambda displacement: None,
