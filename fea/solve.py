@@ -19,6 +19,7 @@ from fea.deck.solving import solve_deck
 from fea.element.pressure_projection import pressure_notes
 from fea.export.failure_record import keep
 from fea.failure import SolveFailed, rotation_too_large
+from fea.inspection.warnings import warnings_of
 from fea.solution import Progress, Solution
 from fea.solver.linear import LinearResponse, linear_response
 from fea.solver.load_steps import LoadPath
@@ -131,10 +132,11 @@ class Solver:
         """The 6x6 compliance at no load, m/N, rad/N, m/(N·m), rad/(N·m); symmetric."""
         return self.linear.compliance
 
-    @property
+    @cached_property
     def notes(self) -> tuple[str, ...]:
-        """What an engineer should know about how this component is solved."""
-        told = pressure_notes(self._system.body.parts)
+        """What an engineer should know: the warnings of `fea.check`, and how it is solved."""
+        told = tuple(f"{one.where}: {one.message}" for one in warnings_of(self.component))
+        told += pressure_notes(self._system.body.parts)
         lost = self._system.condition * ROUNDOFF
         if lost > _ROUNDOFF_WORTH_TELLING:
             told += (

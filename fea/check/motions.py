@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fea.check.bodies import Bodies
 from fea.component import Component
+from fea.inspection.bodies import Bodies
 from fea.spec.schema import FREEDOMS
 
 Array = np.ndarray

@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from fea.check.cells import edge_lengths
+from fea.inspection.cells import edge_lengths
 from fea.mesh.facets import FACES, corners_of, outer_surface
 from fea.mesh.mesh import Mesh
 
