@@ -20,7 +20,7 @@ from fea.element.pressure_projection import pressure_notes
 from fea.export.failure_record import keep
 from fea.failure import SolveFailed, rotation_too_large
 from fea.inspection.warnings import warnings_of
-from fea.solution import Progress, Solution
+from fea.solution import Progress, Solution, checked_wrench
 from fea.solver.linear import LinearResponse, linear_response
 from fea.solver.load_steps import LoadPath
 from fea.solver.warm_start import WarmFolder
@@ -173,9 +173,7 @@ class Solver:
             If there is no answer that can be trusted; its `kind` says why, its `remedy` what to do.
         """
         started = time.perf_counter()
-        whole = np.array(wrench, dtype=float)
-        if whole.shape != (6,) or not np.isfinite(whole).all():
-            raise ValueError("a wrench is six finite numbers: force (N) and moment (N·m)")
+        whole = checked_wrench(wrench)
         acting = np.zeros(6)
         acting[self._active] = whole[self._active]
         if not self.component.analysis.nonlinear or not acting.any():

@@ -52,8 +52,17 @@ def run_command(
         If `timeout` is over.
     """
     deadline = time.monotonic() + timeout
+    child = _start(command, folder, printed)
+    try:
+        with _guarded(child.pid):
+            return _wait(child, deadline, watch)
+    finally:
+        _end(child)
+
+
+def _start(command: Sequence[str], folder: Path, printed: Path) -> subprocess.Popen[bytes]:
     with printed.open("wb") as file:
-        child = subprocess.Popen(
+        return subprocess.Popen(
             command,
             cwd=folder,
             stdin=subprocess.DEVNULL,
@@ -61,11 +70,6 @@ def run_command(
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
-    try:
-        with _guarded(child.pid):
-            return _wait(child, deadline, watch)
-    finally:
-        _end(child)
 
 
 def _wait(child: subprocess.Popen[bytes], deadline: float, watch: Callable[[], None] | None) -> int:
