@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from fea.assembly.balance import Balance
 from fea.assembly.body import Body
 from fea.assembly.condition import ROUNDOFF
-from fea.assembly.system import Balance, System
+from fea.assembly.system import System
 from fea.component import Component, build
 from fea.coupling import Coupling, Distributed, Rigid, State
 from fea.deck.solving import solve_deck
@@ -47,10 +48,15 @@ def solve(
 
     Parameters
     ----------
+    bundle
+        A bundle, or the component built from it.
+    wrench
+        Shape (6,), N and N·m: at the interface point, in the undeformed interface frame.
+    progress
+        Called with the fraction done and a message.
     folder
         Where an outside solver's files stay, and what a failed solve leaves
-        (`fea.export.failure_record`); None
-        keeps nothing.
+        (`fea.export.failure_record`); None keeps nothing.
     warm
         Where the states of solves are kept, to start nearby ones from (`fea.solver.warm_start`).
 
@@ -129,7 +135,7 @@ class Solver:
 
     @property
     def compliance(self) -> Array:
-        """The 6x6 compliance at no load, m/N, rad/N, m/(N·m), rad/(N·m); symmetric."""
+        """The compliance at no load, shape (6, 6), m/N, rad/N, m/(N·m), rad/(N·m); symmetric."""
         return self.linear.compliance
 
     @cached_property

@@ -33,7 +33,15 @@ def parts(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
 
 
 def motion_problems(component: Component, bodies: Bodies, pairs: Array) -> list[Problem]:
-    """Return a problem for each body that supports and coupling do not hold."""
+    """Return a problem for each body that supports and coupling do not hold.
+
+    Parameters
+    ----------
+    component, bodies
+        What is looked at, and the bodies it falls into.
+    pairs
+        Shape (k, 2), int64: nodes in one place (`fea.inspection.bodies.coincident_nodes`).
+    """
     if bodies.count > _MOST_BODIES:
         message = (
             f"falls into {bodies.count} parts that share no face with each other; merge the nodes "

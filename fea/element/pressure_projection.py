@@ -71,7 +71,7 @@ def locking(block: CellBlock, poisson: Array) -> str:
 
 
 def require_no_locking(block: CellBlock, poisson: Array) -> None:
-    """Refuse cells that would lock.
+    """Refuse cells that would lock, by their Poisson's ratios of shape (cells,), no unit.
 
     Raises
     ------

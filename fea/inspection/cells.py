@@ -34,7 +34,19 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Measure:
-    """One measure: its value for each cell, and from where on it is bad."""
+    """One measure of the shape of cells.
+
+    Attributes
+    ----------
+    name
+        Its key in the report.
+    of
+        From points of shape (n, 3), m, and a block of m cells to the values, shape (m,), no unit.
+    limit, larger_is_worse
+        From where on it is bad, and on which side.
+    words
+        What a bad cell is called.
+    """
 
     name: str
     of: Callable[[Array, CellBlock], Array]

@@ -13,7 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fea.assembly.system import Balance, Linearisation, System
+from fea.assembly.balance import Balance
+from fea.assembly.linearisation import Linearisation
+from fea.assembly.system import System
 from fea.solver.newton import Equilibrium, Report, Stuck, correct, tangent_after
 
 Array = np.ndarray

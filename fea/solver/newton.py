@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fea.assembly.system import Balance, Linearisation, System
+from fea.assembly.balance import Balance
+from fea.assembly.linearisation import Linearisation
+from fea.assembly.system import System
 
 Array = np.ndarray
 

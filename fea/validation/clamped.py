@@ -40,13 +40,16 @@ def clamped(
         Names of facet groups.
     material
         Young's modulus (Pa) and Poisson's ratio.
-    coupling, nonlinear, point, axes
-        As in a bundle; the point is the section's area centre unless given.
+    coupling, nonlinear
+        As in a bundle.
+    point
+        Shape (3,), m; the section's area centre unless given.
+    axes
+        Shape (3, 3), row i the direction of the interface frame's axis i; the mesh's unless given.
     """
     part = section_of_facets(mesh.points, mesh.facet_groups[section])
     place = part.centre if point is None else point
-    frame = np.eye(3) if axes is None else axes
-    interface = Interface(section, place, frame, coupling)
+    interface = Interface(section, place, np.eye(3) if axes is None else axes, coupling)
     bundle = _bundle(Material("all", *material), fixed, interface, nonlinear)
     return Component(
         bundle=bundle,
@@ -56,7 +59,7 @@ def clamped(
         fixed_nodes=mesh.facet_groups[fixed].node_ids,
         section=part,
         point=place,
-        axes=frame,
+        axes=interface.axes,
         coupling=coupling,
         locked=(),
         analysis=bundle.analysis,
