@@ -9,7 +9,7 @@ from fea.failure import SolveFailed
 from fea.solve import Solver
 from tests.fea.boxes import box
 from tests.fea.components import component
-from tests.fea.test_cholesky import body_of, clamped, matrix_of
+from tests.fea.linalg.test_multifrontal import body_of, clamped, matrix_of
 
 
 @pytest.mark.parametrize("thickness", [1.0, 0.1, 0.01])

@@ -15,8 +15,8 @@ from fea.mesh.quality import cell_problems, determinants
 from fea.solve import Solver, solve
 from fea.spec.problems import BundleError
 from tests.fea.boxes import box
+from tests.fea.check.test_check_bundles import messages, write_inp
 from tests.fea.components import component
-from tests.fea.test_check_bundles import messages, write_inp
 
 FOLDED = "turned inside out or flat"
 
