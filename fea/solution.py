@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -81,3 +81,17 @@ class Solution:
     nodes: Array
     notes: tuple[str, ...] = ()
     state: State | None = None
+
+
+def checked_wrench(wrench: Sequence[float] | Array) -> Array:
+    """Return a wrench as an array of its own, shape (6,), N and N·m.
+
+    Raises
+    ------
+    ValueError
+        If it is not six finite numbers.
+    """
+    whole = np.array(wrench, dtype=float)
+    if whole.shape != (6,) or not np.isfinite(whole).all():
+        raise ValueError("a wrench is six finite numbers: force (N) and moment (N·m)")
+    return whole

@@ -10,16 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
+from fea.assembly.balance import Balance
 from fea.assembly.body import Body
 from fea.assembly.condition import ROUNDOFF
-from fea.assembly.system import Balance, System
+from fea.assembly.system import System
 from fea.component import Component, build
 from fea.coupling import Coupling, Distributed, Rigid, State
 from fea.deck.solving import solve_deck
 from fea.element.pressure_projection import pressure_notes
 from fea.export.failure_record import keep
 from fea.failure import SolveFailed, rotation_too_large
-from fea.solution import Progress, Solution
+from fea.inspection.warnings import warnings_of
+from fea.solution import Progress, Solution, checked_wrench
 from fea.solver.linear import LinearResponse, linear_response
 from fea.solver.load_steps import LoadPath
 from fea.solver.warm_start import WarmFolder
@@ -37,7 +39,7 @@ MOST_DEGREES = 20.0
 
 def solve(
     bundle: Bundle | Component,
-    wrench: Sequence[float],
+    wrench: Sequence[float] | Array,
     progress: Progress | None = None,
     folder: Path | None = None,
     warm: Path | None = None,
@@ -46,10 +48,15 @@ def solve(
 
     Parameters
     ----------
+    bundle
+        A bundle, or the component built from it.
+    wrench
+        Shape (6,), N and N·m: at the interface point, in the undeformed interface frame.
+    progress
+        Called with the fraction done and a message.
     folder
         Where an outside solver's files stay, and what a failed solve leaves
-        (`fea.export.failure_record`); None
-        keeps nothing.
+        (`fea.export.failure_record`); None keeps nothing.
     warm
         Where the states of solves are kept, to start nearby ones from (`fea.solver.warm_start`).
 
@@ -70,7 +77,10 @@ def solve(
 
 
 def _solve_near(
-    component: Component, wrench: Sequence[float], progress: Progress | None, warm: Path | None
+    component: Component,
+    wrench: Sequence[float] | Array,
+    progress: Progress | None,
+    warm: Path | None,
 ) -> Solution:
     solver = Solver(component)
     if warm is None or component.bundle is None:
@@ -125,13 +135,14 @@ class Solver:
 
     @property
     def compliance(self) -> Array:
-        """The 6x6 compliance at no load, m/N, rad/N, m/(N·m), rad/(N·m); symmetric."""
+        """The compliance at no load, shape (6, 6), m/N, rad/N, m/(N·m), rad/(N·m); symmetric."""
         return self.linear.compliance
 
-    @property
+    @cached_property
     def notes(self) -> tuple[str, ...]:
-        """What an engineer should know about how this component is solved."""
-        told = pressure_notes(self._system.body.parts)
+        """What an engineer should know: the warnings of `fea.check`, and how it is solved."""
+        told = tuple(f"{one.where}: {one.message}" for one in warnings_of(self.component))
+        told += pressure_notes(self._system.body.parts)
         lost = self._system.condition * ROUNDOFF
         if lost > _ROUNDOFF_WORTH_TELLING:
             told += (
@@ -142,7 +153,7 @@ class Solver:
 
     def solve(
         self,
-        wrench: Sequence[float],
+        wrench: Sequence[float] | Array,
         progress: Progress | None = None,
         start: State | None = None,
     ) -> Solution:
@@ -168,9 +179,7 @@ class Solver:
             If there is no answer that can be trusted; its `kind` says why, its `remedy` what to do.
         """
         started = time.perf_counter()
-        whole = np.array(wrench, dtype=float)
-        if whole.shape != (6,) or not np.isfinite(whole).all():
-            raise ValueError("a wrench is six finite numbers: force (N) and moment (N·m)")
+        whole = checked_wrench(wrench)
         acting = np.zeros(6)
         acting[self._active] = whole[self._active]
         if not self.component.analysis.nonlinear or not acting.any():

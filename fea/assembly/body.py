@@ -84,6 +84,8 @@ class Body:
         ----------
         displacement
             Shape (n, 3), m.
+        step
+            The last step of Newton's method, two fields of shape (n, 3), m: see `tangent`.
 
         Returns
         -------

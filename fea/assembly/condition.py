@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, onenormest
 
+from fea.assembly.body import Body, Tangent
 from fea.failure import SolveFailed, ill_conditioned, mechanism
-
-if TYPE_CHECKING:
-    from fea.assembly.body import Body, Tangent
 
 Array = np.ndarray
 

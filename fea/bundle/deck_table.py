@@ -14,7 +14,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fea.readers.reader import Reader, reader_named, reader_names
+from fea.readers.reader import Reader
+from fea.readers.registry import reader_named, reader_names
 from fea.spec.files import bundle_file
 from fea.spec.schema import MOMENTS, UNITS, Deck
 from fea.spec.toml_table import Keys

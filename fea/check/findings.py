@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from fea.check.bodies import Bodies, gap
 from fea.check.motions import describe, free_motions, middle, size_of
 from fea.component import Component
-from fea.mesh.facets import facets_within, outer_surface
+from fea.inspection.bodies import Bodies, gap
+from fea.inspection.warnings import place_in_words
 from fea.mesh.mesh import Mesh
 from fea.spec.problems import Problem
 
@@ -32,31 +32,16 @@ def parts(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
     ]
 
 
-def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Problem]:
-    """Return a warning for the unmerged nodes of each two bodies, and of slits within one."""
-    owner = np.zeros(len(mesh.points), dtype=np.int64)
-    for number, nodes in enumerate(bodies.nodes):
-        owner[nodes] = number
-    between = np.sort(owner[pairs], axis=1)
-    told = []
-    for first, second in np.unique(between, axis=0)[:_MOST_TOLD].tolist():
-        here = pairs[(between == [first, second]).all(axis=1)]
-        where = _place(mesh.points[here[0, 0]])
-        if first == second:
-            what = f"inside part {first + 1}, which makes a slit there"
-        else:
-            what = f"of part {first + 1} and part {second + 1}, which touch without being joined"
-        message = (
-            f"{len(here)} pairs of nodes {what} (one near {where} m): each pair is in one place "
-            "but not one node; merge them in the mesher (gmsh: Coherence Mesh or "
-            "removeDuplicateNodes; Abaqus: merge nodes) if the material is to hold together there"
-        )
-        told.append(Problem("mesh", message))
-    return told
-
-
 def motion_problems(component: Component, bodies: Bodies, pairs: Array) -> list[Problem]:
-    """Return a problem for each body that supports and coupling do not hold."""
+    """Return a problem for each body that supports and coupling do not hold.
+
+    Parameters
+    ----------
+    component, bodies
+        What is looked at, and the bodies it falls into.
+    pairs
+        Shape (k, 2), int64: nodes in one place (`fea.inspection.bodies.coincident_nodes`).
+    """
     if bodies.count > _MOST_BODIES:
         message = (
             f"falls into {bodies.count} parts that share no face with each other; merge the nodes "
@@ -90,7 +75,7 @@ def _free_part(
     size = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(mesh.points[nodes], axis=0))
     message = (
         f"part {number + 1} of {bodies.count} ({bodies.cells[number]} cells, {size} mm, middle at "
-        f"{_place(middle(mesh.points[nodes]))} m) is free: "
+        f"{place_in_words(middle(mesh.points[nodes]))} m) is free: "
         f"{_motions_in_words(component, motions)}. {_neighbour(mesh, bodies, number, pairs)}"
     )
     return Problem("mesh", message)
@@ -126,45 +111,3 @@ def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:
         f"The nearest is part {nearest + 1}, {1e3 * gaps[nearest]:.3g} mm away and without a "
         "common node: mesh them as one, leave the part out or fix it"
     )
-
-
-def place_warnings(component: Component) -> list[Problem]:
-    """Return warnings on where the section and the supports are."""
-    mesh, section = component.mesh, component.section
-    told = []
-    if not section.by_area:
-        message = (
-            "is a bare set of nodes that bounds no face, so every node counts the same; name a "
-            "facet group, or all nodes of the face, for area weights"
-        )
-        told.append(Problem("interface.section", message))
-    surface = outer_surface(mesh.blocks).node_ids
-    inside = np.setdiff1d(section.node_ids, surface)
-    if inside.size:
-        message = f"{inside.size} of its nodes are inside the body, not on its surface"
-        told.append(Problem("interface.section", message))
-    held = np.union1d(component.fixed_nodes, section.node_ids)
-    between = sum(int(np.isin(block.nodes, held).all(axis=1).sum()) for block in mesh.blocks)
-    if between:
-        message = (
-            f"{between} cells have every node fixed or in the section, so they do not deform; "
-            "mesh more cells between section and supports"
-        )
-        told.append(Problem("mesh", message))
-    return told
-
-
-def support_areas(component: Component) -> list[Problem]:
-    """Return a warning if the supports hold single nodes only, which answer to mesh size."""
-    surface = outer_surface(component.mesh.blocks)
-    if facets_within(surface, component.fixed_nodes).blocks:
-        return []
-    message = (
-        f"holds {len(component.fixed_nodes)} nodes and no whole face: elastic bodies give way "
-        "without limit at points, so the answer depends on the mesh size; fix faces"
-    )
-    return [Problem("supports.fixed", message)]
-
-
-def _place(place: Array) -> str:
-    return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"

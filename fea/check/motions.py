@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fea.check.bodies import Bodies
 from fea.component import Component
+from fea.inspection.bodies import Bodies
 from fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
@@ -142,12 +142,12 @@ def _condensed(moves: Array) -> Array:
 
 
 def middle(points: Array) -> Array:
-    """Return the middle of the box around points, shape (3,), m."""
+    """Return the middle, shape (3,), m, of the box around points of shape (n, 3), m."""
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
 def size_of(points: Array) -> float:
-    """Return the diagonal of the box around points, m."""
+    """Return the diagonal, m, of the box around points of shape (n, 3), m."""
     return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 

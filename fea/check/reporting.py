@@ -12,12 +12,13 @@ from typing import Any
 
 from fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
 from fea.check import findings
-from fea.check.bodies import Bodies, bodies_of, coincident_nodes
-from fea.check.cells import quality, quality_warnings
 from fea.check.cost import estimate
 from fea.check.text import as_text
 from fea.component import Component, build, mesh_of
 from fea.deck.checking import deck_report
+from fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
+from fea.inspection.cells import quality, quality_warnings
+from fea.inspection.warnings import coincidence_warnings, set_up_warnings
 from fea.mesh.cad import list_shape
 from fea.mesh.mesh import Mesh
 from fea.spec.problems import Problem
@@ -33,7 +34,7 @@ def report(folder: str | Path) -> dict[str, Any]:
         Always ``ok``, ``problems`` (what stops a solve) and ``warnings`` (what may make it wrong),
         each a list of ``{"where", "message"}``. As far as it gets: ``name``, ``fingerprint``,
         ``has_fea``; ``faces`` and ``bodies`` of a geometry file; ``unknowns`` (three a node),
-        ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.check.cells`), ``parts``,
+        ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection.cells`), ``parts``,
         ``coincident_nodes``; ``materials``, ``section``, ``supports`` and ``estimate`` (see
         `fea.check.cost`). Lengths in m. Instead of all from ``faces`` on, ``deck`` (see
         `fea.deck.checking`).
@@ -95,7 +96,7 @@ def _look_at_mesh(bundle: Bundle, mesh: Mesh, told: dict[str, Any]) -> None:
     pairs = coincident_nodes(mesh)
     told["parts"] = findings.parts(mesh, bodies)
     told["coincident_nodes"] = len(pairs)
-    _warn(told, findings.coincidence_warnings(mesh, bodies, pairs))
+    _warn(told, coincidence_warnings(mesh, bodies, pairs))
     _look_at_component(build(bundle, mesh), bodies, pairs, told)
 
 
@@ -103,7 +104,7 @@ def _look_at_component(
     component: Component, bodies: Bodies, pairs: Any, told: dict[str, Any]
 ) -> None:
     told |= _what_is_set(component)
-    _warn(told, findings.place_warnings(component) + findings.support_areas(component))
+    _warn(told, set_up_warnings(component))
     problems = findings.motion_problems(component, bodies, pairs)
     if problems:
         raise BundleError(problems)

@@ -26,13 +26,13 @@ class Coupling(Protocol):
     """What the analyses ask of a coupling."""
 
     active: Array
-    """Indices of the interface freedoms that are not locked."""
+    """Shape (k,), int64: indices of the interface freedoms that are not locked, ascending."""
     border: int
     """Number of border unknowns."""
 
     @property
     def tied(self) -> Array:
-        """Nodes that follow the interface and are no unknowns of their own."""
+        """Nodes that follow the interface and are no unknowns of their own, shape (k,), int64."""
         ...
 
     def start(self) -> State:
@@ -40,21 +40,64 @@ class Coupling(Protocol):
         ...
 
     def moved(self, state: State, nodes: Array, border: Array) -> State:
-        """Return the state after a correction of the nodes, shape (n, 3), and the border."""
+        """Return the state after a correction.
+
+        Parameters
+        ----------
+        state
+            The state before.
+        nodes
+            Shape (n, 3), m: the correction of the free nodes.
+        border
+            Shape (border,): that of the interface freedoms, m and rad, and multipliers, N and N·m.
+        """
         ...
 
     def residual(self, state: State, forces: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return what is out of balance: at the nodes, shape (n, 3), and in the border."""
+        """Return what is out of balance.
+
+        Parameters
+        ----------
+        state
+            The configuration.
+        forces
+            Shape (n, 3), N: internal nodal forces in it.
+        wrench
+            Shape (6,), N and N·m.
+
+        Returns
+        -------
+        nodal
+            Shape (n, 3), N.
+        border
+            Shape (border,): N and N·m for interface freedoms, m and m^2 for constraints.
+        """
         ...
 
     def bordered(self, state: State, forces: Array, wrench: Array) -> Border:
-        """Return how the border joins the body's tangent."""
+        """Return how the border joins the body's tangent.
+
+        Parameters
+        ----------
+        state
+            The configuration.
+        forces
+            Shape (n, 3), N: internal nodal forces in it.
+        wrench
+            Shape (6,), N and N·m.
+        """
         ...
 
     def wrench_columns(self, state: State) -> Array:
-        """Return minus the derivative of the border's residual by the wrench, (border, 6)."""
+        """Return minus the derivative of the border's residual by the wrench.
+
+        Shape (border, 6), no unit; rows of constraints are zero.
+        """
         ...
 
     def displacement_rows(self, border: Array) -> Array:
-        """Pick the interface displacement out of border unknowns: (border, k) -> (6, k)."""
+        """Pick the interface displacement out of border unknowns.
+
+        Shape (border, k) to shape (6, k), m and rad; rows of locked freedoms are zero.
+        """
         ...

@@ -48,13 +48,20 @@ class Distributed:
         return State(np.zeros((self._size, 3)), np.zeros(6), np.zeros(6))
 
     def moved(self, state: State, nodes: Array, border: Array) -> State:
-        """Return the state after a correction of nodes and border."""
+        """Return the state after a correction of nodes, shape (n, 3), m, and border.
+
+        The border's correction has shape (border,): m and rad, then the multipliers' N and N·m.
+        """
         interface = state.interface.copy()
         interface[self.active] += border[:-6]
         return State(state.nodes + nodes, interface, state.multipliers + border[-6:])
 
     def residual(self, state: State, forces: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return what is out of balance at the nodes, in the interface, and in the constraints."""
+        """Return what is out of balance under forces (n, 3), N, and a wrench (6,), N and N·m.
+
+        Shape (n, 3), N, at the nodes; shape (border,) in the interface freedoms, N and N·m, and in
+        the six constraints, m and m^2.
+        """
         own = _Turned(self, state)
         nodes = forces.copy()
         nodes[self._nodes] += self._weights[:, None] * (own.force + np.cross(own.moment, own.arms))
@@ -76,7 +83,10 @@ class Distributed:
         return nodes, np.concatenate([border[self.active], gaps])
 
     def bordered(self, state: State, forces: Array, wrench: Array) -> Border:
-        """Return the derivatives of the residual by the border; nothing is tied."""
+        """Return the derivatives of the residual by the border; nothing is tied.
+
+        Forces have shape (n, 3), N, the wrench shape (6,), N and N·m.
+        """
         own = _Turned(self, state)
         weighted_arms = self._weights[:, None, None] * skew(own.arms)
         columns = np.zeros((self._size, 3, 12))
@@ -106,7 +116,7 @@ class Distributed:
 
     @property
     def tied(self) -> Array:
-        """No node is: the section's nodes stay free."""
+        """No node is, shape (0,), int64: the section's nodes stay free."""
         return self._nodes[:0]
 
     @property

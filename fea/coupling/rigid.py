@@ -36,7 +36,7 @@ class Rigid:
 
     @property
     def tied(self) -> Array:
-        """The section's nodes."""
+        """The section's nodes, shape (k,), int64."""
         return self._nodes
 
     def start(self) -> State:
@@ -44,7 +44,10 @@ class Rigid:
         return State(np.zeros((self._size, 3)), np.zeros(6), np.zeros(6))
 
     def moved(self, state: State, nodes: Array, border: Array) -> State:
-        """Return the state after a correction; the section is placed exactly, not incrementally."""
+        """Return the state after a correction, of shapes (n, 3), m, and (border,), m and rad.
+
+        The section is placed exactly, not incrementally.
+        """
         interface = state.interface.copy()
         interface[self.active] += border
         placed = state.nodes + nodes
@@ -53,7 +56,10 @@ class Rigid:
         return State(placed, interface, state.multipliers)
 
     def residual(self, state: State, forces: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return what is out of balance at the nodes and in the interface freedoms."""
+        """Return what is out of balance, N and N·m, under forces (n, 3) and a wrench (6,).
+
+        Shape (n, 3) at the nodes, shape (border,) in the interface freedoms.
+        """
         pull = forces[self._nodes]
         moment = np.cross(self._turned(state), pull).sum(axis=0)
         spin = spin_per_vector(state.interface[3:])
@@ -61,7 +67,10 @@ class Rigid:
         return forces, border[self.active]
 
     def bordered(self, state: State, forces: Array, wrench: Array) -> Border:
-        """Return the ties, and what turning the arms adds to the moment."""
+        """Return the ties, and what turning the arms adds to the moment.
+
+        Forces have shape (n, 3), N, the wrench shape (6,), N and N·m.
+        """
         pull, arms = forces[self._nodes], self._turned(state)
         spin = spin_per_vector(state.interface[3:])
         turning = (skew(pull) @ skew(arms)).sum(axis=0)

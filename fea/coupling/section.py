@@ -62,7 +62,15 @@ def section_of_facets(points: Array, group: FacetGroup, node_ids: Array | None =
 
 
 def section_of_nodes(points: Array, node_ids: Array) -> Section:
-    """Return the section of nodes that bound no facet: each counts the same."""
+    """Return the section of nodes that bound no facet: each counts the same.
+
+    Parameters
+    ----------
+    points
+        Shape (n, 3), m.
+    node_ids
+        Shape (k,), int64; in any order, twice if so.
+    """
     ids = np.unique(node_ids)
     weights = np.full(len(ids), 1.0 / len(ids))
     return Section(ids, weights, 1.0, points[ids].mean(axis=0), by_area=False)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fea.deck.running import missing_placeholders
-from fea.readers.reader import reader_named
+from fea.readers.registry import reader_named
 from fea.spec.problems import BundleError, Problem
 from fea.spec.schema import Deck
 

@@ -9,7 +9,6 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import BinaryIO
 
 _GRACE = 2.0  # seconds between asking to end and killing; engines wait 5 s for us
 _LOOK_EVERY = 0.25  # seconds
@@ -53,8 +52,7 @@ def run_command(
         If `timeout` is over.
     """
     deadline = time.monotonic() + timeout
-    with printed.open("wb") as file:
-        child = _start(command, folder, file)
+    child = _start(command, folder, printed)
     try:
         with _guarded(child.pid):
             return _wait(child, deadline, watch)
@@ -62,16 +60,16 @@ def run_command(
         _end(child)
 
 
-def _start(command: Sequence[str], folder: Path, printed: BinaryIO) -> subprocess.Popen[bytes]:
-    """Start a program as the first of a process group of its own."""
-    return subprocess.Popen(
-        command,
-        cwd=folder,
-        stdin=subprocess.DEVNULL,
-        stdout=printed,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-    )
+def _start(command: Sequence[str], folder: Path, printed: Path) -> subprocess.Popen[bytes]:
+    with printed.open("wb") as file:
+        return subprocess.Popen(
+            command,
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=file,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
 
 
 def _wait(child: subprocess.Popen[bytes], deadline: float, watch: Callable[[], None] | None) -> int:

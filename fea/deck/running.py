@@ -12,7 +12,8 @@ import numpy as np
 
 from fea.deck import failures
 from fea.deck.command import OutOfTime, run_command
-from fea.readers.reader import Complaint, OutputError, Reader, Reading, Run, reader_named
+from fea.readers.reader import Complaint, OutputError, Reader, Reading, Run
+from fea.readers.registry import reader_named
 from fea.solution import Progress
 from fea.spec.schema import UNITS, Deck
 

@@ -6,6 +6,7 @@ import contextlib
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from fea.coupling.rotation import spin_per_vector
 from fea.deck import failures
 from fea.deck.running import run_deck
-from fea.solution import Progress, Solution
+from fea.solution import Progress, Solution, checked_wrench
 from fea.spec.schema import FREEDOMS, Bundle, Deck, LoadRange
 
 Array = np.ndarray
@@ -32,7 +33,7 @@ _ROUNDOFF = 1e-9
 
 def solve_deck(
     bundle: Bundle,
-    wrench: Sequence[float],
+    wrench: Sequence[float] | Array,
     progress: Progress | None = None,
     folder: Path | None = None,
     accept: Callable[[Array], None] = lambda displacement: None,
@@ -66,32 +67,15 @@ def solve_deck(
         ``not_converged`` if no conjugate moment fits.
     """
     started = time.perf_counter()
-    whole = np.array(wrench, dtype=float)
-    if whole.shape != (6,) or not np.isfinite(whole).all():
-        raise ValueError("a wrench is six finite numbers: force (N) and moment (N·m)")
+    whole = checked_wrench(wrench)
     if bundle.deck is None:
         raise ValueError("the bundle has no deck")
     told = progress or (lambda fraction, message: None)
     with _work_folder(folder) as place:
-        runs = _Runs(bundle.deck, place, told, accept)
-        if bundle.analysis.nonlinear:
-            displacement, compliance = _bent(runs, whole), np.full((6, 6), np.nan)
-        else:
-            displacement, compliance = _straight(runs, whole, bundle.range)
-    accept(displacement)
+        found = _solution(_Runs(bundle.deck, place, told, accept), bundle, whole)
+    accept(found.displacement)
     told(1.0, "done")
-    work = np.nan if bundle.analysis.nonlinear else float(whole @ displacement)
-    return Solution(
-        wrench=whole,
-        displacement=displacement,
-        compliance=compliance,
-        strain_energy=0.5 * work,
-        work=work,
-        unknowns=runs.unknowns,
-        seconds=time.perf_counter() - started,
-        history=(),
-        nodes=np.empty((0, 3)),
-    )
+    return replace(found, seconds=time.perf_counter() - started)
 
 
 class _Runs:
@@ -115,6 +99,27 @@ class _Runs:
         progress(0.0, "starting")
         displacement, self.unknowns = run_deck(self.deck, wrench, self._folder / name, progress)
         return displacement
+
+
+def _solution(runs: _Runs, bundle: Bundle, wrench: Array) -> Solution:
+    """Run the deck as often as it takes, and gather what is known."""
+    if bundle.analysis.nonlinear:
+        displacement, compliance = _bent(runs, wrench), np.full((6, 6), np.nan)
+        work = np.nan
+    else:
+        displacement, compliance = _straight(runs, wrench, bundle.range)
+        work = float(wrench @ displacement)
+    return Solution(
+        wrench=wrench,
+        displacement=displacement,
+        compliance=compliance,
+        strain_energy=0.5 * work,
+        work=work,
+        unknowns=runs.unknowns,
+        seconds=0.0,
+        history=(),
+        nodes=np.empty((0, 3)),
+    )
 
 
 def _bent(runs: _Runs, wrench: Array) -> Array:

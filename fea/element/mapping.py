@@ -8,6 +8,7 @@ import numpy as np
 
 from fea.failure import inverted_elements
 from fea.mesh.mesh import CellBlock, FacetGroup
+from fea.mesh.quality import folded_cells
 from fea.mesh.reference_cell import reference_element
 
 Array = np.ndarray
@@ -44,12 +45,13 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
     Raises
     ------
     SolveFailed
-        ``inverted_elements`` if the map of a cell has a determinant that is not positive.
+        ``inverted_elements`` if the determinant of a cell's map is not positive at each node and
+        quadrature point.
     """
     element = reference_element(block.kind, integration)
     jacobian = points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes  # dX_i/dxi_j
     determinant = np.linalg.det(jacobian)
-    _require_positive(determinant, block)
+    _require_unfolded(points, block)
     inverse = np.linalg.inv(jacobian)
     slopes = inverse.transpose(0, 1, 3, 2) @ element.slopes.transpose(0, 2, 1)
     return Gradients(np.ascontiguousarray(slopes), determinant * element.weights)
@@ -79,8 +81,8 @@ def area_weights(points: Array, group: FacetGroup) -> tuple[Array, Array]:
     return nodes, weights
 
 
-def _require_positive(determinant: Array, block: CellBlock) -> None:
-    bad = np.flatnonzero(~(determinant > 0).all(axis=1))
+def _require_unfolded(points: Array, block: CellBlock) -> None:
+    bad = folded_cells(points, block)
     if bad.size:
         listed = ", ".join(str(cell) for cell in bad[:5])
         raise inverted_elements(

@@ -16,16 +16,13 @@ Stokes problem", 2002).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fea.element.st_venant_kirchhoff import Stiffness
 from fea.failure import locking_material
 from fea.mesh.mesh import CellBlock
 from fea.mesh.reference_cell import reference_element
-
-if TYPE_CHECKING:
-    from fea.element.st_venant_kirchhoff import Stiffness
 
 Array = np.ndarray
 
@@ -74,7 +71,7 @@ def locking(block: CellBlock, poisson: Array) -> str:
 
 
 def require_no_locking(block: CellBlock, poisson: Array) -> None:
-    """Refuse cells that would lock.
+    """Refuse cells that would lock, by their Poisson's ratios of shape (cells,), no unit.
 
     Raises
     ------

@@ -12,8 +12,7 @@ is
 loads that loses every digit to roundoff.
 
 Cells of a nearly incompressible material have `volume_modes`
-(`fea.element.pressure_projection`): tr(E) in the
-energy is then its projection onto them.
+(`fea.element.pressure_projection`): tr(E) in the energy is then its projection onto them.
 """
 
 from __future__ import annotations
@@ -65,6 +64,9 @@ class Stiffness:
         ----------
         displacement
             Shape (cells, 3, nodes), m.
+        step
+            Shape (2, cells, 3, nodes), m: the last step of Newton's method, see `Body.tangent`;
+            None for the forces proper.
 
         Returns
         -------
@@ -94,8 +96,8 @@ class Stiffness:
         displacement
             Shape (cells, 3, nodes), m; None for the undeformed state.
         step
-            Shape (cells, 3, nodes), m: the last step of Newton's method, see `Body.tangent`; None
-            for the tangent proper.
+            Shape (2, cells, 3, nodes), m: the last step of Newton's method, see `Body.tangent`;
+            None for the tangent proper.
         out
             Shape (cells, size, size), N/m: written.
         """
@@ -159,7 +161,7 @@ class Stiffness:
         return strain, stress
 
     def modes_of(self, part: slice) -> Array | None:
-        """Return the volume modes of a few cells."""
+        """Return the volume modes of a few cells, shape (cells, points, modes), m^1.5."""
         return None if self.volume_modes is None else self.volume_modes[part]
 
     def _parts(self) -> Iterator[slice]:

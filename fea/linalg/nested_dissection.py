@@ -29,16 +29,16 @@ class Substructure:
     Attributes
     ----------
     cells
-        The cells of a leaf; empty for a branch.
+        Shape (c,), int64: the cells of a leaf; empty for a branch.
     start, stop
         The unknowns eliminated here are the positions start .. stop - 1.
     boundary
-        Ascending positions of the unknowns handed on to the parent.
+        Shape (b,), int64: ascending positions of the unknowns handed on to the parent.
     children
         Numbers of the two parts in `Dissection.substructures`; empty for a leaf.
     places
-        For each child, where its boundary lies among this one's unknowns (eliminated first, then
-        the boundary).
+        For each child, shape (b of the child,), int64: where its boundary lies among this one's
+        unknowns (eliminated first, then the boundary).
     """
 
     cells: Array
@@ -54,7 +54,7 @@ class Substructure:
         return self.stop - self.start
 
     def find(self, positions: Array) -> Array:
-        """Return where positions lie among the unknowns of this substructure."""
+        """Return where positions lie among the unknowns of this substructure, in their shape."""
         inside = positions < self.stop
         return np.where(
             inside,

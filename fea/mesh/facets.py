@@ -79,7 +79,7 @@ def outer_surface(blocks: tuple[CellBlock, ...]) -> FacetGroup:
 
 
 def facets_within(surface: FacetGroup, node_ids: Array) -> FacetGroup:
-    """Return the facets of `surface` all of whose nodes are among `node_ids`."""
+    """Return the facets of `surface` all of whose nodes are among `node_ids`, shape (k,), int64."""
     kept = []
     for kind, nodes in surface.blocks:
         inside = np.isin(nodes, node_ids).all(axis=1)

@@ -53,7 +53,15 @@ class CellBlock:
 
 
 class FacetBlock(NamedTuple):
-    """Facets of one kind: `nodes` has shape (f, k), int64, in VTK order."""
+    """Facets of one kind.
+
+    Attributes
+    ----------
+    kind
+        A key of `NODES_PER_FACET`.
+    nodes
+        Shape (f, k), int64: the nodes of each facet in VTK order.
+    """
 
     kind: str
     nodes: Array
@@ -86,8 +94,8 @@ class Mesh:
     blocks
         The cells, one block for each kind.
     regions
-        For each cell group one array of cell numbers per block of `blocks` (empty where the block
-        has none of its cells). Regions may overlap; a cell may be in none.
+        For each cell group one array of cell numbers, shape (m,), int64, per block of `blocks`
+        (empty where the block has none of its cells). Regions may overlap; a cell may be in none.
     facet_groups
         Named parts of the surface.
     node_groups

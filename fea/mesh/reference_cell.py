@@ -1,10 +1,9 @@
 """Reference elements: shape functions and quadrature, in VTK node order.
 
 The shape functions and points are scikit-fem's. They are tabulated once for each kind and rule, in
-the node order of `fea.mesh.mesh`; the map to the real cell is then the isoparametric one of
-the cell's
-own nodes (`fea.element.mapping`), which sets neither the sign of a determinant nor the place of a
-midside node by convention.
+the node order of `fea.mesh.mesh`; the map to the real cell is then the isoparametric one of the
+cell's own nodes (`fea.element.mapping`), which sets neither the sign of a determinant nor the place
+of a midside node by convention.
 """
 
 from __future__ import annotations
@@ -13,6 +12,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+import skfem
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefTet, RefTri
 
 Array = np.ndarray
 
@@ -116,8 +118,6 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
     """Return shape functions (points, nodes) and slopes (points, nodes, dimension) at points."""
     if kind == "wedge15":
         return _wedge15(points)
-    import skfem
-
     element = getattr(skfem, _SKFEM_NAMES[kind])()
     order = _to_vtk_order(element.doflocs, node_places(kind))
     values, slopes = zip(*(element.lbasis(points.T, int(i)) for i in order), strict=True)
@@ -156,9 +156,6 @@ def _gauss(count: int) -> tuple[Array, Array]:
 
 
 def _simplex(dimension: int, degree: int) -> tuple[Array, Array]:
-    from skfem.quadrature import get_quadrature
-    from skfem.refdom import RefTet, RefTri
-
     points, weights = get_quadrature(RefTet if dimension == 3 else RefTri, degree)
     return np.ascontiguousarray(points.T), np.asarray(weights)
 

@@ -34,7 +34,8 @@ class CalculixDat:
     """See the module."""
 
     # The three freedoms of a ROT NODE are the rotation vector, so what works on them is conjugate
-    # to it. Measured against the embedded solver, whose moment is spatial: tests/fea/test_deck_ccx.
+    # to it. Measured against the embedded solver, whose moment is spatial, in
+    # tests/fea/deck/test_deck_ccx.
     moment = "conjugate"
     keys: tuple[str, ...] = ("point", "rotation")
 

@@ -13,8 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fea.assembly.system import Balance, Linearisation, System
-from fea.solver.newton import BALANCED, CONVERGED, Equilibrium, Report
+from fea.assembly.balance import Balance
+from fea.assembly.linearisation import Linearisation
+from fea.assembly.system import System
+from fea.solver.newton import Equilibrium, Report, Stuck, correct, tangent_after
 
 Array = np.ndarray
 
@@ -27,7 +29,6 @@ _FINE = 1.0 / 8  # of the first step: short enough to tell a limit point from a 
 _REACH = 0.01  # of the part's size: the furthest that a node may go in one step
 _LONGEST = 8.0  # times the first step
 _STRAIGHT = 0.7  # cosine of a path that bends no more than it should in one step
-_NEARLY = 1e-3
 
 
 class Ending(NamedTuple):
@@ -165,20 +166,22 @@ class ArcPath:
         """Bring a predicted state into balance within the plane normal to the predictor."""
         system, balance = self._system, self._point.found.balance
         tangent = self._point.found.tangent
-        proper = False
+        proper, own = False, None
         for iteration in range(1, _MOST_ITERATIONS + 1):
-            change = nodes + tangent.border.ties @ border
-            state = system.coupling.moved(balance.state, nodes, border)
-            aim = (balance.state.nodes + change, change)
-            balance = system.balance(state, size * self._direction)
-            self._report(size / self._whole)(iteration, balance.norm)
-            step = np.abs(change).max() / max(np.abs(state.nodes).max(), 1e-300)
-            if not (np.isfinite(balance.norm) and np.isfinite(step)):
+            balance = system.reload(balance, size * self._direction)
+            try:
+                step = correct(system, balance, tangent, nodes, border)
+            except Stuck:
                 return None
-            if proper and step <= CONVERGED and balance.norm <= BALANCED * balance.scale:
-                return size, Equilibrium(balance, tangent, iteration)
-            proper = bool(step <= _NEARLY)
-            tangent = system.linearise(balance, None if proper else aim)
+            balance = step.balance
+            self._report(size / self._whole)(iteration, balance.norm)
+            if not np.isfinite(balance.norm):
+                return None
+            if proper and step.converged:
+                settled = tangent_after(system, step, tangent, own)
+                return size, Equilibrium(balance, settled, iteration)
+            proper = step.nearly
+            tangent = own = system.linearise(balance, None if proper else step.aim, own)
             nodes, border, more = self._correction(tangent, balance, normal)
             size += more
         return None

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fea.assembly.condition import ROUNDOFF
-from fea.assembly.system import Linearisation, System, contract
+from fea.assembly.linearisation import Linearisation, contract
+from fea.assembly.system import System
 from fea.failure import ill_conditioned
 
 Array = np.ndarray

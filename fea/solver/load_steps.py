@@ -6,7 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fea.assembly.system import Balance, Linearisation, System
+from fea.assembly.balance import Balance
+from fea.assembly.linearisation import Linearisation
+from fea.assembly.system import System
 from fea.coupling import State
 from fea.coupling.rotation import rotation, rotation_vector
 from fea.failure import (
@@ -44,13 +46,20 @@ class LoadPath:
     """Follows one wrench from nothing to its full size.
 
     The first step tries the whole load: with the tangents of `fea.solver.newton` most parts
-    converge at
-    once. A step is taken back and halved if Newton's method gets stuck, if the state it finds is
-    unstable or turned inside out, or if the tangents at both its ends do not explain how far it
-    went: a load step that jumps onto another branch of equilibria moves further than either
-    tangent says. Where no step is short enough the path is followed by its length
-    (`fea.solver.arc_length`), to
-    the whole load or to the load at which the part gives way.
+    converge at once. A step is taken back and halved if Newton's method gets stuck, if the state
+    it finds is unstable or turned inside out, or if the tangents at both its ends do not explain
+    how far it went: a load step that jumps onto another branch of equilibria moves further than
+    either tangent says. Where no step is short enough the path is followed by its length
+    (`fea.solver.arc_length`), to the whole load or to the load at which the part gives way.
+
+    Parameters
+    ----------
+    system
+        The equations.
+    wrench
+        Shape (6,), N and N·m; not zero.
+    progress
+        Called with the fraction done and a message.
 
     Attributes
     ----------

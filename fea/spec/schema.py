@@ -164,7 +164,13 @@ class Analysis:
 
 @dataclass(frozen=True, eq=False)
 class LoadRange:
-    """The loads expected: `low` and `high`, each of shape (6,), N and N·m."""
+    """The loads expected.
+
+    Attributes
+    ----------
+    low, high
+        Each of shape (6,), N and N·m.
+    """
 
     low: Array
     high: Array

@@ -27,7 +27,15 @@ ABSENT = "ccx is not installed"
 
 
 class Reply(NamedTuple):
-    """What ccx found: interface displacement (6,), m and rad; wall time, s."""
+    """What ccx found.
+
+    Attributes
+    ----------
+    displacement
+        Shape (6,), m and rad: of the interface.
+    seconds
+        Wall time.
+    """
 
     displacement: Array
     seconds: float

@@ -40,41 +40,47 @@ def clamped(
         Names of facet groups.
     material
         Young's modulus (Pa) and Poisson's ratio.
-    coupling, nonlinear, point, axes
-        As in a bundle; the point is the section's area centre unless given.
+    coupling, nonlinear
+        As in a bundle.
+    point
+        Shape (3,), m; the section's area centre unless given.
+    axes
+        Shape (3, 3), row i the direction of the interface frame's axis i; the mesh's unless given.
     """
     part = section_of_facets(mesh.points, mesh.facet_groups[section])
     place = part.centre if point is None else point
-    frame = np.eye(3) if axes is None else axes
-    materials = (Material("all", *material),)
-    analysis = Analysis(nonlinear=nonlinear)
-    anything = LoadRange(np.full(6, -np.inf), np.full(6, np.inf))
-    bundle = Bundle(
-        folder=Path(),
-        name="validation",
-        title="",
-        mesh=None,
-        materials=materials,
-        supports=Supports((fixed,)),
-        interface=Interface(section, place, frame, coupling),
-        analysis=analysis,
-        range=anything,
-        tolerance=None,
-        deck=None,
-        fingerprint="",
-    )
+    interface = Interface(section, place, np.eye(3) if axes is None else axes, coupling)
+    bundle = _bundle(Material("all", *material), fixed, interface, nonlinear)
     return Component(
         bundle=bundle,
         mesh=mesh,
-        materials=materials,
+        materials=bundle.materials,
         material_of_cells=tuple(np.zeros(len(block), dtype=int) for block in mesh.blocks),
         fixed_nodes=mesh.facet_groups[fixed].node_ids,
         section=part,
         point=place,
-        axes=frame,
+        axes=interface.axes,
         coupling=coupling,
         locked=(),
-        analysis=analysis,
+        analysis=bundle.analysis,
+    )
+
+
+def _bundle(material: Material, fixed: str, interface: Interface, nonlinear: bool) -> Bundle:
+    """Return a bundle of no folder, for any load."""
+    return Bundle(
+        folder=Path(),
+        name="validation",
+        title="",
+        mesh=None,
+        materials=(material,),
+        supports=Supports((fixed,)),
+        interface=interface,
+        analysis=Analysis(nonlinear=nonlinear),
+        range=LoadRange(np.full(6, -np.inf), np.full(6, np.inf)),
+        tolerance=None,
+        deck=None,
+        fingerprint="",
     )
 
 

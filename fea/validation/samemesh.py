@@ -41,7 +41,10 @@ def same_mesh(
 
 
 def worst_gap(found: Array, expected: Array) -> float:
-    """Return the largest relative difference; both are exactly zero in what a guide holds."""
+    """Return the largest relative difference of two displacements, shape (6,), m and rad.
+
+    Both are exactly zero in what a guide holds.
+    """
     held = (found == 0) & (expected == 0)
     scale = np.where(held, 1.0, np.abs(expected))
     return float(np.abs((found - expected) / scale).max())

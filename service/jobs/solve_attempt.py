@@ -98,8 +98,8 @@ def solve_embedded(spec: Spec, report: Report, folder: Path | None = None) -> Ma
     solution = solve(bundle, spec.wrench, progress=report, folder=folder)
     for note in solution.notes:
         print(note)
-    names = ("displacement", "compliance", "strain_energy", "work")
-    return {name: getattr(solution, name) for name in (*names, "seconds", "unknowns", "history")}
+    numbers = ("displacement", "compliance", "strain_energy", "work", "seconds", "unknowns")
+    return {name: getattr(solution, name) for name in (*numbers, "history", "notes")}
 
 
 class _Reporter:

@@ -11,7 +11,7 @@ from fea.component import build
 from fea.coupling.section import section_of_facets
 
 SHIPPED = Path(__file__).parents[2] / "data" / "components"
-FILES = Path(__file__).parent / "meshfiles"
+FILES = Path(__file__).parent / "mesh" / "meshfiles"
 
 BLOCKS = {
     "name": "blocks",

@@ -59,7 +59,7 @@ def quadratic(points: Array, quads: Array) -> Section:
 
 
 def rectangle(x: Array, y: Array) -> Section:
-    """Return the grid with lines at the ascending coordinates `x` and `y`, m."""
+    """Return the grid with lines at ascending `x` and `y`, shapes (nx,) and (ny,), m."""
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     return quadratic(points, grid_quads(len(x), len(y)))
 
@@ -139,21 +139,30 @@ def _core_points(radius: float, core: int) -> Array:
 
 
 def grid_quads(nx: int, ny: int) -> Array:
-    """Return the quadrilaterals of a grid of nx x ny nodes, numbered along y first."""
+    """Return the quadrilaterals of a grid of nx x ny nodes, numbered along y first.
+
+    Shape ((nx - 1) (ny - 1), 4), int64, counter-clockwise.
+    """
     grid = np.arange(nx * ny).reshape(nx, ny)
     quads = [grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]]
     return np.stack(quads, axis=-1).reshape(-1, 4)
 
 
 def rim_of_grid(core: int) -> Array:
-    """Return the outer nodes of a (core + 1)^2 grid, counter-clockwise from its lowest corner."""
+    """Return the outer nodes of a (core + 1)^2 grid, counter-clockwise from its lowest corner.
+
+    Shape (4 core,), int64.
+    """
     grid = np.arange((core + 1) ** 2).reshape(core + 1, core + 1)
     sides = [grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1]]
     return np.concatenate(sides)
 
 
 def ring_quads(inner: Array, outer: Array) -> Array:
-    """Return the quadrilaterals between two closed rows of nodes, counter-clockwise."""
+    """Return the quadrilaterals between two closed rows of nodes, counter-clockwise.
+
+    Shapes (k,) and (k,) to (k, 4), int64.
+    """
     return np.stack([inner, outer, np.roll(outer, -1), np.roll(inner, -1)], axis=-1)
 
 

@@ -35,12 +35,12 @@ class Sweep:
     cells: CellBlock
 
     def start(self, quads: Array | slice = slice(None)) -> FacetGroup:
-        """Return the facets of the section's `quads` at the start, looking outwards."""
+        """Return the facets of the section's `quads`, shape (k,), at the start, outwards."""
         nodes = self.section.quads[quads][:, [0, 3, 2, 1, 7, 6, 5, 4]]
         return FacetGroup((FacetBlock("quad8", nodes),))
 
     def end(self, quads: Array | slice = slice(None)) -> FacetGroup:
-        """Return the facets of the section's `quads` at the end, looking outwards."""
+        """Return the facets of the section's `quads`, shape (k,), at the end, outwards."""
         nodes = self.section.quads[quads] + self.layers * _stride(self.section)
         return FacetGroup((FacetBlock("quad8", nodes),))
 

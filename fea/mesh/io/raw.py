@@ -38,11 +38,12 @@ class RawMesh:
     points
         Shape (n, 3); some may belong to no cell.
     blocks
-        (kind, nodes) of cells, facets and lines, in the order of the file.
+        (kind, nodes) of cells, facets and lines, in the order of the file; nodes of shape (m, k),
+        int64.
     element_sets
-        For each name, one array of element numbers per block.
+        For each name, one array of element numbers per block, shape (m,), int64.
     node_sets
-        For each name, the nodes' numbers.
+        For each name, the nodes' numbers, shape (k,), int64.
     facet_sets
         Facet groups that the file defines as faces of cells.
     """

@@ -9,7 +9,7 @@ import pytest
 
 from fea.check import check, main
 
-SHIPPED = Path(__file__).parents[2] / "data" / "components"
+SHIPPED = Path(__file__).parents[3] / "data" / "components"
 
 
 def test_the_command_reports_a_good_bundle_and_ends_with_0():

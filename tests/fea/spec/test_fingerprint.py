@@ -2,10 +2,11 @@
 
 import copy
 import json
+from importlib.resources import files
 
 import pytest
 
-from fea.bundle.read import bundle_of
+from fea.bundle.read import bundle_of, read_bundle
 
 BAR = {
     "name": "b",
@@ -98,3 +99,15 @@ def test_the_fingerprint_covers_the_bytes_of_the_mesh_file_and_not_its_name(tmp_
 
 def test_the_fingerprint_is_16_hexadecimal_digits_and_the_same_in_every_run():
     assert print_of(json.loads(json.dumps(BAR))) == "4b5a158f755517b4"
+
+
+def test_rows_with_the_old_tangents_of_nonlinear_solves_are_not_taken_for_new_ones():
+    nonlinear = altered(("analysis", "nonlinear"), True)
+    assert print_of(nonlinear) != "10db04f855149a7b"
+
+
+def test_measured_tables_and_decks_keep_their_fingerprints_when_the_solver_changes():
+    measured = {key: BAR[key] for key in ("name", "title", "range")}
+    assert print_of(measured) == "767d9effa79f57b5"
+    deck = read_bundle(f"{files('data')}/components/plate_ccx")
+    assert deck.fingerprint == "a2013183cd681d25"

@@ -16,7 +16,9 @@ from fea.coupling.rotation import spin_per_vector
 from fea.deck.checking import deck_report
 from fea.deck.running import filled
 from fea.failure import SolveFailed
-from fea.readers import reader as readers
+from fea.readers import registry
+from fea.readers.numbers import Numbers
+from fea.readers.reader import Reading
 from fea.solve import solve
 from tests.fea.decks import SOFT, WRENCH, component
 
@@ -353,22 +355,22 @@ def test_the_reader_chooses_the_moment_unless_the_deck_does(tmp_path):
     assert component(tmp_path).deck.moment == "spatial"
 
 
-class Halves(readers.Numbers):
+class Halves(Numbers):
     """A reader of another package."""
 
     keys = ()
 
     def read(self, run, told):
-        return readers.Reading((0.5,) * 3 + (0.125,) * 3)
+        return Reading((0.5,) * 3 + (0.125,) * 3)
 
 
 def test_another_package_can_offer_a_reader(tmp_path, monkeypatch):
     from importlib.metadata import EntryPoint
 
-    entry = EntryPoint("halves", f"{__name__}:Halves", readers.ENTRY_POINTS)
+    entry = EntryPoint("halves", f"{__name__}:Halves", registry.ENTRY_POINTS)
     monkeypatch.setattr(EntryPoint, "load", lambda self: Halves)
-    monkeypatch.setattr(readers, "_offered", lambda: [entry])
-    assert readers.reader_names() == ("calculix-dat", "halves", "numbers")
+    monkeypatch.setattr(registry, "_offered", lambda: [entry])
+    assert registry.reader_names() == ("calculix-dat", "halves", "numbers")
     found = solve(component(tmp_path, output={"reader": "halves"}), [0] * 6, None)
     assert found.displacement[0] == 0.5
 

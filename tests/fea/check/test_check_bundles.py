@@ -10,9 +10,9 @@ import pytest
 
 from fea.check import as_text, report
 from tests.fea.boxes import box
+from tests.fea.check.test_check_findings import cubes
 from tests.fea.geometry import draw_two_bars
-from tests.fea.test_check_findings import cubes
-from tests.fea.test_geometry import BRACKET, toml_of
+from tests.fea.mesh.test_geometry import BRACKET, toml_of
 
 
 def write_inp(folder, mesh, *, supports='["root"]', section="tip", young="2e11", extra=""):

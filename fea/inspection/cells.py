@@ -8,7 +8,7 @@ Four measures, each with the worst cell and where it is:
     0 for flat cells (the measure of Knupp, "Algebraic mesh quality metrics", 2001).
 ``jacobian_ratio``
     Least over largest det(dx/dxi) over a cell's nodes and quadrature points: 1 for straight
-    parallelepipeds and straight tetrahedra; 0 or less is a cell that folds over.
+    parallelepipeds and straight tetrahedra; 0 or less is a cell that folds over, an error.
 ``aspect_ratio``
     Longest over shortest edge.
 ``edge_curvature``
@@ -26,15 +26,27 @@ import numpy as np
 
 from fea.mesh.facets import EDGES
 from fea.mesh.mesh import CellBlock, Mesh
-from fea.mesh.quality import determinants
-from fea.mesh.reference_cell import node_places, tabulate
+from fea.mesh.quality import extreme_determinants
+from fea.mesh.reference_cell import node_places
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
 class Measure:
-    """One measure: its value for each cell, and from where on it is bad."""
+    """One measure of the shape of cells.
+
+    Attributes
+    ----------
+    name
+        Its key in the report.
+    of
+        From points of shape (n, 3), m, and a block of m cells to the values, shape (m,), no unit.
+    limit, larger_is_worse
+        From where on it is bad, and on which side.
+    words
+        What a bad cell is called.
+    """
 
     name: str
     of: Callable[[Array, CellBlock], Array]
@@ -56,11 +68,8 @@ def scaled_jacobian(points: Array, block: CellBlock) -> Array:
 
 def jacobian_ratio(points: Array, block: CellBlock) -> Array:
     """Return the least over the largest determinant of each cell, shape (m,)."""
-    _, slopes = tabulate(block.kind, node_places(block.kind))
-    at_nodes = np.linalg.det(np.einsum("mad,qai->mqdi", points[block.nodes], slopes, optimize=True))
-    every = np.concatenate([determinants(points, block), at_nodes], axis=1)
-    largest = np.abs(every).max(axis=1)
-    return np.divide(every.min(axis=1), largest, out=np.zeros(len(block)), where=largest > 0)
+    least, largest = extreme_determinants(points, block)
+    return np.divide(least, largest, out=np.zeros(len(block)), where=largest > 0)
 
 
 def aspect_ratio(points: Array, block: CellBlock) -> Array:
@@ -90,7 +99,7 @@ def edge_lengths(points: Array, block: CellBlock) -> Array:
 
 MEASURES = (
     Measure("scaled_jacobian", scaled_jacobian, 0.1, False, "nearly flat at a corner"),
-    Measure("jacobian_ratio", jacobian_ratio, 0.1, False, "strongly distorted or folded over"),
+    Measure("jacobian_ratio", jacobian_ratio, 0.1, False, "strongly distorted"),
     Measure("aspect_ratio", aspect_ratio, 50.0, True, "long and thin"),
     Measure("edge_curvature", edge_curvature, 0.25, True, "bent too far along an edge"),
 )

@@ -8,7 +8,7 @@ from fea.solve import Solver
 from fea.solver.load_steps import LoadPath
 from tests.fea.boxes import box
 from tests.fea.components import component
-from tests.fea.test_nonlinear import PLATE_WRENCH, plate
+from tests.fea.solver.test_nonlinear import PLATE_WRENCH, plate
 
 YOUNG = 1e9
 GUIDE = ("ux", "uy", "rx", "ry", "rz")

@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from fea.check.cells import edge_lengths
+from fea.inspection.cells import edge_lengths
 from fea.mesh.facets import FACES, corners_of, outer_surface
 from fea.mesh.mesh import Mesh
 
@@ -30,7 +30,7 @@ class Bodies:
     cells
         Number of cells of each, shape (count,).
     nodes
-        The nodes of each.
+        The nodes of each, shape (k,), int64, ascending.
     """
 
     count: int
@@ -89,6 +89,6 @@ def coincident_nodes(mesh: Mesh) -> Array:
 
 
 def gap(mesh: Mesh, nodes: Array, others: Array) -> float:
-    """Return the least distance between two sets of nodes, m."""
+    """Return the least distance, m, between two sets of nodes, each of shape (k,), int64."""
     tree = KDTree(mesh.points[nodes])
     return float(tree.query(mesh.points[others])[0].min())

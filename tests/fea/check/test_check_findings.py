@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from fea.check.bodies import bodies_of, coincident_nodes
-from fea.check.cells import aspect_ratio, edge_curvature, jacobian_ratio, scaled_jacobian
 from fea.check.motions import describe, free_motions
 from fea.failure import SolveFailed
+from fea.inspection.bodies import bodies_of, coincident_nodes
+from fea.inspection.cells import aspect_ratio, edge_curvature, jacobian_ratio, scaled_jacobian
 from fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from fea.mesh.reference_cell import node_places
 from fea.solve import Solver

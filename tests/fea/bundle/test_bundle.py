@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from fea.bundle.read import BundleError, Problem, bundle_of, read_bundle
 
-SHIPPED = Path(__file__).parents[2] / "data" / "components"
+SHIPPED = Path(__file__).parents[3] / "data" / "components"
 
 PLATE = """
 name = "plate"

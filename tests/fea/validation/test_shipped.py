@@ -8,9 +8,9 @@ import pytest
 
 from fea.bundle.read import read_bundle
 from fea.solve import Solver
-from tests.fea.test_linear import beam_compliance
+from tests.fea.solver.test_linear import beam_compliance
 
-SHIPPED = Path(__file__).parents[2] / "data" / "components"
+SHIPPED = Path(__file__).parents[3] / "data" / "components"
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from fea.solve import Solver, solve
 from fea.spec.schema import Deck
 from tests.fea.calculix import require_ccx
 
-FOLDER = Path(__file__).parents[2] / "data" / "components" / "plate_ccx"
+FOLDER = Path(__file__).parents[3] / "data" / "components" / "plate_ccx"
 CORNER = np.array([1e3, 500, -5e3, 300, -200, 100])
 OUTPUT = {"reader": "calculix-dat", "point": "REF", "rotation": "ROT"}
 

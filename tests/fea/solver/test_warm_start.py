@@ -12,8 +12,8 @@ from fea.solve import Solver, solve
 from fea.solver.arc_length import ArcPath
 from fea.solver.newton import Equilibrium, find_equilibrium
 from fea.solver.warm_start import MOST_FILES, WarmFolder
+from tests.fea.solver.test_nonlinear import PLATE_WRENCH, plate
 from tests.fea.test_failures import arch
-from tests.fea.test_nonlinear import PLATE_WRENCH, plate
 
 SCALE = np.array([300.0, 150, 25, 2, 4, 3])
 

@@ -1,0 +1,174 @@
+"""The tangent at one state, bordered by the coupling: corrections, compliance and stability."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from fea.assembly.balance import Balance
+from fea.assembly.body import Body, Tangent
+from fea.coupling import Coupling
+from fea.failure import mechanism
+
+Array = np.ndarray
+
+
+class Linearisation:
+    """The tangent at one state, bordered by the coupling.
+
+    With the body's stiffness K, the border's columns C and block D, it solves
+    [[K, C], [C^T, D]] by the Schur complement S = D - C^T K^-1 C.
+
+    `interface_ratio` is what elimination left of the border's stiffness, relative to its own; near
+    roundoff nothing holds the interface.
+    """
+
+    def __init__(self, body: Body, coupling: Coupling, balance: Balance, tangent: Tangent) -> None:
+        self._body = body
+        self._coupling = coupling
+        self.state = balance.state
+        self.tangent = tangent
+        self.border = coupling.bordered(balance.state, balance.forces, balance.wrench)
+        pushed = tangent.times(self.border.ties, coupling.tied)
+        columns = pushed + self.border.columns
+        self._columns = np.where(body.free[:, None, None], columns, 0.0)
+        self._block = contract(self.border.ties, pushed) + self.border.block
+
+    @cached_property
+    def _solved(self) -> Array:
+        return self.tangent.solve(self._columns)
+
+    @cached_property
+    def schur(self) -> Array:
+        """The border's condensed stiffness, shape (border, border), N/m, N, N·m by its unknowns."""
+        return self._block - contract(self._columns, self._solved)
+
+    @property
+    def interface_ratio(self) -> float:
+        """Least eigenvalue of the condensed stiffness, scaled by the border's own diagonal."""
+        return self._softest_interface[0]
+
+    @property
+    def softest_interface_energy(self) -> float:
+        """Strain energy of the interface's softest motion, relative to that of the border alone."""
+        border = self._softest_interface[1]
+        field = self.border.ties @ border - self._solved @ border
+        energy = self._body.strain_energy_products(field[:, :, None])[0, 0]
+        return float(energy / (border @ (np.diagonal(self._block) * border)))
+
+    @property
+    def _softest_interface(self) -> tuple[float, Array]:
+        own = np.diagonal(self._block)
+        if not own.size or (own <= 0).any():
+            return 1.0, np.zeros(own.size)
+        scale = 1.0 / np.sqrt(own)
+        scaled = self.schur * scale[:, None] * scale
+        ratios, motions = np.linalg.eigh(0.5 * (scaled + scaled.T))
+        return float(ratios[0]), scale * motions[:, 0]
+
+    @property
+    def stable(self) -> bool:
+        """Whether every small disturbance costs energy: body and interface both.
+
+        A body that is unstable by itself may be held by its section: then the constraints, and
+        nothing else, give the bordered matrix its negative eigenvalues.
+        """
+        factor, coupling = self.tangent.factor, self._coupling
+        if factor.definite:
+            return self._least_compliance > 0
+        constraints = coupling.border - coupling.active.size
+        if not constraints or not np.isfinite(self.schur).all():
+            return False
+        own = np.linalg.eigvalsh(self.schur + self.schur.T)
+        return factor.negatives + int((own < 0).sum()) == constraints
+
+    @property
+    def _least_compliance(self) -> float:
+        """Least eigenvalue of the interface's compliance (to spins), scaled to a unit diagonal."""
+        active = self._coupling.active
+        if not active.size:
+            return 1.0
+        full = self.wrench_columns.T @ self.border_response
+        own = 0.5 * (full + full.T)[np.ix_(active, active)]
+        diagonal = np.diagonal(own)
+        if (diagonal <= 0).any():
+            return -1.0
+        scale = 1.0 / np.sqrt(diagonal)
+        return float(np.linalg.eigvalsh(own * scale[:, None] * scale)[0])
+
+    def correction(self, balance: Balance) -> tuple[Array, Array]:
+        """Return the changes that bring a nearby state into balance.
+
+        Returns
+        -------
+        nodes
+            Shape (n, 3), m: of the free nodes; the others are zero.
+        border
+            Shape (border,): of interface freedoms, m and rad, and of multipliers, N and N·m.
+        """
+        nodes, border = self.solve(balance.nodal[:, :, None], balance.border[:, None])
+        return -nodes[:, :, 0], -border[:, 0]
+
+    def solve(self, nodal: Array, border: Array) -> tuple[Array, Array]:
+        """Solve the bordered equations for k load cases.
+
+        Parameters
+        ----------
+        nodal
+            Shape (n, 3, k), N.
+        border
+            Shape (border, k): N and N·m for interface freedoms, m and m^2 for constraints.
+
+        Returns
+        -------
+        nodes
+            Shape (n, 3, k), m: of the free nodes; the others are zero.
+        border
+            Shape (border, k).
+        """
+        moved = self.tangent.solve(nodal)
+        carried = self._solve_border(border - contract(self._columns, moved))
+        return moved - self._solved @ carried, carried
+
+    @cached_property
+    def border_response(self) -> Array:
+        """Change of the border per change of the wrench, shape (border, 6), m/N and its like."""
+        return self._solve_border(self.wrench_columns)
+
+    @property
+    def wrench_columns(self) -> Array:
+        """Change of the border's load per change of the wrench, shape (border, 6), no unit.
+
+        Columns of locked freedoms are zero.
+        """
+        coupling = self._coupling
+        columns = np.zeros((coupling.border, 6))
+        columns[:, coupling.active] = coupling.wrench_columns(self.state)[:, coupling.active]
+        return columns
+
+    @property
+    def compliance(self) -> Array:
+        """Change of the interface displacement per change of the wrench.
+
+        Shape (6, 6): m/N, rad/N, m/(N·m) and rad/(N·m).
+        """
+        return self._coupling.displacement_rows(self.border_response)
+
+    def _solve_border(self, loads: Array) -> Array:
+        """Solve with S, its rows and columns scaled to one size: they mix m, rad, N and N·m."""
+        scale = np.ones(len(loads))
+        for _ in range(3):
+            largest = np.abs(self.schur * scale[:, None] * scale).max(axis=1, initial=0.0)
+            scale /= np.sqrt(np.where(largest > 0, largest, 1.0))
+        try:
+            scaled = np.linalg.solve(self.schur * scale[:, None] * scale, scale[:, None] * loads)
+        except np.linalg.LinAlgError:
+            raise mechanism("The interface can move without any resistance.") from None
+        return scale[:, None] * scaled
+
+
+def contract(first: Array, second: Array) -> Array:
+    """Sum over nodes and components: (n, 3, j), (n, 3, k) -> (j, k)."""
+    size = 3 * len(first)
+    return first.reshape(size, first.shape[2]).T @ second.reshape(size, second.shape[2])

@@ -1,0 +1,108 @@
+"""What may make an answer wrong, found by looking at a component: nothing is solved.
+
+These are the warnings of `fea.check`, and the notes of every solution of the embedded solver, so
+that they reach whoever asks. They cost one pass over the cells and two searches among the nodes of
+the surface: less than the symbolic analysis before a solve.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fea.component import Component
+from fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
+from fea.inspection.cells import quality, quality_warnings
+from fea.mesh.facets import facets_within, outer_surface
+from fea.mesh.mesh import Mesh
+from fea.spec.problems import Problem
+
+Array = np.ndarray
+
+_MOST_TOLD = 5
+
+
+def warnings_of(component: Component) -> list[Problem]:
+    """Return all that `fea.check` would warn of, in its order."""
+    mesh = component.mesh
+    bodies, pairs = bodies_of(mesh), coincident_nodes(mesh)
+    shape = [Problem("mesh", words) for words in quality_warnings(quality(mesh))]
+    return shape + coincidence_warnings(mesh, bodies, pairs) + set_up_warnings(component)
+
+
+def set_up_warnings(component: Component) -> list[Problem]:
+    """Return warnings on what the bundle attaches to the mesh: its section and supports."""
+    return place_warnings(component) + support_warnings(component)
+
+
+def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Problem]:
+    """Return a warning for the unmerged nodes of each two bodies, and of slits within one.
+
+    Parameters
+    ----------
+    mesh, bodies
+        A mesh, and what it falls into.
+    pairs
+        Shape (k, 2), int64: nodes in one place (`fea.inspection.bodies.coincident_nodes`).
+    """
+    owner = np.zeros(len(mesh.points), dtype=np.int64)
+    for number, nodes in enumerate(bodies.nodes):
+        owner[nodes] = number
+    between = np.sort(owner[pairs], axis=1)
+    told = []
+    for first, second in np.unique(between, axis=0)[:_MOST_TOLD].tolist():
+        here = pairs[(between == [first, second]).all(axis=1)]
+        where = place_in_words(mesh.points[here[0, 0]])
+        if first == second:
+            what = f"inside part {first + 1}, which makes a slit there"
+        else:
+            what = f"of part {first + 1} and part {second + 1}, which touch without being joined"
+        message = (
+            f"{len(here)} pairs of nodes {what} (one near {where} m): each pair is in one place "
+            "but not one node; merge them in the mesher (gmsh: Coherence Mesh or "
+            "removeDuplicateNodes; Abaqus: merge nodes) if the material is to hold together there"
+        )
+        told.append(Problem("mesh", message))
+    return told
+
+
+def place_warnings(component: Component) -> list[Problem]:
+    """Return warnings on where the section and the supports are."""
+    mesh, section = component.mesh, component.section
+    told = []
+    if not section.by_area:
+        message = (
+            "is a bare set of nodes that bounds no face, so every node counts the same; name a "
+            "facet group, or all nodes of the face, for area weights"
+        )
+        told.append(Problem("interface.section", message))
+    surface = outer_surface(mesh.blocks).node_ids
+    inside = np.setdiff1d(section.node_ids, surface)
+    if inside.size:
+        message = f"{inside.size} of its nodes are inside the body, not on its surface"
+        told.append(Problem("interface.section", message))
+    held = np.union1d(component.fixed_nodes, section.node_ids)
+    between = sum(int(np.isin(block.nodes, held).all(axis=1).sum()) for block in mesh.blocks)
+    if between:
+        message = (
+            f"{between} cells have every node fixed or in the section, so they do not deform; "
+            "mesh more cells between section and supports"
+        )
+        told.append(Problem("mesh", message))
+    return told
+
+
+def support_warnings(component: Component) -> list[Problem]:
+    """Return a warning if the supports hold single nodes only, which answer to mesh size."""
+    surface = outer_surface(component.mesh.blocks)
+    if facets_within(surface, component.fixed_nodes).blocks:
+        return []
+    message = (
+        f"holds {len(component.fixed_nodes)} nodes and no whole face: elastic bodies give way "
+        "without limit at points, so the answer depends on the mesh size; fix faces"
+    )
+    return [Problem("supports.fixed", message)]
+
+
+def place_in_words(place: Array) -> str:
+    """Write a place, shape (3,), in m, to four digits."""
+    return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"
