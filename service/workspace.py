@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from service.jobs.attempt import Progress, attempt_folder, read_progress
 from service.jobs.dispatcher import Dispatcher
-from service.jobs.engines import open_engine
+from service.jobs.engines.registry import open_engine
 from service.ledger import Change, Job, Ledger
 from service.library.library import Component, Library
 from service.report.queue import Reports

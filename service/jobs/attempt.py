@@ -78,6 +78,26 @@ def read_progress(folder: Path) -> Progress | None:
         return None
 
 
+def solver_began(folder: Path) -> bool:
+    """Return whether a solver came to its first instruction: it writes its pid into the lock.
+
+    The lock alone says nothing: an engine takes it before there is a process.
+    """
+    try:
+        return (folder / LOCK).stat().st_size > 0
+    except OSError:
+        return False
+
+
+def last_words(folder: Path) -> str:
+    """Return the last line of what the attempt's solver printed; empty if it printed nothing."""
+    try:
+        lines = (folder / LOG).read_text(errors="replace").strip().splitlines()
+    except OSError:
+        return ""
+    return lines[-1] if lines else ""
+
+
 def write_outcome(folder: Path, spec: Spec, outcome: Mapping[str, Any]) -> None:
     """Write result.json to disk for good; its appearance means that the solver has ended.
 

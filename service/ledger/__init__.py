@@ -1,21 +1,24 @@
 """The durable record of jobs and rows; see `Ledger`."""
 
 from service.ledger.errors import (
+    DamagedRowError,
     InvalidTransitionError,
     LedgerError,
     LedgerFileError,
     LedgerUnavailableError,
+    RowStatusError,
     StaleAttemptError,
     UnknownJobError,
     UnknownRowError,
 )
 from service.ledger.ledger import Ledger
-from service.ledger.records import FINAL, STATUSES, Change, Job, LedgerRow, NewRow, Status
+from service.ledger.records import FINAL, STATUSES, Change, Job, LedgerRow, NewRow, News, Status
 
 __all__ = [
     "FINAL",
     "STATUSES",
     "Change",
+    "DamagedRowError",
     "InvalidTransitionError",
     "Job",
     "Ledger",
@@ -24,6 +27,8 @@ __all__ = [
     "LedgerRow",
     "LedgerUnavailableError",
     "NewRow",
+    "News",
+    "RowStatusError",
     "StaleAttemptError",
     "Status",
     "UnknownJobError",

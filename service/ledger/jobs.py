@@ -4,14 +4,14 @@ import json
 import time
 from collections.abc import Iterable
 
-from service.ledger import states
+from service.ledger import rows, states
 from service.ledger.errors import UnknownJobError
 from service.ledger.records import STATUSES, Job, unpack6
 from service.ledger.schema import Connection
 
 _COLUMNS = (
     "id, component, fingerprint, wrench, status, priority, attempt, lost, owner, "
-    "created, started, finished, error, row"
+    "created, started, finished, error, row, not_before"
 )
 
 
@@ -21,7 +21,8 @@ def accept(
     """Return the one job of (component, fingerprint, wrench), and whether it is new."""
     job = find_same(db, *same)
     if job is not None:
-        return save(db, states.asked_again(job, priority, reopen_cancelled)), False
+        again = states.asked_again(job, priority, reopen_cancelled, is_withdrawn(db, job))
+        return save(db, again), False
     added = db.execute(
         "INSERT INTO jobs (component, fingerprint, wrench, status, priority, attempt, lost,"
         " created) VALUES (?, ?, ?, 'waiting', ?, 0, 0, ?)",
@@ -31,6 +32,11 @@ def accept(
     return get(db, added.lastrowid), True
 
 
+def is_withdrawn(db: Connection, job: Job) -> bool:
+    """Return whether the row that a done job gave is withdrawn."""
+    return job.row is not None and rows.is_withdrawn(db, job.row)
+
+
 def save(db: Connection, job: Job) -> Job:
     """Write all of a job that can change."""
     error = None if job.error is None else json.dumps(job.error)
@@ -38,8 +44,8 @@ def save(db: Connection, job: Job) -> Job:
     times = (job.started, job.finished)
     db.execute(
         "UPDATE jobs SET status = ?, priority = ?, attempt = ?, lost = ?, owner = ?,"
-        " started = ?, finished = ?, error = ?, row = ? WHERE id = ?",
-        (*now, *times, error, job.row, job.id),
+        " started = ?, finished = ?, error = ?, row = ?, not_before = ? WHERE id = ?",
+        (*now, *times, error, job.row, job.not_before, job.id),
     )
     return job
 
@@ -59,10 +65,13 @@ def find_same(db: Connection, component: str, fingerprint: str, wrench: bytes) -
     return found[0] if found else None
 
 
-def next_waiting(db: Connection) -> Job | None:
+def next_waiting(db: Connection, now: float) -> Job | None:
     """Return the waiting job that is to start next."""
-    where = "WHERE status = 'waiting' ORDER BY priority DESC, id LIMIT 1"
-    found = _select(db, where, ())
+    where = (
+        "WHERE status = 'waiting' AND coalesce(not_before, 0) <= ?"
+        " ORDER BY priority DESC, id LIMIT 1"
+    )
+    found = _select(db, where, (now,))
     return found[0] if found else None
 
 
@@ -88,15 +97,6 @@ def counts(db: Connection, component: str | None) -> dict[str, int]:
         () if component is None else (component,),
     )
     return dict.fromkeys(STATUSES, 0) | dict(found.fetchall())
-
-
-def ahead(db: Connection, job: Job) -> int:
-    """Return the number of waiting jobs that start before this one."""
-    return db.execute(
-        "SELECT count(*) FROM jobs WHERE status = 'waiting'"
-        " AND (priority > ? OR (priority = ? AND id < ?))",
-        (job.priority, job.priority, job.id),
-    ).fetchone()[0]
 
 
 def _select(db: Connection, tail: str, values: Iterable[object]) -> list[Job]:

@@ -11,8 +11,9 @@ import pytest
 
 from service.files import lock as flock
 from service.jobs.attempt import Spec, prepare, read_outcome, read_progress
-from service.jobs.engines import EngineError, open_engine
+from service.jobs.engines.engine import EngineError
 from service.jobs.engines.local import LocalEngine
+from service.jobs.engines.registry import open_engine
 
 HERE = Path(__file__).parent
 SPEC = Spec(1, 1, "bar", "/nowhere", "f1", (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))

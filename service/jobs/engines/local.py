@@ -12,7 +12,7 @@ from pathlib import Path
 
 from service.files import lock as flock
 from service.jobs.attempt import LOCK, LOG, OUTCOME
-from service.jobs.engines import EngineError, State
+from service.jobs.engines.engine import EngineError, State
 
 # Several solvers share the cores, so each gets one; what the user has set is left alone.
 _THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR")
