@@ -14,12 +14,17 @@ from threadpoolctl import threadpool_limits
 from service.jobs.attempt import Progress, attempt_folder, read_progress
 from service.jobs.dispatcher import Dispatcher
 from service.jobs.engines.registry import open_engine
-from service.ledger import Change, Job, Ledger
-from service.library.library import Component, Library
+from service.ledger import Change, Job, Ledger, LedgerUnavailableError, Status
+from service.library.component import Component
+from service.library.library import Library
 from service.report.queue import Reports
 from service.tables.live import Tables
+from surrogate.design import Design, next_wrenches
+from surrogate.rows import Tolerance
+from surrogate.surrogate import Surrogate
 
 WAIT_POLL_S = 0.25
+CATCH_UP_S = 25.0  # below the patience of clients and proxies, usually 30 s
 
 
 @dataclass(frozen=True)
@@ -56,16 +61,21 @@ class Workspace:
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        settings.folder.mkdir(parents=True, exist_ok=True)
         self._jobs_folder = settings.folder / "jobs"
-        self.ledger = Ledger(settings.folder / "ledger.sqlite")
-        self.library = Library(settings.folder / "components", allow_decks=settings.allow_decks)
+        # A full disk or a damaged file keeps nobody from asking the tables there are.
+        self.ledger = Ledger(settings.folder / "ledger.sqlite", patient=True)
+        self.library = Library(
+            settings.folder / "components",
+            allow_decks=settings.allow_decks,
+            on_added=self._on_added,
+        )
         self.tables = Tables(self.ledger, self.library, settings.folder / "tables")
         self.reports = Reports(settings.folder / "reports", settings.folder / "tables")
         self._dispatcher: Dispatcher | None = None
         self._changed: set[asyncio.Event] = set()
         self._changed_lock = threading.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._unit_solves_asked: dict[str, int] = {}
 
     def start(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
         """Load the tables, recover the jobs that were running, and start solving."""
@@ -92,6 +102,17 @@ class Workspace:
         self.tables.stop()
         self.ledger.close()
 
+    def surrogate(self, name: str) -> Surrogate:
+        """Return the newest surrogate of a component that somebody asks for an answer.
+
+        A linear component whose 6x6 compliance is not known has the solves that tell it queued,
+        once a version of its table.
+        """
+        surrogate = self.tables.surrogate(name)
+        if surrogate.linear and not surrogate.fit.complete:
+            self._ask_compliance(name, surrogate)
+        return surrogate
+
     def order(self, name: str, wrench: tuple[float, ...], *, urgent: bool = False) -> Job:
         """Accept a job for one wrench; the same job however often it is asked for.
 
@@ -110,6 +131,25 @@ class Workspace:
         """Accept jobs for wrenches of shape (n, 6), in one transaction."""
         component = self._solvable(name)
         return self.ledger.accept_many(name, component.fingerprint, wrenches.tolist())
+
+    def fill(self, name: str, budget: int, tolerance: Tolerance | None) -> tuple[Design, list[Job]]:
+        """Design one round of solves on all rows there are, and accept them.
+
+        Raises
+        ------
+        NoSetupError
+            If the component has no finite-element setup.
+        TableBehindError
+            If the table does not hold all rows yet: a design on an older one asks, and pays,
+            for what is known.
+        """
+        self._solvable(name)
+        # First what is open, then what is known: a solve that ends between the two is in both.
+        # The other way round it would be in neither, and be asked for again.
+        asked = self.pending(name, "failed")
+        surrogate = self.tables.caught_up(name, CATCH_UP_S)
+        design = next_wrenches(surrogate, budget, pending=asked, tolerance=tolerance)
+        return design, self.order_many(name, design.wrenches)
 
     async def wait(self, job_id: int, seconds: float) -> Job:
         """Return the job once it has ended, or as it is after ``seconds``."""
@@ -142,19 +182,55 @@ class Workspace:
         """Return the folder of a job's latest attempt."""
         return attempt_folder(self._jobs_folder, job.id, job.attempt)
 
-    def pending(self, name: str) -> np.ndarray:
-        """Return the wrenches of a component's open jobs, shape (n, 6), N and N·m."""
+    def pending(self, name: str, *more: Status) -> np.ndarray:
+        """Return the wrenches of a component's open jobs, shape (n, 6), N and N·m.
+
+        Parameters
+        ----------
+        *more : str
+            Further statuses, of jobs for the present setup: a failed one is not solved again by
+            asking.
+        """
+        fingerprint = self.library[name].fingerprint
         jobs = [
             job
-            for status in ("waiting", "running")
+            for status in ("waiting", "running", *more)
             for job in self.ledger.jobs(name, status, limit=100_000)
+            if job.fingerprint == fingerprint
         ]
         return np.array([job.wrench for job in jobs], dtype=float).reshape(-1, 6)
 
     def faults(self) -> list[str]:
         """Return what keeps this workspace from doing its work; empty if nothing does."""
+        trouble = self.ledger.trouble()
+        if trouble:
+            return [f"nothing is accepted: {trouble}"]
         trouble = self._dispatcher.trouble if self._dispatcher else None
         return [f"jobs do not run: {trouble}"] if trouble else []
+
+    def broken(self) -> dict[str, str]:
+        """Return what is wrong with single components, by name; the others answer."""
+        damaged: dict[str, str] = {}
+        for seq, name in self.ledger.damaged.items():
+            damaged[name] = f"row {seq} is damaged on the disk and left out of the table"
+        return {**damaged, **self.tables.faults(), **self.library.broken()}
+
+    def _on_added(self, component: Component) -> None:
+        self.surrogate(component.name)
+
+    def _ask_compliance(self, name: str, surrogate: Surrogate) -> None:
+        if self._unit_solves_asked.get(name) == surrogate.version:
+            return
+        self._unit_solves_asked[name] = surrogate.version
+        component = self.library[name]
+        if not component.has_fea:
+            return
+        try:
+            design = next_wrenches(surrogate, 6, pending=self.pending(name))
+            wrenches = design.wrenches.tolist()
+            self.ledger.accept_many(name, component.fingerprint, wrenches, priority=1)
+        except LedgerUnavailableError:
+            del self._unit_solves_asked[name]  # asked again by the next question
 
     def _solvable(self, name: str) -> Component:
         component = self.library[name]

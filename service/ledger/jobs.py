@@ -21,7 +21,7 @@ def accept(
     """Return the one job of (component, fingerprint, wrench), and whether it is new."""
     job = find_same(db, *same)
     if job is not None:
-        again = states.asked_again(job, priority, reopen_cancelled, is_withdrawn(db, job))
+        again = states.asked_again(job, priority, reopen_cancelled, lacks_its_row(db, job))
         return save(db, again), False
     added = db.execute(
         "INSERT INTO jobs (component, fingerprint, wrench, status, priority, attempt, lost,"
@@ -32,9 +32,9 @@ def accept(
     return get(db, added.lastrowid), True
 
 
-def is_withdrawn(db: Connection, job: Job) -> bool:
-    """Return whether the row that a done job gave is withdrawn."""
-    return job.row is not None and rows.is_withdrawn(db, job.row)
+def lacks_its_row(db: Connection, job: Job) -> bool:
+    """Return whether the row that a done job gave is withdrawn or damaged."""
+    return job.row is not None and not rows.is_usable(db, job.row)
 
 
 def save(db: Connection, job: Job) -> Job:

@@ -50,7 +50,7 @@ class Ledger(TableRows):
         There is one job for one (component, fingerprint, wrench), whatever its status: a
         waiting, running, done or failed one is returned as it is (a waiting one with the
         higher of both priorities), a cancelled one goes back to waiting, and so does a done
-        one whose row was withdrawn.
+        one whose row was withdrawn or is damaged.
 
         Raises
         ------
@@ -62,7 +62,7 @@ class Ledger(TableRows):
         key = pack6(wrench)
         with self._db.reading() as db:
             found = jobs.find_same(db, component, fingerprint, key)
-            gone = found is not None and jobs.is_withdrawn(db, found)
+            gone = found is not None and jobs.lacks_its_row(db, found)
         if found and states.asked_again(found, priority, reopen_cancelled, gone) == found:
             return found, False
         with self._db.writing() as db:

@@ -26,11 +26,9 @@ _COLUMNS = (
     "seq, component, fingerprint, source, wrench, displacement, compliance, uncertainty, "
     "job, created, origin, key, seal"
 )
-_INSERT = (
-    "INSERT INTO rows (component, fingerprint, source, wrench, displacement, compliance,"
-    " uncertainty, job, created, origin, key, seal) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
-    " ON CONFLICT (key) DO NOTHING"
-)
+_CONTENT = _COLUMNS.removeprefix("seq, ")
+_PLACES = ", ".join("?" for _ in _CONTENT.split(","))
+_INSERT = f"INSERT INTO rows ({_CONTENT}) VALUES ({_PLACES}) ON CONFLICT (key) DO NOTHING"
 # The newest edit of a row says how it stands: beside max(), SQLite gives that record's columns.
 _LIVE = (
     "seq NOT IN (SELECT row FROM (SELECT row, withdrawn, max(seq) FROM edits"
@@ -43,11 +41,19 @@ def add(
 ) -> LedgerRow:
     """Insert the row of a job, or find the row of the same content, and return it.
 
-    If that one was withdrawn, solving it again has confirmed it, and it is restored.
+    If that one was withdrawn, solving it again has confirmed it, and it is restored; if it was
+    damaged, it is as it was written again.
     """
     values = _values(component, fingerprint, row, job, now)
     db.execute(_INSERT, values)
-    found = _select(db, "WHERE key = ?", (values[-2],))[0]
+    same, damaged = _sound(db.execute(f"SELECT {_COLUMNS} FROM rows WHERE key = ?", (values[-2],)))
+    if damaged:
+        db.execute(
+            f"UPDATE rows SET ({_CONTENT}) = ({_PLACES}) WHERE key = ?", (*values, values[-2])
+        )
+        same = _select(db, "WHERE key = ?", (values[-2],))
+        edit(db, component, damaged[0], withdrawn=True, now=now)  # followers take it up anew
+    found = same[0]
     if is_withdrawn(db, found.seq):
         edit(db, component, found.seq, withdrawn=False, now=now)
     return found
@@ -121,6 +127,12 @@ def is_withdrawn(db: Connection, seq: int) -> bool:
     return bool(found and found[0])
 
 
+def is_usable(db: Connection, seq: int) -> bool:
+    """Return whether a row is as it was written and not withdrawn."""
+    found, _ = _sound(db.execute(f"SELECT {_COLUMNS} FROM rows WHERE seq = ?", (seq,)))
+    return bool(found) and not is_withdrawn(db, seq)
+
+
 def edit(db: Connection, component: str, seq: int, *, withdrawn: bool, now: float) -> None:
     """Withdraw or restore a component's row; raises UnknownRowError, RowStatusError."""
     same = "SELECT 1 FROM rows WHERE seq = ? AND component = ?"
@@ -178,7 +190,7 @@ def _select(db: Connection, tail: str, values: tuple[object, ...]) -> list[Ledge
     if damaged:
         raise DamagedRowError(
             f"row {damaged[0]} is damaged on the disk and used nowhere; restore the ledger from a "
-            "backup, or withdraw the row and solve or import it again"
+            "backup, or ask for its wrench again: it is then solved anew"
         )
     return found
 

@@ -89,12 +89,12 @@ def reopened(job: Job) -> Job:
     return _moved(job, "reopen", row=None, **_FRESH)
 
 
-def asked_again(job: Job, priority: int, reopen_cancelled: bool, withdrawn: bool) -> Job:
+def asked_again(job: Job, priority: int, reopen_cancelled: bool, lacks_row: bool) -> Job:
     """Return the job there is, after its wrench was asked for once more.
 
-    `withdrawn` says that the row it gave is no longer in the table.
+    `lacks_row` says that the row it gave is withdrawn or damaged.
     """
-    if withdrawn or (job.status == "cancelled" and reopen_cancelled):
+    if lacks_row or (job.status == "cancelled" and reopen_cancelled):
         job = reopened(job)
     if job.status == "waiting" and priority > job.priority:
         job = replace(job, priority=priority)

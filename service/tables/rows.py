@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.ledger import Ledger, NewRow
-from service.library.library import Component
+from service.library.component import Component
 from service.tablefile import ParsedTable, RowError
 
 FEA = "fea"

@@ -14,6 +14,7 @@ from service.jobs.engines.local import LocalEngine
 from service.ledger import Ledger, LedgerUnavailableError
 
 HERE = Path(__file__).parent
+SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
 WRENCH = (1.0, 2.0, 3.0, 0.0, 0.0, 0.5)
 
 
@@ -26,7 +27,7 @@ class Bench:
         self.started = []
 
     def start(self, solver="quick", *, slots=2, bundles=None, engine=None):
-        environment = {"WRENCHBOOK_SOLVE": f"stand_in:{solver}", "PYTHONPATH": str(HERE)}
+        environment = {"WRENCHBOOK_SOLVE": f"stand_in:{solver}", "PYTHONPATH": SOLVERS}
         engine = engine or LocalEngine(slots, environment=environment)
         bundles = bundles or (lambda name: Path("/bundles") / name)
         dispatcher = Dispatcher(self.ledger, engine, bundles, self.jobs_folder)
@@ -325,7 +326,7 @@ class Unwilling(LocalEngine):
 
 def test_a_job_the_engine_could_not_start_waits_and_is_not_counted_as_lost(bench, monkeypatch):
     monkeypatch.setenv("WRENCHBOOK_SOLVE", "stand_in:quick")
-    monkeypatch.setenv("PYTHONPATH", str(HERE))
+    monkeypatch.setenv("PYTHONPATH", SOLVERS)
     monkeypatch.setattr("service.jobs.dispatcher.TROUBLE_SECONDS", 0.2)
     dispatcher = bench.start(engine=Unwilling(2))
     job = bench.accept()

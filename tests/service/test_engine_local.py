@@ -16,11 +16,12 @@ from service.jobs.engines.local import LocalEngine
 from service.jobs.engines.registry import open_engine
 
 HERE = Path(__file__).parent
+SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
 SPEC = Spec(1, 1, "bar", "/nowhere", "f1", (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
 
 
 def engine_with(solver, **options):
-    environment = {"WRENCHBOOK_SOLVE": f"stand_in:{solver}", "PYTHONPATH": str(HERE)}
+    environment = {"WRENCHBOOK_SOLVE": f"stand_in:{solver}", "PYTHONPATH": SOLVERS}
     return LocalEngine(2, environment=environment, **options)
 
 

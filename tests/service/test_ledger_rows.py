@@ -276,6 +276,20 @@ def test_a_row_with_a_flipped_bit_is_served_by_no_reader_and_named(ledger, colum
         ledger.row(2)
 
 
+def test_a_damaged_row_of_a_job_is_solved_again_when_it_is_asked_for(ledger):
+    wrench, displacement = ROWS[1].wrench, ROWS[1].displacement
+    job, _ = ledger.accept("plate", "f1", wrench)
+    ledger.claim("me")
+    seq = ledger.commit(job.id, 1, displacement).seq
+    damage(ledger, "displacement", seq)
+    seen = ledger.news("plate", 0).last_seq
+    assert ledger.accept("plate", "f1", wrench)[0].status == "waiting"
+    ledger.claim("me")
+    assert ledger.commit(job.id, 2, displacement).displacement == displacement
+    assert [row.seq for row in ledger.rows("plate")] == [seq]
+    assert [row.seq for row in ledger.news("plate", seen).rows] == [seq]
+
+
 def test_a_ledger_of_the_first_schema_is_taken_over_whole(tmp_path, monkeypatch):
     path = tmp_path / "ledger.sqlite"
     old = sqlite3.connect(path)

@@ -18,9 +18,9 @@ from service.http.parsing import read_body
 from service.http.problems import ProblemError, bad_body
 from service.http.routes.displacement import job_reply
 from service.http.routes.jobs import job_link
-from service.library.library import Component
+from service.library.component import Component
 from service.workspace import Workspace
-from surrogate.design import Design, next_wrenches
+from surrogate.design import Design
 from surrogate.rows import Tolerance
 
 router = APIRouter(prefix="/v1/components", tags=["components"])
@@ -33,7 +33,8 @@ def list_components(request: Request) -> dict[str, Any]:
     return {
         "components": [
             _summary(workspace, workspace.library[name]) for name in workspace.library.names()
-        ]
+        ],
+        "broken": workspace.broken(),
     }
 
 
@@ -112,15 +113,8 @@ async def fill(name: str, request: Request) -> Response:
 
 def _fill(workspace: Workspace, name: str, order: FillOrder) -> dict[str, Any]:
     """Design one round of solves on the newest table and accept them."""
-    workspace.tables.catch_up(name, CATCH_UP_S)
     limit = Tolerance(**order.tolerance.model_dump()) if order.tolerance else None
-    design = next_wrenches(
-        workspace.tables.surrogate(name),
-        order.budget,
-        pending=workspace.pending(name),
-        tolerance=limit,
-    )
-    jobs = workspace.order_many(name, design.wrenches)
+    design, jobs = workspace.fill(name, order.budget, limit)
     return {"component": name, "jobs": [job_link(job) for job in jobs], **_stage(design)}
 
 

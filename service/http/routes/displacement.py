@@ -49,7 +49,7 @@ async def displacement(request: Request) -> Response:
     name = request.path_params["name"]
     query = read_query(await request.body())
     workspace: Workspace = request.app.state.workspace
-    surrogate = workspace.tables.surrogate(name)
+    surrogate = workspace.surrogate(name)
     started = perf_counter_ns()
     try:
         answer = await _answered(surrogate, query)
@@ -142,7 +142,7 @@ async def displacements(request: Request) -> Response:
 
 
 def _answer_batch(workspace: Workspace, name: str, batch: Batch) -> dict[str, Any]:
-    surrogate = workspace.tables.surrogate(name)
+    surrogate = workspace.surrogate(name)
     started = perf_counter_ns()
     try:
         answers = surrogate.batch(batch.wrenches, batch.tolerance, batch.method)

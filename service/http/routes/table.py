@@ -11,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from service.http.problems import ProblemError
-from service.library.library import Component
+from service.library.component import Component
 from service.tablefile import (
     ParsedTable,
     UnitError,
