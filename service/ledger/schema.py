@@ -125,12 +125,14 @@ class Connections:
         self._watcher: Connection | None = None
         self._inode = (0, 0)
         self._refused: LedgerFileError | None = None
+        self._frozen = False  # refused, but whole enough on the disk to be read as it lies there
         try:
             self._open()
         except LedgerFileError as error:
             if not patient:
                 raise
             self._refused = error
+            self._frozen = _can_be_read_frozen(path)
 
     @contextmanager
     def writing(self, *, keep: bool = True) -> Iterator[Connection]:
@@ -163,23 +165,27 @@ class Connections:
         """Give a reading connection; all its statements see one and the same committed state."""
         with _named_errors(self._path):
             self._check_open()
-            self._check_usable()
+            frozen = self._frozen
+            if not frozen:
+                self._check_usable()
             try:
                 connection = self._idle.pop()
             except IndexError:
-                connection = _connect(self._path)
+                connection = _connect(self._path, frozen=frozen)
             try:
                 connection.execute("BEGIN")
                 yield connection
             finally:
                 if connection.in_transaction:
                     connection.execute("ROLLBACK")
-                self._keep(connection)
+                self._keep(connection, frozen)
 
     def version(self) -> int:
         """Return a number that changes with every commit of any process (microseconds)."""
         with self._watch_lock, _named_errors(self._path):
             self._check_open()
+            if self._frozen:
+                return 0
             self._check_usable()
             if self._watcher is None:
                 self._watcher = _connect(self._path)
@@ -207,7 +213,9 @@ class Connections:
     def _open(self) -> None:
         self._writer = _open(self._path)
         self._inode = _inode(self._path)
-        self._refused = None
+        self._refused, self._frozen = None, False
+        while self._idle:
+            self._idle.pop().close()
 
     def _present_writer(self) -> Connection:
         if self._refused is not None:
@@ -229,7 +237,10 @@ class Connections:
                 "accepted. Put the file back if you moved it, then restart the server"
             )
 
-    def _keep(self, connection: Connection) -> None:
+    def _keep(self, connection: Connection, frozen: bool) -> None:
+        if frozen != self._frozen:  # it does not see what is written since
+            connection.close()
+            return
         self._idle.append(connection)
         if self._closed:
             while self._idle:
@@ -238,6 +249,26 @@ class Connections:
     def _check_open(self) -> None:
         if self._closed:
             raise LedgerError("the ledger is closed")
+
+
+def _can_be_read_frozen(path: Path) -> bool:
+    """Return whether a ledger that cannot be opened for writing can be read as it lies there.
+
+    SQLite then makes no files beside it, as a full disk needs, but does not see what a WAL file
+    that was left behind holds either.
+    """
+    wal = path.with_name(f"{path.name}-wal")
+    try:
+        if not path.is_file() or (wal.exists() and wal.stat().st_size):
+            return False
+        connection = _connect(path, frozen=True)
+        try:
+            _check_file(connection, path)
+            return _schema_version(connection) == len(SCRIPTS)
+        finally:
+            connection.close()
+    except (OSError, sqlite3.Error, LedgerFileError):
+        return False
 
 
 def _inode(path: Path) -> tuple[int, int]:
@@ -259,9 +290,13 @@ def _named_errors(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _connect(path: Path) -> Connection:
+def _connect(path: Path, *, frozen: bool = False) -> Connection:
     connection = sqlite3.connect(
-        path, timeout=BUSY_SECONDS, isolation_level=None, check_same_thread=False
+        f"{path.as_uri()}?immutable=1" if frozen else path,
+        timeout=BUSY_SECONDS,
+        isolation_level=None,
+        check_same_thread=False,
+        uri=frozen,
     )
     try:
         # A damaged word must not keep the sound rows beside it from being read.

@@ -55,6 +55,8 @@ class Tables:
         self._unsaved: dict[str, float] = {}
         self._faults: dict[str, str] = {}
         self._unwritten: dict[str, str] = {}
+        self._failures = 0
+        self._again = False
         self._grown = threading.Condition()
         self._wake = threading.Event()
         self._rest_until = 0.0
@@ -99,12 +101,16 @@ class Tables:
 
         Returns False if time ran out, or if the table cannot be built: see `faults`.
         """
-        goal = self._ledger.last_seq(name)
+        goal, before = self._ledger.last_seq(name), self._failures
+        self._again = True  # what failed is tried once more, now that somebody waits for it
         self.notify()
+
+        def settled() -> bool:
+            failed = name in self._faults and self._failures > before
+            return self._seen.get(name, 0) >= goal or failed
+
         with self._grown:
-            self._grown.wait_for(
-                lambda: self._seen.get(name, 0) >= goal or name in self._faults, timeout
-            )
+            self._grown.wait_for(settled, timeout)
             return self._seen.get(name, 0) >= goal
 
     def caught_up(self, name: str, timeout: float) -> Surrogate:
@@ -128,6 +134,7 @@ class Tables:
         component = self._library[name]
         with self._grown:
             found = self._surrogates.setdefault(name, _surrogate(component, Rows.empty(), 0))
+        self._again = True
         self.notify()
         return found
 
@@ -138,8 +145,8 @@ class Tables:
             self._wake.clear()
             try:
                 now = self._ledger.version()
-                new = [name for name in list(self._surrogates) if name not in self._seen]
-                if (now != seen or new) and time.monotonic() >= self._rest_until:
+                if (now != seen or self._is_due()) and time.monotonic() >= self._rest_until:
+                    self._again = False
                     for name in self._library.names():
                         self._guarded(name, self._bring_up, self._faults)
                     seen = now
@@ -149,6 +156,11 @@ class Tables:
             except Exception:
                 log.exception("following the ledger failed; trying again")
                 self._wait(TROUBLE_S)
+
+    def _is_due(self) -> bool:
+        """Tell whether there is work the ledger's version does not tell of."""
+        new = any(name not in self._seen for name in list(self._surrogates))
+        return self._again and (new or bool(self._faults))
 
     def _wait(self, seconds: float) -> None:
         until = time.monotonic() + seconds
@@ -166,6 +178,7 @@ class Tables:
                 log.exception("the table of %s is not as it should be", name)
             with self._grown:
                 faults[name] = why
+                self._failures += 1
                 self._grown.notify_all()
 
     def _bring_up(self, name: str) -> None:

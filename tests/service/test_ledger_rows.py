@@ -341,3 +341,24 @@ def test_a_ledger_that_cannot_be_opened_now_is_opened_by_a_later_write(tmp_path)
     assert patient.insert_rows("plate", "f1", ROWS) == (10, 0)
     assert (patient.trouble(), len(patient.rows("plate"))) == (None, 10)
     patient.close()
+
+
+def test_a_ledger_that_cannot_be_written_is_read_and_later_written(tmp_path, monkeypatch):
+    path = tmp_path / "ledger.sqlite"
+    whole = Ledger(path)
+    whole.insert_rows("plate", "f1", ROWS[:3])
+    whole.close()
+
+    def full(connection):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    monkeypatch.setattr(schema, "_use_wal", full)
+    patient = Ledger(path, patient=True)
+    assert [len(patient.rows("plate")), patient.last_seq("plate")] == [3, 3]
+    assert "full" in patient.trouble()
+    with pytest.raises(LedgerUnavailableError, match="full"):
+        patient.insert_rows("plate", "f1", ROWS)
+    monkeypatch.undo()
+    assert patient.insert_rows("plate", "f1", ROWS) == (7, 3)
+    assert (len(patient.rows("plate")), patient.trouble()) == (10, None)
+    patient.close()
