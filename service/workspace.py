@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,8 @@ from service.tables.live import Tables
 from surrogate.design import Design, next_wrenches
 from surrogate.rows import Tolerance
 from surrogate.surrogate import Surrogate
+
+log = logging.getLogger(__name__)
 
 WAIT_POLL_S = 0.25
 CATCH_UP_S = 25.0  # below the patience of clients and proxies, usually 30 s
@@ -64,6 +67,8 @@ class Workspace:
         self._jobs_folder = settings.folder / "jobs"
         # A full disk or a damaged file keeps nobody from asking the tables there are.
         self.ledger = Ledger(settings.folder / "ledger.sqlite", patient=True)
+        if trouble := self.ledger.trouble():
+            log.error("nothing is accepted until this is mended: %s", trouble)
         self.library = Library(
             settings.folder / "components",
             allow_decks=settings.allow_decks,
