@@ -60,7 +60,9 @@ def test_a_bundle_that_cannot_be_written_is_refused_by_name_and_leaves_nothing(
 
     monkeypatch.setattr("service.library.library.check_mesh", lambda folder: {})
     monkeypatch.setattr(f"service.library.library.{write}", full)
-    with pytest.raises(LibraryUnavailableError, match=r"No space left on device\. Nothing was added"):
+    with pytest.raises(
+        LibraryUnavailableError, match=r"No space left on device\. Nothing was added"
+    ):
         library.add_zip(rig_zip())
     assert list((tmp_path / "components").iterdir()) == []
     assert library.names() == []
