@@ -79,8 +79,8 @@ bench-calibration: $(VENV)/.installed-dev  ## error bars against true errors, pe
 bench-methods: $(VENV)/.installed-dev  ## RMS of each method on the thin plate at equal numbers of solves
 	$(BIN)/python -m pytest tests/benchmarks/test_methods.py -s -p no:cacheprovider
 
-kills: $(VENV)/.installed-dev  ## 200 times kill -9 of server or solver: no job lost, no row twice
-	WRENCHBOOK_KILLS=200 $(BIN)/python -m pytest tests/service/test_kill.py
+kills: $(VENV)/.installed-dev  ## 200 times kill -9 of server, solver or both: no job lost, no row twice
+	WRENCHBOOK_KILLS=200 $(BIN)/python -m pytest tests/service/test_kill.py -s --timeout 1200
 
 validate: setup  ## verify the solver: closed forms, published numbers, CalculiX
 	$(BIN)/wrenchbook validate all

@@ -17,13 +17,15 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from service.ledger import Job, Ledger, OpenJob
-from service.library.library import Component, Library
+from service.library.component import Component
+from service.library.library import Library
 
 Floats = NDArray[np.float64]
 
 GRAINS = 1e6  # to a load's scale: two wrenches that round to the same grains are one job
 REACH = 0.05  # of a load's scale: an open job as near as this is joined
 QUEUE_LIMIT = 64  # open jobs of a component that queries may have
+MOST_FAILED = 100_000  # failed jobs that a fill leaves out: more than anyone lets happen
 BLOCK = 65_536  # differences of wrenches looked at in one go, 3 MB
 WRENCH_BYTES = 6 * 8
 
@@ -105,8 +107,10 @@ class Orders:
             name, component.fingerprint, wrench, priority=priority, asked_by=asked_by
         )[0]
 
-    def fill(self, name: str, wrenches: Floats) -> list[Job]:
+    def fill(self, name: str, wrenches: Floats, *, urgent: bool = False) -> list[Job]:
         """Accept a job for each wrench, shape (n, 6), N and N·m, in one transaction.
+
+        Urgent ones start before those of a fill.
 
         Raises
         ------
@@ -115,7 +119,11 @@ class Orders:
         """
         component = self.solvable(name)
         return self._ledger.accept_many(
-            name, component.fingerprint, wrenches.tolist(), asked_by="fill"
+            name,
+            component.fingerprint,
+            wrenches.tolist(),
+            priority=1 if urgent else 0,
+            asked_by="fill",
         )
 
     def queue(self, name: str, wrenches: Floats) -> list[Placed]:
@@ -144,11 +152,20 @@ class Orders:
         """
         return self._place(self.solvable(name), wrenches, 0.0)
 
-    def open_wrenches(self, name: str) -> Floats:
-        """Return the wrenches of a component's open jobs, shape (n, 6), N and N·m."""
+    def asked_wrenches(self, name: str) -> Floats:
+        """Return the wrenches of a component's open and failed jobs, shape (n, 6), N and N·m.
+
+        A failed one is not solved again by asking.
+        """
         component = self._library[name]
         jobs = self._ledger.open_jobs(name, component.fingerprint)
-        return unpacked(job.wrench for job in jobs)
+        failed = [
+            job.wrench
+            for job in self._ledger.jobs(name, "failed", limit=MOST_FAILED)
+            if job.fingerprint == component.fingerprint
+        ]
+        both = (unpacked(job.wrench for job in jobs), np.array(failed).reshape(-1, 6))
+        return np.concatenate(both)
 
     def solvable(self, name: str) -> Component:
         """Return a component that solves can be queued for.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,14 +13,21 @@ from threadpoolctl import threadpool_limits
 
 from service.jobs.attempt import Progress, attempt_folder, read_progress
 from service.jobs.dispatcher import Dispatcher
-from service.jobs.engines import open_engine
-from service.ledger import Change, Job, Ledger
+from service.jobs.engines.registry import open_engine
+from service.ledger import Change, Job, Ledger, LedgerUnavailableError
+from service.library.component import Component
 from service.library.library import Library
 from service.ordering import QUEUE_LIMIT, Orders
 from service.report.queue import Reports
 from service.tables.live import Tables
+from surrogate.build import AnyTable
+from surrogate.design import Design, next_wrenches
+from surrogate.rows import Tolerance
+
+log = logging.getLogger(__name__)
 
 WAIT_POLL_S = 0.25
+CATCH_UP_S = 25.0  # below the patience of clients and proxies, usually 30 s
 
 
 @dataclass(frozen=True)
@@ -55,10 +63,16 @@ class Workspace:
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        settings.folder.mkdir(parents=True, exist_ok=True)
         self._jobs_folder = settings.folder / "jobs"
-        self.ledger = Ledger(settings.folder / "ledger.sqlite")
-        self.library = Library(settings.folder / "components", allow_decks=settings.allow_decks)
+        # A full disk or a damaged file keeps nobody from asking the tables there are.
+        self.ledger = Ledger(settings.folder / "ledger.sqlite", patient=True)
+        if trouble := self.ledger.trouble():
+            log.error("nothing is accepted until this is mended: %s", trouble)
+        self.library = Library(
+            settings.folder / "components",
+            allow_decks=settings.allow_decks,
+            on_added=self._on_added,
+        )
         self.orders = Orders(self.ledger, self.library, settings.queue_limit)
         self.tables = Tables(self.ledger, self.library, settings.folder / "tables")
         self.reports = Reports(settings.folder / "reports", settings.folder / "tables")
@@ -66,6 +80,7 @@ class Workspace:
         self._changed: set[asyncio.Event] = set()
         self._changed_lock = threading.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._unit_solves_asked: dict[str, int] = {}
 
     def start(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
         """Load the tables, recover the jobs that were running, and start solving."""
@@ -91,6 +106,36 @@ class Workspace:
         self.reports.close()
         self.tables.stop()
         self.ledger.close()
+
+    def surrogate(self, name: str) -> AnyTable:
+        """Return the newest surrogate of a component that somebody asks for an answer.
+
+        A linear component whose 6x6 compliance is not known has the solves that tell it queued,
+        once a version of its table.
+        """
+        surrogate = self.tables.surrogate(name)
+        if surrogate.linear and not surrogate.fit.complete:
+            self._ask_compliance(name, surrogate)
+        return surrogate
+
+    def fill(self, name: str, budget: int, tolerance: Tolerance | None) -> tuple[Design, list[Job]]:
+        """Design one round of solves on all rows there are, and accept them.
+
+        Raises
+        ------
+        NoSetupError
+            If the component has no finite-element setup.
+        TableBehindError
+            If the table does not hold all rows yet: a design on an older one asks, and pays,
+            for what is known.
+        """
+        self.orders.solvable(name)
+        # First what is open, then what is known: a solve that ends between the two is in both.
+        # The other way round it would be in neither, and be asked for again.
+        asked = self.orders.asked_wrenches(name)
+        surrogate = self.tables.caught_up(name, CATCH_UP_S)
+        design = next_wrenches(surrogate, budget, pending=asked, tolerance=tolerance)
+        return design, self.orders.fill(name, design.wrenches)
 
     async def wait(self, job_id: int, seconds: float) -> Job:
         """Return the job once it has ended, or as it is after ``seconds``."""
@@ -125,8 +170,35 @@ class Workspace:
 
     def faults(self) -> list[str]:
         """Return what keeps this workspace from doing its work; empty if nothing does."""
+        trouble = self.ledger.trouble()
+        if trouble:
+            return [f"nothing is accepted: {trouble}"]
         trouble = self._dispatcher.trouble if self._dispatcher else None
         return [f"jobs do not run: {trouble}"] if trouble else []
+
+    def broken(self) -> dict[str, str]:
+        """Return what is wrong with single components, by name; the others answer."""
+        damaged: dict[str, str] = {}
+        for seq, name in self.ledger.damaged.items():
+            damaged[name] = f"row {seq} is damaged on the disk and left out of the table"
+        return {**damaged, **self.tables.faults(), **self.library.broken()}
+
+    def _on_added(self, component: Component) -> None:
+        self.surrogate(component.name)
+
+    def _ask_compliance(self, name: str, surrogate: AnyTable) -> None:
+        """Queue what tells a linear component's compliance, once a version of its table."""
+        if self._unit_solves_asked.get(name) == surrogate.version:
+            return
+        self._unit_solves_asked[name] = surrogate.version
+        if not self.library[name].has_fea:
+            return
+        try:
+            asked = self.orders.asked_wrenches(name)
+            design = next_wrenches(surrogate, 6, pending=asked)
+            self.orders.fill(name, design.wrenches, urgent=True)
+        except LedgerUnavailableError:
+            del self._unit_solves_asked[name]  # asked again by the next question
 
     def _bundle(self, name: str) -> Path:
         return self.library[name].folder

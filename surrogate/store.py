@@ -2,6 +2,10 @@
 
 A file is never changed in place. A new one is written beside it, synced, and put in its place by
 one rename, so that a reader finds the old table or the new one and nothing between.
+
+The first 512 bytes, which HDF5 leaves to others as its user block, hold a digest of all the rest.
+It is checked before HDF5 sees the file: one flipped bit would otherwise be read as another number,
+or lead the library's parser astray.
 """
 
 from __future__ import annotations
@@ -9,15 +13,16 @@ from __future__ import annotations
 import os
 import tempfile
 from dataclasses import dataclass
+from hashlib import blake2b
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import h5py
 import numpy as np
 
-from surrogate.rows import LOAD_UNITS, OUTPUT_UNITS, LoadRange, RowError, Rows
+from surrogate.rows import LOAD_UNITS, OUTPUT_UNITS, LoadRange, Rows
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2  # 1 had no digest
 FORMAT = "wrenchbook table"
 # What an upload may unpack to. A row takes 450 bytes, so that this is half a million rows; a
 # compressed file of a few bytes can declare any size.
@@ -29,6 +34,10 @@ CONTRACT = (
     "interface frame; the moment is spatial. The displacement is of the same point in the same "
     "frame; the rotation is a rotation vector, applied as R0 exp(r)."
 )
+
+USER_BLOCK = 512  # the smallest HDF5 takes
+_DIGEST_MARK = b"wrenchbook table, blake2b of what follows byte 512: "
+_HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 
 _UNITS = {
     "wrench": ", ".join(LOAD_UNITS),
@@ -59,6 +68,9 @@ class TableMeta:
     schema_version : int
     contract : str
         Order, units, frame and sign in words.
+    ledger : str
+        Digest of the ledger's rows up to `last_seq`: a file that another ledger wrote, or this
+        one before it lost rows, is told by it.
     """
 
     component: str
@@ -68,6 +80,7 @@ class TableMeta:
     title: str = ""
     schema_version: int = SCHEMA_VERSION
     contract: str = CONTRACT
+    ledger: str = ""
 
 
 def write_table(path: str | os.PathLike[str], rows: Rows, meta: TableMeta) -> None:
@@ -83,9 +96,10 @@ def write_table(path: str | os.PathLike[str], rows: Rows, meta: TableMeta) -> No
     os.close(handle)
     draft = Path(name)
     try:
-        with h5py.File(draft, "w") as file:
+        with h5py.File(draft, "w", userblock_size=USER_BLOCK) as file:
             _write_meta(file, meta)
             _write_rows(file, rows)
+        _write_digest(draft)
         draft.chmod(0o644)  # a temporary file is private, a table is for other programs too
         _sync(draft)
         draft.replace(target)
@@ -109,14 +123,46 @@ def read_table(path: str | os.PathLike[str]) -> tuple[Rows, TableMeta]:
     if not source.exists():
         raise FileNotFoundError(source)
     try:
+        _check_digest(source)
         with h5py.File(source, "r") as file:
             _check_schema(file, source)
             return _read_rows(file), _read_meta(file)
-    except (OSError, KeyError, RowError, TypeError) as error:
-        raise TableFileError(
-            f"{source.name} is not a readable wrenchbook table ({error}). Restore it from a "
-            "backup, or move it away: rows still in the ledger come back at the next start."
-        ) from error
+    except TableFileError:
+        raise
+    except Exception as error:  # h5py has no base of what it raises on a file that is not sound
+        raise _unreadable(source, str(error) or repr(error)) from error
+
+
+def _unreadable(source: Path, why: str) -> TableFileError:
+    return TableFileError(
+        f"{source.name} is not a readable wrenchbook table ({why}). Restore it from a "
+        "backup, or move it away: rows still in the ledger come back at the next start."
+    )
+
+
+def _write_digest(path: Path) -> None:
+    with path.open("r+b") as file:
+        file.write(_DIGEST_MARK + _digest(file))
+
+
+def _check_digest(path: Path) -> None:
+    """Refuse a table that is not byte for byte what was written; others are HDF5's to judge."""
+    with path.open("rb") as file:
+        head = file.read(USER_BLOCK)
+        marked = head.startswith(_DIGEST_MARK)
+        if marked and head[len(_DIGEST_MARK) :].rstrip(b"\0") == _digest(file):
+            return
+        # Files of the first schema begin with HDF5's mark and have no digest. So do other
+        # programs' files; without either mark nothing tells what the bytes are.
+        if marked or not head.startswith(_HDF5_MARK):
+            raise _unreadable(path, "its bytes are not those that were written")
+
+
+def _digest(file: BinaryIO) -> bytes:
+    file.seek(USER_BLOCK)
+    whole = blake2b(file.read(), digest_size=32).hexdigest().encode()
+    file.seek(0)
+    return whole
 
 
 def _sync(path: Path) -> None:
@@ -136,6 +182,7 @@ def _write_meta(file: h5py.File, meta: TableMeta) -> None:
     file.attrs["fingerprint"] = meta.fingerprint
     file.attrs["last_seq"] = meta.last_seq
     file.attrs["contract"] = meta.contract
+    file.attrs["ledger"] = meta.ledger
     for name in ("low", "high"):
         bound = file.create_dataset(f"load_range/{name}", data=getattr(meta.load_range, name))
         bound.attrs["units"] = _UNITS["wrench"]
@@ -143,12 +190,20 @@ def _write_meta(file: h5py.File, meta: TableMeta) -> None:
 
 def _write_rows(file: h5py.File, rows: Rows) -> None:
     group = file.create_group("rows")
-    group.create_dataset("seq", data=rows.seq)
+    _write_column(group, "seq", rows.seq)
     for name, units in _UNITS.items():
-        group.create_dataset(name, data=getattr(rows, name)).attrs["units"] = units
+        _write_column(group, name, getattr(rows, name)).attrs["units"] = units
     for name in ("source", "fingerprint"):
-        words = getattr(rows, name).astype(object)
-        group.create_dataset(name, data=words, dtype=h5py.string_dtype())
+        # Of one length, so that the checksum is over the words and not over where they are.
+        words = np.char.encode(getattr(rows, name).astype(str), "utf-8")
+        kind = h5py.string_dtype("utf-8", max(words.dtype.itemsize, 1))
+        _write_column(group, name, words.astype(kind))
+
+
+def _write_column(group: h5py.Group, name: str, column: np.ndarray) -> h5py.Dataset:
+    """Write a column of n rows, with a checksum a chunk for readers that know no digest."""
+    checked = {"fletcher32": True, "chunks": True} if len(column) else {}
+    return group.create_dataset(name, data=column, **checked)
 
 
 def _check_schema(file: h5py.File, source: Path) -> None:
@@ -179,6 +234,7 @@ def _read_meta(file: h5py.File) -> TableMeta:
         title=str(_attribute(file, "title")),
         schema_version=int(_attribute(file, "schema_version")),
         contract=str(_attribute(file, "contract")),
+        ledger=str(file.attrs.get("ledger", "")),
     )
 
 

@@ -47,7 +47,7 @@ async def answer_or_submit_many(workspace: Workspace, name: str, batch: BatchQue
 
 def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcome:
     """Answer from the table, and place what it does not cover."""
-    surrogate = workspace.tables.surrogate(name)
+    surrogate = workspace.surrogate(name)
     started = perf_counter_ns()
     answers = surrogate.batch(batch.wrenches, batch.tolerance, batch.method)
     elapsed_us = (perf_counter_ns() - started) / 1e3

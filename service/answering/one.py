@@ -33,7 +33,7 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
     SolveFailedError
         If the solve of this wrench failed.
     """
-    surrogate = workspace.tables.surrogate(name)
+    surrogate = workspace.surrogate(name)
     if query.on_thin == "solve":
         outcome = _unanswered(name, surrogate)
     else:

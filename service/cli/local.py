@@ -32,7 +32,7 @@ def serve(
 ) -> None:
     """Serve the API and solve what is queued."""
     from service.http.server import serve as run
-    from service.jobs.engines import ENGINES
+    from service.jobs.engines.registry import ENGINES
     from service.workspace import Settings
 
     if engine not in ENGINES:

@@ -12,7 +12,16 @@ from starlette.concurrency import run_in_threadpool
 
 from service.contract import CONTRACT_TEXT
 from service.http import openapi, problems
-from service.http.routes import components, coverage, displacement, health, jobs, report, table
+from service.http.routes import (
+    components,
+    coverage,
+    displacement,
+    health,
+    jobs,
+    report,
+    rows,
+    table,
+)
 from service.workspace import Settings, Workspace
 
 _SUMMARY = (
@@ -44,7 +53,7 @@ def create_app(settings: Settings) -> FastAPI:
         redirect_slashes=False,
     )
     problems.install(app)
-    for part in (displacement, components, coverage, table, report, jobs, health):
+    for part in (displacement, components, coverage, table, rows, report, jobs, health):
         app.include_router(part.router)
     openapi.install(app)
     return app

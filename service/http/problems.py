@@ -16,18 +16,27 @@ from fea.bundle.read import BundleError
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
 from service.http.links import job_link
 from service.ledger import (
+    DamagedRowError,
     InvalidTransitionError,
     LedgerUnavailableError,
     UnknownJobError,
     UnknownRowError,
 )
-from service.library.library import ComponentExistsError, UnknownComponentError
+from service.library.component import (
+    ComponentExistsError,
+    LibraryUnavailableError,
+    UnknownComponentError,
+)
 from service.ordering import NoSetupError
+from service.tables.live import TableBehindError
 
 MEDIA_TYPE = "application/problem+json"
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     UnknownComponentError: (404, "unknown-component", "No such component"),
     ComponentExistsError: (409, "component-exists", "The name is taken"),
+    LibraryUnavailableError: (507, "disk", "The component cannot be written; nothing was added"),
+    TableBehindError: (503, "table-behind", "The table is older than the ledger"),
+    DamagedRowError: (500, "damaged-row", "A row is damaged on the disk"),
     NoSetupError: (409, "no-fea-setup", "The component has no finite-element setup"),
     UnknownJobError: (404, "unknown-job", "No such job"),
     UnknownRowError: (404, "unknown-row", "No such row"),

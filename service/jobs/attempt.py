@@ -11,6 +11,7 @@ import shutil
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
@@ -78,13 +79,33 @@ def read_progress(folder: Path) -> Progress | None:
         return None
 
 
+def solver_began(folder: Path) -> bool:
+    """Return whether a solver came to its first instruction: it writes its pid into the lock.
+
+    The lock alone says nothing: an engine takes it before there is a process.
+    """
+    try:
+        return (folder / LOCK).stat().st_size > 0
+    except OSError:
+        return False
+
+
+def last_words(folder: Path) -> str:
+    """Return the last line of what the attempt's solver printed; empty if it printed nothing."""
+    try:
+        lines = (folder / LOG).read_text(errors="replace").strip().splitlines()
+    except OSError:
+        return ""
+    return lines[-1] if lines else ""
+
+
 def write_outcome(folder: Path, spec: Spec, outcome: Mapping[str, Any]) -> None:
     """Write result.json to disk for good; its appearance means that the solver has ended.
 
     It repeats what was asked, so that nobody can take it for the answer to another wrench.
     """
-    asked = {"asked": _question(spec)}
-    write_whole(folder / OUTCOME, {**outcome, **asked}, durable=True)
+    whole = {**outcome, "asked": _question(spec)}
+    write_whole(folder / OUTCOME, {**whole, "digest": _digest(whole)}, durable=True)
 
 
 def read_outcome(folder: Path, spec: Spec) -> dict[str, Any] | None:
@@ -93,10 +114,13 @@ def read_outcome(folder: Path, spec: Spec) -> dict[str, Any] | None:
     Raises
     ------
     BadOutcomeError
-        If the file is not what `write_outcome` writes, or answers another spec.
+        If the file is not byte for byte what `write_outcome` wrote, or answers another spec.
     """
     try:
         outcome = json.loads((folder / OUTCOME).read_bytes())
+        digest = outcome.pop("digest")
+        if digest != _digest(outcome):
+            raise ValueError("its numbers are not those that were written")
         asked = outcome.pop("asked")
     except FileNotFoundError:
         return None
@@ -133,6 +157,12 @@ def write_whole(path: Path, content: Mapping[str, Any], *, durable: bool = False
     partial.replace(path)
     if durable:
         sync_folder(path.parent)
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    """Return a digest that survives writing as JSON and reading again: floats come back whole."""
+    text = json.dumps(content, allow_nan=False, sort_keys=True)
+    return blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def _question(spec: Spec) -> dict[str, Any]:

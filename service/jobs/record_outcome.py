@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from service.jobs.attempt import LOCK, BadOutcomeError, Spec, read_outcome, tidy
+from service.jobs.attempt import BadOutcomeError, Spec, read_outcome, tidy
 from service.ledger import Job, Ledger
 
 _log = logging.getLogger(__name__)
@@ -18,7 +18,9 @@ def spec_of(job: Job, bundle: Path | str = "") -> Spec:
     return Spec(job.id, job.attempt, job.component, place, job.fingerprint, job.wrench)
 
 
-def settle(ledger: Ledger, job: Job, folder: Path, *, died: Callable[[int, int], Job]) -> None:
+def settle(
+    ledger: Ledger, job: Job, folder: Path, *, died: Callable[[int, int], Job] | None = None
+) -> None:
     """Tell the ledger how a job's attempt ended; safe to repeat.
 
     Parameters
@@ -29,8 +31,8 @@ def settle(ledger: Ledger, job: Job, folder: Path, *, died: Callable[[int, int],
         The job as it was when the attempt began.
     folder : path
         The attempt's folder; no solver works in it any more.
-    died : callable
-        What to tell the ledger of a solver that left no outcome: `Ledger.lose` or `release`.
+    died : callable, optional
+        What to tell the ledger of a solver that left no outcome; `Ledger.release` by default.
 
     Raises
     ------
@@ -40,9 +42,7 @@ def settle(ledger: Ledger, job: Job, folder: Path, *, died: Callable[[int, int],
     outcome = _outcome(job, folder)
     status = None if outcome is None else outcome.get("status")
     if outcome is None:
-        # Without a lock there never was a solver: that is nobody's death.
-        started = (folder / LOCK).exists()
-        (died if started else ledger.release)(job.id, job.attempt)
+        (died or ledger.release)(job.id, job.attempt)
     elif status == "done":
         _commit(ledger, job, folder, outcome)
     elif status == "failed":

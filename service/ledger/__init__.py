@@ -1,10 +1,12 @@
 """The durable record of jobs and rows; see `Ledger`."""
 
 from service.ledger.errors import (
+    DamagedRowError,
     InvalidTransitionError,
     LedgerError,
     LedgerFileError,
     LedgerUnavailableError,
+    RowStatusError,
     StaleAttemptError,
     UnknownJobError,
     UnknownRowError,
@@ -17,6 +19,7 @@ from service.ledger.records import (
     Job,
     LedgerRow,
     NewRow,
+    News,
     OpenJob,
     Status,
 )
@@ -25,6 +28,7 @@ __all__ = [
     "FINAL",
     "STATUSES",
     "Change",
+    "DamagedRowError",
     "InvalidTransitionError",
     "Job",
     "Ledger",
@@ -33,7 +37,9 @@ __all__ = [
     "LedgerRow",
     "LedgerUnavailableError",
     "NewRow",
+    "News",
     "OpenJob",
+    "RowStatusError",
     "StaleAttemptError",
     "Status",
     "UnknownJobError",

@@ -27,3 +27,11 @@ class InvalidTransitionError(LedgerError):
 
 class StaleAttemptError(InvalidTransitionError):
     """The report is about an attempt that the job has left behind; drop it."""
+
+
+class DamagedRowError(LedgerError):
+    """The row on disk is not the row that was written; it is used nowhere."""
+
+
+class RowStatusError(LedgerError):
+    """The row is withdrawn already, or is not."""

@@ -4,7 +4,7 @@ import json
 import time
 from collections.abc import Iterable
 
-from service.ledger import states
+from service.ledger import rows, states
 from service.ledger.errors import UnknownJobError
 from service.ledger.records import STATUSES, Job, OpenJob, pack6, unpack6
 from service.ledger.schema import Connection
@@ -13,7 +13,7 @@ MOST_VALUES = 500  # of one statement; SQLite before 3.32 takes 999
 
 _COLUMNS = (
     "id, component, fingerprint, wrench, status, priority, attempt, lost, owner, "
-    "created, started, finished, error, row, asked_by"
+    "created, started, finished, error, row, not_before, asked_by"
 )
 
 
@@ -27,7 +27,9 @@ def accept(
     """Return the one job of (component, fingerprint, wrench), and whether it is new."""
     job = find_same(db, *same)
     if job is not None:
-        return save(db, states.asked_again(job, priority, reopen_cancelled, asked_by)), False
+        lacks_row = lacks_its_row(db, job)
+        again = states.asked_again(job, priority, reopen_cancelled, lacks_row, asked_by)
+        return save(db, again), False
     added = db.execute(
         "INSERT INTO jobs (component, fingerprint, wrench, status, priority, attempt, lost,"
         " created, asked_by) VALUES (?, ?, ?, 'waiting', ?, 0, 0, ?, ?)",
@@ -37,16 +39,21 @@ def accept(
     return get(db, added.lastrowid), True
 
 
+def lacks_its_row(db: Connection, job: Job) -> bool:
+    """Return whether the row that a done job gave is withdrawn or damaged."""
+    return job.row is not None and not rows.is_usable(db, job.row)
+
+
 def save(db: Connection, job: Job) -> Job:
     """Write all of a job that can change."""
     error = None if job.error is None else json.dumps(job.error)
     now = (job.status, job.priority, job.attempt, job.lost, job.owner)
     times = (job.started, job.finished)
-    ends = (error, job.row, job.asked_by)
     db.execute(
         "UPDATE jobs SET status = ?, priority = ?, attempt = ?, lost = ?, owner = ?,"
-        " started = ?, finished = ?, error = ?, row = ?, asked_by = ? WHERE id = ?",
-        (*now, *times, *ends, job.id),
+        " started = ?, finished = ?, error = ?, row = ?, not_before = ?, asked_by = ?"
+        " WHERE id = ?",
+        (*now, *times, error, job.row, job.not_before, job.asked_by, job.id),
     )
     return job
 
@@ -69,14 +76,17 @@ def find_same(db: Connection, component: str, fingerprint: str, wrench: bytes) -
 def find_many(
     db: Connection, component: str, fingerprint: str, wrenches: Iterable[bytes]
 ) -> dict[bytes, Job]:
-    """Return, by packed wrench, the jobs there are for any of these wrenches."""
+    """Return, by packed wrench, the jobs there are for any of these wrenches.
+
+    Without those that gave a row which is withdrawn or damaged: they are to be asked anew.
+    """
     wanted, found = list(wrenches), {}
     for start in range(0, len(wanted), MOST_VALUES):
         part = wanted[start : start + MOST_VALUES]
         marks = ", ".join("?" * len(part))
         tail = f"WHERE component = ? AND fingerprint = ? AND wrench IN ({marks})"
         same = _select(db, tail, (component, fingerprint, *part))
-        found |= {pack6(job.wrench): job for job in same}
+        found |= {pack6(job.wrench): job for job in same if not lacks_its_row(db, job)}
     return found
 
 
@@ -90,10 +100,13 @@ def opened(db: Connection, component: str, fingerprint: str) -> list[OpenJob]:
     return [OpenJob(*record) for record in found]
 
 
-def next_waiting(db: Connection) -> Job | None:
+def next_waiting(db: Connection, now: float) -> Job | None:
     """Return the waiting job that is to start next."""
-    where = "WHERE status = 'waiting' ORDER BY priority DESC, id LIMIT 1"
-    found = _select(db, where, ())
+    where = (
+        "WHERE status = 'waiting' AND coalesce(not_before, 0) <= ?"
+        " ORDER BY priority DESC, id LIMIT 1"
+    )
+    found = _select(db, where, (now,))
     return found[0] if found else None
 
 
@@ -119,15 +132,6 @@ def counts(db: Connection, component: str | None) -> dict[str, int]:
         () if component is None else (component,),
     )
     return dict.fromkeys(STATUSES, 0) | dict(found.fetchall())
-
-
-def ahead(db: Connection, job: Job) -> int:
-    """Return the number of waiting jobs that start before this one."""
-    return db.execute(
-        "SELECT count(*) FROM jobs WHERE status = 'waiting'"
-        " AND (priority > ? OR (priority = ? AND id < ?))",
-        (job.priority, job.priority, job.id),
-    ).fetchone()[0]
 
 
 def _select(db: Connection, tail: str, values: Iterable[object]) -> list[Job]:

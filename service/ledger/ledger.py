@@ -8,11 +8,10 @@ from service.ledger import jobs, rows, states
 from service.ledger.listeners import Listener, Listeners
 from service.ledger.records import Change, Job, LedgerRow, NewRow, OpenJob, Status, pack6
 from service.ledger.schema import Connections
+from service.ledger.table_rows import TableRows
 
-FOLLOW_SECONDS = 0.02  # how late `wait` sees what another process wrote
 
-
-class Ledger:
+class Ledger(TableRows):
     """Jobs and rows in one SQLite file, for many threads and several processes at once.
 
     A method that returned has committed to disk; one that raised changed nothing.
@@ -21,17 +20,19 @@ class Ledger:
     ----------
     path : path
         The file; it and its folder are made if there are none.
+    patient : bool
+        Go on without a file that cannot be used now, on a full disk say: `trouble` then tells
+        why, every use raises LedgerUnavailableError, and each write tries to open it again.
 
     Raises
     ------
     LedgerFileError
-        If the file is foreign, damaged or of a newer schema.
+        If the file is foreign, damaged or of a newer schema, and `patient` is false.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, *, patient: bool = False) -> None:
         self.path = Path(path).absolute()
-        self._db = Connections(self.path)
-        self._listeners = Listeners()
+        super().__init__(Connections(self.path, patient=patient), Listeners())
 
     # -- the life of a job ------------------------------------------------------------------
 
@@ -49,7 +50,8 @@ class Ledger:
 
         There is one job for one (component, fingerprint, wrench), whatever its status: a
         waiting, running, done or failed one is returned as it is (a waiting one with the
-        higher of both priorities), a cancelled one goes back to waiting.
+        higher of both priorities), a cancelled one goes back to waiting, and so does a done
+        one whose row was withdrawn or is damaged.
 
         Raises
         ------
@@ -61,7 +63,8 @@ class Ledger:
         key = pack6(wrench)
         with self._db.reading() as db:
             found = jobs.find_same(db, component, fingerprint, key)
-        if found and states.asked_again(found, priority, reopen_cancelled, asked_by) == found:
+            gone = found is not None and jobs.lacks_its_row(db, found)
+        if found and states.asked_again(found, priority, reopen_cancelled, gone, asked_by) == found:
             return found, False
         with self._db.writing() as db:
             same = (component, fingerprint, key)
@@ -118,14 +121,15 @@ class Ledger:
 
     def claim(self, owner: str) -> Job | None:
         """Start the next waiting job's next attempt under `owner`; None if none waits."""
+        now = time.time()
         with self._db.reading() as db:
-            if jobs.next_waiting(db) is None:
+            if jobs.next_waiting(db, now) is None:
                 return None
         with self._db.writing() as db:
-            waiting = jobs.next_waiting(db)
+            waiting = jobs.next_waiting(db, now)
             if waiting is None:
                 return None
-            job = jobs.save(db, states.claimed(waiting, owner, time.time()))
+            job = jobs.save(db, states.claimed(waiting, owner, now))
         self._tell(job)
         return job
 
@@ -178,12 +182,16 @@ class Ledger:
         return self._end(job_id, attempt, lambda job: states.failed(job, error, time.time()))
 
     def lose(self, job_id: int, attempt: int) -> Job:
-        """Record that an attempt's solver died: waiting again, failed the third time."""
+        """Record that an attempt's solver died: waiting for longer and longer, then failed."""
         return self._end(job_id, attempt, lambda job: states.lost(job, time.time()))
 
-    def release(self, job_id: int, attempt: int) -> Job:
-        """Give an attempt back that did not die by itself; it does not count as lost."""
-        return self._end(job_id, attempt, states.released)
+    def release(self, job_id: int, attempt: int, *, delay: float = 0.0) -> Job:
+        """Give an attempt back that did not die by itself; it does not count as lost.
+
+        The next one starts after `delay` seconds.
+        """
+        later = time.time() + delay if delay else None
+        return self._end(job_id, attempt, lambda job: states.released(job, later))
 
     def cancel(self, job_id: int) -> Job:
         """Cancel a waiting or running job; its dispatcher then stops the solver."""
@@ -244,79 +252,6 @@ class Ledger:
         with self._db.reading() as db:
             return jobs.counts(db, component)
 
-    def ahead(self, job_id: int) -> int:
-        """Return how many waiting jobs start before this one."""
-        with self._db.reading() as db:
-            return jobs.ahead(db, jobs.get(db, job_id))
-
-    def wait(self, job_id: int, timeout: float) -> Job:
-        """Block until a job is done, failed or cancelled, at most `timeout` seconds.
-
-        Returns the job as it then is. Sees the ends that other processes write as well.
-        """
-        deadline = time.monotonic() + timeout
-        while True:
-            seen = self._listeners.count
-            job = self.job(job_id)
-            left = deadline - time.monotonic()
-            if job.is_final or left <= 0:
-                return job
-            self._listeners.wait_beyond(seen, min(left, FOLLOW_SECONDS))
-
-    # -- rows -------------------------------------------------------------------------------
-
-    def insert_rows(
-        self,
-        component: str,
-        fingerprint: str,
-        new: Iterable[NewRow],
-        *,
-        dry_run: bool = False,
-    ) -> tuple[int, int]:
-        """Insert rows, all or none, and return how many were new and how many known.
-
-        A row of the same component, fingerprint, source, wrench, displacement and uncertainty
-        is known, so inserting a table twice changes nothing the second time. With `dry_run`
-        only the numbers are found out.
-
-        Raises
-        ------
-        ValueError
-            If a number is not finite or a length is wrong; then nothing was inserted.
-        """
-        wanted = list(new)
-        with self._db.writing(keep=not dry_run) as db:
-            inserted = rows.add_many(db, component, fingerprint, wanted, time.time())
-        if inserted and not dry_run:
-            self._listeners.tell(Change(component, rows=inserted))
-        return inserted, len(wanted) - inserted
-
-    def rows(
-        self, component: str, fingerprint: str | None = None, after: int = 0
-    ) -> list[LedgerRow]:
-        """Return the rows of a component with a seq above `after`, by seq."""
-        with self._db.reading() as db:
-            return rows.listed(db, component, fingerprint, after)
-
-    def row(self, seq: int) -> LedgerRow:
-        """Return a row by its seq; raises UnknownRowError."""
-        with self._db.reading() as db:
-            return rows.get(db, seq)
-
-    def last_seq(self, component: str | None = None) -> int:
-        """Return the highest seq (of one component), 0 if there is none."""
-        with self._db.reading() as db:
-            return rows.last_seq(db, component)
-
-    def start_after(self, seq: int) -> None:
-        """Give new rows a seq above this one.
-
-        For a fresh ledger beside table files of an older one: a reader that goes on after
-        a table's ``last_seq`` would otherwise never see the first new rows.
-        """
-        with self._db.writing() as db:
-            rows.start_after(db, seq)
-
     # -- following --------------------------------------------------------------------------
 
     def version(self) -> int:
@@ -333,6 +268,10 @@ class Ledger:
         processes are seen by polling `version`.
         """
         return self._listeners.add(listener)
+
+    def trouble(self) -> str | None:
+        """Return why the file can be neither read nor written now; None if it can."""
+        return self._db.trouble()
 
     def close(self) -> None:
         """Close the file; idempotent."""

@@ -46,6 +46,8 @@ class Job:
         ``{"kind", "message", "remedy"}`` of a failed job.
     row : int or None
         ``seq`` of the row a done job gave.
+    not_before : float or None
+        Seconds since the epoch before which a waiting job is not started: its solver has died.
     asked_by : str
         Which call the job comes from, such as ``query`` or ``fill``.
     """
@@ -64,6 +66,7 @@ class Job:
     finished: float | None
     error: dict[str, str] | None
     row: int | None
+    not_before: float | None = None
     asked_by: str = ""
 
     @property
@@ -128,10 +131,30 @@ class LedgerRow:
 
 
 @dataclass(frozen=True)
+class News:
+    """What happened to a component's rows after some seq, as one committed state.
+
+    Attributes
+    ----------
+    rows : list of LedgerRow
+        To be taken in: new ones, and old ones that were restored.
+    gone : set of int
+        Seqs to be dropped before: those withdrawn, or restored and so in `rows`.
+    last_seq : int
+        Up to here everything is told.
+    """
+
+    rows: list[LedgerRow]
+    gone: frozenset[int]
+    last_seq: int
+
+
+@dataclass(frozen=True)
 class Change:
     """What one committed transaction of this process changed; listeners receive it.
 
-    ``jobs`` are the numbers of the jobs it touched and ``rows`` counts the rows it added.
+    ``jobs`` are the numbers of the jobs it touched and ``rows`` counts the rows it added,
+    withdrew or restored.
     """
 
     component: str
@@ -187,3 +210,8 @@ def content_key(*parts: bytes) -> bytes:
         digest.update(len(part).to_bytes(4, "little"))
         digest.update(part)
     return digest.digest()
+
+
+def seal(key: bytes, compliance: bytes | None, origin: str) -> bytes:
+    """Return 16 bytes over what a row's key leaves out."""
+    return content_key(key, compliance or b"", origin.encode())

@@ -1,4 +1,4 @@
-"""The ledger's SQLite file: its schema, its connections, its transactions.
+"""The ledger's SQLite file: its connections, its transactions, bringing it to today's schema.
 
 The one file that imports sqlite3. WAL with ``synchronous=FULL``: when a transaction has
 returned, it survives a power cut.
@@ -13,54 +13,12 @@ from pathlib import Path
 
 from service.files.durable import sync_folder
 from service.ledger.errors import LedgerError, LedgerFileError, LedgerUnavailableError
+from service.ledger.records import seal
+from service.ledger.versions import APPLICATION_ID, SCRIPTS
 
 Connection = sqlite3.Connection
 
-APPLICATION_ID = 0x77726E63  # "wrnc": tells a ledger from other programs' SQLite files
-BUSY_SECONDS = 30.0
-
-# One script a schema version; a file of version n has the first n of them.
-SCRIPTS = (
-    """
-    CREATE TABLE jobs (
-        id INTEGER PRIMARY KEY AUTOINCREMENT,
-        component TEXT NOT NULL,
-        fingerprint TEXT NOT NULL,
-        wrench BLOB NOT NULL CHECK (length(wrench) = 48),
-        status TEXT NOT NULL
-            CHECK (status IN ('waiting', 'running', 'done', 'failed', 'cancelled')),
-        priority INTEGER NOT NULL,
-        attempt INTEGER NOT NULL,
-        lost INTEGER NOT NULL,
-        owner TEXT CHECK ((owner IS NOT NULL) = (status = 'running')),
-        created REAL NOT NULL,
-        started REAL,
-        finished REAL,
-        error TEXT CHECK ((error IS NOT NULL) = (status = 'failed')),
-        row INTEGER UNIQUE REFERENCES rows (seq)
-            CHECK ((row IS NOT NULL) = (status = 'done')),
-        UNIQUE (component, fingerprint, wrench)
-    );
-    CREATE INDEX jobs_in_order ON jobs (status, priority DESC, id);
-    CREATE INDEX jobs_of_component ON jobs (component, status);
-    CREATE TABLE rows (
-        seq INTEGER PRIMARY KEY AUTOINCREMENT,
-        component TEXT NOT NULL,
-        fingerprint TEXT NOT NULL,
-        source TEXT NOT NULL,
-        wrench BLOB NOT NULL CHECK (length(wrench) = 48),
-        displacement BLOB NOT NULL CHECK (length(displacement) = 48),
-        compliance BLOB CHECK (length(compliance) = 288),
-        uncertainty BLOB CHECK (length(uncertainty) = 48),
-        job INTEGER UNIQUE REFERENCES jobs (id),
-        created REAL NOT NULL,
-        origin TEXT NOT NULL,
-        key BLOB NOT NULL UNIQUE
-    );
-    CREATE INDEX rows_of_component ON rows (component, seq);
-    """,
-    "ALTER TABLE jobs ADD COLUMN asked_by TEXT NOT NULL DEFAULT ''",
-)
+BUSY_SECONDS = 30.0  # a writer waits so long for another process: a bulk import takes seconds
 
 
 class Connections:
@@ -68,16 +26,38 @@ class Connections:
 
     Readers never wait for the writer (WAL); writers of this process wait for each other here
     and for other processes in SQLite.
+
+    Parameters
+    ----------
+    path : path
+    patient : bool
+        Whether to go on without a file that cannot be used now: it is tried again by each
+        `writing`, and until then every use raises LedgerUnavailableError.
+
+    Raises
+    ------
+    LedgerFileError
+        If the file is foreign, damaged or of a newer schema, and `patient` is false.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, patient: bool = False) -> None:
         self._path = path
         self._closed = False
         self._write_lock = threading.Lock()
         self._watch_lock = threading.Lock()
         self._idle: list[Connection] = []
-        self._writer = _open(path)
-        self._watcher = _connect(path)
+        self._writer: Connection | None = None
+        self._watcher: Connection | None = None
+        self._inode = (0, 0)
+        self._refused: LedgerFileError | None = None
+        self._frozen = False  # refused, but whole enough on the disk to be read as it lies there
+        try:
+            self._open()
+        except LedgerFileError as error:
+            if not patient:
+                raise
+            self._refused = error
+            self._frozen = _can_be_read_frozen(path)
 
     @contextmanager
     def writing(self, *, keep: bool = True) -> Iterator[Connection]:
@@ -95,34 +75,54 @@ class Connections:
         """
         with self._write_lock, _named_errors(self._path):
             self._check_open()
-            self._writer.execute("BEGIN IMMEDIATE")
+            writer = self._present_writer()
+            writer.execute("BEGIN IMMEDIATE")
             try:
-                yield self._writer
-                self._writer.execute("COMMIT" if keep else "ROLLBACK")
+                yield writer
+                writer.execute("COMMIT" if keep else "ROLLBACK")
             except BaseException:
-                if self._writer.in_transaction:
-                    self._writer.execute("ROLLBACK")
+                if writer.in_transaction:
+                    writer.execute("ROLLBACK")
                 raise
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
-        """Give a reading connection; each statement sees the latest committed state."""
+        """Give a reading connection; all its statements see one and the same committed state."""
         with _named_errors(self._path):
             self._check_open()
+            frozen = self._frozen
+            if not frozen:
+                self._check_usable()
             try:
                 connection = self._idle.pop()
             except IndexError:
-                connection = _connect(self._path)
+                connection = _connect(self._path, frozen=frozen)
             try:
+                connection.execute("BEGIN")
                 yield connection
             finally:
-                self._keep(connection)
+                if connection.in_transaction:
+                    connection.execute("ROLLBACK")
+                self._keep(connection, frozen)
 
     def version(self) -> int:
         """Return a number that changes with every commit of any process (microseconds)."""
         with self._watch_lock, _named_errors(self._path):
             self._check_open()
+            if self._frozen:
+                return 0
+            self._check_usable()
+            if self._watcher is None:
+                self._watcher = _connect(self._path)
             return self._watcher.execute("PRAGMA data_version").fetchone()[0]
+
+    def trouble(self) -> str | None:
+        """Return why the file can be neither read nor written now; None if it can."""
+        try:
+            self._check_usable()
+        except LedgerUnavailableError as error:
+            return str(error)
+        return None
 
     def close(self) -> None:
         """Close all connections; one in use is closed when it comes back."""
@@ -131,10 +131,41 @@ class Connections:
                 return
             self._closed = True
             for connection in (self._watcher, *self._idle, self._writer):
-                connection.close()
+                if connection is not None:
+                    connection.close()
             self._idle.clear()
 
-    def _keep(self, connection: Connection) -> None:
+    def _open(self) -> None:
+        self._writer = _open(self._path)
+        self._inode = _inode(self._path)
+        self._refused, self._frozen = None, False
+        while self._idle:
+            self._idle.pop().close()
+
+    def _present_writer(self) -> Connection:
+        if self._refused is not None:
+            try:
+                self._open()
+            except LedgerFileError as error:
+                raise LedgerUnavailableError(str(error)) from error
+        self._check_usable()
+        assert self._writer is not None
+        return self._writer
+
+    def _check_usable(self) -> None:
+        if self._refused is not None:
+            raise LedgerUnavailableError(str(self._refused))
+        # SQLite goes on writing into a file that nobody can open any more.
+        if _inode(self._path) != self._inode:
+            raise LedgerUnavailableError(
+                f"the ledger {self._path} was deleted or replaced under this server; nothing is "
+                "accepted. Put the file back if you moved it, then restart the server"
+            )
+
+    def _keep(self, connection: Connection, frozen: bool) -> None:
+        if frozen != self._frozen:  # it does not see what is written since
+            connection.close()
+            return
         self._idle.append(connection)
         if self._closed:
             while self._idle:
@@ -143,6 +174,34 @@ class Connections:
     def _check_open(self) -> None:
         if self._closed:
             raise LedgerError("the ledger is closed")
+
+
+def _can_be_read_frozen(path: Path) -> bool:
+    """Return whether a ledger that cannot be opened for writing can be read as it lies there.
+
+    SQLite then makes no files beside it, as a full disk needs, but does not see what a WAL file
+    that was left behind holds either.
+    """
+    wal = path.with_name(f"{path.name}-wal")
+    try:
+        if not path.is_file() or (wal.exists() and wal.stat().st_size):
+            return False
+        connection = _connect(path, frozen=True)
+        try:
+            _check_file(connection, path)
+            return _schema_version(connection) == len(SCRIPTS)
+        finally:
+            connection.close()
+    except (OSError, sqlite3.Error, LedgerFileError):
+        return False
+
+
+def _inode(path: Path) -> tuple[int, int]:
+    try:
+        found = path.stat()
+    except OSError:
+        return (0, 0)
+    return found.st_dev, found.st_ino
 
 
 @contextmanager
@@ -156,11 +215,17 @@ def _named_errors(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _connect(path: Path) -> Connection:
+def _connect(path: Path, *, frozen: bool = False) -> Connection:
     connection = sqlite3.connect(
-        path, timeout=BUSY_SECONDS, isolation_level=None, check_same_thread=False
+        f"{path.as_uri()}?immutable=1" if frozen else path,
+        timeout=BUSY_SECONDS,
+        isolation_level=None,
+        check_same_thread=False,
+        uri=frozen,
     )
     try:
+        # A damaged word must not keep the sound rows beside it from being read.
+        connection.text_factory = lambda word: word.decode("utf-8", "replace")
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA foreign_keys = ON")
     except BaseException:
@@ -170,8 +235,8 @@ def _connect(path: Path) -> Connection:
 
 
 def _open(path: Path) -> Connection:
-    path.parent.mkdir(parents=True, exist_ok=True)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         connection = _connect(path)
         try:
             _check_file(connection, path)
@@ -180,7 +245,7 @@ def _open(path: Path) -> Connection:
         except BaseException:
             connection.close()
             raise
-    except sqlite3.OperationalError as error:
+    except (sqlite3.OperationalError, OSError) as error:
         raise LedgerFileError(
             f"cannot open the ledger {path}: {error}. See that its folder is writable, "
             "its disk has space and no program keeps it locked"
@@ -197,7 +262,7 @@ def _open(path: Path) -> Connection:
 def _check_file(connection: Connection, path: Path) -> None:
     owner = connection.execute("PRAGMA application_id").fetchone()[0]
     tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
-    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    version = _schema_version(connection)
     if tables and owner != APPLICATION_ID:
         raise LedgerFileError(
             f"{path} is a SQLite file of another program, not a ledger; "
@@ -224,11 +289,20 @@ def _use_wal(connection: Connection) -> None:
 
 
 def _upgrade(connection: Connection) -> None:
+    if _schema_version(connection) == len(SCRIPTS):
+        return  # nothing is written, so a full disk does not keep anybody from reading
+    # A table that others refer to is replaced (sqlite.org/lang_altertable.html, section 7).
+    connection.execute("PRAGMA foreign_keys = OFF")
+    connection.create_function("seal", 3, seal, deterministic=True)
     connection.execute("BEGIN IMMEDIATE")
-    version = connection.execute("PRAGMA user_version").fetchone()[0]
-    for script in SCRIPTS[version:]:
+    for script in SCRIPTS[_schema_version(connection) :]:
         for statement in filter(str.strip, script.split(";")):
             connection.execute(statement)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {len(SCRIPTS)}")
     connection.execute("COMMIT")
+    connection.execute("PRAGMA foreign_keys = ON")
+
+
+def _schema_version(connection: Connection) -> int:
+    return connection.execute("PRAGMA user_version").fetchone()[0]

@@ -8,7 +8,9 @@ from dataclasses import replace
 from service.ledger.errors import InvalidTransitionError, StaleAttemptError
 from service.ledger.records import Job, Status
 
-MAX_LOST_ATTEMPTS = 3
+# Seconds a job waits after its solver's first, second and third death; the fourth ends it.
+# What kills solvers, memory for one, is often over a minute or two later.
+BACKOFF_SECONDS = (1.0, 10.0, 100.0)
 
 TRANSITIONS: dict[tuple[Status, str], Status] = {
     ("waiting", "claim"): "running",
@@ -23,12 +25,13 @@ TRANSITIONS: dict[tuple[Status, str], Status] = {
     ("failed", "retry"): "waiting",
     ("cancelled", "retry"): "waiting",
     ("cancelled", "reopen"): "waiting",
+    ("done", "reopen"): "waiting",
     ("cancelled", "cancel"): "cancelled",
 }
 
 SOLVER_DIED = {
     "kind": "solver_died",
-    "message": f"the solver ended without an answer {MAX_LOST_ATTEMPTS} times",
+    "message": f"the solver ended without an answer {len(BACKOFF_SECONDS) + 1} times",
     "remedy": "read log.txt in the attempt's folder; often memory ran out: "
     "use fewer solvers at a time or a coarser mesh, then retry the job",
 }
@@ -37,7 +40,8 @@ SOLVER_DIED = {
 def claimed(job: Job, owner: str, now: float) -> Job:
     """Return the job with a new attempt running under `owner`."""
     attempt = job.attempt + 1
-    return _moved(job, "claim", owner=owner, attempt=attempt, started=now, finished=None)
+    fresh = {"started": now, "finished": None, "not_before": None}
+    return _moved(job, "claim", owner=owner, attempt=attempt, **fresh)
 
 
 def adopted(job: Job, owner: str) -> Job:
@@ -56,16 +60,17 @@ def failed(job: Job, error: dict[str, str], now: float) -> Job:
 
 
 def lost(job: Job, now: float) -> Job:
-    """Return the job waiting again, or failed if its solver died too often."""
+    """Return the job waiting for some time, or failed if its solver died too often."""
     count = job.lost + 1
-    if count < MAX_LOST_ATTEMPTS:
-        return _moved(job, "lose", owner=None, lost=count, started=None)
+    if job.lost < len(BACKOFF_SECONDS):
+        later = now + BACKOFF_SECONDS[job.lost]
+        return _moved(job, "lose", owner=None, lost=count, started=None, not_before=later)
     return _moved(job, "give up", owner=None, lost=count, error=SOLVER_DIED, finished=now)
 
 
-def released(job: Job) -> Job:
+def released(job: Job, not_before: float | None = None) -> Job:
     """Return the job waiting again after an attempt that was given back, not lost."""
-    return _moved(job, "release", owner=None, started=None)
+    return _moved(job, "release", owner=None, started=None, not_before=not_before)
 
 
 def cancelled(job: Job, now: float) -> Job:
@@ -80,13 +85,18 @@ def retried(job: Job) -> Job:
 
 
 def reopened(job: Job) -> Job:
-    """Return a cancelled job waiting again, as the same wrench was asked for."""
-    return _moved(job, "reopen", **_FRESH)
+    """Return a cancelled job, or one whose row is withdrawn, waiting again: it was asked for."""
+    return _moved(job, "reopen", row=None, **_FRESH)
 
 
-def asked_again(job: Job, priority: int, reopen_cancelled: bool, asked_by: str = "") -> Job:
-    """Return the job there is, after its wrench was asked for once more."""
-    if job.status == "cancelled" and reopen_cancelled:
+def asked_again(
+    job: Job, priority: int, reopen_cancelled: bool, lacks_row: bool, asked_by: str = ""
+) -> Job:
+    """Return the job there is, after its wrench was asked for once more.
+
+    `lacks_row` says that the row it gave is withdrawn or damaged.
+    """
+    if lacks_row or (job.status == "cancelled" and reopen_cancelled):
         job = replace(reopened(job), asked_by=asked_by)
     if job.status == "waiting" and priority > job.priority:
         job = replace(job, priority=priority)
@@ -102,15 +112,21 @@ def check_attempt(job: Job, attempt: int) -> None:
         )
 
 
-_FRESH: dict[str, object] = {"lost": 0, "started": None, "finished": None, "error": None}
+_FRESH: dict[str, object] = {
+    "lost": 0,
+    "started": None,
+    "finished": None,
+    "error": None,
+    "not_before": None,
+}
 
 
 def _moved(job: Job, event: str, **changes: object) -> Job:
     status = TRANSITIONS.get((job.status, event))
     if status is None:
         allowed = sorted(name for before, name in TRANSITIONS if before == job.status)
-        raise InvalidTransitionError(
-            f"job {job.id} is {job.status}: cannot {event} it"
-            + (f"; possible now: {', '.join(allowed)}" if allowed else "; that is final")
-        )
+        possible = f"possible now: {', '.join(allowed)}"
+        if job.status == "done":
+            possible = "it is final unless its row is withdrawn"
+        raise InvalidTransitionError(f"job {job.id} is {job.status}: cannot {event} it; {possible}")
     return replace(job, status=status, **changes)  # pyright: ignore[reportArgumentType]

@@ -9,7 +9,8 @@ from typing import Any
 
 from fea.bundle.read import read_bundle
 from service.contract import MOMENT_POINT
-from service.library.library import CHECK_FILE, Component
+from service.library.component import Component
+from service.library.library import CHECK_FILE
 
 
 def interface_of(component: Component) -> dict[str, Any] | None:

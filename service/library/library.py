@@ -2,64 +2,37 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import logging
 import shutil
-import subprocess
 import tempfile
 import threading
-import zipfile
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
-import numpy as np
-
-from fea.bundle.read import Bundle, BundleError, Problem, read_bundle
+from fea.bundle.read import read_bundle
 from fea.bundle.shipped import SHIPPED
-from service.files.child import child_command
-from service.files.durable import sync_folder
-from surrogate.rows import LoadRange, Tolerance
+from service.files.durable import sync_folder, sync_tree
+from service.library.bundle_zip import check_mesh, extract, one_problem
+from service.library.component import (
+    BrokenComponentError,
+    Component,
+    ComponentExistsError,
+    LibraryUnavailableError,
+    UnknownComponentError,
+    component_of,
+)
 
-MAX_BUNDLE_BYTES = 512 * 1024 * 1024
-CHECK_SECONDS = 300
+log = logging.getLogger(__name__)
+
 CHECK_FILE = "check.json"  # beside component.toml: what the check found at the upload
 _DECKS_REFUSED = (
     "A deck names a command that the server's solvers run, and this server takes none from "
     "outside. Ask its operator to start it with: wrenchbook serve --allow-decks; or to put the "
     "bundle's folder into the data directory's components folder"
 )
-
-
-@dataclass(frozen=True)
-class Component:
-    """One component as the service sees it; the mesh stays with the solver."""
-
-    name: str
-    title: str
-    folder: Path
-    fingerprint: str
-    has_fea: bool
-    linear: bool
-    load_range: LoadRange
-    tolerance: Tolerance | None
-    shipped: bool
-
-
-class UnknownComponentError(KeyError):
-    """No component of that name; carries the names there are."""
-
-    def __init__(self, name: str, known: list[str]) -> None:
-        super().__init__(name)
-        self.name = name
-        self.known = known
-
-    def __str__(self) -> str:
-        known = ", ".join(self.known) or "none yet"
-        return f"There is no component {self.name!r}. The library has: {known}."
-
-
-class ComponentExistsError(ValueError):
-    """A component of that name is there already; nothing was changed."""
 
 
 class Library:
@@ -75,32 +48,48 @@ class Library:
     allow_decks:
         Whether bundles with a deck, and so with a command to run, may be added.
 
-    Raises
-    ------
-    BundleError
-        If a bundle in either folder cannot be read.
+    on_added:
+        Called with each component that `add_zip` or `add_table_only` has added.
+
+    A bundle that cannot be read is left out and told by `broken`; the others go on.
     """
 
-    def __init__(self, own: Path, shipped: Path = SHIPPED, *, allow_decks: bool = False) -> None:
+    def __init__(
+        self,
+        own: Path,
+        shipped: Path = SHIPPED,
+        *,
+        allow_decks: bool = False,
+        on_added: Callable[[Component], None] = lambda _: None,
+    ) -> None:
         self._own = own
+        self._on_added = on_added
         self._allow_decks = allow_decks
         self._lock = threading.Lock()
-        own.mkdir(parents=True, exist_ok=True)
         self._components: dict[str, Component] = {}
+        self._broken: dict[str, str] = {}
+        with contextlib.suppress(OSError):  # told when somebody adds a component
+            own.mkdir(parents=True, exist_ok=True)
         for folder in _bundle_folders(shipped):
-            self._register(folder, shipped=True)
+            self._try(folder, shipped=True)
         for folder in _bundle_folders(own):
-            self._register(folder, shipped=False)
+            self._try(folder, shipped=False)
 
     def names(self) -> list[str]:
         """Return the names of all components, sorted."""
         return sorted(self._components)
+
+    def broken(self) -> dict[str, str]:
+        """Return why a folder of the library is no usable component, by the folder's name."""
+        return dict(self._broken)
 
     def __contains__(self, name: str) -> bool:
         return name in self._components or self._look_for(name)
 
     def __getitem__(self, name: str) -> Component:
         if name not in self:
+            if name in self._broken:
+                raise BrokenComponentError(name, self.names(), self._broken[name])
             raise UnknownComponentError(name, self.names())
         return self._components[name]
 
@@ -111,7 +100,7 @@ class Library:
             return False
         with self._lock:
             if name not in self._components:
-                self._register(folder, shipped=False)
+                self._try(folder, shipped=False)
         return name in self._components
 
     def add_zip(self, archive: BinaryIO) -> Component:
@@ -123,14 +112,18 @@ class Library:
             If the archive, its component.toml or its mesh has mistakes; nothing is changed then.
         ComponentExistsError
             If the name is taken.
+        LibraryUnavailableError
+            If the disk is full or cannot be written.
         """
         with self._incoming() as incoming:
-            folder = _extract(archive, Path(incoming))
+            folder = extract(archive, incoming)
             if read_bundle(folder).deck is not None and not self._allow_decks:
-                raise _one_problem("deck", _DECKS_REFUSED)
+                raise one_problem("deck", _DECKS_REFUSED)
             report = check_mesh(folder)
             (folder / CHECK_FILE).write_text(json.dumps(report), encoding="utf-8")
-            return self._adopt(folder)
+            component = self._adopt(folder)
+        self._on_added(component)
+        return component
 
     def add_table_only(
         self,
@@ -148,20 +141,36 @@ class Library:
             Three ``[low, high]`` pairs each, N and N·m.
         tolerance:
             ``{"translation": m, "rotation": rad}`` or None for no limit.
+
+        Raises
+        ------
+        BundleError, ComponentExistsError, LibraryUnavailableError
+            As `add_zip` does.
         """
         lines = [f"name = {json.dumps(name)}", f"title = {json.dumps(title)}", "[range]"]
         lines += [f"force = {json.dumps(force)}", f"moment = {json.dumps(moment)}"]
         if tolerance:
             lines += ["[tolerance]", *(f"{key} = {value!r}" for key, value in tolerance.items())]
         with self._incoming() as incoming:
-            folder = Path(incoming) / "bundle"
+            folder = incoming / "bundle"
             folder.mkdir()
             (folder / "component.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-            return self._adopt(folder)
+            component = self._adopt(folder)
+        self._on_added(component)
+        return component
 
-    def _incoming(self) -> tempfile.TemporaryDirectory[str]:
+    @contextlib.contextmanager
+    def _incoming(self) -> Iterator[Path]:
         """Make a folder beside the library, so that a bundle can be moved in by one rename."""
-        return tempfile.TemporaryDirectory(prefix=".incoming-", dir=self._own)
+        try:
+            self._own.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(prefix=".incoming-", dir=self._own) as folder:
+                yield Path(folder)
+        except OSError as error:
+            raise LibraryUnavailableError(
+                f"The component could not be written to {self._own}: {error.strerror or error}. "
+                "Nothing was added; make room on the disk or make it writable, then send it again."
+            ) from error
 
     def _adopt(self, folder: Path) -> Component:
         """Move a checked bundle into the library under its own name, in one step."""
@@ -173,50 +182,27 @@ class Library:
                     "rows of one setup are never mixed with rows of another."
                 )
             final = self._own / bundle.name
+            sync_tree(folder)
             shutil.move(folder, final)
             sync_folder(self._own)
             return self._register(final, shipped=False)
 
+    def _try(self, folder: Path, *, shipped: bool) -> None:
+        """Register a folder's component, or note why that cannot be done."""
+        try:
+            self._register(folder, shipped=shipped)
+        except Exception as error:  # whatever a damaged file brings about is this component's
+            reason = str(error) or repr(error)
+            if self._broken.get(folder.name) != reason:
+                log.error("the component in %s cannot be used: %s", folder, reason)
+            self._broken[folder.name] = reason
+        else:
+            self._broken.pop(folder.name, None)
+
     def _register(self, folder: Path, *, shipped: bool) -> Component:
-        component = _component(read_bundle(folder), shipped=shipped)
+        component = component_of(read_bundle(folder), shipped=shipped)
         self._components = {**self._components, component.name: component}
         return component
-
-
-def check_mesh(folder: Path) -> dict[str, Any]:
-    """Build the bundle's mesh and resolve its groups, in a process of its own.
-
-    The web process never imports the finite-element stack; a bad mesh file can cost that process
-    its life without costing the server anything.
-
-    Raises
-    ------
-    BundleError
-        With every problem found, or with what the check printed if it died.
-    """
-    command = child_command("fea.check", str(folder))
-    try:
-        run = subprocess.run(
-            command, capture_output=True, text=True, timeout=CHECK_SECONDS, check=False
-        )
-    except subprocess.TimeoutExpired:
-        raise _one_problem(
-            "mesh", f"The mesh could not be read within {CHECK_SECONDS} s. Give a coarser one."
-        ) from None
-    try:
-        report = json.loads(run.stdout.strip().splitlines()[-1])
-    except (IndexError, ValueError):
-        tail = run.stderr.strip()[-500:]
-        raise _one_problem(
-            "mesh", f"The mesh check stopped without an answer. It printed: {tail}"
-        ) from None
-    if not report["ok"]:
-        raise BundleError([Problem(p["where"], p["message"]) for p in report["problems"]])
-    return report
-
-
-def _one_problem(where: str, message: str) -> BundleError:
-    return BundleError([Problem(where, message)])
 
 
 def _bundle_folders(parent: Path) -> list[Path]:
@@ -225,54 +211,3 @@ def _bundle_folders(parent: Path) -> list[Path]:
         return []
     found = (path.parent for path in parent.glob("*/component.toml"))
     return sorted(folder for folder in found if not folder.name.startswith("."))
-
-
-def _component(bundle: Bundle, *, shipped: bool) -> Component:
-    limit = bundle.tolerance
-    return Component(
-        name=bundle.name,
-        title=bundle.title,
-        folder=bundle.folder,
-        fingerprint=bundle.fingerprint,
-        has_fea=bundle.has_fea,
-        linear=bundle.analysis is not None and not bundle.analysis.nonlinear,
-        load_range=LoadRange(
-            np.asarray(bundle.range.low, dtype=float), np.asarray(bundle.range.high, dtype=float)
-        ),
-        tolerance=Tolerance(limit.translation, limit.rotation) if limit else None,
-        shipped=shipped,
-    )
-
-
-def _extract(archive: BinaryIO, target: Path) -> Path:
-    """Unpack a bundle's zip and return the folder that holds component.toml."""
-    try:
-        with zipfile.ZipFile(archive) as bundle:
-            _refuse_hostile(bundle)
-            bundle.extractall(target)
-    except zipfile.BadZipFile:
-        raise _one_problem(
-            "bundle",
-            "This is not a zip file. Zip the folder that holds component.toml and send it.",
-        ) from None
-    folders = sorted(path.parent for path in target.rglob("component.toml"))
-    if len(folders) != 1:
-        raise _one_problem(
-            "bundle", f"The zip holds {len(folders)} files named component.toml; it must hold one."
-        )
-    return folders[0]
-
-
-def _refuse_hostile(bundle: zipfile.ZipFile) -> None:
-    size = sum(info.file_size for info in bundle.infolist())
-    if size > MAX_BUNDLE_BYTES:
-        raise _one_problem(
-            "bundle", f"Unpacked, the zip is {size} bytes; at most {MAX_BUNDLE_BYTES} are accepted."
-        )
-    for info in bundle.infolist():
-        parts = Path(info.filename).parts
-        if info.filename.startswith(("/", "\\")) or ".." in parts or ":" in info.filename:
-            raise _one_problem(
-                "bundle",
-                f"The zip holds the path {info.filename!r}, which leads out of the bundle.",
-            )

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from service.files.child import child_command
 from service.jobs.attempt import write_whole
-from service.library.library import Component
+from service.library.component import Component
 
 FILES = {"json": "report.json", "md": "report.md", "html": "report.html"}
 State = Literal["none", "running", "done", "failed"]

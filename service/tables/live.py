@@ -5,31 +5,38 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 
-from service.contract import CONTRACT
-from service.ledger import Ledger, LedgerRow, NewRow
-from service.library.library import Component, Library
+from service.ledger import Ledger, LedgerRow, LedgerUnavailableError, News
+from service.library.component import Component
+from service.library.library import Library
+from service.tables.files import TableFiles
 from surrogate.build import AnyTable, build
 from surrogate.rows import Rows
-from surrogate.store import TableFileError, TableMeta, read_table, write_table
 
 log = logging.getLogger(__name__)
 
 POLL_S = 0.02
 REST = 1.0  # seconds of rest after each second of building: requests share the interpreter
 SAVE_AFTER_QUIET_S = 1.0
+TROUBLE_S = 1.0  # before trying again what failed
+
+
+class TableBehindError(Exception):
+    """The table does not hold yet all rows that the ledger has; ask again."""
 
 
 class Tables:
     """Surrogates by component name, following the ledger.
 
     A request takes the surrogate there is (`surrogate`, a dictionary look-up); one thread watches
-    the ledger for rows committed by this or any other process on the machine, builds the next
-    version, swaps it in, and writes the table's HDF5 file once it has been quiet for a second.
+    the ledger for rows committed, withdrawn or restored by this or any other process on the
+    machine, builds the next version, swaps it in, and writes the table's HDF5 file once it has
+    been quiet for a second. What goes wrong with one component is told by `faults` and stays its
+    own.
 
     Parameters
     ----------
@@ -42,11 +49,14 @@ class Tables:
     def __init__(self, ledger: Ledger, library: Library, folder: Path) -> None:
         self._ledger = ledger
         self._library = library
-        self._folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
+        self._files = TableFiles(folder, ledger)
         self._surrogates: dict[str, AnyTable] = {}
         self._seen: dict[str, int] = {}
         self._unsaved: dict[str, float] = {}
+        self._faults: dict[str, str] = {}
+        self._unwritten: dict[str, str] = {}
+        self._failures = 0
+        self._again = False
         self._grown = threading.Condition()
         self._wake = threading.Event()
         self._rest_until = 0.0
@@ -56,10 +66,7 @@ class Tables:
     def start(self) -> None:
         """Load every table, catch up with the ledger, and start following it."""
         for name in self._library.names():
-            component = self._library[name]
-            rows, self._seen[name] = self._load(component)
-            self._build(component, rows)
-        self._take_new_rows()
+            self._guarded(name, self._bring_up, self._faults)
         self._thread.start()
 
     def stop(self) -> None:
@@ -81,50 +88,55 @@ class Tables:
         found = self._surrogates.get(name)
         return found if found is not None else self._first(name)
 
+    def faults(self) -> dict[str, str]:
+        """Return why a component's table is not what the ledger says, by its name."""
+        return {**self._unwritten, **self._faults}
+
     def notify(self) -> None:
         """Look at the ledger now rather than at the next poll."""
         self._wake.set()
 
     def catch_up(self, name: str, timeout: float) -> bool:
-        """Wait until every row a component has now is in its surrogate; False if time ran out."""
-        goal = self._ledger.last_seq(name)
+        """Wait until all that is committed when this is called is in the component's surrogate.
+
+        Returns False if time ran out, or if the table cannot be built: see `faults`.
+        """
+        goal, before = self._ledger.last_seq(name), self._failures
+        self._again = True  # what failed is tried once more, now that somebody waits for it
         self.notify()
+
+        def settled() -> bool:
+            failed = name in self._faults and self._failures > before
+            return self._seen.get(name, 0) >= goal or failed
+
         with self._grown:
-            return self._grown.wait_for(lambda: self._seen.get(name, 0) >= goal, timeout)
+            self._grown.wait_for(settled, timeout)
+            return self._seen.get(name, 0) >= goal
+
+    def caught_up(self, name: str, timeout: float) -> AnyTable:
+        """Return a surrogate that holds all rows committed when this is called.
+
+        Raises
+        ------
+        TableBehindError
+            If it is not there after `timeout` seconds.
+        """
+        if self.catch_up(name, timeout):
+            return self.surrogate(name)
+        why = self._faults.get(name) or f"its newest rows are not in it after {timeout:g} s"
+        raise TableBehindError(
+            f"the table of {name!r} is older than the ledger: {why}. Nothing was asked for; "
+            "ask again in a while"
+        )
 
     def _first(self, name: str) -> AnyTable:
         """Make the empty surrogate of a component that was added after the start."""
         component = self._library[name]
         with self._grown:
-            return self._surrogates.setdefault(name, _surrogate(component, Rows.empty()))
-
-    def _load(self, component: Component) -> tuple[Rows, int]:
-        """Read a table's file; the ledger holds every row, so a bad file costs only time."""
-        path = self._path(component.name)
-        if not path.exists():
-            return Rows.empty(), 0
-        try:
-            rows, meta = read_table(path)
-        except TableFileError as error:
-            log.warning("table %s is read from the ledger instead: %s", component.name, error)
-            return Rows.empty(), 0
-        if meta.last_seq > self._ledger.last_seq(component.name):
-            self._restore(component, rows)
-            return Rows.empty(), 0
-        if meta.fingerprint != component.fingerprint:
-            log.info("table %s is of another setup; reading the ledger", component.name)
-            return Rows.empty(), 0
-        return rows, meta.last_seq
-
-    def _restore(self, component: Component, rows: Rows) -> None:
-        """Put a table file's rows back into a ledger that has lost them."""
-        lost = [_new_row(rows, place) for place in range(len(rows))]
-        inserted, _ = self._ledger.insert_rows(component.name, "", lost)
-        log.warning(
-            "%s: %d rows of the table file were missing in the ledger and are there again",
-            component.name,
-            inserted,
-        )
+            found = self._surrogates.setdefault(name, _surrogate(component, Rows.empty(), 0))
+        self._again = True
+        self.notify()
+        return found
 
     def _follow(self) -> None:
         seen = -1
@@ -133,33 +145,77 @@ class Tables:
             self._wake.clear()
             try:
                 now = self._ledger.version()
-                if now != seen and time.monotonic() >= self._rest_until:
-                    self._take_new_rows()
+                if (now != seen or self._is_due()) and time.monotonic() >= self._rest_until:
+                    self._again = False
+                    for name in self._library.names():
+                        self._guarded(name, self._bring_up, self._faults)
                     seen = now
                 self._save(SAVE_AFTER_QUIET_S)
+            except LedgerUnavailableError:
+                self._wait(TROUBLE_S)  # the ledger itself tells of it
             except Exception:
                 log.exception("following the ledger failed; trying again")
-                time.sleep(1.0)
+                self._wait(TROUBLE_S)
 
-    def _take_new_rows(self) -> None:
-        for name in self._library.names():
-            seen = self._seen.get(name, 0)
-            if self._ledger.last_seq(name) == seen:
-                continue
-            news = self._ledger.rows(name, after=seen)
-            component = self._library[name]
-            self._build(component, self.surrogate(name).rows + _usable(component, news))
+    def _is_due(self) -> bool:
+        """Tell whether there is work the ledger's version does not tell of."""
+        new = any(name not in self._seen for name in list(self._surrogates))
+        return self._again and (new or bool(self._faults))
+
+    def _wait(self, seconds: float) -> None:
+        until = time.monotonic() + seconds
+        while not self._stopping and time.monotonic() < until:
+            time.sleep(POLL_S)
+
+    def _guarded(self, name: str, step: Callable[[str], None], faults: dict[str, str]) -> None:
+        """Do something for one component, whose failure is no other's."""
+        try:
+            step(name)
+            faults.pop(name, None)
+        except Exception as error:
+            why = str(error) or repr(error)
+            if faults.get(name) != why:
+                log.exception("the table of %s is not as it should be", name)
             with self._grown:
-                self._seen[name] = news[-1].seq
+                faults[name] = why
+                self._failures += 1
                 self._grown.notify_all()
 
-    def _build(self, component: Component, rows: Rows) -> None:
+    def _bring_up(self, name: str) -> None:
+        """Bring one component's surrogate to what the ledger has now."""
+        component = self._library[name]
+        seen = self._seen.get(name)
+        if seen is not None and self._ledger.last_seq(name) == seen:
+            return
+        try:
+            if seen is None:
+                rows, after = self._files.load(component)
+            else:
+                rows, after = self._surrogates[name].rows, seen
+            news = self._ledger.news(name, after)
+        except LedgerUnavailableError:
+            if name not in self._surrogates:
+                self._build(component, *self._unchecked(component))
+            raise
+        self._build(component, _with_news(component, rows, news), news.last_seq)
+        if news.last_seq != after:
+            self._unsaved[name] = time.monotonic()
+        with self._grown:
+            self._seen[name] = news.last_seq
+            self._grown.notify_all()
+
+    def _unchecked(self, component: Component) -> tuple[Rows, int]:
+        """Return what a component's file holds, for as long as the ledger cannot be asked."""
+        found = self._files.read(component)
+        if found is None or found[1].fingerprint != component.fingerprint:
+            return Rows.empty(), 0
+        return found[0], found[1].last_seq
+
+    def _build(self, component: Component, rows: Rows, version: int) -> None:
         started = time.monotonic()
-        surrogate = _surrogate(component, rows)
+        surrogate = _surrogate(component, rows, version)
         with self._grown:
             self._surrogates[component.name] = surrogate
-        if len(rows):
-            self._unsaved[component.name] = time.monotonic()
         seconds = time.monotonic() - started
         self._rest_until = time.monotonic() + REST * seconds
         log.debug("%s: version %d, %.3f s", component.name, surrogate.version, seconds)
@@ -168,23 +224,29 @@ class Tables:
         now = time.monotonic()
         for name, since in list(self._unsaved.items()):
             if now - since >= quiet_s:
-                component, surrogate = self._library[name], self._surrogates[name]
-                write_table(self._path(name), surrogate.rows, _meta(component, surrogate))
-                del self._unsaved[name]
+                self._guarded(name, self._write, self._unwritten)
 
-    def _path(self, name: str) -> Path:
-        return self._folder / f"{name}.h5"
+    def _write(self, name: str) -> None:
+        self._unsaved[name] = time.monotonic() + TROUBLE_S  # when it is tried again if it fails
+        surrogate = self._surrogates[name]
+        self._files.save(self._library[name], surrogate.rows, surrogate.version)
+        del self._unsaved[name]
 
 
-def _surrogate(component: Component, rows: Rows) -> AnyTable:
-    """Build the surrogate; its version is the ledger's number of its newest row."""
+def _surrogate(component: Component, rows: Rows, version: int) -> AnyTable:
+    """Build the surrogate; its version is the number of the ledger's newest change in it."""
     return build(
         rows,
         component.load_range,
         tolerance=component.tolerance,
         linear=component.linear,
-        version=int(rows.seq.max()) if len(rows) else 0,
+        version=version,
     )
+
+
+def _with_news(component: Component, rows: Rows, news: News) -> Rows:
+    kept = rows.take(~np.isin(rows.seq, list(news.gone))) if news.gone else rows
+    return kept + _usable(component, news.rows)
 
 
 def _usable(component: Component, rows: Iterable[LedgerRow]) -> Rows:
@@ -203,27 +265,4 @@ def _usable(component: Component, rows: Iterable[LedgerRow]) -> Rows:
             for row in rows
             if row.fingerprint in ("", component.fingerprint)
         ]
-    )
-
-
-def _new_row(rows: Rows, place: int) -> NewRow:
-    compliance, uncertainty = rows.compliance[place], rows.uncertainty[place]
-    return NewRow(
-        wrench=rows.wrench[place].tolist(),
-        displacement=rows.displacement[place].tolist(),
-        source=str(rows.source[place]),
-        compliance=compliance.tolist() if np.isfinite(compliance).all() else None,
-        uncertainty=uncertainty.tolist() if np.isfinite(uncertainty).all() else None,
-        origin="table file",
-        fingerprint=str(rows.fingerprint[place]),
-    )
-
-
-def _meta(component: Component, surrogate: AnyTable) -> TableMeta:
-    return TableMeta(
-        component=component.name,
-        last_seq=surrogate.version,
-        load_range=component.load_range,
-        fingerprint=component.fingerprint,
-        contract=" ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items()),
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from service.contract import CONTRACT
 from service.ledger import Ledger, NewRow
-from service.library.library import Component
+from service.library.component import Component
 from service.tablefile import ParsedTable, RowError
 from surrogate.store import TableMeta
 

@@ -9,6 +9,7 @@ from service.http.app import create_app
 from service.workspace import Settings
 
 HERE = Path(__file__).parent
+SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
 
 
 @pytest.fixture
@@ -17,7 +18,7 @@ def stand_in(monkeypatch):
 
     def choose(name: str) -> None:
         monkeypatch.setenv("WRENCHBOOK_SOLVE", f"stand_in:{name}")
-        monkeypatch.setenv("PYTHONPATH", str(HERE))
+        monkeypatch.setenv("PYTHONPATH", SOLVERS)
 
     choose("quick")
     return choose

@@ -9,11 +9,12 @@ import pytest
 
 from service.jobs.attempt import attempt_folder
 from service.jobs.dispatcher import Dispatcher
-from service.jobs.engines import EngineError
+from service.jobs.engines.engine import EngineError
 from service.jobs.engines.local import LocalEngine
 from service.ledger import Ledger, LedgerUnavailableError
 
 HERE = Path(__file__).parent
+SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
 WRENCH = (1.0, 2.0, 3.0, 0.0, 0.0, 0.5)
 
 
@@ -26,7 +27,7 @@ class Bench:
         self.started = []
 
     def start(self, solver="quick", *, slots=2, bundles=None, engine=None):
-        environment = {"WRENCHBOOK_SOLVE": f"stand_in:{solver}", "PYTHONPATH": str(HERE)}
+        environment = {"WRENCHBOOK_SOLVE": f"stand_in:{solver}", "PYTHONPATH": SOLVERS}
         engine = engine or LocalEngine(slots, environment=environment)
         bundles = bundles or (lambda name: Path("/bundles") / name)
         dispatcher = Dispatcher(self.ledger, engine, bundles, self.jobs_folder)
@@ -40,6 +41,10 @@ class Bench:
     def until(self, job, status, seconds=20):
         until(lambda: self.ledger.job(job.id).status == status, seconds)
         return self.ledger.job(job.id)
+
+    def end(self, job_id, seconds):
+        until(lambda: self.ledger.job(job_id).is_final, seconds)
+        return self.ledger.job(job_id)
 
     def folder(self, job, attempt=1):
         return attempt_folder(self.jobs_folder, job.id, attempt)
@@ -63,7 +68,10 @@ def until(condition, seconds=20):
 
 
 @pytest.fixture
-def bench(tmp_path):
+def bench(tmp_path, monkeypatch):
+    monkeypatch.setattr("service.ledger.states.BACKOFF_SECONDS", (0.01, 0.01, 0.01))
+    monkeypatch.setattr("service.jobs.dispatcher.OUTLIVE_SECONDS", 0.05)
+    monkeypatch.setattr("service.jobs.dispatcher.RECOVER_SECONDS", 0.1)
     bench = Bench(tmp_path)
     yield bench
     bench.close()
@@ -72,7 +80,7 @@ def bench(tmp_path):
 def test_an_accepted_job_is_solved_and_its_row_is_there(bench):
     bench.start()
     job = bench.accept()
-    done = bench.ledger.wait(job.id, 20)
+    done = bench.end(job.id, 20)
     assert done.status == "done"
     row = bench.ledger.row(done.row)
     assert row.displacement == pytest.approx([load * 1e-6 for load in WRENCH], rel=1e-15)
@@ -88,7 +96,7 @@ def test_jobs_that_waited_before_the_start_are_solved_with_no_more_solvers_than_
     bench.ledger.on_change(lambda change: most.append(len(bench.ledger.running())))
     bench.start("slow", slots=2)
     for job in jobs:
-        assert bench.ledger.wait(job.id, 30).status == "done"
+        assert bench.end(job.id, 30).status == "done"
     assert max(most) == 2
     assert len(bench.ledger.rows("bar")) == 6
 
@@ -99,7 +107,7 @@ def test_a_job_starts_and_is_committed_without_idle_waiting(bench):
     waits, ends = [], []
     for load in range(5):
         job = bench.accept(load, 1, 0, 0, 0, 0)
-        done = bench.ledger.wait(job.id, 20)
+        done = bench.end(job.id, 20)
         answered = (bench.folder(job) / "result.json").stat().st_mtime
         waits.append(done.started - done.created)
         ends.append(done.finished - answered)
@@ -109,7 +117,7 @@ def test_a_job_starts_and_is_committed_without_idle_waiting(bench):
 
 def test_a_failure_is_recorded_with_its_reason_and_its_folder_kept_whole(bench):
     bench.start("diverges")
-    failed = bench.ledger.wait(bench.accept().id, 20)
+    failed = bench.end(bench.accept().id, 20)
     assert failed.status == "failed"
     assert failed.error == {
         "kind": "not_converged",
@@ -120,26 +128,70 @@ def test_a_failure_is_recorded_with_its_reason_and_its_folder_kept_whole(bench):
     assert bench.ledger.rows("bar") == []
 
 
-def test_a_solver_that_dies_is_tried_again_and_given_up_after_three_times(bench):
+def test_a_solver_that_dies_is_tried_again_and_given_up_after_four_times(bench):
     bench.start("dies")
-    failed = bench.ledger.wait(bench.accept().id, 30)
-    assert (failed.status, failed.attempt) == ("failed", 3)
+    failed = bench.end(bench.accept().id, 30)
+    assert (failed.status, failed.attempt) == ("failed", 4)
     assert failed.error["kind"] == "solver_died"
 
 
 def test_a_solver_that_dies_twice_is_in_time_with_the_third_attempt(bench):
     bench.start("dies_twice")
-    done = bench.ledger.wait(bench.accept().id, 30)
+    done = bench.end(bench.accept().id, 30)
     assert (done.status, done.attempt) == ("done", 3)
     assert len(bench.ledger.rows("bar")) == 1
 
 
-def test_progress_of_a_running_job_can_be_read(bench):
-    dispatcher = bench.start("endless")
+def test_an_interpreter_that_cannot_start_is_no_dead_solver(bench, monkeypatch):
+    """Three such starts, in three seconds, ended an accepted job as failed."""
+    monkeypatch.setattr("service.jobs.dispatcher.START_AGAIN_SECONDS", 0.1)
+    monkeypatch.setenv("PYTHONHOME", "/nowhere")
+    dispatcher = bench.start()
     job = bench.accept()
-    until(lambda: dispatcher.progress(job.id))
-    assert dispatcher.progress(job.id).fraction == 0.25
-    assert dispatcher.progress(job.id).message == "still going"
+    until(lambda: bench.ledger.job(job.id).attempt > 5)
+    assert bench.ledger.job(job.id).lost == 0
+    assert "solvers end before they begin" in dispatcher.trouble
+    monkeypatch.delenv("PYTHONHOME")
+    assert bench.end(job.id, 20).status == "done"
+    assert dispatcher.trouble is None
+
+
+def test_solver_and_dispatcher_killed_together_again_and_again_never_fail_a_job(bench):
+    """Three kills of both ended an accepted job: nobody had seen the solver die by itself."""
+    job = bench.accept()
+    for attempt in range(1, 7):
+        dispatcher = bench.start("endless")
+        pid = bench.solver_pid(job, attempt)
+        dispatcher.stop(keep_solvers=True)
+        os.kill(pid, signal.SIGKILL)
+        until(lambda pid=pid: not Path(f"/proc/{pid}").exists())
+    bench.start("quick")
+    done = bench.end(job.id, 20)
+    assert (done.status, done.lost) == ("done", 0)
+
+
+def test_a_dispatcher_killed_right_after_its_solver_has_not_seen_it_die(bench, monkeypatch):
+    monkeypatch.setattr("service.jobs.dispatcher.OUTLIVE_SECONDS", 5.0)
+    job = bench.accept()
+    for attempt in range(1, 6):
+        dispatcher = bench.start("endless")
+        os.kill(bench.solver_pid(job, attempt), signal.SIGKILL)
+        until(lambda d=dispatcher: [run for run in d._runs.values() if run.died])
+        dispatcher.stop(keep_solvers=True)
+        assert bench.ledger.job(job.id).lost == 0
+    bench.start("quick")
+    assert bench.end(job.id, 20).status == "done"
+
+
+def test_a_solver_seen_alive_by_the_dispatcher_that_took_it_over_dies_by_itself(bench):
+    first = bench.start("endless")
+    job = bench.accept()
+    pid = bench.solver_pid(job)
+    first.stop(keep_solvers=True)
+    second = bench.start("endless")
+    until(lambda: second._runs)
+    os.kill(pid, signal.SIGKILL)
+    until(lambda: bench.ledger.job(job.id).lost == 1)
 
 
 def test_cancelling_ends_the_solver_and_frees_its_slot(bench):
@@ -162,7 +214,7 @@ def test_a_job_cancelled_and_asked_for_again_is_solved_by_a_new_attempt(bench):
     until(lambda: bench.ledger.job(job.id).attempt == 2)
     dispatcher.stop()
     bench.start("quick")
-    assert bench.ledger.wait(job.id, 20).status == "done"
+    assert bench.end(job.id, 20).status == "done"
 
 
 def test_stopping_ends_the_solvers_and_their_jobs_wait_for_the_next_dispatcher(bench):
@@ -175,7 +227,7 @@ def test_stopping_ends_the_solvers_and_their_jobs_wait_for_the_next_dispatcher(b
     waiting = bench.ledger.job(job.id)
     assert (waiting.status, waiting.lost) == ("waiting", 0)
     bench.start("quick")
-    assert bench.ledger.wait(job.id, 20).status == "done"
+    assert bench.end(job.id, 20).status == "done"
 
 
 def test_solvers_kept_at_the_stop_are_attached_to_by_the_next_dispatcher(bench):
@@ -185,7 +237,7 @@ def test_solvers_kept_at_the_stop_are_attached_to_by_the_next_dispatcher(bench):
     dispatcher.stop(keep_solvers=True)
     assert bench.ledger.job(job.id).status == "running"
     bench.start("diverges")
-    done = bench.ledger.wait(job.id, 20)
+    done = bench.end(job.id, 20)
     assert (done.status, done.attempt) == ("done", 1)
 
 
@@ -197,7 +249,7 @@ def test_a_result_that_came_while_nobody_looked_is_committed_at_the_start(bench)
     until((bench.folder(job) / "result.json").exists)
     assert bench.ledger.job(job.id).status == "running"
     bench.start("diverges")
-    assert bench.ledger.wait(job.id, 20).status == "done"
+    assert bench.end(job.id, 20).status == "done"
 
 
 def test_a_solver_whose_job_was_cancelled_while_nobody_looked_is_ended_at_the_start(bench):
@@ -219,7 +271,7 @@ def test_a_living_dispatchers_jobs_are_left_to_it(bench):
     bench.start("diverges")
     time.sleep(0.1)
     assert bench.ledger.job(job.id).owner in (owner, None)
-    done = bench.ledger.wait(job.id, 20)
+    done = bench.end(job.id, 20)
     assert (done.status, done.attempt) == ("done", 1)
 
 
@@ -229,7 +281,7 @@ def test_a_running_dispatcher_takes_over_from_one_that_ended(bench):
     bench.solver_pid(job)
     second = bench.start("diverges")
     first.stop(keep_solvers=True)
-    done = bench.ledger.wait(job.id, 20)
+    done = bench.end(job.id, 20)
     assert (done.status, done.attempt) == ("done", 1)
     second.stop()
 
@@ -243,7 +295,7 @@ def test_two_dispatchers_share_the_jobs_and_solve_each_once(bench):
     second.start()
     jobs = [bench.accept(load, 0, 0, 0, 0, 0) for load in range(10)]
     for job in jobs:
-        done = bench.ledger.wait(job.id, 30)
+        done = bench.end(job.id, 30)
         assert (done.status, done.attempt) == ("done", 1)
     second.stop()
     other.close()
@@ -255,7 +307,7 @@ def test_a_component_that_is_gone_fails_its_jobs_with_what_to_do(bench):
         raise KeyError(name)
 
     bench.start(bundles=bundles)
-    failed = bench.ledger.wait(bench.accept().id, 20)
+    failed = bench.end(bench.accept().id, 20)
     assert failed.error["kind"] == "component_missing"
     assert "bar" in failed.error["message"]
 
@@ -274,13 +326,13 @@ class Unwilling(LocalEngine):
 
 def test_a_job_the_engine_could_not_start_waits_and_is_not_counted_as_lost(bench, monkeypatch):
     monkeypatch.setenv("WRENCHBOOK_SOLVE", "stand_in:quick")
-    monkeypatch.setenv("PYTHONPATH", str(HERE))
+    monkeypatch.setenv("PYTHONPATH", SOLVERS)
     monkeypatch.setattr("service.jobs.dispatcher.TROUBLE_SECONDS", 0.2)
     dispatcher = bench.start(engine=Unwilling(2))
     job = bench.accept()
     until(lambda: dispatcher.trouble)
     assert dispatcher.trouble == "no process to be had"
-    done = bench.ledger.wait(job.id, 20)
+    done = bench.end(job.id, 20)
     assert (done.status, done.lost) == ("done", 0)
     until(lambda: dispatcher.trouble is None)
 
@@ -297,7 +349,7 @@ def test_an_answer_the_ledger_cannot_take_now_is_taken_later(bench, monkeypatch)
 
     monkeypatch.setattr(bench.ledger, "commit", full)
     bench.start()
-    done = bench.ledger.wait(bench.accept().id, 20)
+    done = bench.end(bench.accept().id, 20)
     assert (done.status, done.attempt, len(refused)) == ("done", 1, 2)
 
 
@@ -308,7 +360,7 @@ def test_a_torn_result_is_a_lost_attempt(bench):
     (bench.folder(job) / "result.json").write_text('{"status": "done", "displac')
     until(lambda: bench.ledger.job(job.id).attempt == 2)
     os.kill(bench.solver_pid(job, 1), signal.SIGKILL)
-    done = bench.ledger.wait(job.id, 20)
+    done = bench.end(job.id, 20)
     assert (done.status, done.lost) == ("done", 1)
 
 

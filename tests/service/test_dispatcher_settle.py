@@ -17,11 +17,9 @@ def ledger(tmp_path):
     ledger.close()
 
 
-def ended(ledger, folder, outcome=None, *, started=True):
+def ended(ledger, folder, outcome=None):
     job = ledger.claim("me")
     prepare(folder, spec_of(job))
-    if started:
-        (folder / "lock").touch()
     if outcome is not None:
         write_outcome(folder, spec_of(job, "/anywhere"), outcome)
     settle(ledger, job, folder, died=ledger.lose)
@@ -66,8 +64,11 @@ def test_a_solver_that_left_nothing_has_died(ledger, tmp_path):
     assert (waiting.status, waiting.lost) == ("waiting", 1)
 
 
-def test_an_attempt_that_never_had_a_solver_is_given_back(ledger, tmp_path):
-    waiting = ended(ledger, tmp_path / "a", started=False)
+def test_an_attempt_nobody_says_has_died_is_given_back(ledger, tmp_path):
+    job = ledger.claim("me")
+    prepare(tmp_path / "a", spec_of(job))
+    settle(ledger, job, tmp_path / "a")
+    waiting = ledger.job(job.id)
     assert (waiting.status, waiting.lost) == ("waiting", 0)
 
 

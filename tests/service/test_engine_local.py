@@ -11,15 +11,17 @@ import pytest
 
 from service.files import lock as flock
 from service.jobs.attempt import Spec, prepare, read_outcome, read_progress
-from service.jobs.engines import EngineError, open_engine
+from service.jobs.engines.engine import EngineError
 from service.jobs.engines.local import LocalEngine
+from service.jobs.engines.registry import open_engine
 
 HERE = Path(__file__).parent
+SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
 SPEC = Spec(1, 1, "bar", "/nowhere", "f1", (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
 
 
 def engine_with(solver, **options):
-    environment = {"WRENCHBOOK_SOLVE": f"stand_in:{solver}", "PYTHONPATH": str(HERE)}
+    environment = {"WRENCHBOOK_SOLVE": f"stand_in:{solver}", "PYTHONPATH": SOLVERS}
     return LocalEngine(2, environment=environment, **options)
 
 

@@ -17,6 +17,7 @@ from service.jobs.attempt import (
     read_progress,
     read_spec,
     tidy,
+    write_outcome,
 )
 
 SPEC = Spec(4, 2, "bar", "/bundles/bar", "f1", (1.0, -2.5, 0.1, 0.0, 0.0, 1e-300))
@@ -195,3 +196,22 @@ def test_a_done_attempt_is_left_with_spec_log_and_outcome(folder):
     tidy(folder)
     assert {entry.name for entry in folder.iterdir()} == {"spec.json", "log.txt", "result.json"}
     assert json.loads((folder / "spec.json").read_text())["component"] == "bar"
+
+
+def test_an_answer_with_a_flipped_bit_is_no_answer(tmp_path):
+    """One damaged digit between solver and ledger would have been a wrong row for good."""
+    answer = {"status": "done", "displacement": [1.25e-6, 0.1, -3.0, 0.0, 1e-300, 7.0]}
+    prepare(tmp_path / "a", SPEC)
+    write_outcome(tmp_path / "a", SPEC, answer)
+    path = tmp_path / "a" / "result.json"
+    whole = path.read_bytes()
+    assert read_outcome(tmp_path / "a", SPEC) == answer
+    for place in range(len(whole)):
+        for bit in (1, 4):
+            damaged = bytearray(whole)
+            damaged[place] ^= bit
+            path.write_bytes(damaged)
+            try:
+                assert read_outcome(tmp_path / "a", SPEC) == answer
+            except BadOutcomeError:
+                continue

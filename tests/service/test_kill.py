@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ import pytest
 from service.ledger import Ledger
 
 HERE = Path(__file__).parent
+SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
 KILLS = int(os.environ.get("WRENCHBOOK_KILLS", "6"))
 JOBS = 8
 
@@ -29,18 +31,25 @@ class Site:
         self.dispatcher = None
 
     def start(self, solver="slow"):
-        environment = dict(os.environ, WRENCHBOOK_SOLVE=f"stand_in:{solver}", PYTHONPATH=str(HERE))
+        environment = dict(os.environ, WRENCHBOOK_SOLVE=f"stand_in:{solver}", PYTHONPATH=SOLVERS)
         command = [sys.executable, str(HERE / "run_dispatcher.py"), str(self.folder)]
-        self.dispatcher = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE)
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        self.dispatcher = subprocess.Popen(command, env=environment, **pipes)
         assert self.dispatcher.stdout.readline() == b"started\n"
 
     def kill_dispatcher(self):
         self.dispatcher.kill()
         self.dispatcher.communicate()
 
-    def kill_a_solver(self, chance):
-        """Kill the solver of a running job that can bear one more lost attempt."""
-        candidates = [job for job in self.ledger.running() if job.lost < 2]
+    def ask(self, wrench):
+        """Have the server accept a job, and return once its reply is there."""
+        self.dispatcher.stdin.write((" ".join(map(str, wrench)) + "\n").encode())
+        self.dispatcher.stdin.flush()
+        return int(self.dispatcher.stdout.readline())
+
+    def kill_a_solver(self, chance, most_lost=3):
+        """Kill the solver of a running job that has lost fewer attempts than that."""
+        candidates = [job for job in self.ledger.running() if job.lost < most_lost]
         if not candidates:
             return False
         job = chance.choice(candidates)
@@ -116,23 +125,52 @@ def test_both_killed_at_once_lose_no_job(site):
     site.assert_each_job_is_done_with_one_row(wrenches)
 
 
-@pytest.mark.timeout(60 + 5 * KILLS)
+def test_both_killed_together_ten_times_running_fail_no_job(site):
+    """The third time ended an accepted job, though no solver had ever failed."""
+    wrenches = wrenches_of(1)
+    site.ledger.accept_many("bar", "f1", wrenches)
+    for turn in range(10):
+        site.start()
+        while not site.kill_a_solver(random.Random(turn), most_lost=99):
+            time.sleep(0.002)
+        site.kill_dispatcher()
+    site.start()
+    site.wait_until_all_done(30)
+    site.assert_each_job_is_done_with_one_row(wrenches)
+    assert site.ledger.jobs()[0].lost == 0
+
+
+def kill(site, kind, chance):
+    """Kill what `kind` says; return how many were hit."""
+    if kind == "solver":
+        return site.kill_a_solver(chance, most_lost=2)
+    hit = 0
+    if kind == "both":
+        hit = site.kill_a_solver(chance, most_lost=99)
+    if kind == "reply":
+        time.sleep(chance.uniform(0, 0.02))
+    site.kill_dispatcher()
+    site.start()
+    return hit + 1
+
+
+@pytest.mark.timeout(120 + 5 * KILLS)
 def test_any_series_of_kills_leaves_each_accepted_job_done_with_its_row_once(site):
+    """Server, solver, both together, and the server within 20 ms of its reply."""
     chance = random.Random(20171)
-    wrenches, killed = wrenches_of(JOBS), 0
+    wrenches = wrenches_of(JOBS)
     site.ledger.accept_many("bar", "f1", wrenches)
     site.start()
-    while killed < KILLS:
-        time.sleep(chance.uniform(0, 0.25))
-        if chance.random() < 0.5:
-            site.kill_dispatcher()
-            killed += 1
-            site.start()
-        else:
-            killed += site.kill_a_solver(chance)
-        if site.ledger.counts()["waiting"] == 0:
-            more = wrenches_of(len(wrenches) + JOBS)[len(wrenches) :]
-            site.ledger.accept_many("bar", "f1", more)
-            wrenches += more
-    site.wait_until_all_done(60)
+    killed = Counter()
+    while killed.total() < KILLS:
+        kind = chance.choice(["server", "solver", "both", "reply"])
+        if kind != "reply":
+            time.sleep(chance.uniform(0, 0.25))
+        if kind == "reply" or site.ledger.counts()["waiting"] == 0:
+            wrenches = wrenches_of(len(wrenches) + 1)
+            site.ask(wrenches[-1])
+        killed[kind] += kill(site, kind, chance)
+    site.wait_until_all_done(120)
     site.assert_each_job_is_done_with_one_row(wrenches)
+    lost = sum(job.lost for job in site.ledger.jobs(limit=10**6))
+    print(f"kills: {dict(killed)}; {len(wrenches)} jobs done, {lost} deaths counted")

@@ -15,10 +15,16 @@ from service.ledger import (
     StaleAttemptError,
     UnknownJobError,
 )
+from service.ledger.states import BACKOFF_SECONDS
 
 WRENCH = (1.0, -2.0, 3.5, 0.0, 0.0, 1e-3)
 ANSWER = (1e-6, 2e-6, 3e-6, 4e-6, 5e-6, 6e-6)
 ERROR = {"kind": "not_converged", "message": "no equilibrium", "remedy": "smaller steps"}
+
+
+@pytest.fixture
+def no_backoff(monkeypatch):
+    monkeypatch.setattr("service.ledger.states.BACKOFF_SECONDS", (0.0, 0.0, 0.0))
 
 
 @pytest.fixture
@@ -118,7 +124,6 @@ def test_the_oldest_waiting_job_is_claimed_first_and_urgent_ones_before_it(ledge
     first, second, third = (accept(ledger, i, 0, 0, 0, 0, 0) for i in range(3))
     urgent, created = ledger.accept("plate", "f1", third.wrench, priority=1)
     assert (urgent.id, created) == (third.id, False)
-    assert [ledger.ahead(job.id) for job in (first, second, third)] == [1, 2, 0]
     order = [ledger.claim("me").id for _ in range(3)]
     assert order == [third.id, first.id, second.id]
     assert ledger.claim("me") is None
@@ -163,7 +168,7 @@ def test_a_commit_of_an_answer_that_is_not_finite_leaves_the_job_running(ledger)
     assert ledger.rows("plate") == []
 
 
-def test_what_a_stale_attempt_says_does_not_count(ledger):
+def test_what_a_stale_attempt_says_does_not_count(ledger, no_backoff):
     job = accept(ledger)
     ledger.claim("me")
     ledger.lose(job.id, 1)
@@ -181,17 +186,33 @@ def test_what_a_stale_attempt_says_does_not_count(ledger):
     assert ledger.rows("plate") == []
 
 
-def test_the_third_lost_attempt_fails_the_job_and_says_what_to_do(ledger):
+def test_the_fourth_lost_attempt_fails_the_job_and_says_what_to_do(ledger, no_backoff):
     job = accept(ledger)
-    for attempt in (1, 2):
+    for attempt in (1, 2, 3):
         ledger.claim("me")
         assert ledger.lose(job.id, attempt).status == "waiting"
     ledger.claim("me")
-    failed = ledger.lose(job.id, 3)
+    failed = ledger.lose(job.id, 4)
     assert (failed.status, failed.error["kind"]) == ("failed", "solver_died")
     assert "log.txt" in failed.error["remedy"]
     again = ledger.retry(job.id)
     assert (again.status, again.lost, again.error) == ("waiting", 0, None)
+
+
+def test_a_job_whose_solver_died_is_not_started_again_at_once(ledger, monkeypatch):
+    """Three deaths in three seconds, all of one cause, ended an accepted job."""
+    job = accept(ledger)
+    now = time.time()
+    monkeypatch.setattr("service.ledger.ledger.time.time", lambda: now)
+    for attempt, delay in enumerate(BACKOFF_SECONDS, 1):
+        assert ledger.claim("me").not_before is None
+        lost = ledger.lose(job.id, attempt)
+        assert (lost.status, lost.not_before) == ("waiting", now + delay)
+        now += 0.9 * delay
+        assert ledger.claim("me") is None
+        now += 0.2 * delay
+    assert BACKOFF_SECONDS == (1, 10, 100)
+    assert ledger.claim("me").attempt == 4
 
 
 def test_an_attempt_given_back_does_not_count_as_lost(ledger):
@@ -224,7 +245,7 @@ def test_a_done_job_can_be_neither_cancelled_nor_retried(ledger):
     ledger.claim("me")
     ledger.commit(job.id, 1, ANSWER)
     for forbidden in (ledger.cancel, ledger.retry):
-        with pytest.raises(InvalidTransitionError, match="that is final"):
+        with pytest.raises(InvalidTransitionError, match="it is final unless its row is withdrawn"):
             forbidden(job.id)
     assert ledger.job(job.id).status == "done"
 
@@ -238,7 +259,7 @@ def test_a_refused_change_names_what_is_possible(ledger):
 
 
 def test_a_job_that_is_not_there_is_named(ledger):
-    for call in (ledger.job, ledger.cancel, ledger.retry, ledger.ahead):
+    for call in (ledger.job, ledger.cancel, ledger.retry):
         with pytest.raises(UnknownJobError, match="there is no job 7"):
             call(7)
 
@@ -276,21 +297,6 @@ def test_a_listener_that_fails_does_not_make_the_commit_look_failed(ledger, capl
     ledger.on_change(lambda change: 1 / 0)
     assert accept(ledger).status == "waiting"
     assert "a listener of the ledger failed" in caplog.text
-
-
-def test_waiting_for_a_job_ends_as_soon_as_it_does(ledger):
-    job = accept(ledger)
-    ledger.claim("me")
-    threading.Timer(0.1, ledger.commit, (job.id, 1, ANSWER)).start()
-    started = time.monotonic()
-    assert ledger.wait(job.id, 10).status == "done"
-    assert time.monotonic() - started < 2
-
-
-def test_waiting_ends_with_the_time_and_says_how_the_job_is(ledger):
-    job = accept(ledger)
-    assert ledger.wait(job.id, 0.05).status == "waiting"
-    assert ledger.wait(job.id, 0).status == "waiting"
 
 
 def test_a_full_disk_is_named_and_nothing_is_accepted(ledger):

@@ -9,11 +9,12 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from service.ledger import InvalidTransitionError, Ledger, NewRow, StaleAttemptError
+from service.ledger import InvalidTransitionError, Ledger, NewRow, StaleAttemptError, states
 
 LOADS = st.sampled_from([-1.0, -0.0, 0.0, 1.0])
 WRENCHES = st.tuples(LOADS, LOADS, *[st.just(0.0)] * 4)
 COMPONENTS = st.sampled_from(["bar", "plate"])
+BACKOFF = states.BACKOFF_SECONDS
 ERROR = {"kind": "k", "message": "m", "remedy": "r"}
 
 
@@ -35,6 +36,7 @@ def answer(wrench):
 class LedgerAgainstReference(RuleBasedStateMachine):
     def __init__(self):
         super().__init__()
+        states.BACKOFF_SECONDS = (0.0, 0.0, 0.0)
         self.folder = Path(tempfile.mkdtemp())
         self.ledger = Ledger(self.folder / "ledger.sqlite")
         self.jobs: dict[int, Expected] = {}
@@ -42,6 +44,7 @@ class LedgerAgainstReference(RuleBasedStateMachine):
         self.committed = []
 
     def teardown(self):
+        states.BACKOFF_SECONDS = BACKOFF
         self.ledger.close()
         shutil.rmtree(self.folder)
 
@@ -112,7 +115,7 @@ class LedgerAgainstReference(RuleBasedStateMachine):
             return
         assert expected.status == "running"
         expected.lost += end == "lose"
-        expected.status = "failed" if end == "fail" or expected.lost == 3 else "waiting"
+        expected.status = "failed" if end == "fail" or expected.lost == 4 else "waiting"
 
     @precondition(lambda self: self.jobs)
     @rule(pick=st.integers(0, 20), ask=st.sampled_from(["cancel", "retry"]))

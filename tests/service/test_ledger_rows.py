@@ -7,7 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.ledger import Ledger, LedgerFileError, NewRow, UnknownRowError
+from service.ledger import (
+    DamagedRowError,
+    Ledger,
+    LedgerFileError,
+    LedgerUnavailableError,
+    NewRow,
+    RowStatusError,
+    UnknownRowError,
+    rows,
+    schema,
+)
 
 ROWS = [
     NewRow((i, 0, 0, 0, 0, 0.1 * i), (i * 1e-6, 0, 0, 0, 0, 1e-7), origin=f"t.csv:{i}")
@@ -123,12 +133,9 @@ def test_a_row_that_is_not_there_is_named(ledger):
 
 
 def test_a_fresh_ledger_beside_older_tables_numbers_its_rows_after_theirs(ledger):
-    ledger.start_after(500)
-    ledger.start_after(20)
-    ledger.insert_rows("plate", "f1", ROWS[:1])
+    ledger.insert_rows("plate", "f1", ROWS[:1], above=500)
     assert ledger.last_seq() == 501
-    ledger.start_after(100)
-    ledger.insert_rows("plate", "f1", ROWS[:2])
+    ledger.insert_rows("plate", "f1", ROWS[:2], above=100)
     assert ledger.last_seq() > 501
 
 
@@ -186,3 +193,172 @@ def test_a_folder_that_cannot_be_opened_is_named(tmp_path):
     (tmp_path / "ledger.sqlite").mkdir()
     with pytest.raises(LedgerFileError, match="cannot open"):
         Ledger(tmp_path / "ledger.sqlite")
+
+
+def test_a_withdrawn_row_is_gone_for_readers_and_followers_and_comes_back(ledger):
+    ledger.insert_rows("plate", "f1", ROWS[:3])
+    seen = ledger.last_seq("plate")
+    ledger.withdraw("plate", 2)
+    assert [row.seq for row in ledger.rows("plate")] == [1, 3]
+    assert ledger.row(2).origin == "t.csv:1"
+    news = ledger.news("plate", seen)
+    assert (news.rows, news.gone) == ([], {2})
+    assert news.last_seq == ledger.last_seq("plate") == ledger.last_seq() > seen
+    ledger.restore("plate", 2)
+    assert [row.seq for row in ledger.rows("plate")] == [1, 2, 3]
+    back = ledger.news("plate", news.last_seq)
+    assert ([row.seq for row in back.rows], back.gone) == ([2], {2})
+    ledger.insert_rows("plate", "f1", ROWS[3:4])
+    assert [row.seq for row in ledger.news("plate", back.last_seq).rows] == [back.last_seq + 1]
+
+
+def test_withdrawing_what_is_not_there_or_twice_is_refused_by_name(ledger):
+    ledger.insert_rows("plate", "f1", ROWS[:1])
+    for component, seq in (("plate", 2), ("bar", 1)):
+        with pytest.raises(UnknownRowError, match=f"no row {seq}"):
+            ledger.withdraw(component, seq)
+    with pytest.raises(RowStatusError, match="row 1 is in the table"):
+        ledger.restore("plate", 1)
+    ledger.withdraw("plate", 1)
+    with pytest.raises(RowStatusError, match="row 1 is withdrawn already"):
+        ledger.withdraw("plate", 1)
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_a_job_whose_row_is_withdrawn_is_solved_again_when_it_is_asked_for(ledger, same):
+    job, _ = ledger.accept("plate", "f1", ROWS[1].wrench)
+    ledger.claim("me")
+    first = ledger.commit(job.id, 1, ROWS[1].displacement)
+    ledger.withdraw("plate", first.seq)
+    again, created = ledger.accept("plate", "f1", ROWS[1].wrench)
+    assert (again.id, again.status, again.row, created) == (job.id, "waiting", None, False)
+    ledger.claim("me")
+    second = ledger.commit(job.id, 2, ROWS[1].displacement if same else (1, 0, 0, 0, 0, 0))
+    assert (second.seq == first.seq) == same
+    assert [row.seq for row in ledger.rows("plate")] == [second.seq]
+
+
+def damage(ledger, column, seq=2):
+    """Flip one bit of a row, as a bad disk would."""
+    file = sqlite3.connect(ledger.path)
+    (old,) = file.execute(f"SELECT {column} FROM rows WHERE seq = ?", (seq,)).fetchone()
+    raw = bytearray(old.encode() if isinstance(old, str) else old)
+    raw[-1] ^= 1
+    new = raw.decode() if isinstance(old, str) else bytes(raw)
+    file.execute(f"UPDATE rows SET {column} = ? WHERE seq = ?", (new, seq))
+    file.commit()
+    file.close()
+
+
+@pytest.mark.parametrize(
+    "column",
+    [
+        "fingerprint",
+        "source",
+        "wrench",
+        "displacement",
+        "compliance",
+        "uncertainty",
+        "origin",
+        "key",
+        "seal",
+    ],
+)
+def test_a_row_with_a_flipped_bit_is_served_by_no_reader_and_named(ledger, column, caplog):
+    full = [replace(row, compliance=np.eye(6), uncertainty=(1e-9,) * 6) for row in ROWS[:3]]
+    ledger.insert_rows("plate", "f1", full)
+    damage(ledger, column)
+    assert [row.seq for row in ledger.rows("plate")] == [1, 3]
+    assert [row.seq for row in ledger.news("plate", 0).rows] == [1, 3]
+    assert ledger.damaged == {2: "plate"}
+    assert "row 2 of plate is damaged" in caplog.text
+    with pytest.raises(DamagedRowError, match="row 2"):
+        ledger.row(2)
+
+
+def test_a_damaged_row_of_a_job_is_solved_again_when_it_is_asked_for(ledger):
+    wrench, displacement = ROWS[1].wrench, ROWS[1].displacement
+    job, _ = ledger.accept("plate", "f1", wrench)
+    ledger.claim("me")
+    seq = ledger.commit(job.id, 1, displacement).seq
+    damage(ledger, "displacement", seq)
+    seen = ledger.news("plate", 0).last_seq
+    assert ledger.accept("plate", "f1", wrench)[0].status == "waiting"
+    ledger.claim("me")
+    assert ledger.commit(job.id, 2, displacement).displacement == displacement
+    assert [row.seq for row in ledger.rows("plate")] == [seq]
+    assert [row.seq for row in ledger.news("plate", seen).rows] == [seq]
+
+
+def test_a_ledger_of_the_first_schema_is_taken_over_whole(tmp_path, monkeypatch):
+    path = tmp_path / "ledger.sqlite"
+    old = sqlite3.connect(path)
+    old.executescript(schema.SCRIPTS[0])
+    old.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
+    old.execute("PRAGMA user_version = 1")
+    key = rows._key("plate", "f1", "fea", bytes(48), bytes(48), None)
+    content = ("plate", "f1", "fea", bytes(48), bytes(48), bytes(288), None)
+    old.execute(
+        "INSERT INTO jobs VALUES (7, 'plate', 'f1', ?, 'done', 0, 1, 0, NULL, 1, 2, 3, NULL, 9)",
+        (bytes(48),),
+    )
+    old.execute(
+        "INSERT INTO rows VALUES (9, ?, ?, ?, ?, ?, ?, ?, 7, 1.0, 'job 7', ?)", (*content, key)
+    )
+    old.commit()
+    old.close()
+    ledger = Ledger(path)
+    assert ledger.job(7).row == 9
+    assert (ledger.row(9).origin, ledger.row(9).compliance[0]) == ("job 7", (0.0,) * 6)
+    ledger.insert_rows("plate", "f1", ROWS[:1])
+    assert [row.seq for row in ledger.rows("plate")] == [9, 10]
+    ledger.close()
+
+
+@pytest.mark.parametrize("replaced", [False, True])
+def test_a_ledger_deleted_while_it_is_open_takes_nothing_and_says_so(ledger, replaced):
+    """Imports went on into a file that nobody could ever open again."""
+    assert ledger.trouble() is None
+    ledger.path.unlink()
+    if replaced:
+        Ledger(ledger.path).close()
+    with pytest.raises(LedgerUnavailableError, match="deleted or replaced"):
+        ledger.insert_rows("plate", "f1", ROWS)
+    with pytest.raises(LedgerUnavailableError, match="deleted or replaced"):
+        ledger.accept("plate", "f1", ROWS[0].wrench)
+    assert "deleted or replaced" in ledger.trouble()
+
+
+def test_a_ledger_that_cannot_be_opened_now_is_opened_by_a_later_write(tmp_path):
+    path = tmp_path / "ledger.sqlite"
+    path.mkdir()
+    patient = Ledger(path, patient=True)
+    for call in (patient.version, patient.jobs, lambda: patient.insert_rows("plate", "f", ROWS)):
+        with pytest.raises(LedgerUnavailableError, match="cannot open"):
+            call()
+    assert "cannot open" in patient.trouble()
+    path.rmdir()
+    assert patient.insert_rows("plate", "f1", ROWS) == (10, 0)
+    assert (patient.trouble(), len(patient.rows("plate"))) == (None, 10)
+    patient.close()
+
+
+def test_a_ledger_that_cannot_be_written_is_read_and_later_written(tmp_path, monkeypatch):
+    path = tmp_path / "ledger.sqlite"
+    whole = Ledger(path)
+    whole.insert_rows("plate", "f1", ROWS[:3])
+    whole.close()
+
+    def full(connection):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    monkeypatch.setattr(schema, "_use_wal", full)
+    patient = Ledger(path, patient=True)
+    assert [len(patient.rows("plate")), patient.last_seq("plate")] == [3, 3]
+    assert "full" in patient.trouble()
+    with pytest.raises(LedgerUnavailableError, match="full"):
+        patient.insert_rows("plate", "f1", ROWS)
+    monkeypatch.undo()
+    assert patient.insert_rows("plate", "f1", ROWS) == (7, 3)
+    assert (len(patient.rows("plate")), patient.trouble()) == (10, None)
+    patient.close()

@@ -1,5 +1,7 @@
 """The table of states against every event in every status."""
 
+from dataclasses import replace
+
 import pytest
 
 from service.ledger import STATUSES, InvalidTransitionError, Job, states
@@ -43,8 +45,12 @@ def test_only_a_running_job_has_an_owner():
             assert (job.owner is not None) == (after == "running")
 
 
-def test_nothing_leads_out_of_done():
-    assert not [event for status, event in states.TRANSITIONS if status == "done"]
+def test_nothing_leads_out_of_done_but_asking_again_once_its_row_is_withdrawn():
+    assert [event for status, event in states.TRANSITIONS if status == "done"] == ["reopen"]
+    done = replace(job_of("done"), row=7)
+    assert states.asked_again(done, 1, True, lacks_row=False) == done
+    again = states.asked_again(done, 1, True, lacks_row=True)
+    assert (again.status, again.row, again.priority) == ("waiting", None, 1)
 
 
 def test_the_table_names_no_event_that_nothing_brings_about():

@@ -42,8 +42,7 @@ def test_a_load_that_no_row_varies_is_outside_and_says_what_the_rows_hold() -> N
         "axis x: my = 3 N·m: all rows hold my = 0 N·m"
     )
     assert (
-        "axis y: fy = 5 N: all rows hold fy = 0 N"
-        in surrogate.answer([0, 5.0, 0, 0, 0, 0]).reason
+        "axis y: fy = 5 N: all rows hold fy = 0 N" in surrogate.answer([0, 5.0, 0, 0, 0, 0]).reason
     )
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 import orjson
@@ -18,20 +17,9 @@ from service.http.links import job_link
 from service.http.parsing import read_body
 from service.http.problems import ProblemError, bad_body
 from service.library.checked import interface_of, warnings_of
-from service.library.library import Component
+from service.library.component import Component
 from service.workspace import Workspace
-from surrogate.design import next_wrenches
 from surrogate.rows import Tolerance
-
-
-@runtime_checkable
-class TellsBroken(Protocol):
-    """A library that goes on without the components it cannot read."""
-
-    def broken(self) -> Mapping[str, str]:
-        """Return, by name, why a component cannot be read."""
-        ...
-
 
 router = APIRouter(prefix="/v1/components", tags=["components"])
 CATCH_UP_S = 25.0
@@ -41,10 +29,11 @@ CATCH_UP_S = 25.0
 def list_components(request: Request) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
     library = workspace.library
-    broken = library.broken() if isinstance(library, TellsBroken) else {}
     return {
         "components": [_summary(workspace, library[name]) for name in library.names()],
-        "broken": [{"name": name, "reason": reason} for name, reason in sorted(broken.items())],
+        "broken": [
+            {"name": name, "reason": reason} for name, reason in sorted(workspace.broken().items())
+        ],
     }
 
 
@@ -107,19 +96,11 @@ async def fill(name: str, request: Request) -> Response:
 
 def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
     """Design one round of solves on the newest table and accept them."""
-    workspace.tables.catch_up(name, CATCH_UP_S)
     limit = Tolerance(**order.tolerance.model_dump()) if order.tolerance else None
-    design = next_wrenches(
-        workspace.tables.surrogate(name),
-        order.budget,
-        pending=workspace.orders.open_wrenches(name),
-        tolerance=limit,
-    )
-    jobs = workspace.orders.fill(name, design.wrenches)
-    links = [job_link(job) for job in jobs]
+    design, jobs = workspace.fill(name, order.budget, limit)
     return {
         "component": name,
-        "jobs": links,
+        "jobs": [job_link(job) for job in jobs],
         "stage": design.stage,
         "reason": design.reason,
     }

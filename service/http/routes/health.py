@@ -17,7 +17,10 @@ async def live() -> dict[str, str]:
     return {"status": "live"}
 
 
-@router.get("/ready", summary="Tables are loaded, the ledger can be written, solvers are there")
+@router.get(
+    "/ready",
+    summary="Whether jobs are accepted and solved; which components are broken, and why",
+)
 def ready(request: Request) -> JSONResponse:
     workspace: Workspace = request.app.state.workspace
     faults = workspace.faults()
@@ -26,5 +29,6 @@ def ready(request: Request) -> JSONResponse:
         "components": len(workspace.library.names()),
         "solvers": workspace.settings.solvers,
         "faults": faults,
+        "broken": workspace.broken(),
     }
     return JSONResponse(body, 200 if not faults else 503)

@@ -33,6 +33,7 @@ def job_body(workspace: Workspace, job: Job) -> dict[str, Any]:
         "force": job.wrench[:3],
         "moment": job.wrench[3:],
         "attempt": job.attempt,
+        "not_before": _time(job.not_before),
         "created": _time(job.created),
         "started": _time(job.started),
         "finished": _time(job.finished),

@@ -18,7 +18,7 @@ from service.http.routes.table_schema import (
     IMPORT_REPLIES,
     MEDIA_TYPES,
 )
-from service.library.library import Component
+from service.library.component import Component
 from service.tablefile import (
     ParsedTable,
     UnitError,

@@ -1,4 +1,8 @@
-"""What an engine is: it starts attempts, tells how they are, and ends them."""
+"""What a dispatcher needs of an engine. Engines only execute; what counts the ledger decides.
+
+Every engine runs `service.jobs.solve_attempt` FOLDER, as `child_command` puts it, somewhere that
+sees the folder.
+"""
 
 from pathlib import Path
 from typing import Literal, Protocol

@@ -1,0 +1,117 @@
+"""The rows half of the ledger: inserting, withdrawing, restoring, reading and following."""
+
+import logging
+import time
+from collections.abc import Iterable
+
+from service.ledger import rows
+from service.ledger.listeners import Listeners
+from service.ledger.records import Change, LedgerRow, NewRow, News
+from service.ledger.schema import Connections
+
+_log = logging.getLogger(__name__)
+
+
+class TableRows:
+    """What `Ledger` does with rows.
+
+    Attributes
+    ----------
+    damaged : dict of int to str
+        Rows found to be other on the disk than they were written, with their component.
+    """
+
+    def __init__(self, db: Connections, listeners: Listeners) -> None:
+        self._db = db
+        self._listeners = listeners
+        self.damaged: dict[int, str] = {}
+
+    def insert_rows(
+        self,
+        component: str,
+        fingerprint: str,
+        new: Iterable[NewRow],
+        *,
+        dry_run: bool = False,
+        above: int = 0,
+    ) -> tuple[int, int]:
+        """Insert rows, all or none, and return how many were new and how many known.
+
+        A row of the same component, fingerprint, source, wrench, displacement and uncertainty
+        is known, so inserting a table twice changes nothing the second time. With `dry_run`
+        only the numbers are found out. New rows get a seq above `above`.
+
+        Raises
+        ------
+        ValueError
+            If a number is not finite or a length is wrong; then nothing was inserted.
+        """
+        wanted = list(new)
+        with self._db.writing(keep=not dry_run) as db:
+            if above:
+                rows.skip(db, least=above)
+            inserted = rows.add_many(db, component, fingerprint, wanted, time.time())
+        if inserted and not dry_run:
+            self._listeners.tell(Change(component, rows=inserted))
+        return inserted, len(wanted) - inserted
+
+    def withdraw(self, component: str, seq: int) -> None:
+        """Take a row out of the component's table; it stays in the ledger.
+
+        Raises
+        ------
+        UnknownRowError
+            If the component has no such row.
+        RowStatusError
+            If it is withdrawn already.
+        """
+        self._edit(component, seq, withdrawn=True)
+
+    def restore(self, component: str, seq: int) -> None:
+        """Bring a withdrawn row back into the component's table; raises as `withdraw` does."""
+        self._edit(component, seq, withdrawn=False)
+
+    def rows(
+        self, component: str, fingerprint: str | None = None, after: int = 0
+    ) -> list[LedgerRow]:
+        """Return the rows of a component with a seq above `after`, by seq.
+
+        Withdrawn rows are left out, and so are damaged ones, which `damaged` then names.
+        """
+        with self._db.reading() as db:
+            found, damaged = rows.listed(db, component, fingerprint, after)
+        self._note(component, damaged)
+        return found
+
+    def news(self, component: str, after: int) -> News:
+        """Return what happened to a component's rows after a seq; as `rows` leaves rows out."""
+        with self._db.reading() as db:
+            found, damaged = rows.news(db, component, after)
+        self._note(component, damaged)
+        return found
+
+    def row(self, seq: int) -> LedgerRow:
+        """Return a row by its seq, withdrawn or not; raises UnknownRowError, DamagedRowError."""
+        with self._db.reading() as db:
+            return rows.get(db, seq)
+
+    def last_seq(self, component: str | None = None) -> int:
+        """Return the number of the newest row, withdrawal or restoring (of one component)."""
+        with self._db.reading() as db:
+            return rows.last_seq(db, component)
+
+    def digest(self, component: str, until: int) -> str:
+        """Return a digest of which rows a component has up to a seq, and how they stand."""
+        with self._db.reading() as db:
+            return rows.digest(db, component, until)
+
+    def _edit(self, component: str, seq: int, *, withdrawn: bool) -> None:
+        with self._db.writing() as db:
+            rows.edit(db, component, seq, withdrawn=withdrawn, now=time.time())
+        self._listeners.tell(Change(component, rows=1))
+
+    def _note(self, component: str, damaged: list[int]) -> None:
+        for seq in damaged:
+            if seq not in self.damaged:
+                _log.error("row %d of %s is damaged on the disk and left out", seq, component)
+            self.damaged[seq] = component

@@ -1,0 +1,117 @@
+"""Table files beside the ledger: a quicker way to read what the ledger says, and a second copy."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from service.contract import CONTRACT
+from service.ledger import Ledger, LedgerUnavailableError, NewRow
+from service.library.component import Component
+from surrogate.rows import Rows
+from surrogate.store import TableFileError, TableMeta, read_table, write_table
+
+log = logging.getLogger(__name__)
+
+
+class TableFiles:
+    """The HDF5 files of a data directory, one ``<name>.h5`` a component.
+
+    Parameters
+    ----------
+    folder : path
+        Made if there is none.
+    ledger : Ledger
+        What it says holds; a file that says something else is written anew.
+    """
+
+    def __init__(self, folder: Path, ledger: Ledger) -> None:
+        self._folder = folder
+        self._ledger = ledger
+
+    def read(self, component: Component) -> tuple[Rows, TableMeta] | None:
+        """Return what a component's file holds; None if there is none or it is damaged."""
+        try:
+            return read_table(self._path(component.name))
+        except FileNotFoundError:
+            return None
+        except (TableFileError, OSError) as error:
+            log.warning("table %s is built from the ledger instead: %s", component.name, error)
+            return None
+
+    def load(self, component: Component) -> tuple[Rows, int]:
+        """Return the rows of a component's file and the seq they go up to.
+
+        No rows, and 0, if they are not exactly what the ledger has up to there. Rows that the
+        ledger has lost, being a new one or an older copy, are put back into it first.
+
+        Raises
+        ------
+        LedgerUnavailableError
+            If the ledger cannot be asked, or cannot take what it has lost.
+        """
+        found = self.read(component)
+        if found is None:
+            return Rows.empty(), 0
+        rows, meta = found
+        if meta.ledger and meta.ledger == self._ledger.digest(component.name, meta.last_seq):
+            if meta.fingerprint == component.fingerprint:
+                return rows, meta.last_seq
+            log.info("table %s is of another setup; reading the ledger", component.name)
+        else:
+            self._put_back(component.name, rows, meta.last_seq)
+        return Rows.empty(), 0
+
+    def save(self, component: Component, rows: Rows, last_seq: int) -> None:
+        """Write a component's rows, which are the ledger's up to `last_seq`.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written; the one before stays.
+        """
+        self._folder.mkdir(parents=True, exist_ok=True)
+        meta = TableMeta(
+            component=component.name,
+            last_seq=last_seq,
+            load_range=component.load_range,
+            fingerprint=component.fingerprint,
+            contract=" ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items()),
+            ledger=self._digest(component.name, last_seq),
+        )
+        write_table(self._path(component.name), rows, meta)
+
+    def _digest(self, name: str, last_seq: int) -> str:
+        try:
+            return self._ledger.digest(name, last_seq)
+        except LedgerUnavailableError:
+            return ""  # the file may be all there is left of the rows: they are put back from it
+
+    def _put_back(self, name: str, rows: Rows, last_seq: int) -> None:
+        """Insert a file's rows; the ledger knows those it has by their content."""
+        lost = [_new_row(rows, place) for place in range(len(rows))]
+        inserted, _ = self._ledger.insert_rows(name, "", lost, above=last_seq)
+        if inserted:
+            log.warning(
+                "%s: %d rows of the table file were missing in the ledger and are there again",
+                name,
+                inserted,
+            )
+
+    def _path(self, name: str) -> Path:
+        return self._folder / f"{name}.h5"
+
+
+def _new_row(rows: Rows, place: int) -> NewRow:
+    compliance, uncertainty = rows.compliance[place], rows.uncertainty[place]
+    return NewRow(
+        wrench=rows.wrench[place].tolist(),
+        displacement=rows.displacement[place].tolist(),
+        source=str(rows.source[place]),
+        compliance=compliance.tolist() if np.isfinite(compliance).all() else None,
+        uncertainty=uncertainty.tolist() if np.isfinite(uncertainty).any() else None,
+        origin="table file",
+        fingerprint=str(rows.fingerprint[place]),
+    )

@@ -1,0 +1,252 @@
+"""Tables beside the ledger: what is damaged, lost or of another ledger is never served silently."""
+
+import logging
+import random
+import shutil
+import sqlite3
+import time
+
+import numpy as np
+import pytest
+
+from service.ledger import Ledger, LedgerUnavailableError, NewRow
+from service.library.component import BrokenComponentError
+from service.library.library import Library
+from service.tables import live
+from service.tables.live import TableBehindError, Tables
+
+RANGE = [[-10.0, 10.0]] * 3
+
+
+def new_rows(count, first=0):
+    return [
+        NewRow((i % 10, 0, 0, 0, 0, i // 10), (i * 1e-6, 0, 0, 0, 0, 1e-7))
+        for i in range(first, first + count)
+    ]
+
+
+class Site:
+    """A data directory and, while it is open, its ledger, library and tables."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def open(self, *names):
+        self.ledger = Ledger(self.folder / "ledger.sqlite", patient=True)
+        self.library = Library(self.folder / "components", self.folder / "none")
+        for name in names:
+            self.library.add_table_only(name, name, RANGE, RANGE, None)
+        self.tables = Tables(self.ledger, self.library, self.folder / "tables")
+        self.tables.start()
+
+    def close(self):
+        self.tables.stop()
+        self.ledger.close()
+
+    def insert(self, count, first=0, name="rig"):
+        self.ledger.insert_rows(name, "", new_rows(count, first))
+        assert self.tables.catch_up(name, 20), self.tables.faults()
+
+    def wrenches(self, name="rig"):
+        return sorted(map(tuple, self.tables.surrogate(name).rows.wrench.tolist()))
+
+    def file(self, name="rig"):
+        return self.folder / "tables" / f"{name}.h5"
+
+
+@pytest.fixture
+def site(tmp_path):
+    site = Site(tmp_path)
+    site.open("rig")
+    yield site
+    site.close()
+
+
+def expected(count):
+    return sorted(tuple(map(float, row.wrench)) for row in new_rows(count))
+
+
+def test_a_table_file_with_a_flipped_bit_is_rebuilt_from_the_ledger_with_a_warning(site, caplog):
+    site.insert(30)
+    right = site.tables.surrogate("rig").rows
+    site.close()
+    whole, chance = site.file().read_bytes(), random.Random(3)
+    for _ in range(40):
+        damaged = bytearray(whole)
+        damaged[chance.randrange(512, len(whole))] ^= 1 << chance.randrange(8)
+        site.file().write_bytes(damaged)
+        caplog.clear()
+        site.open()
+        found = site.tables.surrogate("rig").rows
+        assert np.array_equal(found.wrench, right.wrench)
+        assert np.array_equal(found.displacement, right.displacement)
+        assert "table rig.h5" in caplog.text.replace("table rig is", "table rig.h5 is")
+        site.close()
+        assert site.file().read_bytes() != bytes(damaged)
+    site.open()
+
+
+@pytest.mark.parametrize("count", [5, 60])
+def test_rows_of_a_fresh_ledger_beside_an_old_table_file_are_all_there(site, count):
+    """A ledger of 219 rows beside a table of 200 hid the first 200 for good."""
+    site.insert(30)
+    site.close()
+    for path in site.folder.glob("ledger.sqlite*"):
+        path.unlink()
+    fresh = Ledger(site.folder / "ledger.sqlite")
+    fresh.insert_rows("rig", "", new_rows(count, first=30))
+    fresh.close()
+    site.open()
+    assert site.wrenches() == expected(30 + count)
+    assert len(site.ledger.rows("rig")) == 30 + count
+
+
+def test_rows_of_a_ledger_put_back_from_a_copy_are_all_there(site):
+    site.insert(10)
+    site.close()
+    shutil.copy(site.folder / "ledger.sqlite", site.folder / "copy")
+    site.open()
+    site.insert(10, first=10)
+    site.close()
+    for path in site.folder.glob("ledger.sqlite*"):
+        path.unlink()
+    shutil.move(site.folder / "copy", site.folder / "ledger.sqlite")
+    older = Ledger(site.folder / "ledger.sqlite")
+    older.insert_rows("rig", "", new_rows(15, first=20))
+    older.close()
+    site.open()
+    assert site.wrenches() == expected(35)
+
+
+def test_rows_kept_through_the_ledgers_deletion_come_back_at_the_next_start(site):
+    site.insert(10)
+    for path in site.folder.glob("ledger.sqlite*"):
+        path.unlink()
+    with pytest.raises(LedgerUnavailableError, match="deleted or replaced"):
+        site.ledger.insert_rows("rig", "", new_rows(5, first=10))
+    site.close()
+    site.open()
+    assert site.wrenches() == expected(10)
+
+
+def test_a_withdrawn_row_leaves_the_table_and_its_file_and_comes_back(site):
+    site.insert(10)
+    gone = site.ledger.rows("rig")[4]
+    site.ledger.withdraw("rig", gone.seq)
+    assert site.tables.catch_up("rig", 20)
+    version = site.tables.surrogate("rig").version
+    assert gone.wrench not in site.wrenches()
+    for _ in range(2):
+        site.close()
+        site.open()
+        assert gone.wrench not in site.wrenches()
+        assert site.tables.surrogate("rig").version == version
+    site.ledger.restore("rig", gone.seq)
+    assert site.tables.catch_up("rig", 20)
+    assert site.wrenches() == expected(10)
+    assert site.tables.surrogate("rig").version > version
+
+
+def test_a_row_withdrawn_by_another_process_leaves_the_table(site):
+    site.insert(10)
+    other = Ledger(site.folder / "ledger.sqlite")
+    other.withdraw("rig", other.rows("rig")[0].seq)
+    other.close()
+    deadline = time.monotonic() + 10
+    while len(site.wrenches()) == 10:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert len(site.wrenches()) == 9
+
+
+def test_a_row_withdrawn_while_nobody_served_is_not_in_the_table(site):
+    site.insert(10)
+    site.close()
+    ledger = Ledger(site.folder / "ledger.sqlite")
+    ledger.withdraw("rig", ledger.rows("rig")[0].seq)
+    ledger.close()
+    site.open()
+    assert len(site.wrenches()) == 9
+
+
+def test_an_exception_in_one_tables_build_starves_no_other(site, monkeypatch):
+    """The tables after it in the alphabet got no rows any more."""
+    for name in ("aaa", "zzz"):
+        site.library.add_table_only(name, name, RANGE, RANGE, None)
+        site.tables.surrogate(name)
+    build = live._surrogate
+
+    def fails(component, rows, version):
+        if component.name == "aaa" and len(rows):
+            raise ZeroDivisionError("of this table")
+        return build(component, rows, version)
+
+    monkeypatch.setattr(live, "_surrogate", fails)
+    site.ledger.insert_rows("aaa", "", new_rows(5))
+    site.insert(5, name="zzz")
+    assert len(site.wrenches("zzz")) == 5
+    assert not site.tables.catch_up("aaa", 5)
+    assert site.tables.faults() == {"aaa": "of this table"}
+    with pytest.raises(TableBehindError, match="of this table"):
+        site.tables.caught_up("aaa", 5)
+    monkeypatch.undo()
+    site.insert(1, first=5, name="aaa")
+    assert site.tables.faults() == {}
+
+
+def test_a_component_that_cannot_be_read_leaves_the_others_and_says_why(site):
+    site.library.add_table_only("other", "other", RANGE, RANGE, None)
+    site.insert(3)
+    site.close()
+    (site.folder / "components" / "other" / "component.toml").write_text("")
+    site.open()
+    assert site.library.names() == ["rig"]
+    assert "name" in site.library.broken()["other"]
+    with pytest.raises(BrokenComponentError, match="cannot be used"):
+        site.library["other"]
+    assert len(site.wrenches()) == 3
+
+
+@pytest.mark.timeout(280)
+def test_whatever_byte_is_damaged_tables_open_and_sound_components_answer(site):
+    site.library.add_table_only("other", "other", RANGE, RANGE, None)
+    site.tables.surrogate("other")
+    site.insert(20)
+    site.insert(20, name="other")
+    site.close()
+    whole = site.folder.with_name("whole")
+    shutil.copytree(site.folder, whole)
+    chance = random.Random(11)
+    kinds = ["tables/rig.h5", "components/rig/component.toml", "ledger.sqlite"]
+    for turn in range(45):
+        shutil.rmtree(site.folder)
+        shutil.copytree(whole, site.folder)
+        path = site.folder / kinds[turn % 3]
+        raw = bytearray(path.read_bytes())
+        for _ in range(1 + turn % 4):
+            raw[chance.randrange(len(raw))] ^= chance.randrange(1, 256)
+        path.write_bytes(raw)
+        site.open()
+        rows = site.tables.surrogate("other").rows
+        right = {row.wrench[0] + 10 * row.wrench[5]: row.displacement for row in new_rows(20)}
+        for wrench, displacement in zip(rows.wrench, rows.displacement, strict=True):
+            assert tuple(displacement) == right[wrench[0] + 10 * wrench[5]]
+        if path.name != "ledger.sqlite":
+            assert len(rows) == 20
+        site.close()
+    site.open()
+
+
+def test_a_row_damaged_in_the_ledger_is_left_out_of_the_table(site, caplog):
+    caplog.set_level(logging.ERROR)
+    site.insert(10)
+    site.close()
+    site.file().unlink()
+    file = sqlite3.connect(site.folder / "ledger.sqlite")
+    (blob,) = file.execute("SELECT displacement FROM rows WHERE seq = 4").fetchone()
+    file.execute("UPDATE rows SET displacement = ? WHERE seq = 4", (b"\x01" + blob[1:],))
+    file.commit()
+    file.close()
+    site.open()
+    assert len(site.wrenches()) == 9
+    assert site.ledger.damaged == {4: "rig"}

@@ -1,0 +1,295 @@
+"""Withdrawing rows, filling on all rows, linear components, and a server on a bad disk."""
+
+import io
+import json
+import os
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import zipfile
+from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient
+
+from service.http.app import create_app
+from service.ledger import NewRow
+from service.workspace import Settings
+from tests.service.test_http_components import TABLE_ONLY, bar_text
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def unused():
+    """A port of this machine that nobody listens on."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+@pytest.fixture
+def rig(http):
+    assert http.post("/v1/components", json=TABLE_ONLY).status_code == 201
+    workspace = http.app.state.workspace
+    new = [NewRow((i / 10, 0, 0, 0, 0, 0), (i * 1e-7, 0, 0, 0, 0, 0)) for i in range(1, 6)]
+    workspace.ledger.insert_rows("rig", "", new)
+    workspace.tables.catch_up("rig", 20)
+    return [row.seq for row in workspace.ledger.rows("rig")]
+
+
+def exported(http, name="rig"):
+    return len(http.get(f"/v1/components/{name}/table", params={"format": "csv"}).text.splitlines())
+
+
+def test_a_withdrawn_row_leaves_table_and_export_and_restore_brings_it_back(http, rig):
+    before = exported(http)
+    gone = http.delete(f"/v1/components/rig/table/{rig[2]}")
+    assert gone.status_code == 200, gone.text
+    assert gone.json()["status"] == "withdrawn"
+    assert http.get("/v1/components/rig").json()["rows"] == 4
+    assert exported(http) == before - 1
+    back = http.post(f"/v1/components/rig/table/{rig[2]}/restore")
+    assert back.json()["table_version"] > gone.json()["table_version"]
+    assert http.get("/v1/components/rig").json()["rows"] == 5
+    assert exported(http) == before
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status"),
+    [
+        ("DELETE", "rig/table/99", 404),
+        ("POST", "rig/table/99/restore", 404),
+        ("DELETE", "plate/table/1", 404),
+        ("DELETE", "nope/table/1", 404),
+        ("POST", "rig/table/1/restore", 409),
+        ("DELETE", "rig/table/0", 422),
+        ("DELETE", "rig/table/99999999999999999999", 422),
+    ],
+)
+def test_withdrawing_what_cannot_be_is_a_problem(http, rig, method, path, status):
+    reply = http.request(method, f"/v1/components/{path}")
+    assert (reply.status_code, reply.headers["content-type"]) == (
+        status,
+        "application/problem+json",
+    )
+    assert reply.json()["detail"]
+    assert http.get("/v1/components/rig").json()["rows"] == 5
+
+
+def test_withdrawing_twice_is_409(http, rig):
+    assert http.delete(f"/v1/components/rig/table/{rig[0]}").status_code == 200
+    reply = http.delete(f"/v1/components/rig/table/{rig[0]}")
+    assert (reply.status_code, "withdrawn already" in reply.json()["detail"]) == (409, True)
+
+
+def test_the_row_calls_are_documented(http):
+    calls = http.get("/openapi.json").json()["paths"]
+    assert {"200", "404", "409"} <= set(
+        calls["/v1/components/{name}/table/{row}"]["delete"]["responses"]
+    )
+    assert "post" in calls["/v1/components/{name}/table/{row}/restore"]
+
+
+def test_a_job_whose_row_is_withdrawn_is_solved_again_when_asked(http):
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 20}
+    row = http.post("/v1/components/plate_thin/solve", json=body).json()
+    assert http.delete(f"/v1/components/plate_thin/table/{row['row']}").status_code == 200
+    again = http.post("/v1/components/plate_thin/solve", json=body).json()
+    job = http.get(again["job"]["url"]).json()
+    assert (job["status"], job["attempt"], again["source"]) == ("done", 2, "fea")
+
+
+def wait_for_jobs(http, name):
+    deadline = time.monotonic() + 30
+    while True:
+        counts = http.get(f"/v1/components/{name}").json()["jobs"]
+        if not counts["waiting"] + counts["running"]:
+            return counts
+        assert time.monotonic() < deadline, counts
+        time.sleep(0.02)
+
+
+def test_fill_never_pays_for_a_wrench_it_has_asked_for(http):
+    """24 of 24 solves of a round were those of the round before; "100 solves" were 77 jobs."""
+    asked = []
+    for _ in range(25):
+        order = http.post("/v1/components/plate_thin/fill", json={"budget": 3}).json()
+        asked += [job["id"] for job in order["jobs"]]
+        time.sleep(0.05)
+    assert len(asked) == len(set(asked)) > 60
+    assert wait_for_jobs(http, "plate_thin")["done"] == len(asked)
+
+
+def test_fill_says_so_when_the_table_is_behind_rather_than_design_on_it(http, monkeypatch):
+    workspace = http.app.state.workspace
+    monkeypatch.setattr("service.workspace.CATCH_UP_S", 0.1)
+    monkeypatch.setattr(workspace.tables, "_bring_up", lambda name: None)
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 20}
+    assert http.post("/v1/components/plate_thin/solve", json=body).status_code == 200
+    reply = http.post("/v1/components/plate_thin/fill", json={"budget": 3})
+    assert (reply.status_code, "older than the ledger" in reply.json()["detail"]) == (503, True)
+    assert sum(workspace.ledger.counts("plate_thin").values()) == 1
+
+
+ASKED = {"force": [0, 0, -50], "moment": [0, 0, 0], "on_thin": "estimate"}
+
+
+@pytest.mark.parametrize("added", [False, True])
+def test_a_linear_component_nobody_has_solved_solves_itself_when_first_asked(
+    folder, monkeypatch, added
+):
+    """`estimate` was answered with null until somebody thought of asking for one solve."""
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.delenv("WRENCHBOOK_SOLVE", raising=False)
+    name = "beam" if added else "bar"
+    with TestClient(create_app(Settings(folder, solvers=2))) as http:
+        if added:
+            buffer = io.BytesIO()
+            with zipfile.ZipFile(buffer, "w") as archive:
+                archive.writestr("component.toml", bar_text())
+            files = {"bundle": ("b.zip", buffer.getvalue(), "application/zip")}
+            assert http.post("/v1/components", files=files).status_code == 201
+        else:
+            http.get("/v1/components")
+            assert http.get("/v1/jobs").json()["jobs"] == []
+            for _ in range(3):
+                http.post(f"/v1/components/{name}/displacement", json=ASKED)
+        assert sum(http.get(f"/v1/components/{name}").json()["jobs"].values()) == 1
+        assert wait_for_jobs(http, name)["done"] == 1
+        reply = http.post(f"/v1/components/{name}/displacement", json=ASKED).json()
+        assert (reply["coverage"], reply["method"]) == ("covered", "linear")
+        assert np.isfinite(reply["translation"]).all()
+        assert len(http.get("/v1/jobs").json()["jobs"]) == 1
+
+
+def test_a_linear_component_whose_solves_bring_no_compliance_asks_for_all_six(http):
+    """As an expert's deck does: the first row does not tell the rest."""
+    name, deadline = "bar", time.monotonic() + 30
+    while http.post(f"/v1/components/{name}/displacement", json=ASKED).json()["coverage"] != (
+        "covered"
+    ):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert http.get(f"/v1/components/{name}").json()["jobs"]["done"] == 6
+
+
+def test_a_server_starts_and_answers_though_a_component_and_a_table_are_damaged(http, folder, rig):
+    http.post("/v1/components", json={**TABLE_ONLY, "name": "other"})
+    http.app.state.workspace.tables.stop()
+    (folder / "components" / "other" / "component.toml").write_text("")
+    raw = bytearray((folder / "tables" / "rig.h5").read_bytes())
+    raw[3000] ^= 64
+    (folder / "tables" / "rig.h5").write_bytes(raw)
+    with TestClient(create_app(Settings(folder, solvers=0))) as again:
+        ready = again.get("/health/ready")
+        assert (ready.status_code, list(ready.json()["broken"])) == (200, ["other"])
+        assert "name" in again.get("/v1/components").json()["broken"]["other"]
+        assert again.get("/v1/components/rig").json()["rows"] == 5
+        assert "cannot be used" in again.get("/v1/components/other").json()["detail"]
+
+
+def test_a_ledger_deleted_while_serving_is_told_and_nothing_is_accepted(http, folder, rig):
+    """Imports went on into nothing and were acknowledged."""
+    for path in folder.glob("ledger.sqlite*"):
+        path.unlink()
+    ready = http.get("/health/ready")
+    assert (ready.status_code, "deleted" in ready.json()["faults"][0]) == (503, True)
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0]}
+    refused = http.post("/v1/components/plate_thin/solve", json=body)
+    assert (refused.status_code, "deleted" in refused.json()["detail"]) == (503, True)
+    ask = {"force": [0.2, 0, 0], "moment": [0, 0, 0], "on_thin": "estimate"}
+    assert http.post("/v1/components/rig/displacement", json=ask).status_code == 200
+
+
+def test_a_component_on_a_full_disk_is_507_and_leaves_nothing(http, folder, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("service.library.library.sync_tree", full)
+    reply = http.post("/v1/components", json=TABLE_ONLY)
+    assert (reply.status_code, "No space left" in reply.json()["detail"]) == (507, True)
+    assert list((folder / "components").iterdir()) == []
+    monkeypatch.undo()
+    assert http.post("/v1/components", json=TABLE_ONLY).status_code == 201
+
+
+def no_space():
+    """Let the process write no byte more into any file; the log and the terminal are pipes."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+
+
+SERVE = """
+import sys, uvicorn
+from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+from service.http.app import create_app
+from service.workspace import Settings
+uvicorn.run(create_app(Settings(Path(sys.argv[1]), solvers=1)), port=int(sys.argv[2]))
+"""
+
+
+def call(port, path, body=None):
+    """Send one request to a server on this machine; return its status and answer."""
+    request = Request(
+        f"http://127.0.0.1:{port}{path}",
+        None if body is None else json.dumps(body).encode(),
+        {"Content-Type": "application/json"},
+    )
+    try:
+        with urlopen(request, timeout=20) as reply:
+            return reply.status, json.load(reply)
+    except HTTPError as error:
+        with error:
+            return error.code, json.load(error)
+
+
+@pytest.fixture
+def full_disk(folder, http, rig, unused):
+    """A server that could write no byte from its start on; its port."""
+    http.app.state.workspace.close()
+    environment = dict(os.environ, PYTHONPATH=str(ROOT))
+    command = [sys.executable, "-c", SERVE, str(folder), str(unused)]
+    server = subprocess.Popen(
+        command, env=environment, preexec_fn=no_space, stdout=-1, stderr=subprocess.STDOUT
+    )
+    log = []
+    reader = threading.Thread(target=lambda: log.extend(server.stdout))
+    reader.start()
+    try:
+        deadline = time.monotonic() + 40
+        while not any(b"Uvicorn running" in line for line in log):
+            assert server.poll() is None and time.monotonic() < deadline, log  # noqa: PT018
+            time.sleep(0.05)
+        yield unused
+    finally:
+        server.terminate()
+        server.wait(20)
+        reader.join()
+        server.stdout.close()
+
+
+def test_a_server_on_a_full_disk_starts_answers_and_refuses_to_accept(full_disk):
+    """It did not start at all."""
+    ask = {"force": [0.2, 0, 0], "moment": [0, 0, 0], "on_thin": "estimate"}
+    status, answer = call(full_disk, "/v1/components/rig/displacement", ask)
+    assert (status, answer["translation"][0]) == (200, pytest.approx(2e-7))
+    status, about = call(full_disk, "/v1/components/rig")
+    assert (status, about.get("rows")) == (200, 5), about
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0]}
+    status, refused = call(full_disk, "/v1/components/plate_thin/solve", body)
+    assert (status, refused["type"]) == (503, "urn:wrenchbook:problem:ledger")
+    status, refused = call(full_disk, "/v1/components", {**TABLE_ONLY, "name": "more"})
+    assert (status, refused["type"]) == (507, "urn:wrenchbook:problem:disk")
+    status, ready = call(full_disk, "/health/ready")
+    assert status == 503
+    assert ready["faults"]
