@@ -23,7 +23,10 @@ def wait_for(http, job):
 
 
 def load_plane_table(http, name="plane"):
-    """Load a table-only component with u = 1e-6 w on the corners of every axis."""
+    """Load a table-only component with u = 1e-6 w, on the corners of every axis and 20 more rows.
+
+    Those load all axes: without them nothing tells what loads of several axes do together.
+    """
     body = {"name": name, "title": "made up", "range": {"force": [100] * 3, "moment": [10] * 3}}
     assert http.post("/v1/components", json=body).status_code == 201
     rows = [{"wrench": [0.0] * 6, "displacement": [0.0] * 6}]
@@ -32,6 +35,9 @@ def load_plane_table(http, name="plane"):
             wrench = np.zeros(6)
             wrench[list(loads)] = (2 * np.array(corner) - 1) * [100.0, 10.0, 10.0]
             rows.append({"wrench": wrench.tolist(), "displacement": (1e-6 * wrench).tolist()})
+    for loads in np.random.default_rng(20).uniform(-1, 1, (20, 6)).round(3):
+        wrench = loads * ([100.0] * 3 + [10.0] * 3)
+        rows.append({"wrench": wrench.tolist(), "displacement": (1e-6 * wrench).tolist()})
     reply = http.post(f"/v1/components/{name}/table", json={"rows": rows})
     assert reply.status_code == 200, reply.text
     return rows
