@@ -113,15 +113,6 @@ CALLS: Final[dict[tuple[str, str], Call]] = {
     ("get", "/v1/components/{name}/compliance"): Call(
         {200: "the 6x6 and its checks"}, _OF_A_COMPONENT, {JSON: OBJECT}
     ),
-    ("get", "/v1/components/{name}/table"): Call(
-        {200: "the rows"}, _OF_A_COMPONENT, {JSON: OBJECT, "text/csv": TEXT}
-    ),
-    ("post", "/v1/components/{name}/table"): Call(
-        {200: "all rows are in the table, or dry_run's findings"},
-        (404, 413, 415, 422),
-        {JSON: OBJECT},
-        {JSON: OBJECT, "text/csv": TEXT},
-    ),
     ("get", "/v1/components/{name}/report"): Call(
         {200: "the latest report", 202: "the first one is being made"},
         _OF_A_COMPONENT,

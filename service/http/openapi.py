@@ -55,9 +55,9 @@ def _usual(path: str, operation: dict[str, Any]) -> Call:
 
 def _complete(path: str, operation: dict[str, Any], call: Call) -> None:
     """Add to an operation what it does not say by itself."""
-    operation["responses"] = _answers(operation["responses"], call) | {
-        str(status): {"description": REFUSALS[status], "content": _PROBLEM_CONTENT}
-        for status in call.all_refusals
+    told = operation["responses"]
+    operation["responses"] = _answers(told, call) | {
+        str(status): _refusal(told.get(str(status), {}), status) for status in call.all_refusals
     }
     if call.bodies and "requestBody" not in operation:
         content = {kind: {"schema": schema} for kind, schema in call.bodies.items()}
@@ -73,10 +73,16 @@ def _complete(path: str, operation: dict[str, Any], call: Call) -> None:
         operation["parameters"] = parameters
 
 
+def _refusal(told: dict[str, Any], status: int) -> dict[str, Any]:
+    """Return a problem with what the route says of it, or what all calls mean by it."""
+    described = told.get("content", {}).keys() <= {MEDIA_TYPE} and told.get("description")
+    return {"description": described or REFUSALS[status], "content": _PROBLEM_CONTENT}
+
+
 def _answers(told: dict[str, Any], call: Call) -> dict[str, Any]:
     """Return the answers that are not problems; FastAPI's own where the call says nothing."""
     if not call.answers:
-        return {status: one for status, one in told.items() if status.startswith("2")}
+        return {status: one for status, one in told.items() if status[0] in "23"}
     content = {kind: {"schema": schema} for kind, schema in call.replies.items()}
     plain: dict[str, Any] = {"application/json": {}}
     return {

@@ -14,11 +14,11 @@ def test_coverage_has_hull_gaps_and_conflicts(http):
     assert http.post(f"{CALL}/table", json={"rows": [other]}).status_code == 200
     body = http.get(f"{CALL}/coverage").json()
     assert body["component"] == "plane"
-    assert body["rows"] == 26
+    assert body["rows"] == 46
     assert [axis["axis"] for axis in body["gaps"]] == ["x", "y", "z"]
     assert len(body["gaps"][0]["hull"]) == 8
     assert body["gaps"][0]["outside"] == []
-    assert [conflict["rows"] for conflict in body["conflicts"]] == [[2, 26]]
+    assert [conflict["rows"] for conflict in body["conflicts"]] == [[2, 46]]
 
 
 def test_compliance_is_the_6x6_with_its_checks(http):

@@ -289,8 +289,9 @@ def test_openapi_lists_the_bodies_and_replies_of_both_table_calls(http):
     calls = http.get("/openapi.json").json()["paths"]["/v1/components/{name}/table"]
     assert set(calls["post"]["requestBody"]["content"]) == set(KINDS.values())
     assert set(calls["get"]["responses"]["200"]["content"]) == set(KINDS.values())
-    assert set(calls["get"]["responses"]) == {"200", "304", "404", "422"}
-    assert set(calls["post"]["responses"]) == {"200", "404", "413", "415", "422"}
+    assert set(calls["get"]["responses"]) == {"200", "304", "404", "422", "500", "503"}
+    refused = {"404", "413", "415", "422", "500", "503"}
+    assert set(calls["post"]["responses"]) == {"200", *refused}
     for call in calls.values():
         for status, reply in call["responses"].items():
             if status >= "400":

@@ -34,7 +34,7 @@ def test_the_limit_holds_when_many_threads_of_two_processes_queue_at_once(opened
 
     with ThreadPoolExecutor(8) as pool:
         placed = [one for found in pool.map(ask, range(8)) for one in found]
-    assert len(opened[0].open_wrenches(NAME)) == 10
+    assert len(opened[0].asked_wrenches(NAME)) == 10
     assert {one.job.id for one in placed if one.job} == set(range(1, 11))
     assert any(one.job is None for one in placed)
 

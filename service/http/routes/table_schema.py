@@ -10,15 +10,6 @@ MEDIA_TYPES: Final = {
     "hdf5": "application/x-hdf5",
 }
 
-_PROBLEM: Final = {
-    "type": "object",
-    "properties": {
-        "type": {"type": "string"},
-        "title": {"type": "string"},
-        "status": {"type": "integer"},
-        "detail": {"type": "string", "description": "what is wrong and what to do"},
-    },
-}
 _ROW_ERROR: Final = {
     "type": "object",
     "properties": {
@@ -88,26 +79,16 @@ _REPLY: Final = {
 }
 
 
-def _problem(description: str, **properties: Any) -> dict[str, Any]:
-    schema = {**_PROBLEM, "properties": {**_PROBLEM["properties"], **properties}}
-    return {"description": description, "content": {"application/problem+json": {"schema": schema}}}
-
-
 _ETAG: Final = {"ETag": {"schema": {"type": "string"}, "description": "the table version"}}
-_UNKNOWN: Final = _problem("no such component")
-_ROWS: Final = {"errors": {"type": "array", "items": _ROW_ERROR}}
 
 EXPORT_REPLIES: Final[dict[int | str, dict[str, Any]]] = {
     200: {"description": "the table", "content": _FILES, "headers": _ETAG},
     304: {"description": "the version named by If-None-Match is the present one", "headers": _ETAG},
-    404: _UNKNOWN,
-    422: _problem("no such format, or a unit that does not measure its quantity"),
 }
 IMPORT_REPLIES: Final[dict[int | str, dict[str, Any]]] = {
     200: {"description": "all rows are in", "content": {"application/json": {"schema": _REPLY}}},
-    404: _UNKNOWN,
-    413: _problem("the table is too large; send it in parts"),
-    415: _problem("the content type is no form of a table"),
-    422: _problem("the table has mistakes; nothing was loaded", **_ROWS),
+    413: {"description": "the table is too large; send it in parts"},
+    415: {"description": "the content type is no form of a table"},
+    422: {"description": "the table has mistakes; nothing was loaded"},
 }
 IMPORT_BODY: Final[dict[str, Any]] = {"requestBody": {"required": True, "content": _FILES}}
