@@ -22,7 +22,7 @@ from service.report.queue import Reports
 from service.tables.live import Tables
 from surrogate.build import AnyTable
 from surrogate.design import Design, next_wrenches
-from surrogate.rows import Tolerance
+from surrogate.table.rows import Tolerance
 
 log = logging.getLogger(__name__)
 

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from surrogate.axes import AxisRows
 from surrogate.errorbar import RowBars, calibrate
 from surrogate.hull import nearest_in_hull
 from surrogate.interpolant import Indices, Interpolant
 from surrogate.momentline import MomentLine
-from surrogate.rows import Floats, LoadRange
 from surrogate.slopes import edge_bends, quadratic_maps, row_slopes, simplex_slopes
+from surrogate.table.axes import AxisRows
+from surrogate.table.rows import Floats, LoadRange
 
 # The largest part of the load range, by dimension, that one simplex may take before it is `thin`.
 LARGEST = {0: 1.0, 1: 0.4, 2: 0.2, 3: 0.1}

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrogate.answers import COVERED, OUTSIDE, THIN, Batch
-from surrogate.axes import AXES, Axis
 from surrogate.axistable import SOUND, AxisTable
-from surrogate.compliance import ComplianceFit
 from surrogate.composition import AtRest, Composition
 from surrogate.nearest import NearestRow
-from surrogate.rows import Floats, LoadRange
+from surrogate.table.axes import AXES, Axis
+from surrogate.table.compliance import ComplianceFit
+from surrogate.table.rows import Floats, LoadRange
 
 Mask = NDArray[np.bool_]
 NOWHERE = -1  # the table and the simplex of what rests on no row

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from surrogate.axes import OffAxis
 from surrogate.missing import MissingOutputs
-from surrogate.rows import LoadRange, Rows, Tolerance
 from surrogate.surrogate import Surrogate
+from surrogate.table.axes import OffAxis
+from surrogate.table.rows import LoadRange, Rows, Tolerance
 
 AnyTable = Surrogate | MissingOutputs
 

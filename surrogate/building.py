@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.axes import AXES, CLEAN, AxisRows, OffAxis, axis_rows, clean_rows
 from surrogate.axistable import AxisTable
-from surrogate.compliance import LEAST, SMALLEST, ComplianceFit
 from surrogate.composition import AtRest, Composition
 from surrogate.influence import Influence, fit_output, monomials, shown_by
 from surrogate.leftout import LeftOut, across_axes, acting_together
-from surrogate.rows import Floats, LoadRange, Rows
+from surrogate.table.axes import AXES, CLEAN, AxisRows, OffAxis, axis_rows, clean_rows
+from surrogate.table.compliance import LEAST, SMALLEST, ComplianceFit
+from surrogate.table.rows import Floats, LoadRange, Rows
 
 FULL_FOLDS = 4
 ROUNDING = 1e-9  # of displacements

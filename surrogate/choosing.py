@@ -8,8 +8,8 @@ import numpy as np
 
 from surrogate.composition import Composition
 from surrogate.heldout import hold_out
-from surrogate.rows import OUTPUTS, Floats
 from surrogate.straight import StraightSplines
+from surrogate.table.rows import OUTPUTS, Floats
 
 CLEARLY = 0.8  # of the error of `griddata`: what another method must reach to be chosen
 

@@ -23,11 +23,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.axes import AXES
 from surrogate.axistable import AxisTable
 from surrogate.leftout import LeftOut
 from surrogate.order import curve_order
-from surrogate.rows import Floats
+from surrogate.table.axes import AXES
+from surrogate.table.rows import Floats
 
 _INPUTS = tuple(axis.inputs for axis in AXES)
 

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 LEVEL = 0.95  # of the errors that a bar should hold
 CAUTION = 6.0  # a quantile of h errors is enlarged by this over h

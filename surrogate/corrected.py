@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.axes import clean_rows
-from surrogate.rows import Floats, LoadRange, Rows
 from surrogate.spline import MOST, Spline
 from surrogate.straight import StraightSplines
+from surrogate.table.axes import clean_rows
+from surrogate.table.rows import Floats, LoadRange, Rows
 
 CLEAN_SHARE = 0.6  # of the equations, at most, are clean rows'
 

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from surrogate.answers import COVERED, NAMES, THIN
-from surrogate.axes import AXES, Axis
 from surrogate.axistable import DEGENERATE, LARGE, LARGEST, AxisTable
 from surrogate.batches import NOWHERE, Spots, diagnose
-from surrogate.compliance import ComplianceFit
 from surrogate.composition import Composition
-from surrogate.rows import LOAD_UNITS, LOADS, OUTPUTS, Floats
+from surrogate.table.axes import AXES, Axis
+from surrogate.table.compliance import ComplianceFit
+from surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUTS, Floats
 
 UNKNOWN_AT_REST = (
     "no row is at zero load and the rows of no axis surround it: what the component does without "

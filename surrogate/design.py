@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
-from surrogate.axes import AXES, CLEAN, clean_rows
 from surrogate.axistable import AxisTable
 from surrogate.build import AnyTable
 from surrogate.composition import Composition
 from surrogate.firstdesign import Known, axis_box, first_design, full_wrenches
 from surrogate.leftout import LeftOut
-from surrogate.rows import Floats, Rows, Tolerance
 from surrogate.surrogate import ENOUGH_FULL
+from surrogate.table.axes import AXES, CLEAN, clean_rows
+from surrogate.table.rows import Floats, Rows, Tolerance
 
 SAMPLE = 256  # wrenches at which the composed error bar is held against the tolerance
 
@@ -64,10 +64,10 @@ def next_wrenches(
     asked.
     """
     waiting = np.empty((0, 6)) if pending is None else np.asarray(pending, dtype=float)
-    known = Known(surrogate.load_range, surrogate.rows.wrench, waiting.reshape(-1, 6))
+    known = Known(surrogate.load_range, surrogate.table.rows.wrench, waiting.reshape(-1, 6))
     if surrogate.linear:
         return _linear_design(surrogate, known, budget)
-    tangents = bool(np.isfinite(surrogate.rows.compliance).all(axis=(1, 2)).any())
+    tangents = bool(np.isfinite(surrogate.table.rows.compliance).all(axis=(1, 2)).any())
     first = known.new(first_design(surrogate.load_range, tangents=tangents))
     if len(first):
         return Design(first[:budget], "first", f"{len(first)} wrenches of the first design to go")
@@ -85,10 +85,10 @@ def _linear_design(surrogate: AnyTable, known: Known, budget: int) -> Design:
         surrogate.load_range.high > 0, surrogate.load_range.high, surrogate.load_range.low
     )
     single = np.diag(np.where(full != 0, full, 1.0))
-    if not len(surrogate.rows):
+    if not len(surrogate.table.rows):
         single = single[:1]
     fresh = known.new(single)
-    if len(known.pending) and not len(surrogate.rows):
+    if len(known.pending) and not len(surrogate.table.rows):
         fresh = fresh[:0]
     return Design(fresh[:budget], "first", "a solve that tells the 6x6 compliance is needed")
 

@@ -28,7 +28,7 @@ import numpy as np
 from surrogate.conformal import conformal_factor
 from surrogate.heldout import HeldOut, hold_out
 from surrogate.interpolant import Indices, Interpolant
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 # Noise of unit variance in each row leaves a variance of sum_i lambda_i^2 in an answer, and one
 # more in a held-out error. `NOISY` is the part of their variance that the bend leaves unexplained,

@@ -13,8 +13,8 @@ from itertools import product
 import numpy as np
 from scipy.stats import qmc
 
-from surrogate.axes import AXES, CLEAN, Axis, clean_rows
-from surrogate.rows import Floats, LoadRange, Rows
+from surrogate.table.axes import AXES, CLEAN, Axis, clean_rows
+from surrogate.table.rows import Floats, LoadRange, Rows
 
 # Wrenches of the first design, by how many of the axis' three loads vary; with tangents fewer.
 FIRST = {0: 1, 1: 7, 2: 15, 3: 27}

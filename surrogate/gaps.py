@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from surrogate.axes import AXES, Axis
 from surrogate.axistable import SOUND, AxisTable
 from surrogate.build import AnyTable
 from surrogate.firstdesign import axis_box
-from surrogate.rows import LOADS, OUTPUTS, Floats, LoadRange
+from surrogate.table.axes import AXES, Axis
+from surrogate.table.rows import LOADS, OUTPUTS, Floats, LoadRange
 
 MOST_SPOTS = 5
 MOST_VERTICES = 200

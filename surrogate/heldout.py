@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from surrogate.interpolant import Indices, Interpolant
-from surrogate.rows import Floats
 from surrogate.slopes import bend_of
+from surrogate.table.rows import Floats
 
 # How many folds the points are drawn into, and how many of those are held out, by the number of
 # points up to which it holds. What is predicted from two thirds of many points errs by as much,

@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 MOST_STEPS = 60  # each takes a vertex nearer; some ten are usual
 NEARER = 1e-13  # of the squared distances at hand: less is rounding

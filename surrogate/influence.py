@@ -15,8 +15,8 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from surrogate.axes import AXES
-from surrogate.rows import Floats
+from surrogate.table.axes import AXES
+from surrogate.table.rows import Floats
 
 TERMS = tuple(term for d in (1, 2, 3) for term in combinations_with_replacement(range(6), d))
 DEGREES = np.array([len(term) for term in TERMS])

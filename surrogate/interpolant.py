@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay, KDTree, QhullError
 
 from surrogate.order import curve_order
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 Indices = NDArray[np.intp]
 

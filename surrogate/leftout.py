@@ -19,10 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surrogate.axes import AXES
 from surrogate.conformal import LEVEL, conformal_factor
 from surrogate.influence import NO_INFLUENCE, Influence
-from surrogate.rows import Floats
+from surrogate.table.axes import AXES
+from surrogate.table.rows import Floats
 
 POWERS = (1.0, 0.5)
 ACROSS_LEVEL = 0.9

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from surrogate.answers import Answer, judged
-from surrogate.axes import AXES, CLEAN
-from surrogate.compliance import ComplianceFit
-from surrogate.rows import LOAD_UNITS, LOADS, OUTPUTS, LoadRange, Rows, Tolerance
+from surrogate.table.axes import AXES, CLEAN
+from surrogate.table.compliance import ComplianceFit
+from surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUTS, LoadRange, Rows, Tolerance
 
 
 def answer_linearly(

@@ -14,16 +14,16 @@ from functools import cached_property
 
 import numpy as np
 
-from surrogate.axes import clean_rows
 from surrogate.building import axes_of
 from surrogate.choosing import Choice, choose, straight_scores
-from surrogate.compliance import ComplianceFit
 from surrogate.composition import Composed, Composition
 from surrogate.conformal import conformal_factor
 from surrogate.corrected import Corrected
 from surrogate.leftout import product_sizes
-from surrogate.rows import Floats, LoadRange, Rows
 from surrogate.straight import StraightSplines
+from surrogate.table.axes import clean_rows
+from surrogate.table.compliance import ComplianceFit
+from surrogate.table.rows import Floats, LoadRange, Rows
 
 FEW_FULL = 10  # full-wrench rows below which they calibrate no bar and choose no method
 SLOWEST = 2e-3  # s a single answer may take for `auto` to choose its method

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surrogate.answers import NAMES, Answer, Batch
-from surrogate.axes import OffAxis
-from surrogate.compliance import ComplianceFit
 from surrogate.composition import Composition
-from surrogate.conflicts import row_conflicts
-from surrogate.rows import OUTPUTS, LoadRange, Rows, Tolerance
 from surrogate.surrogate import Surrogate
+from surrogate.table.axes import OffAxis
+from surrogate.table.compliance import ComplianceFit
+from surrogate.table.conflicts import row_conflicts
+from surrogate.table.rows import OUTPUTS, LoadRange, Rows, Tolerance
 
 
 class MissingOutputs:

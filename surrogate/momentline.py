@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrogate.interpolant import Indices, Interpolant
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 APART = 1e-12  # stations closer than this, in scaled units, are one
 

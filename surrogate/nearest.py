@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from surrogate.compliance import LEAST, SMALLEST
 from surrogate.conformal import conformal_factor
-from surrogate.rows import Floats, LoadRange, Rows
+from surrogate.table.compliance import LEAST, SMALLEST
+from surrogate.table.rows import Floats, LoadRange, Rows
 
 
 class NearestRow:

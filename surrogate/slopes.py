@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from surrogate.interpolant import Indices, Interpolant
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 NEIGHBOURS = {1: 4, 2: 9, 3: 16}  # of a fitted quadratic, by dimension: not quite two per unknown
 RIDGE = 1e-10

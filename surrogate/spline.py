@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgWarning, lu_factor, lu_solve
 
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 MOST = 2600  # equations; solving them takes about two seconds
 FLAT = 1e-9

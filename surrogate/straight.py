@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.axes import AXES, AxisRows, axis_rows
-from surrogate.compliance import ComplianceFit
 from surrogate.conformal import conformal_factor
 from surrogate.errorbar import FEWEST
-from surrogate.rows import Floats, LoadRange, Rows
 from surrogate.spline import MOST, Spline
+from surrogate.table.axes import AXES, AxisRows, axis_rows
+from surrogate.table.compliance import ComplianceFit
+from surrogate.table.rows import Floats, LoadRange, Rows
 
 # Order and smoothing of the splines tried; the one with the smallest left-out errors is kept.
 TRIED = ((5, 0.0), (3, 0.0), (3, 1e-2), (3, 1e-1))

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from surrogate.axes import AXES
 from surrogate.axistable import SOUND, AxisTable
-from surrogate.compliance import ComplianceFit
 from surrogate.composition import Composition
-from surrogate.conflicts import row_conflicts
-from surrogate.rows import LOADS, OUTPUTS, LoadRange, Rows
+from surrogate.table.axes import AXES
+from surrogate.table.compliance import ComplianceFit
+from surrogate.table.conflicts import row_conflicts
+from surrogate.table.rows import LOADS, OUTPUTS, LoadRange, Rows
 
 
 def summarise(

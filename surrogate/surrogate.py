@@ -22,7 +22,6 @@ from surrogate.answers import (
     judged,
     over_tolerance,
 )
-from surrogate.axes import OffAxis, clean_rows
 from surrogate.batches import (
     diagnose,
     nothing_known,
@@ -30,15 +29,16 @@ from surrogate.batches import (
     read_many_nearest,
 )
 from surrogate.building import build_composition
-from surrogate.compliance import ComplianceFit, fit_compliance
 from surrogate.composition import Composition
 from surrogate.coverage import Careful, read_carefully
 from surrogate.linear import answer_linearly, explain_linearly
-from surrogate.merging import merge
 from surrogate.methods import Methods
 from surrogate.nearest import NearestRow
-from surrogate.rows import CLEAN, OUTPUTS, Floats, LoadRange, Rows, Tolerance
 from surrogate.summary import summarise
+from surrogate.table.axes import OffAxis, clean_rows
+from surrogate.table.compliance import ComplianceFit, fit_compliance
+from surrogate.table.merging import merge
+from surrogate.table.rows import CLEAN, OUTPUTS, Floats, LoadRange, Rows, Tolerance
 
 # Full wrenches, or rows with tangents, from which on a table can tell what loads of several axes do
 # together: with fewer, 3 to 26 % of the errors at full wrenches lay inside the bars.

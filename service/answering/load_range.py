@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.rows import LOAD_UNITS, LOADS, LoadRange
+from surrogate.table.rows import LOAD_UNITS, LOADS, LoadRange
 
 
 def why_beyond(load_range: LoadRange, wrench: NDArray[np.float64]) -> str:

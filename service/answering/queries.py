@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.ledger import Job
-from surrogate.rows import Tolerance
+from surrogate.table.rows import Tolerance
 
 Floats = NDArray[np.float64]
 Wanted = Literal["queue", "wait", "estimate", "reject", "solve"]

@@ -12,7 +12,7 @@ from service.answering.queries import BatchQuery
 from service.http.bodies import MAX_BATCH, Body, Flag, OnThin, Seconds
 from service.http.parsing import known_method
 from service.http.problems import bad_body, plain_errors
-from surrogate.rows import LOADS, Tolerance
+from surrogate.table.rows import LOADS, Tolerance
 
 MEDIA_TYPE: Final = "application/octet-stream"
 ROW_BYTES: Final = 6 * 8

@@ -13,7 +13,7 @@ from service.answering.queries import BatchQuery, Query
 from service.http.bodies import BatchBody, Body, DisplacementBody, OnThin, SolveBody
 from service.http.problems import bad_body, plain_errors
 from surrogate.answers import METHODS
-from surrogate.rows import Tolerance
+from surrogate.table.rows import Tolerance
 
 _PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})
 _ON_THIN: dict[str, OnThin] = {word: word for word in get_args(OnThin)}

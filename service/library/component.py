@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from fea.bundle.read import Bundle
-from surrogate.rows import LoadRange, Tolerance
+from surrogate.table.rows import LoadRange, Tolerance
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from service.jobs.attempt import PROGRESS, Progress, write_whole
 from service.report.measure import measure
 from service.report.page import as_page
 from service.report.text import as_markdown
-from surrogate.store import read_table
+from surrogate.table.hdf5 import read_table
 
 ORDER, FAILURE = "order.json", "failure.json"
 

@@ -19,7 +19,7 @@ from fea.solve import Solver
 from fea.spec.schema import Bundle
 from surrogate.answers import METHODS
 from surrogate.build import AnyTable, build
-from surrogate.rows import LoadRange, Rows
+from surrogate.table.rows import LoadRange, Rows
 
 Array = np.ndarray
 Report = Callable[[float, str], None]

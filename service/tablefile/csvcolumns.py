@@ -13,7 +13,7 @@ from service.tablefile.exact import to_si, vanished
 from service.tablefile.header import Column, Header
 from service.tablefile.limits import excesses
 from service.tablefile.parsed import Array, ParsedTable, RowError, listed, text_problem
-from surrogate.rows import LoadRange
+from surrogate.table.rows import LoadRange
 
 
 class Columns:

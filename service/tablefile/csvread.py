@@ -24,7 +24,7 @@ from service.tablefile.csvlines import (
 from service.tablefile.decimalmark import plain
 from service.tablefile.header import Header
 from service.tablefile.parsed import ParsedTable, RowError, refused
-from surrogate.rows import LoadRange
+from surrogate.table.rows import LoadRange
 
 _LINE_END = re.compile(r"\r\n|\r|\n")
 

@@ -1,6 +1,6 @@
 """Tables as HDF5: the form of the table store, with what an upload may not be.
 
-The store's own file (`surrogate.store`) is what is sent and taken, so that one file serves both.
+The store's own file (`surrogate.table.hdf5`) is what is sent and taken, so that one file serves both.
 Always SI. It holds no notes.
 """
 
@@ -24,8 +24,8 @@ from service.tablefile.parsed import (
     refused,
     text_problem,
 )
-from surrogate.rows import LoadRange, Rows
-from surrogate.store import TableMeta, read_foreign_table, write_table
+from surrogate.table.hdf5 import TableMeta, read_foreign_table, write_table
+from surrogate.table.rows import LoadRange, Rows
 
 
 def write_hdf5(table: TableRows, seq: Sequence[int], meta: TableMeta) -> bytes:

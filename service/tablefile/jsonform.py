@@ -29,7 +29,7 @@ from service.tablefile.parsed import (
     text_problem,
     texts_of,
 )
-from surrogate.rows import LoadRange
+from surrogate.table.rows import LoadRange
 
 _AROUND = ("units", "rows", "component", "table_version")
 _KEYS = ("wrench", "displacement", "uncertainty", "compliance", *TEXTS)

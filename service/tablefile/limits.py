@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.tablefile.header import DISPLACEMENT, WRENCH
-from surrogate.rows import LoadRange
+from surrogate.table.rows import LoadRange
 
 Array = np.ndarray
 

@@ -10,8 +10,8 @@ import numpy as np
 from service.contract import CONTRACT
 from service.ledger import Ledger, LedgerUnavailableError, NewRow
 from service.library.component import Component
-from surrogate.rows import Rows
-from surrogate.store import TableFileError, TableMeta, read_table, write_table
+from surrogate.table.hdf5 import TableFileError, TableMeta, read_table, write_table
+from surrogate.table.rows import Rows
 
 log = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ from service.contract import CONTRACT
 from service.ledger import Ledger, NewRow
 from service.library.component import Component
 from service.tablefile import ParsedTable, RowError
-from surrogate.store import TableMeta
+from surrogate.table.hdf5 import TableMeta
 
 FEA = "fea"
 MEASURED = "measured"

@@ -19,7 +19,7 @@ from fea.solve import Solver
 from surrogate.answers import METHODS
 from surrogate.build import build
 from surrogate.design import next_wrenches
-from surrogate.rows import LoadRange, Rows
+from surrogate.table.rows import LoadRange, Rows
 
 COMPONENTS = Path(__file__).parents[2] / "data" / "components"
 CAP = int(os.environ.get("FILL_CAP", "400"))

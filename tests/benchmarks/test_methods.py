@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator
 
 from surrogate.build import build
-from surrogate.rows import OUTPUTS, Rows
+from surrogate.table.rows import OUTPUTS, Rows
 from tests.surrogate.calibrating import Shipped, shipped
 
 

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import LinearNDInterpolator, griddata
 
-from surrogate.axes import AXES
 from surrogate.build import build
-from surrogate.rows import Rows, Tolerance
 from surrogate.surrogate import Surrogate
+from surrogate.table.axes import AXES
+from surrogate.table.rows import Rows, Tolerance
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
 
 ASKED = full_wrenches(2000, 7) * 0.9

@@ -12,7 +12,7 @@ from service.library.library import SHIPPED
 from service.report.measure import errors, measure, pareto
 from service.report.page import as_page
 from service.report.text import as_markdown
-from surrogate.rows import LoadRange, Rows
+from surrogate.table.rows import LoadRange, Rows
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 
 from service.tablefile import ParsedTable, RowError, read_csv
 from service.tablefile.header import COMPLIANCE
-from surrogate.rows import LoadRange
+from surrogate.table.rows import LoadRange
 
 SI = (
     "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],"

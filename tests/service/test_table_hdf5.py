@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from service.tablefile import ParsedTable, read_hdf5, write_hdf5
-from surrogate.rows import LoadRange, Rows
-from surrogate.store import TableMeta
+from surrogate.table.hdf5 import TableMeta
+from surrogate.table.rows import LoadRange, Rows
 
 RANGE = LoadRange(-np.ones(6), np.ones(6))
 META = TableMeta("plate", 9, RANGE)

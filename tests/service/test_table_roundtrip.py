@@ -26,8 +26,8 @@ from service.tablefile import (
 )
 from service.tablefile.exact import in_unit, to_si
 from service.tablefile.units import QUANTITIES, si_factor
-from surrogate.rows import LoadRange
-from surrogate.store import TableMeta
+from surrogate.table.hdf5 import TableMeta
+from surrogate.table.rows import LoadRange
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 moves = st.floats(-10, 10)  # m, what a table may hold

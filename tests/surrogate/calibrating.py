@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from surrogate.build import build
-from surrogate.rows import LoadRange, Rows
 from surrogate.surrogate import Surrogate
+from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.responses import HIGH, RANGE, Response, clean_wrenches, full_wrenches, table
 from tests.surrogate.responses import smooth as smooth_response
 

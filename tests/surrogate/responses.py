@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from surrogate.axes import AXES
-from surrogate.rows import LoadRange, Rows
+from surrogate.table.axes import AXES
+from surrogate.table.rows import LoadRange, Rows
 
 HIGH = np.array([1000.0, 1000.0, 5000.0, 500.0, 500.0, 200.0])
 RANGE = LoadRange(-HIGH, HIGH)

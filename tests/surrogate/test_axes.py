@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from surrogate.axes import AXES, axis_rows, clean_rows
-from surrogate.compliance import fit_compliance
-from surrogate.rows import Rows
+from surrogate.table.axes import AXES, axis_rows, clean_rows
+from surrogate.table.compliance import fit_compliance
+from surrogate.table.rows import Rows
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
 
 COMPLIANCE = np.array(np.random.default_rng(0).normal(size=(6, 6))) * 1e-6

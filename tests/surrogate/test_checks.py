@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from surrogate.build import build
-from surrogate.checks import check_physics
-from surrogate.compliance import fit_compliance
-from surrogate.conflicts import conflicts
 from surrogate.gaps import axis_gaps
-from surrogate.rows import Rows
+from surrogate.table.compliance import fit_compliance
+from surrogate.table.conflicts import conflicts
+from surrogate.table.physics_checks import check_physics
+from surrogate.table.rows import Rows
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
 
 ROOT = np.random.default_rng(3).normal(size=(6, 6)) + 3 * np.eye(6)

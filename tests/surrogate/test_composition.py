@@ -3,9 +3,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import griddata
 
-from surrogate.axes import AXES
 from surrogate.build import build
-from surrogate.rows import LoadRange, Rows
+from surrogate.table.axes import AXES
+from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
 
 

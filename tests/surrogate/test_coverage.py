@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surrogate.build import build
-from surrogate.rows import LoadRange, Rows, Tolerance
+from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.calibrating import with_slopes
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, smooth, table
 

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from surrogate.axes import clean_rows
 from surrogate.build import build
 from surrogate.design import next_wrenches
 from surrogate.firstdesign import first_design
-from surrogate.rows import LoadRange, Rows, Tolerance
+from surrogate.table.axes import clean_rows
+from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, smooth, table
 
 EMPTY = build(Rows.empty(), RANGE)

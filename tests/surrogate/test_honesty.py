@@ -13,7 +13,7 @@ from surrogate.answers import METHODS, UnknownMethodError
 from surrogate.build import build
 from surrogate.hull import nearest_in_hull
 from surrogate.missing import MissingOutputs
-from surrogate.rows import Rows
+from surrogate.table.rows import Rows
 from tests.surrogate.calibrating import with_slopes
 from tests.surrogate.responses import (
     HIGH,

@@ -6,9 +6,9 @@ import pytest
 from surrogate.answers import COMPOSED
 from surrogate.build import build
 from surrogate.interpolant import Interpolant
-from surrogate.rows import LoadRange, Rows
 from surrogate.slopes import bend_of
 from surrogate.spline import Spline
+from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.calibrating import calibration, noisy, shipped, with_slopes
 from tests.surrogate.responses import (
     HIGH,

@@ -7,10 +7,10 @@ import json
 import numpy as np
 
 from service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
-from surrogate.checks import check_physics
 from surrogate.gaps import axis_gaps
-from surrogate.rows import LOADS, OUTPUTS
 from surrogate.surrogate import Surrogate
+from surrogate.table.physics_checks import check_physics
+from surrogate.table.rows import LOADS, OUTPUTS
 from tests.surrogate.responses import RANGE, clean_wrenches, smooth, table
 
 
@@ -37,7 +37,7 @@ def test_no_key_or_list_that_leaves_the_room_spells_them_another_way() -> None:
         "linear": surrogate.explain([100.0, 50, 30, 4, 5, 6], None, "linear"),
         "gaps": axis_gaps(surrogate),
         "summary": surrogate.coverage_summary(),
-        "checks": check_physics(surrogate.rows, RANGE, surrogate.fit),
+        "checks": check_physics(surrogate.table.rows, RANGE, surrogate.fit),
     }
     words = keys_and_words(json.loads(json.dumps(told)))
     assert not words & {*LOADS, *OUTPUTS}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surrogate.build import build
-from surrogate.rows import RowError, Rows
+from surrogate.table.rows import RowError, Rows
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth
 
 SCALED = clean_wrenches(40, 1)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surrogate.build import build
-from surrogate.rows import Rows
+from surrogate.table.rows import Rows
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -7,8 +7,8 @@ import pytest
 
 from surrogate.build import build
 from surrogate.interpolant import Interpolant
-from surrogate.rows import LoadRange, Rows
 from surrogate.surrogate import Surrogate
+from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.responses import (
     HIGH,
     RANGE,

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from surrogate import store
-from surrogate.rows import LoadRange, Rows
-from surrogate.store import SCHEMA_VERSION, TableFileError, TableMeta, read_table, write_table
+from surrogate.table import hdf5 as store
+from surrogate.table.hdf5 import SCHEMA_VERSION, TableFileError, TableMeta, read_table, write_table
+from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, smooth, table
 
 META = TableMeta(component="plate", last_seq=41, load_range=RANGE, fingerprint="abc", title="Plate")

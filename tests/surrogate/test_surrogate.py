@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from surrogate.answers import METHODS
 from surrogate.build import build
-from surrogate.rows import LoadRange, Rows, Tolerance
+from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.responses import (
     HIGH,
     RANGE,

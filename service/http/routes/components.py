@@ -19,7 +19,7 @@ from service.http.problems import ProblemError, bad_body
 from service.library.checked import interface_of, warnings_of
 from service.library.component import Component
 from service.workspace import Workspace
-from surrogate.rows import Tolerance
+from surrogate.table.rows import Tolerance
 
 router = APIRouter(prefix="/v1/components", tags=["components"])
 CATCH_UP_S = 25.0
@@ -109,7 +109,7 @@ def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
 def component_body(workspace: Workspace, component: Component) -> dict[str, Any]:
     """Return all there is to say about a component."""
     surrogate = workspace.tables.surrogate(component.name)
-    sources, counts = np.unique(surrogate.rows.source, return_counts=True)
+    sources, counts = np.unique(surrogate.table.rows.source, return_counts=True)
     return {
         **_summary(workspace, component),
         "fingerprint": component.fingerprint,
@@ -139,6 +139,6 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
         "tolerance": (
             {"translation": limit.translation, "rotation": limit.rotation} if limit else None
         ),
-        "rows": len(surrogate.rows),
+        "rows": len(surrogate.table.rows),
         "table_version": surrogate.version,
     }

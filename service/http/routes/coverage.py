@@ -10,9 +10,9 @@ from starlette.responses import Response
 from service.http.replies import json_reply
 from service.workspace import Workspace
 from surrogate.build import AnyTable
-from surrogate.checks import check_physics
 from surrogate.gaps import axis_gaps
-from surrogate.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
+from surrogate.table.physics_checks import check_physics
+from surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"])
 CATCH_UP_S = 30.0
@@ -38,7 +38,7 @@ def compliance(name: str, request: Request) -> Response:
         "error": fit.bar.tolist(),
         "rows": [f"{name} [{unit}]" for name, unit in zip(OUTPUTS, OUTPUT_UNITS, strict=True)],
         "columns": [f"{name} [{unit}]" for name, unit in zip(LOADS, LOAD_UNITS, strict=True)],
-        **check_physics(surrogate.rows, surrogate.load_range, fit),
+        **check_physics(surrogate.table.rows, surrogate.load_range, fit),
     }
     return json_reply(body)
 
