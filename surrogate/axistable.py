@@ -10,10 +10,15 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from surrogate.errorbar import RowBars, calibrate
-from surrogate.hull import nearest_in_hull
-from surrogate.interpolant import Indices, Interpolant
+from surrogate.interpolation.delaunay import Indices, Interpolant
+from surrogate.interpolation.hull import nearest_in_hull
+from surrogate.interpolation.slope_recovery import (
+    edge_bends,
+    quadratic_maps,
+    row_slopes,
+    simplex_slopes,
+)
 from surrogate.momentline import MomentLine
-from surrogate.slopes import edge_bends, quadratic_maps, row_slopes, simplex_slopes
 from surrogate.table.axes import AxisRows
 from surrogate.table.rows import Floats, LoadRange
 

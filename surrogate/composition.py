@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrogate.axistable import AxisTable
+from surrogate.interpolation.morton import curve_order
 from surrogate.leftout import LeftOut
-from surrogate.order import curve_order
 from surrogate.table.axes import AXES
 from surrogate.table.rows import Floats
 

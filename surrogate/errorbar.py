@@ -27,7 +27,7 @@ import numpy as np
 
 from surrogate.conformal import conformal_factor
 from surrogate.heldout import HeldOut, hold_out
-from surrogate.interpolant import Indices, Interpolant
+from surrogate.interpolation.delaunay import Indices, Interpolant
 from surrogate.table.rows import Floats
 
 # Noise of unit variance in each row leaves a variance of sum_i lambda_i^2 in an answer, and one

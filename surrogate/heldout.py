@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surrogate.interpolant import Indices, Interpolant
-from surrogate.slopes import bend_of
+from surrogate.interpolation.delaunay import Indices, Interpolant
+from surrogate.interpolation.slope_recovery import bend_of
 from surrogate.table.rows import Floats
 
 # How many folds the points are drawn into, and how many of those are held out, by the number of

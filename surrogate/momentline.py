@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.interpolant import Indices, Interpolant
+from surrogate.interpolation.delaunay import Indices, Interpolant
 from surrogate.table.rows import Floats
 
 APART = 1e-12  # stations closer than this, in scaled units, are one

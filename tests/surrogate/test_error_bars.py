@@ -5,7 +5,7 @@ import pytest
 
 from surrogate.build import build
 from surrogate.conformal import conformal_factor
-from surrogate.interpolant import Interpolant
+from surrogate.interpolation.delaunay import Interpolant
 from tests.surrogate.calibrating import calibration, noisy, shipped, synthetic, with_slopes
 from tests.surrogate.responses import (
     HIGH,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from surrogate.answers import METHODS, UnknownMethodError
 from surrogate.build import build
-from surrogate.hull import nearest_in_hull
+from surrogate.interpolation.hull import nearest_in_hull
 from surrogate.missing import MissingOutputs
 from surrogate.table.rows import Rows
 from tests.surrogate.calibrating import with_slopes

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import griddata
 
-from surrogate.interpolant import Interpolant
+from surrogate.interpolation.delaunay import Interpolant
 
 
 def interpolate(points: np.ndarray, values: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -5,8 +5,8 @@ import pytest
 
 from surrogate.answers import COMPOSED
 from surrogate.build import build
-from surrogate.interpolant import Interpolant
-from surrogate.slopes import bend_of
+from surrogate.interpolation.delaunay import Interpolant
+from surrogate.interpolation.slope_recovery import bend_of
 from surrogate.spline import Spline
 from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.calibrating import calibration, noisy, shipped, with_slopes

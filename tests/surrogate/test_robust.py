@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrogate.build import build
-from surrogate.interpolant import Interpolant
+from surrogate.interpolation.delaunay import Interpolant
 from surrogate.surrogate import Surrogate
 from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.responses import (

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay, KDTree, QhullError
 
-from surrogate.order import curve_order
+from surrogate.interpolation.morton import curve_order
 from surrogate.table.rows import Floats
 
 Indices = NDArray[np.intp]

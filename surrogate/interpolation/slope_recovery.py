@@ -22,7 +22,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from scipy.spatial import KDTree
 
-from surrogate.interpolant import Indices, Interpolant
+from surrogate.interpolation.delaunay import Indices, Interpolant
 from surrogate.table.rows import Floats
 
 NEIGHBOURS = {1: 4, 2: 9, 3: 16}  # of a fitted quadratic, by dimension: not quite two per unknown
