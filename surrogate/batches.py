@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrogate.answers import COVERED, OUTSIDE, THIN, Batch
-from surrogate.axistable import SOUND, AxisTable
-from surrogate.composition import AtRest, Composition
+from surrogate.composition.axis_table import SOUND, AxisTable
+from surrogate.composition.composition import AtRest, Composition
 from surrogate.nearest import NearestRow
 from surrogate.table.axes import AXES, Axis
 from surrogate.table.compliance import ComplianceFit

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from surrogate.answers import COVERED, NAMES, THIN
-from surrogate.axistable import DEGENERATE, LARGE, LARGEST, AxisTable
 from surrogate.batches import NOWHERE, Spots, diagnose
-from surrogate.composition import Composition
+from surrogate.composition.axis_table import DEGENERATE, LARGE, LARGEST, AxisTable
+from surrogate.composition.composition import Composition
 from surrogate.table.axes import AXES, Axis
 from surrogate.table.compliance import ComplianceFit
 from surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUTS, Floats

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
-from surrogate.axistable import AxisTable
 from surrogate.build import AnyTable
-from surrogate.composition import Composition
+from surrogate.composition.axis_table import AxisTable
+from surrogate.composition.composition import Composition
 from surrogate.firstdesign import Known, axis_box, first_design, full_wrenches
 from surrogate.leftout import LeftOut
 from surrogate.surrogate import ENOUGH_FULL
@@ -138,7 +138,7 @@ def _full_count(surrogate: AnyTable, known: Known, budget: int, axes: float, who
     """Return how many full wrenches the table lacks to have their share of all its solves."""
     asked = len(surrogate.used) + len(known.pending)
     share = FULL_SHARE
-    if surrogate.composition.left_out.shown >= FEWEST_FULL and whole > 0:
+    if surrogate.composition.composition.left_out.shown >= FEWEST_FULL and whole > 0:
         left = np.sqrt(max(whole**2 - axes**2, 0.0)) / whole
         share = float(np.clip(left * MOST_FULL, LEAST_FULL, MOST_FULL))
     return max(int(np.ceil(share * (asked + budget))) - _full_rows(surrogate, known), 0)
@@ -165,7 +165,7 @@ def _composed_losses(surrogate: AnyTable, tolerance: Tolerance) -> tuple[float, 
     """
     low, high = surrogate.load_range.low, surrogate.load_range.high
     sample = low + qmc.Halton(6, scramble=False).random(SAMPLE) * (high - low)
-    composition = surrogate.composition
+    composition = surrogate.composition.composition
     silent = Composition(composition.tables, composition.rest, LeftOut(composition.left_out.scale))
     allowed = np.repeat([tolerance.translation, tolerance.rotation], 3)
     losses = []
@@ -178,7 +178,7 @@ def _composed_losses(surrogate: AnyTable, tolerance: Tolerance) -> tuple[float, 
 
 def _met_reason(surrogate: AnyTable, lacking: int) -> str:
     reason = "every error bar looked at is within the tolerance"
-    if surrogate.composition.left_out.silent or not lacking:
+    if surrogate.composition.composition.left_out.silent or not lacking:
         return reason
     return f"{reason}; full wrenches tell what loads of several axes do together"
 
@@ -213,7 +213,7 @@ class _Spots:
 
 def _candidates(surrogate: AnyTable, tolerance: Tolerance | None) -> _Spots:
     parts = [(np.empty((0, 6)), np.empty(0), np.empty(0), np.empty(0))]
-    for axis, table in zip(AXES, surrogate.composition.tables, strict=True):
+    for axis, table in zip(AXES, surrogate.composition.composition.tables, strict=True):
         low, high = axis_box(surrogate.load_range, axis)
         if table is None or not (high > low).any():
             continue

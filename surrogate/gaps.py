@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from surrogate.axistable import SOUND, AxisTable
 from surrogate.build import AnyTable
+from surrogate.composition.axis_table import SOUND, AxisTable
 from surrogate.firstdesign import axis_box
 from surrogate.table.axes import AXES, Axis
 from surrogate.table.rows import LOADS, OUTPUTS, Floats, LoadRange
@@ -20,7 +20,7 @@ MOST_VERTICES = 200
 
 def axis_gaps(surrogate: AnyTable) -> list[dict[str, Any]]:
     """Return, per axis, hull, corners of the range outside it and worst spots, JSON-able."""
-    tables = surrogate.composition.tables
+    tables = surrogate.composition.composition.tables
     return [
         _gaps(axis, table, surrogate.load_range) for axis, table in zip(AXES, tables, strict=True)
     ]

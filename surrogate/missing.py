@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surrogate.answers import NAMES, Answer, Batch
-from surrogate.composition import Composition
+from surrogate.composition.composition import Composition
 from surrogate.surrogate import Surrogate
 from surrogate.table.axes import OffAxis
 from surrogate.table.compliance import ComplianceFit

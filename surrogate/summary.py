@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from surrogate.axistable import SOUND, AxisTable
-from surrogate.composition import Composition
+from surrogate.composition.axis_table import SOUND, AxisTable
+from surrogate.composition.composition import Composition
 from surrogate.table.axes import AXES
 from surrogate.table.compliance import ComplianceFit
 from surrogate.table.conflicts import row_conflicts

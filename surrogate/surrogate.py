@@ -28,8 +28,8 @@ from surrogate.batches import (
     read_many_linearly,
     read_many_nearest,
 )
-from surrogate.building import build_composition
-from surrogate.composition import Composition
+from surrogate.composition.build import build_composition
+from surrogate.composition.composition import Composition
 from surrogate.coverage import Careful, read_carefully
 from surrogate.linear import answer_linearly, explain_linearly
 from surrogate.methods import Methods

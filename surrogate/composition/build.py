@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.axistable import AxisTable
-from surrogate.composition import AtRest, Composition
+from surrogate.composition.axis_table import AxisTable
+from surrogate.composition.composition import AtRest, Composition
 from surrogate.influence import Influence, fit_output, monomials, shown_by
 from surrogate.leftout import LeftOut, across_axes, acting_together
 from surrogate.table.axes import AXES, CLEAN, AxisRows, OffAxis, axis_rows, clean_rows

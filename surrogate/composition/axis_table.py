@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from surrogate.composition.pure_moment import MomentLine
 from surrogate.errorbar import RowBars, calibrate
 from surrogate.interpolation.delaunay import Indices, Interpolant
 from surrogate.interpolation.hull import nearest_in_hull
@@ -18,7 +19,6 @@ from surrogate.interpolation.slope_recovery import (
     row_slopes,
     simplex_slopes,
 )
-from surrogate.momentline import MomentLine
 from surrogate.table.axes import AxisRows
 from surrogate.table.rows import Floats, LoadRange
 

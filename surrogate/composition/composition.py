@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.axistable import AxisTable
+from surrogate.composition.axis_table import AxisTable
 from surrogate.interpolation.morton import curve_order
 from surrogate.leftout import LeftOut
 from surrogate.table.axes import AXES
