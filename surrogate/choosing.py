@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from surrogate.bars.heldout import hold_out
 from surrogate.composition.composition import Composition
-from surrogate.heldout import hold_out
 from surrogate.straight import StraightSplines
 from surrogate.table.rows import OUTPUTS, Floats
 

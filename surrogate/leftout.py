@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surrogate.conformal import LEVEL, conformal_factor
+from surrogate.bars.conformal import LEVEL, conformal_factor
 from surrogate.influence import NO_INFLUENCE, Influence
 from surrogate.table.axes import AXES
 from surrogate.table.rows import Floats

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from surrogate.conformal import conformal_factor
+from surrogate.bars.conformal import conformal_factor
 from surrogate.table.compliance import LEAST, SMALLEST
 from surrogate.table.rows import Floats, LoadRange, Rows
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.conformal import conformal_factor
-from surrogate.errorbar import FEWEST
+from surrogate.bars.conformal import conformal_factor
+from surrogate.bars.errorbar import FEWEST
 from surrogate.spline import MOST, Spline
 from surrogate.table.axes import AXES, AxisRows, axis_rows
 from surrogate.table.compliance import ComplianceFit

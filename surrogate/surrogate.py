@@ -22,7 +22,8 @@ from surrogate.answers import (
     judged,
     over_tolerance,
 )
-from surrogate.batches import (
+from surrogate.bars.coverage import Careful, read_carefully
+from surrogate.bars.evaluate import (
     diagnose,
     nothing_known,
     read_many_linearly,
@@ -30,7 +31,6 @@ from surrogate.batches import (
 )
 from surrogate.composition.build import build_composition
 from surrogate.composition.composition import Composition
-from surrogate.coverage import Careful, read_carefully
 from surrogate.linear import answer_linearly, explain_linearly
 from surrogate.methods import Methods
 from surrogate.nearest import NearestRow

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from surrogate.bars.errorbar import RowBars, calibrate
 from surrogate.composition.pure_moment import MomentLine
-from surrogate.errorbar import RowBars, calibrate
 from surrogate.interpolation.delaunay import Indices, Interpolant
 from surrogate.interpolation.hull import nearest_in_hull
 from surrogate.interpolation.slope_recovery import (

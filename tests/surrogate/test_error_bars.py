@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from surrogate.bars.conformal import conformal_factor
 from surrogate.build import build
-from surrogate.conformal import conformal_factor
 from surrogate.interpolation.delaunay import Interpolant
 from tests.surrogate.calibrating import calibration, noisy, shipped, synthetic, with_slopes
 from tests.surrogate.responses import (

@@ -25,8 +25,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surrogate.conformal import conformal_factor
-from surrogate.heldout import HeldOut, hold_out
+from surrogate.bars.conformal import conformal_factor
+from surrogate.bars.heldout import HeldOut, hold_out
 from surrogate.interpolation.delaunay import Indices, Interpolant
 from surrogate.table.rows import Floats
 
