@@ -65,7 +65,7 @@ def next_wrenches(
     """
     waiting = np.empty((0, 6)) if pending is None else np.asarray(pending, dtype=float)
     known = Known(surrogate.load_range, surrogate.table.rows.wrench, waiting.reshape(-1, 6))
-    if surrogate.linear:
+    if surrogate.methods.linear:
         return _linear_design(surrogate, known, budget)
     tangents = bool(np.isfinite(surrogate.table.rows.compliance).all(axis=(1, 2)).any())
     first = known.new(first_design(surrogate.load_range, tangents=tangents))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surrogate.answers import COVERED, OUTSIDE, THIN, Batch
 from surrogate.composition.axis_table import SOUND, AxisTable
 from surrogate.composition.composition import AtRest, Composition
-from surrogate.nearest import NearestRow
+from surrogate.methods.nearest import NearestRow
 from surrogate.table.axes import AXES, Axis
 from surrogate.table.compliance import ComplianceFit
 from surrogate.table.rows import Floats, LoadRange

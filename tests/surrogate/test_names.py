@@ -42,4 +42,4 @@ def test_no_key_or_list_that_leaves_the_room_spells_them_another_way() -> None:
     words = keys_and_words(json.loads(json.dumps(told)))
     assert not words & {*LOADS, *OUTPUTS}
     assert {*LOADS, *OUTPUTS} <= words
-    assert np.isin([choice.output for choice in surrogate.methods.choices], OUTPUTS).all()
+    assert np.isin([choice.output for choice in surrogate.methods.registry.choices], OUTPUTS).all()

@@ -15,11 +15,11 @@ from functools import cached_property
 import numpy as np
 
 from surrogate.bars.conformal import conformal_factor
-from surrogate.choosing import Choice, choose, straight_scores
 from surrogate.composition.build import axes_of
 from surrogate.composition.composition import Composed, Composition
 from surrogate.corrected import Corrected
 from surrogate.leftout import product_sizes
+from surrogate.methods.selection import Choice, choose, straight_scores
 from surrogate.straight import StraightSplines
 from surrogate.table.axes import clean_rows
 from surrogate.table.compliance import ComplianceFit
