@@ -21,7 +21,7 @@ from service.ordering import QUEUE_LIMIT, Orders
 from service.report.queue import Reports
 from service.tables.live import Tables
 from surrogate.build import AnyTable
-from surrogate.design import Design, next_wrenches
+from surrogate.design.adaptive import Design, next_wrenches
 from surrogate.table.rows import Tolerance
 
 log = logging.getLogger(__name__)

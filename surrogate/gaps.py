@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from surrogate.build import AnyTable
 from surrogate.composition.axis_table import SOUND, AxisTable
-from surrogate.firstdesign import axis_box
+from surrogate.design.initial import axis_box
 from surrogate.table.axes import AXES, Axis
 from surrogate.table.rows import LOADS, OUTPUTS, Floats, LoadRange
 

@@ -18,7 +18,7 @@ from fea.bundle.read import read_bundle
 from fea.solve import Solver
 from surrogate.answers import METHODS
 from surrogate.build import build
-from surrogate.design import next_wrenches
+from surrogate.design.adaptive import next_wrenches
 from surrogate.table.rows import LoadRange, Rows
 
 COMPONENTS = Path(__file__).parents[2] / "data" / "components"

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from surrogate.build import build
-from surrogate.design import next_wrenches
-from surrogate.firstdesign import first_design
+from surrogate.design.adaptive import next_wrenches
+from surrogate.design.initial import first_design
 from surrogate.table.axes import clean_rows
 from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, smooth, table

@@ -18,7 +18,7 @@ from scipy.stats import qmc
 from surrogate.build import AnyTable
 from surrogate.composition.axis_table import AxisTable
 from surrogate.composition.composition import Composition
-from surrogate.firstdesign import Known, axis_box, first_design, full_wrenches
+from surrogate.design.initial import Known, axis_box, first_design, full_wrenches
 from surrogate.leftout import LeftOut
 from surrogate.surrogate import ENOUGH_FULL
 from surrogate.table.axes import AXES, CLEAN, clean_rows
