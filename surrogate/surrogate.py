@@ -31,10 +31,10 @@ from surrogate.bars.evaluate import (
 )
 from surrogate.composition.build import build_composition
 from surrogate.composition.composition import Composition
+from surrogate.describe.summary import summarise
 from surrogate.methods.linear import answer_linearly, explain_linearly
 from surrogate.methods.nearest import NearestRow
 from surrogate.methods.registry import Methods
-from surrogate.summary import summarise
 from surrogate.table.axes import OffAxis, clean_rows
 from surrogate.table.compliance import ComplianceFit, fit_compliance
 from surrogate.table.merging import merge

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrogate.build import build
-from surrogate.gaps import axis_gaps
+from surrogate.describe.gaps import axis_gaps
 from surrogate.table.compliance import fit_compliance
 from surrogate.table.conflicts import conflicts
 from surrogate.table.physics_checks import check_physics

@@ -7,7 +7,7 @@ import json
 import numpy as np
 
 from service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
-from surrogate.gaps import axis_gaps
+from surrogate.describe.gaps import axis_gaps
 from surrogate.surrogate import Surrogate
 from surrogate.table.physics_checks import check_physics
 from surrogate.table.rows import LOADS, OUTPUTS

@@ -10,7 +10,7 @@ from starlette.responses import Response
 from service.http.replies import json_reply
 from service.workspace import Workspace
 from surrogate.build import AnyTable
-from surrogate.gaps import axis_gaps
+from surrogate.describe.gaps import axis_gaps
 from surrogate.table.physics_checks import check_physics
 from surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
 
