@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from surrogate.missing import MissingOutputs
+from surrogate.missing_outputs import MissingOutputs
 from surrogate.surrogate import Surrogate
 from surrogate.table.axes import OffAxis
 from surrogate.table.rows import LoadRange, Rows, Tolerance

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surrogate.answers import (
+from surrogate.answer import (
     COMPOSED,
     COVERED,
     METHODS,

@@ -14,7 +14,7 @@ from service.answering.refusals import BeyondRangeError, NotCoveredError
 from service.answering.solved import read_row
 from service.ordering import Placed
 from service.workspace import Workspace
-from surrogate.answers import COVERED
+from surrogate.answer import COVERED
 
 Places = NDArray[np.intp]
 

@@ -29,7 +29,7 @@ class Query:
     tolerance : Tolerance or None
         The component's own if None.
     method : str or None
-        One of `surrogate.answers.METHODS`; the component's own if None.
+        One of `surrogate.answer.METHODS`; the component's own if None.
     detail : bool
         Whether the axes are to be explained.
     beyond_range : bool

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from service.answering.queries import BatchQuery, Query
 from service.http.bodies import BatchBody, Body, DisplacementBody, OnThin, SolveBody
 from service.http.problems import bad_body, plain_errors
-from surrogate.answers import METHODS
+from surrogate.answer import METHODS
 from surrogate.table.rows import Tolerance
 
 _PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})

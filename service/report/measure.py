@@ -17,7 +17,7 @@ from fea.failure import SolveFailed
 from fea.mesh.refine import refined
 from fea.solve import Solver
 from fea.spec.schema import Bundle
-from surrogate.answers import METHODS
+from surrogate.answer import METHODS
 from surrogate.build import AnyTable, build
 from surrogate.table.rows import LoadRange, Rows
 

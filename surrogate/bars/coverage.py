@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from surrogate.answers import COVERED, NAMES, THIN
+from surrogate.answer import COVERED, NAMES, THIN
 from surrogate.bars.evaluate import NOWHERE, Spots, diagnose
 from surrogate.composition.axis_table import DEGENERATE, LARGE, LARGEST, AxisTable
 from surrogate.composition.composition import Composition

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.answers import COVERED, OUTSIDE, THIN, Batch
+from surrogate.answer import COVERED, OUTSIDE, THIN, Batch
 from surrogate.composition.axis_table import SOUND, AxisTable
 from surrogate.composition.composition import AtRest, Composition
 from surrogate.methods.nearest import NearestRow

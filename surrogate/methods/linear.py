@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from surrogate.answers import Answer, judged
+from surrogate.answer import Answer, judged
 from surrogate.table.axes import AXES, CLEAN
 from surrogate.table.compliance import ComplianceFit
 from surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUTS, LoadRange, Rows, Tolerance

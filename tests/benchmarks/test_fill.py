@@ -16,7 +16,7 @@ from scipy.interpolate import NearestNDInterpolator, griddata
 
 from fea.bundle.read import read_bundle
 from fea.solve import Solver
-from surrogate.answers import METHODS
+from surrogate.answer import METHODS
 from surrogate.build import build
 from surrogate.design.adaptive import next_wrenches
 from surrogate.table.rows import LoadRange, Rows

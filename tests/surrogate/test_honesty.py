@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surrogate.answers import METHODS, UnknownMethodError
+from surrogate.answer import METHODS, UnknownMethodError
 from surrogate.build import build
 from surrogate.interpolation.hull import nearest_in_hull
-from surrogate.missing import MissingOutputs
+from surrogate.missing_outputs import MissingOutputs
 from surrogate.table.rows import Rows
 from tests.surrogate.calibrating import with_slopes
 from tests.surrogate.responses import (

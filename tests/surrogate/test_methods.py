@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surrogate.answers import COMPOSED
+from surrogate.answer import COMPOSED
 from surrogate.build import build
 from surrogate.interpolation.delaunay import Interpolant
 from surrogate.interpolation.slope_recovery import bend_of

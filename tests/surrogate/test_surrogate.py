@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surrogate.answers import METHODS
+from surrogate.answer import METHODS
 from surrogate.build import build
 from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.responses import (

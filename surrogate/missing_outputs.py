@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surrogate.answers import NAMES, Answer, Batch
+from surrogate.answer import NAMES, Answer, Batch
 from surrogate.composition.composition import Composition
 from surrogate.surrogate import Surrogate
 from surrogate.table.axes import OffAxis
