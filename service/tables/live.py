@@ -229,7 +229,7 @@ class Tables:
     def _write(self, name: str) -> None:
         self._unsaved[name] = time.monotonic() + TROUBLE_S  # when it is tried again if it fails
         surrogate = self._surrogates[name]
-        self._files.save(self._library[name], surrogate.table.rows, surrogate.version)
+        self._files.save(self._library[name], surrogate.rows, surrogate.version)
         del self._unsaved[name]
 
 

@@ -20,7 +20,7 @@ MOST_VERTICES = 200
 
 def axis_gaps(surrogate: AnyTable) -> list[dict[str, Any]]:
     """Return, per axis, hull, corners of the range outside it and worst spots, JSON-able."""
-    tables = surrogate.composition.composition.tables
+    tables = surrogate.composition.tables
     return [
         _gaps(axis, table, surrogate.load_range) for axis, table in zip(AXES, tables, strict=True)
     ]

@@ -64,10 +64,10 @@ def next_wrenches(
     asked.
     """
     waiting = np.empty((0, 6)) if pending is None else np.asarray(pending, dtype=float)
-    known = Known(surrogate.load_range, surrogate.table.rows.wrench, waiting.reshape(-1, 6))
+    known = Known(surrogate.load_range, surrogate.rows.wrench, waiting.reshape(-1, 6))
     if surrogate.methods.linear:
         return _linear_design(surrogate, known, budget)
-    tangents = bool(np.isfinite(surrogate.table.rows.compliance).all(axis=(1, 2)).any())
+    tangents = bool(np.isfinite(surrogate.rows.compliance).all(axis=(1, 2)).any())
     first = known.new(first_design(surrogate.load_range, tangents=tangents))
     if len(first):
         return Design(first[:budget], "first", f"{len(first)} wrenches of the first design to go")
@@ -85,10 +85,10 @@ def _linear_design(surrogate: AnyTable, known: Known, budget: int) -> Design:
         surrogate.load_range.high > 0, surrogate.load_range.high, surrogate.load_range.low
     )
     single = np.diag(np.where(full != 0, full, 1.0))
-    if not len(surrogate.table.rows):
+    if not len(surrogate.rows):
         single = single[:1]
     fresh = known.new(single)
-    if len(known.pending) and not len(surrogate.table.rows):
+    if len(known.pending) and not len(surrogate.rows):
         fresh = fresh[:0]
     return Design(fresh[:budget], "first", "a solve that tells the 6x6 compliance is needed")
 
@@ -138,7 +138,7 @@ def _full_count(surrogate: AnyTable, known: Known, budget: int, axes: float, who
     """Return how many full wrenches the table lacks to have their share of all its solves."""
     asked = len(surrogate.used) + len(known.pending)
     share = FULL_SHARE
-    if surrogate.composition.composition.left_out.shown >= FEWEST_FULL and whole > 0:
+    if surrogate.composition.left_out.shown >= FEWEST_FULL and whole > 0:
         left = np.sqrt(max(whole**2 - axes**2, 0.0)) / whole
         share = float(np.clip(left * MOST_FULL, LEAST_FULL, MOST_FULL))
     return max(int(np.ceil(share * (asked + budget))) - _full_rows(surrogate, known), 0)
@@ -165,7 +165,7 @@ def _composed_losses(surrogate: AnyTable, tolerance: Tolerance) -> tuple[float, 
     """
     low, high = surrogate.load_range.low, surrogate.load_range.high
     sample = low + qmc.Halton(6, scramble=False).random(SAMPLE) * (high - low)
-    composition = surrogate.composition.composition
+    composition = surrogate.composition
     silent = Composition(composition.tables, composition.rest, LeftOut(composition.left_out.scale))
     allowed = np.repeat([tolerance.translation, tolerance.rotation], 3)
     losses = []
@@ -178,7 +178,7 @@ def _composed_losses(surrogate: AnyTable, tolerance: Tolerance) -> tuple[float, 
 
 def _met_reason(surrogate: AnyTable, lacking: int) -> str:
     reason = "every error bar looked at is within the tolerance"
-    if surrogate.composition.composition.left_out.silent or not lacking:
+    if surrogate.composition.left_out.silent or not lacking:
         return reason
     return f"{reason}; full wrenches tell what loads of several axes do together"
 
@@ -213,7 +213,7 @@ class _Spots:
 
 def _candidates(surrogate: AnyTable, tolerance: Tolerance | None) -> _Spots:
     parts = [(np.empty((0, 6)), np.empty(0), np.empty(0), np.empty(0))]
-    for axis, table in zip(AXES, surrogate.composition.composition.tables, strict=True):
+    for axis, table in zip(AXES, surrogate.composition.tables, strict=True):
         low, high = axis_box(surrogate.load_range, axis)
         if table is None or not (high > low).any():
             continue

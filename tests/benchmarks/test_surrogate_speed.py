@@ -46,7 +46,7 @@ def built(per_axis: int) -> tuple[Surrogate, list[LinearNDInterpolator], float]:
     took = time.perf_counter() - start
     bare = [
         LinearNDInterpolator(axis.interpolant.delaunay, axis.values)
-        for axis in surrogate.composition.composition.tables
+        for axis in surrogate.composition.tables
         if axis is not None
     ]
     return surrogate, bare, took
@@ -66,7 +66,7 @@ def test_a_full_answer_costs_at_most_four_times_its_three_bare_interpolations() 
             interpolator(asked[place])
 
     def afresh(place: int) -> None:
-        for axis, asked in zip(surrogate.composition.composition.tables, points, strict=True):
+        for axis, asked in zip(surrogate.composition.tables, points, strict=True):
             assert axis is not None
             griddata(axis.rows.points, axis.values, asked[place])
 

@@ -151,7 +151,7 @@ def test_slivers_at_the_hull_make_the_bar_grow_but_not_blow_up() -> None:
     scaled = clean_wrenches(80, 3)
     scaled[8:80, [0, 4, 5]] = np.clip(rng.uniform(-1, 1, (72, 3)) * 1.3, -1, 1 - 1e-7)
     surrogate = build(table(smooth, scaled), RANGE)
-    shape = surrogate.composition.composition.tables[0]
+    shape = surrogate.composition.tables[0]
     assert shape is not None
     middle = shape.interpolant.points[shape.interpolant.simplices].mean(axis=1)
     bars = shape.read(np.arange(len(middle)), middle).bars

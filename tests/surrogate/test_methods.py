@@ -134,8 +134,8 @@ def test_full_wrenches_join_the_axes_where_the_response_is_linear() -> None:
     scaled = np.concatenate((clean_wrenches(20, 1), full_wrenches(40, 2)))
     rows = Rows.of(scaled * HIGH, scaled * HIGH @ slope)
     surrogate = build(rows, LoadRange(-HIGH, HIGH))
-    assert surrogate.composition.composition.tables[0] is not None
-    assert len(surrogate.composition.composition.tables[0].rows.points) == 60
+    assert surrogate.composition.tables[0] is not None
+    assert len(surrogate.composition.tables[0].rows.points) == 60
 
 
 def test_points_in_a_plane_are_splined_in_their_plane() -> None:

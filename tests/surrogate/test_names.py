@@ -37,9 +37,9 @@ def test_no_key_or_list_that_leaves_the_room_spells_them_another_way() -> None:
         "linear": surrogate.explain([100.0, 50, 30, 4, 5, 6], None, "linear"),
         "gaps": axis_gaps(surrogate),
         "summary": surrogate.coverage_summary(),
-        "checks": check_physics(surrogate.table.rows, RANGE, surrogate.fit),
+        "checks": check_physics(surrogate.rows, RANGE, surrogate.fit),
     }
     words = keys_and_words(json.loads(json.dumps(told)))
     assert not words & {*LOADS, *OUTPUTS}
     assert {*LOADS, *OUTPUTS} <= words
-    assert np.isin([choice.output for choice in surrogate.methods.registry.choices], OUTPUTS).all()
+    assert np.isin([choice.output for choice in surrogate.methods.choices], OUTPUTS).all()

@@ -109,7 +109,7 @@ def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
 def component_body(workspace: Workspace, component: Component) -> dict[str, Any]:
     """Return all there is to say about a component."""
     surrogate = workspace.tables.surrogate(component.name)
-    sources, counts = np.unique(surrogate.table.rows.source, return_counts=True)
+    sources, counts = np.unique(surrogate.rows.source, return_counts=True)
     return {
         **_summary(workspace, component),
         "fingerprint": component.fingerprint,
@@ -139,6 +139,6 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
         "tolerance": (
             {"translation": limit.translation, "rotation": limit.rotation} if limit else None
         ),
-        "rows": len(surrogate.table.rows),
+        "rows": len(surrogate.rows),
         "table_version": surrogate.version,
     }

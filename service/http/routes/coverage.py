@@ -38,7 +38,7 @@ def compliance(name: str, request: Request) -> Response:
         "error": fit.bar.tolist(),
         "rows": [f"{name} [{unit}]" for name, unit in zip(OUTPUTS, OUTPUT_UNITS, strict=True)],
         "columns": [f"{name} [{unit}]" for name, unit in zip(LOADS, LOAD_UNITS, strict=True)],
-        **check_physics(surrogate.table.rows, surrogate.load_range, fit),
+        **check_physics(surrogate.rows, surrogate.load_range, fit),
     }
     return json_reply(body)
 
