@@ -8,13 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.table.rows import OUTPUT_UNITS, OUTPUTS, Floats, Tolerance
+from surrogate.table.rows import OUTPUTS, OUTPUT_UNITS, Floats, Tolerance
 
 COVERED, THIN, OUTSIDE = 0, 1, 2
 NAMES = ("covered", "thin", "outside")
-
-COMPOSED = ("tangent", "rbf", "corrected", "auto")  # read where griddata is covered
-METHODS = ("griddata", *COMPOSED, "linear", "nearest")
+METHODS = ("griddata", "kriging", "linear", "nearest", "tangent")
 
 
 class UnknownMethodError(ValueError):
@@ -68,30 +66,20 @@ class Batch(NamedTuple):
     coverage: NDArray[np.uint8]
 
 
-def judged(
-    displacement: tuple[float, ...],
-    error: tuple[float, ...],
-    tolerance: Tolerance | None,
-    method: str,
-) -> Answer:
-    """Return a covered answer, or a thin one if its error bars are over the tolerance.
-
-    Displacement and error are six numbers each, m and rad.
-    """
-    reason = over_tolerance(error, tolerance) if tolerance is not None else ""
-    return Answer(displacement, error, "thin" if reason else "covered", reason, method)
-
-
-def over_tolerance(error: Sequence[float], tolerance: Tolerance) -> str:
-    """Return why error bars (6,), m and rad, are over the tolerance, or an empty text."""
+def over_tolerance(error: Sequence[float], allowed: Sequence[float]) -> str:
+    """Return why error bars (6,), m and rad, are over what is allowed (6,), or an empty text."""
     worst, name = 1.0, ""
     for output in range(6):
-        allowed = tolerance.translation if output < 3 else tolerance.rotation
-        if error[output] > worst * allowed:
-            worst = error[output] / allowed
+        if error[output] > worst * allowed[output]:
+            worst = error[output] / allowed[output]
             unit = OUTPUT_UNITS[output]
             name = (
                 f"the error bar of {OUTPUTS[output]}, {error[output]:.2g} {unit}, "
-                f"is over the tolerance, {allowed:.2g} {unit}"
+                f"is over the tolerance, {allowed[output]:.2g} {unit}"
             )
     return name
+
+
+def allowed_by(tolerance: Tolerance) -> tuple[float, ...]:
+    """Return the largest error bar of each output, shape (6,), m and rad."""
+    return (tolerance.translation,) * 3 + (tolerance.rotation,) * 3

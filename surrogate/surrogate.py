@@ -3,50 +3,63 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from surrogate.answer import (
-    COMPOSED,
     COVERED,
-    METHODS,
     NAMES,
     OUTSIDE,
     THIN,
     Answer,
     Batch,
-    UnknownMethodError,
-    judged,
+    allowed_by,
     over_tolerance,
-)
-from surrogate.bars.coverage import Careful, read_carefully
-from surrogate.bars.evaluate import (
-    diagnose,
-    nothing_known,
-    read_many_linearly,
-    read_many_nearest,
 )
 from surrogate.composition.build import build_composition
 from surrogate.composition.composition import Composition
+from surrogate.describe.explain import explain_axes, explain_linear
 from surrogate.describe.summary import summarise
-from surrogate.methods.linear import answer_linearly, explain_linearly
-from surrogate.methods.nearest import NearestRow
-from surrogate.methods.registry import Methods
+from surrogate.kriging import Kriging, SingularCovarianceError, TooFewRowsError
+from surrogate.methods.gaussian import GaussianProcess
+from surrogate.methods.griddata import Griddata
+from surrogate.methods.linear import Linear
+from surrogate.methods.method import Method
+from surrogate.methods.nearest import Nearest
+from surrogate.methods.reference import BentReference, KrigingReference, Reference
+from surrogate.methods.registry import Registry
+from surrogate.methods.selection import (
+    ENOUGH_FULL,
+    REGROWN,
+    Choice,
+    choose,
+    knows_interaction,
+)
 from surrogate.table.axes import OffAxis, clean_rows
 from surrogate.table.compliance import ComplianceFit, fit_compliance
 from surrogate.table.merging import merge
-from surrogate.table.rows import CLEAN, OUTPUTS, Floats, LoadRange, Rows, Tolerance
+from surrogate.table.rows import CLEAN, Floats, LoadRange, Rows, Tolerance
 
-# Full wrenches, or rows with tangents, from which on a table can tell what loads of several axes do
-# together: with fewer, 3 to 26 % of the errors at full wrenches lay inside the bars.
-ENOUGH_FULL = 20
+MOST_INTERACTION = 200  # full wrenches that tell what the axes miss: one quick factor
+WITHOUT_TOLERANCE = 0.01  # of an output's range: what a kriging's bar may be where nobody says
+EMPTY = "the table has no rows"
+ONLY_BEYOND = "all rows of the table are outside its load range"
+UNKNOWN_AT_REST = (
+    "no row is at zero load and the rows of no axis surround it: what the component does without "
+    "load is not known"
+)
+UNKNOWN_TOGETHER = (
+    f"{{full}} full wrenches and no tangents: at least {ENOUGH_FULL} full wrenches are needed to "
+    "tell what loads of several axes do together"
+)
 
 
 class Surrogate:
-    """The interpolators built from one version of a table whose rows hold all outputs; immutable.
+    """The interpolators built from one version of a table; immutable.
 
     Attributes
     ----------
@@ -56,12 +69,18 @@ class Surrogate:
         Those that answers are made of: within the load range, repeated ones merged.
     members : tuple of tuple of int
         The numbers (`seq`) of the rows behind each of `used`.
+    full_wrenches : int
+        How many of those load more than one axis.
     load_range : LoadRange
     tolerance : Tolerance or None
     linear : bool
         Whether the component is linear, so that its 6x6 compliance is the whole truth.
     version : int
     fit : ComplianceFit
+    kriging : Kriging or None
+        None for linear components and where rows are too few.
+    choice : Choice
+        The default method, and why.
     """
 
     def __init__(
@@ -73,49 +92,51 @@ class Surrogate:
         linear: bool = False,
         off_axis: OffAxis = "correct",
         version: int = 0,
+        previous: Surrogate | None = None,
     ) -> None:
         if (np.diff(rows.seq) < 0).any():  # so that the order they come in changes nothing
             rows = rows.take(np.argsort(rows.seq, kind="stable"))
         self.rows, self.load_range, self.tolerance = rows, load_range, tolerance
-        self.linear, self.version = linear, version
-        self.off_axis: OffAxis = off_axis
+        self.linear, self.version, self.off_axis = linear, version, off_axis
         merged = merge(rows, load_range)
-        self.used = merged.rows.take(merged.within)
-        within = np.flatnonzero(merged.within)
-        self.members = tuple(merged.members[place] for place in within)
-        self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
-        self.default = "linear" if linear and self.fit.complete else "griddata"
-        self._small = (CLEAN * load_range.scale).tolist()
         self._exact, self._owner = merged.rows, merged.owner
-        self._place = {tuple(w): p for p, w in reversed(list(enumerate(rows.wrench.tolist())))}
+        self.used = merged.rows.take(merged.within)
+        self.members = tuple(merged.members[place] for place in np.flatnonzero(merged.within))
         self.full_wrenches = int((~clean_rows(self.used, load_range).any(axis=1)).sum())
-        self._alone = not self._tells_full_wrenches()
-        if self.default == "griddata":
-            _ = self.composition  # linear components triangulate only when they are asked to
+        self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
+        self.kriging = None if linear else self._kriging(previous)
+        self.knows_interaction = linear or knows_interaction(self.used, load_range)
+        self._small = CLEAN * load_range.scale
+        self._place = {tuple(w): p for p, w in reversed(list(enumerate(rows.wrench.tolist())))}
+        self._methods = Registry(
+            {
+                "griddata": lambda: Griddata(self.composition, self.reference, bent=False),
+                "tangent": lambda: Griddata(self.composition, self.reference, bent=True),
+                "kriging": self._gaussian,
+                "linear": self._linear,
+                "nearest": lambda: Nearest(self.used, load_range, self.reference),
+            }
+        )
+        self.choice = self._choice(previous)
+        if len(self.used):
+            _ = self._methods.get(self.default)
 
-    def _tells_full_wrenches(self) -> bool:
-        """Whether full wrenches or tangents show what loads of several axes do together.
-
-        Tangents do if most rows, or enough of them, bring one.
-        """
-        tangents = int(np.isfinite(self.used.compliance).all(axis=(1, 2)).sum())
-        many = tangents >= ENOUGH_FULL or 0 < len(self.used) <= 2 * tangents
-        return many or self.full_wrenches >= ENOUGH_FULL
+    @property
+    def default(self) -> str:
+        """The method that answers where nobody asks for one."""
+        return self.choice.method
 
     @cached_property
     def composition(self) -> Composition:
         """The three axes of the straight direction influence."""
-        return build_composition(self.used, self.load_range, self.fit, self.off_axis)
+        return self._compose(self.used)
 
     @cached_property
-    def methods(self) -> Methods:
-        """The methods besides `griddata` that compose axes, and what `auto` chooses."""
-        return Methods(self.used, self.load_range, self.fit, self.composition)
-
-    @cached_property
-    def nearest(self) -> NearestRow:
-        """The index of nearest rows; needs at least one row."""
-        return NearestRow(self.used, self.load_range)
+    def reference(self) -> Reference:
+        """What the answers of methods are held against for their bars."""
+        if self.kriging is not None and self.kriging.is_dense:
+            return KrigingReference(self.kriging)
+        return BentReference(self.composition, self._interaction())
 
     def answer(
         self,
@@ -130,19 +151,25 @@ class Surrogate:
         UnknownMethodError
             If the method is none of `METHODS`.
         """
-        tolerance = tolerance or self.tolerance
-        if (method or self.default) != "griddata":
-            return self._answer_otherwise(wrench, tolerance, self._known_method(method))
-        quick = self.composition.quick(wrench)
-        if quick is None or (self._alone and self._several_axes(wrench)):
-            return self._answer_carefully(wrench, tolerance)
-        displacement, error = quick
-        if tolerance is not None:
-            a, b, c, d, e, f = error
-            most, turn = tolerance.translation, tolerance.rotation
-            if a > most or b > most or c > most or d > turn or e > turn or f > turn:
-                return self._or_row(wrench, judged(displacement, error, tolerance, "griddata"))
-        return Answer(displacement, error, "covered", "", "griddata")
+        name = method or self.default
+        if not len(self.used):
+            self._methods.check(name)
+            reason = ONLY_BEYOND if len(self.rows) else EMPTY
+            return self._or_row(wrench, Answer(None, None, "outside", reason, "estimate"))
+        found = self._methods.get(name)
+        asked = np.array(wrench, dtype=float)
+        told = found.estimate(asked[None])
+        displacement, error = tuple(told.displacement[0].tolist()), tuple(told.error[0].tolist())
+        state = int(told.state[0])
+        reason = self._reason(found, asked, state)
+        if reason and state == COVERED:
+            state = THIN
+        if state == COVERED:
+            reason = over_tolerance(error, self._allowed(name, tolerance))
+            state = THIN if reason else COVERED
+        bars = error if np.isfinite(told.error[0]).all() else None
+        answer = Answer(displacement, bars, NAMES[state], reason, name)
+        return answer if state == COVERED else self._or_row(wrench, answer)
 
     def batch(
         self,
@@ -158,9 +185,35 @@ class Surrogate:
             If the method is none of `METHODS`.
         """
         asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
-        tolerance = tolerance or self.tolerance
-        known = self._known_method(method)
-        return self._judged_many(asked, self._read_many(asked, known), tolerance)
+        name = method or self.default
+        if not len(self.used):
+            self._methods.check(name)
+            return self._with_rows(asked, _nothing(len(asked)))
+        told = self._methods.get(name).estimate(asked)
+        state = told.state.copy()
+        over = ~(told.error <= np.array(self._allowed(name, tolerance))).all(axis=1)
+        thin = over | self._doubtful(asked)
+        state[(state == COVERED) & thin] = THIN
+        unknown = ~np.isfinite(told.error).all(axis=1)
+        told.error[unknown] = np.nan
+        return self._with_rows(asked, Batch(told.displacement, told.error, state))
+
+    def derivatives(self, wrenches: ArrayLike, method: str | None = None) -> Floats:
+        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
+
+        Exact of the method's interpolant; NaN for a table without rows.
+
+        Raises
+        ------
+        UnknownMethodError
+            If the method is none of `METHODS`.
+        """
+        asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
+        name = method or self.default
+        if not len(self.used):
+            self._methods.check(name)
+            return np.full((len(asked), 6, 6), np.nan)
+        return self._methods.get(name).derivatives(asked)
 
     def explain(
         self,
@@ -172,20 +225,16 @@ class Surrogate:
 
         They are those of the compliance if it answers, of the composition otherwise.
         """
-        if self._known_method(method) == "linear":
-            found = self._answer_linearly(wrench, tolerance or self.tolerance)
-            return explain_linearly(self.fit, self.used, self.members, wrench, found)
-        careful = self._carefully(wrench)
-        tolerance = tolerance or self.tolerance
-        for axis in careful.axes:
-            bars = axis["error"]
-            if tolerance is None or bars is None or axis["coverage"] != "covered":
-                continue
-            padded = [bars.get(name, 0.0) for name in OUTPUTS]
-            reason = over_tolerance(padded, tolerance)
-            if reason:
-                axis["coverage"], axis["reason"] = "thin", f"axis {axis['axis']}: {reason}"
-        return careful.axes
+        name = method or self.default
+        self._methods.check(name)
+        if not len(self.used):
+            return []
+        asked = np.array(wrench, dtype=float)
+        if name == "linear":
+            found = self.answer(wrench, tolerance, name)
+            return explain_linear(self.fit, self.used, self.members, asked, found)
+        limit = tolerance or self.tolerance
+        return explain_axes(self.composition, self.members, asked, limit)
 
     def source_of(self, wrench: Sequence[float]) -> str | None:
         """Return the source of the row that has just this wrench, N and N·m; None if none has.
@@ -198,63 +247,117 @@ class Surrogate:
     def coverage_summary(self) -> dict[str, Any]:
         """Return how the table covers the load range, as JSON-able values."""
         composition = None if self.default == "linear" else self.composition
-        return summarise(self.rows, self.used, self.load_range, self.fit, composition) | {
+        summary = summarise(self.rows, self.used, self.load_range, self.fit, composition)
+        return summary | {
             "method": self.default,
+            "method_reason": self.choice.reason,
+            "method_detail": "" if self.kriging is None else self.kriging.detail,
+            "errors_left_out": self.choice.errors,
             "table_version": self.version,
             "full_wrench_rows": self.full_wrenches,
-            "tells_full_wrenches": not self._alone,
+            "tells_full_wrenches": self.knows_interaction,
         }
 
-    def _known_method(self, method: str | None) -> str:
-        if method is not None and method not in METHODS:
-            raise UnknownMethodError(method)
-        return method or self.default
+    def is_ready(self, method: str | None) -> bool:
+        """Return whether a method answers at once, rather than being made first."""
+        return not len(self.used) or self._methods.is_made(method or self.default)
 
-    def _read_many(self, asked: Floats, method: str) -> Batch:
-        """Answer many wrenches by a method; what the quick path cannot tell, carefully."""
-        small = np.array(self._small)
-        loads = np.where(np.abs(asked) > small, asked, 0.0)
-        if not len(self.used) and method != "griddata":
-            return nothing_known(len(asked))
-        found = self._read_by(method, asked, loads)
-        if self._alone and not (self.linear and method == "linear"):
+    @cached_property
+    def ranges(self) -> Floats:
+        """What each output varies by over the rows and from zero, shape (6,), m and rad."""
+        moved = self.used.displacement
+        return np.maximum(moved.max(axis=0, initial=0.0), 0.0) - np.minimum(
+            moved.min(axis=0, initial=0.0), 0.0
+        )
+
+    def _compose(self, rows: Rows) -> Composition:
+        return build_composition(rows, self.load_range, self.fit, self.off_axis)
+
+    def _kriging(self, previous: Surrogate | None) -> Kriging | None:
+        before = previous.kriging if isinstance(previous, Surrogate) else None
+        try:
+            return Kriging.build(self.used, self.load_range, before)
+        except (TooFewRowsError, SingularCovarianceError):
+            return None
+
+    def _choice(self, previous: Surrogate | None) -> Choice:
+        if self.linear and self.fit.complete:
+            return Choice("linear", "the component is linear: its compliance is exact", {}, 0)
+        if self.linear:
+            reason = "the component is linear, but its compliance is not known in all loads yet"
+            return Choice("griddata", reason, {}, 0)
+        before = previous.choice if isinstance(previous, Surrogate) else None
+        if before is not None and before.errors and len(self.used) < REGROWN * before.rows:
+            return before
+        return choose(self.used, self.load_range, self.kriging, self._compose)
+
+    def _gaussian(self) -> Method:
+        if self.kriging is None:  # too few rows, or rows that contradict each other
+            return Griddata(self.composition, self.reference, bent=True)
+        return GaussianProcess(self.kriging, self.load_range)
+
+    def _linear(self) -> Method:
+        exact = self.linear and self.fit.complete
+        return Linear(self.fit, self.load_range, None if exact else self.reference)
+
+    def _interaction(self) -> Kriging | None:
+        """Return the kriging of what the bent axes miss full wrenches by that are not their own."""
+        full = np.flatnonzero(~clean_rows(self.used, self.load_range).any(axis=1))
+        tables = [table for table in self.composition.tables if table is not None]
+        taken = [place for table in tables for group in table.rows.members for place in group]
+        free = np.setdiff1d(full, taken)
+        if len(free) < ENOUGH_FULL:
+            return None
+        rows = self.used.take(free[:MOST_INTERACTION])
+        composed = self.composition.evaluate(rows.wrench)
+        missed = rows.displacement - composed.displacement - composed.bend
+        blank = np.full_like(rows.compliance, np.nan)
+        try:
+            return Kriging.build(
+                replace(rows, displacement=missed, compliance=blank), self.load_range
+            )
+        except (TooFewRowsError, SingularCovarianceError):
+            return None
+
+    def _allowed(self, method: str, tolerance: Tolerance | None) -> Sequence[float]:
+        """Return the largest bar of each output, shape (6,), m and rad, for a covered answer."""
+        limit = tolerance or self.tolerance
+        if limit is not None:
+            return allowed_by(limit)
+        if method == "kriging":
+            return (WITHOUT_TOLERANCE * self.ranges).tolist()
+        return (np.inf,) * 6
+
+    def _doubtful(self, asked: Floats) -> NDArray[np.bool_]:
+        """Return which wrenches (n, 6) load more than rows show, shape (n,), whatever the bars."""
+        doubtful = np.zeros(len(asked), dtype=bool)
+        if self._rest_unknown:
+            doubtful |= ~(np.abs(asked) > self._small).any(axis=1)
+        if not self.knows_interaction:
             clean = clean_rows(Rows.of(asked, np.zeros_like(asked)), self.load_range)
-            several = ~clean.any(axis=1) & (found.coverage == COVERED)
-            found.coverage[several] = THIN
-        return found
+            doubtful |= ~clean.any(axis=1)
+        return doubtful
 
-    def _read_by(self, method: str, asked: Floats, loads: Floats) -> Batch:
-        """Answer wrenches (n, 6), N and N·m, by a method; `loads` are they without traces."""
-        if method == "linear":
-            return read_many_linearly(self.fit, self.load_range, asked, np.array(self._small))
-        if method == "nearest":
-            return read_many_nearest(self.nearest, self.composition, self.fit, asked, loads)
-        composed = self.composition.many(asked)
-        displacement, error, told = composed[:3]
-        if method in COMPOSED:
-            displacement, error = self.methods.read(method, asked, composed)
-        coverage = np.zeros(len(asked), dtype=np.uint8)
-        rest = np.flatnonzero(~told)
-        if len(rest):
-            careful = nothing_known(len(rest))
-            if len(self.used):
-                careful = diagnose(self.composition, self.fit, loads[rest]).batch
-            displacement[rest], error[rest], coverage[rest] = careful
-        return Batch(displacement, error, coverage)
+    def _reason(self, method: Method, asked: Floats, state: int) -> str:
+        if state != COVERED:
+            return method.reason(asked)
+        if not self._doubtful(asked[None])[0]:
+            return ""
+        if np.any(np.abs(asked) > self._small):
+            return UNKNOWN_TOGETHER.format(full=self.full_wrenches)
+        return UNKNOWN_AT_REST
 
-    def _judged_many(self, asked: Floats, found: Batch, tolerance: Tolerance | None) -> Batch:
-        """Hold error bars against the tolerance; where not covered, take the row of the wrench."""
-        displacement, error, coverage = found
-        if tolerance is not None:
-            most = np.repeat([tolerance.translation, tolerance.rotation], 3)
-            coverage[(coverage == COVERED) & (error > most).any(axis=1)] = THIN
-        doubtful = np.flatnonzero(coverage != COVERED)
-        for place, wrench in zip(doubtful, map(tuple, asked[doubtful].tolist()), strict=True):
-            row = self._place.get(wrench)
-            if row is not None:
-                displacement[place], error[place] = self._row(row)
-                coverage[place] = COVERED
-        return found
+    @cached_property
+    def _rest_unknown(self) -> bool:
+        return not self.linear and self.default == "griddata" and not self.composition.at_rest.known
+
+    def _or_row(self, wrench: Sequence[float], found: Answer) -> Answer:
+        """Return the row of just this wrench if there is one, else what was found."""
+        place = self._place.get(tuple(wrench))
+        if place is None:
+            return found
+        displacement, error = (tuple(each.tolist()) for each in self._row(place))
+        return Answer(displacement, error, "covered", "", "row")
 
     def _row(self, place: int) -> tuple[Floats, Floats]:
         """Return displacement and uncertainty, (6,) each, m and rad, of a row or its merged one."""
@@ -262,99 +365,18 @@ class Surrogate:
         doubt = np.nan_to_num(self._exact.uncertainty[owner])
         return self._exact.displacement[owner], doubt
 
-    def _several_axes(self, wrench: Sequence[float]) -> bool:
-        """Whether a wrench loads more than one axis: the table is then thin, if nothing tells."""
-        a, b, c, d, e, f = self._without_traces(wrench)
-        return not (
-            (not b and not c and not d)
-            or (not a and not c and not e)
-            or (not a and not b and not f)
-        )
-
-    def _too_few(self) -> str:
-        """Say what a table lacks that does not tell what loads of several axes do together."""
-        return (
-            f"{self.full_wrenches} full wrenches and no tangents: at least {ENOUGH_FULL} full "
-            "wrenches are needed to tell what loads of several axes do together"
-        )
-
-    def _without_traces(self, wrench: Sequence[float]) -> list[float]:
-        """Return the wrench with loads below 1e-9 of the range taken as none."""
-        return [
-            float(w) if abs(w) > small else 0.0
-            for w, small in zip(wrench, self._small, strict=True)
-        ]
-
-    def _carefully(self, wrench: Sequence[float]) -> Careful:
-        loads = self._without_traces(wrench)
-        return read_carefully(self.composition, self.fit, self.members, loads)
-
-    def _answer_carefully(self, wrench: Sequence[float], tolerance: Tolerance | None) -> Answer:
-        if not len(self.used):
-            return self._or_row(wrench, Answer(None, None, "outside", self._empty(), "estimate"))
-        careful = self._carefully(wrench)
-        displacement = tuple(careful.displacement.tolist())
-        error = None if careful.error is None else tuple(careful.error.tolist())
-        method = "estimate" if careful.state == OUTSIDE else "griddata"
-        if careful.state == COVERED and error is not None:
-            # The numbers of the quick path, if it has them: its bars are the sharper ones.
-            displacement, error = self.composition.quick(wrench) or (displacement, error)
-            found = judged(displacement, error, tolerance, method)
-        else:
-            found = Answer(displacement, error, NAMES[careful.state], careful.reason, method)
-        return self._or_row(wrench, self._unless_alone(wrench, found))
-
-    def _unless_alone(self, wrench: Sequence[float], found: Answer) -> Answer:
-        """Return a covered answer as a thin one where nothing tells how far it may be wrong."""
-        if found.coverage == "covered" and self._alone and self._several_axes(wrench):
-            return found._replace(coverage="thin", reason=self._too_few())
+    def _with_rows(self, asked: Floats, found: Batch) -> Batch:
+        """Where not covered, take the row of just that wrench if there is one."""
+        doubtful = np.flatnonzero(found.coverage != COVERED)
+        for place, wrench in zip(doubtful, map(tuple, asked[doubtful].tolist()), strict=True):
+            row = self._place.get(wrench)
+            if row is not None:
+                found.displacement[place], found.error[place] = self._row(row)
+                found.coverage[place] = COVERED
         return found
 
-    def _empty(self) -> str:
-        if len(self.rows):
-            return "all rows of the table are outside its load range"
-        return "the table has no rows"
 
-    def _or_row(self, wrench: Sequence[float], found: Answer) -> Answer:
-        """Return the row of just this wrench if there is one and the table is not covered."""
-        place = None if found.coverage == "covered" else self._place.get(tuple(wrench))
-        if place is None:
-            return found
-        displacement, error = (tuple(each.tolist()) for each in self._row(place))
-        return Answer(displacement, error, "covered", "", "row")
-
-    def _answer_otherwise(
-        self, wrench: Sequence[float], tolerance: Tolerance | None, method: str
-    ) -> Answer:
-        if not len(self.used):
-            return self._or_row(wrench, Answer(None, None, "outside", self._empty(), method))
-        if method == "nearest":
-            found = self._answer_nearest(wrench, tolerance)
-        elif method in COMPOSED:
-            found = self._answer_composed(wrench, tolerance, method)
-        else:
-            found = self._answer_linearly(wrench, tolerance)
-        return self._or_row(wrench, found)
-
-    def _answer_linearly(self, wrench: Sequence[float], tolerance: Tolerance | None) -> Answer:
-        found = answer_linearly(self.fit, self.load_range, wrench, tolerance)
-        return found if self.linear else self._unless_alone(wrench, found)
-
-    def _answer_composed(
-        self, wrench: Sequence[float], tolerance: Tolerance | None, method: str
-    ) -> Answer:
-        asked = np.array([wrench], dtype=float)
-        loads = np.array([self._without_traces(wrench)])
-        found = self._read_by(method, asked, loads)
-        if found.coverage[0] != COVERED:
-            return self._answer_carefully(wrench, tolerance)
-        moved, error = tuple(found.displacement[0].tolist()), tuple(found.error[0].tolist())
-        return self._unless_alone(wrench, judged(moved, error, tolerance, method))
-
-    def _answer_nearest(self, wrench: Sequence[float], tolerance: Tolerance | None) -> Answer:
-        displacement, bars = self.nearest.read(np.array([wrench], dtype=float))
-        careful = self._carefully(wrench)
-        moved, error = tuple(displacement[0].tolist()), tuple(bars[0].tolist())
-        if careful.state != COVERED:
-            return Answer(moved, error, NAMES[careful.state], careful.reason, "nearest")
-        return self._unless_alone(wrench, judged(moved, error, tolerance, "nearest"))
+def _nothing(count: int) -> Batch:
+    """Return the answers of a table without rows."""
+    blank = np.full((count, 6), np.nan)
+    return Batch(blank, blank.copy(), np.full(count, OUTSIDE, dtype=np.uint8))

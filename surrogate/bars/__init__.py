@@ -1,0 +1,1 @@
+"""By how much deviations are multiplied to hold a level of errors."""

@@ -1,0 +1,1 @@
+"""Straight direction influence: three axes to one answer."""

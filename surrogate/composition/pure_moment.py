@@ -1,7 +1,7 @@
-"""The line of one moment alone through an axis' triangulation, as one piecewise polynomial.
+"""The answers to one moment alone, as one piecewise function of that moment.
 
-Every composed answer counts from the answer to a moment alone. Those points lie on one line, so
-their simplices are found by bisection and need no walk.
+Every composed rotation counts from them. They lie on one line through a triangulation, and along
+it barycentric outputs are straight between two faces of its simplices, and bends are parabolas.
 """
 
 from __future__ import annotations
@@ -11,92 +11,102 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.interpolation.delaunay import Indices, Interpolant
+from surrogate.composition.axis_table import AxisTable
+from surrogate.interpolation.delaunay import Triangulation
 from surrogate.table.rows import Floats
 
 APART = 1e-12  # stations closer than this, in scaled units, are one
+ON_HULL = 1e-9  # of the range: a moment that far beyond the last station counts as on it
+HOLE = 9  # the state of a stretch that no simplex holds: worse than any simplex'
 
 
-class LineReading(NamedTuple):
-    """What `axistable.Reading` holds, each (k, 4), m and rad; and which are sound, (k,)."""
+class CutReading(NamedTuple):
+    """What a cut answers at k moments: (k, 6) each, m and rad, and how sound it is, (k,).
+
+    `slopes` and `bend_slopes` are derivatives by the moment, m/(N·m) and rad/(N·m).
+    """
 
     outputs: Floats
     bends: Floats
     rest: Floats
-    known: NDArray[np.bool_]
+    slopes: Floats
+    bend_slopes: Floats
+    state: NDArray[np.int_]
 
 
-class MomentLine:
-    """The pieces of an axis table along its second input, the other two being zero.
+class PureMomentCut:
+    """One axis' table along one of its moments, the other two loads being zero.
 
     Attributes
     ----------
-    stations : ndarray, shape (s + 1,)
-        Where the line passes from one simplex to the next, scaled.
-    simplices : ndarray of int, shape (s,)
-        The simplex of each stretch, -1 outside the hull.
+    table : AxisTable
+        Whose answers they are.
+    stations : ndarray, shape (s + 1,), dimensionless
+        Scaled moments at which the line passes from one simplex to the next, ascending.
+    pieces : ndarray, shape (s, 5, 6), m and rad
+        Of each stretch, by the scaled moment less its first station: constant and straight part
+        of the outputs; constant, straight and square part of their bends.
+    rest : ndarray, shape (s, 2, 6), m and rad
+        Constant and straight part of the rest of their bars.
+    state : ndarray of int, shape (s,)
+        As the table's; `HOLE` where no simplex holds the stretch.
     """
 
-    def __init__(
-        self,
-        shape: Interpolant,
-        pieces: Floats,
-        weak: NDArray[np.intp],
-        bending: tuple[float, ...],
-    ) -> None:
-        """Find the stretches of a triangulation of three dimensions.
+    def __init__(self, table: AxisTable, column: int) -> None:
+        """Cut a table along its input `column`, 1 or 2."""
+        self.table, self.column = table, column
+        self.stations = _stations(table.triangulation, column)
+        low, width = self.stations[:-1], np.diff(self.stations)
+        middle = self._points(low + 0.5 * width)
+        found = table.triangulation.locate(middle)
+        self.state = np.where(found >= 0, table.state[found], HOLE).astype(np.int32)
+        start, centre, end = (
+            table.read_in(np.maximum(found, 0), self._points(low + share * width))
+            for share in (0.0, 0.5, 1.0)
+        )
+        over = 1.0 / width[:, None]
+        square = 2 * (start.bends - 2 * centre.bends + end.bends) * over**2
+        straight = (end.bends - start.bends) * over - square * width[:, None]
+        outputs = (end.outputs - start.outputs) * over
+        self.pieces = np.stack((start.outputs, outputs, start.bends, straight, square), axis=1)
+        self.rest = np.stack((start.rest, (end.rest - start.rest) * over), axis=1)
 
-        Parameters
-        ----------
-        pieces : ndarray, shape (m, 13 or 25, 4)
-            What `AxisTable` holds of each simplex.
-        weak : ndarray of int, shape (m,)
-            Which simplices are not sound: not 0.
-        bending : tuple of float, length 4, dimensionless
-        """
-        self.stations = _crossings(shape)
-        middle = np.zeros((max(len(self.stations) - 1, 0), 3))
-        middle[:, 1] = (self.stations[:-1] + self.stations[1:]) / 2
-        self.simplices: Indices = shape.locate(middle)
-        self.sound = (self.simplices >= 0) & (weak[self.simplices] == 0)
-        pieces, anchors = pieces[self.simplices], shape.anchors[self.simplices]
-        # pieces * (-a_0, y - a_1, -a_2, 1) = start + y * slope
-        ends = np.concatenate((-anchors, np.ones((len(anchors), 1))), axis=1)
-        self.start = np.einsum("sij,sj->si", pieces, ends)
-        self.slope = pieces[:, :, 1].copy()
-        # The bubble's part |x - anchor|^2 = |a|^2 - 2 y a_1 + y^2
-        self.start[:, 12] -= (anchors**2).sum(axis=1)
-        self.slope[:, 12] += 2 * anchors[:, 1]
-        self.anchors, self.bending = anchors, bending
-
-    def read(self, along: Floats) -> LineReading:
-        """Return outputs and bars at scaled moments, shape (k,)."""
-        if not len(self.simplices):
-            none = np.zeros((len(along), 4))
-            return LineReading(none, none.copy(), none.copy(), np.zeros(len(along), dtype=bool))
+    def read(self, moments: Floats) -> CutReading:
+        """Read the cut at moments (k,), N·m; beyond its ends along its last stretch."""
+        scale = self.table.scale[self.column]
+        along = moments / scale
+        if not len(self.state):
+            none = np.zeros((len(along), 6))
+            blank = np.full(len(along), HOLE)
+            return CutReading(none, none, none, none, none, blank)
         found = np.searchsorted(self.stations, along, side="right") - 1
-        inside = (along >= self.stations[0] - APART) & (along <= self.stations[-1] + APART)
-        found = np.clip(found, 0, len(self.simplices) - 1)
-        told = self.slope.take(found, axis=0)
-        told *= along[:, None]
-        told += self.start.take(found, axis=0)
-        bubble = told[:, 12] - along**2
-        rest = np.abs(told[:, 4:8] + told[:, 8:12] * bubble[:, None])
-        bends = np.zeros_like(rest)
-        if told.shape[1] > 13:
-            apart = -self.anchors.take(found, axis=0)
-            apart[:, 1] += along
-            bends = np.einsum("kqi,ki->kq", told[:, 13:].reshape(-1, 4, 3), apart)
-            rest += np.abs(bends) * self.bending
-        return LineReading(told[:, :4], bends, rest, inside & self.sound[found])
+        found = np.clip(found, 0, len(self.state) - 1)
+        y = (along - self.stations[found])[:, None]
+        pieces, rest = self.pieces[found], self.rest[found]
+        beyond = (along < self.stations[0] - ON_HULL) | (along > self.stations[-1] + ON_HULL)
+        return CutReading(
+            pieces[:, 0] + y * pieces[:, 1],
+            pieces[:, 2] + y * (pieces[:, 3] + y * pieces[:, 4]),
+            rest[:, 0] + y * rest[:, 1],
+            pieces[:, 1] / scale,
+            (pieces[:, 3] + 2 * y * pieces[:, 4]) / scale,
+            np.where(beyond, HOLE, self.state[found]),
+        )
+
+    def _points(self, along: Floats) -> Floats:
+        points = np.zeros((len(along), 3))
+        points[:, self.column] = along
+        return points
 
 
-def _crossings(shape: Interpolant) -> Floats:
-    """Return, ascending, where the line (0, y, 0) meets faces of the simplices it passes."""
+def _stations(shape: Triangulation, column: int) -> Floats:
+    """Return, ascending, where the line meets faces of the simplices it passes; none or several."""
     count = len(shape.simplices)
+    if shape.dimension == 0 or not shape.holds_direction(column):
+        return np.empty(0)
     start = np.zeros((count, 3))
     at_zero = shape.barycentric(np.arange(count), start)
-    start[:, 1] = 1.0
+    start[:, column] = 1.0
     slope = shape.barycentric(np.arange(count), start) - at_zero
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         roots = np.where(slope != 0, -at_zero / slope, np.nan)
@@ -104,6 +114,6 @@ def _crossings(shape: Interpolant) -> Floats:
         # A root counts if it lies in the simplex, and so within the points' box.
         inside = (others > -1e-9).all(axis=2) & (np.abs(roots) <= np.abs(shape.points).max())
     stations = np.unique(roots[inside])
-    if not len(stations):
-        return stations
+    if len(stations) < 2:
+        return np.empty(0)
     return stations[np.concatenate(([True], np.diff(stations) > APART))]

@@ -1,0 +1,1 @@
+"""Coverage and gaps in words and JSON-able values."""

@@ -32,8 +32,8 @@ def _gaps(axis: Axis, table: AxisTable | None, load_range: LoadRange) -> dict[st
     corners = np.array(list(product(*ends)))
     if table is None:
         return {"axis": axis.name, "hull": [], "outside": _loads(axis, corners), "worst": []}
-    scale = np.array(table.scale)
-    outside = table.interpolant.locate(corners / scale) < 0
+    scale = table.scale
+    outside = table.triangulation.locate(corners / scale) < 0
     return {
         "axis": axis.name,
         "hull": _loads(axis, _hull(table) * scale),
@@ -49,8 +49,8 @@ def _loads(axis: Axis, points: Floats) -> list[dict[str, float]]:
 
 def _hull(table: AxisTable) -> Floats:
     """Return the vertices of the rows' hull, scaled, shape (k, 3); of a flat table its ends."""
-    points, dimension = table.interpolant.points, table.interpolant.dimension
-    flat = (points - table.interpolant.origin) @ table.interpolant.basis.T
+    points, dimension = table.triangulation.points, table.triangulation.dimension
+    flat = (points - table.triangulation.origin) @ table.triangulation.basis.T
     if dimension == 0:
         return points[:1]
     if dimension == 1:
@@ -63,21 +63,22 @@ def _hull(table: AxisTable) -> Floats:
 
 def _worst(axis: Axis, table: AxisTable) -> list[dict[str, Any]]:
     """Return the middles of the simplices with the largest bars, for their outputs' range."""
-    shape = table.interpolant
+    shape = table.triangulation
     middle = shape.points[shape.simplices].mean(axis=1)
-    bars = table.read(np.arange(len(middle)), middle).bars
-    size = np.maximum(np.abs(table.values).max(axis=0), np.finfo(float).tiny)
-    parts, thin = table.parts(), np.array(table.weak) != SOUND
+    reading = table.read_in(np.arange(len(middle)), middle)
+    bars = (np.abs(reading.bends) + reading.rest)[:, list(axis.outputs)]
+    size = np.maximum(np.abs(table.values[:, list(axis.outputs)]).max(axis=0), np.finfo(float).tiny)
+    fractions, thin = table.fractions(), table.state != SOUND
     spots = []
     for place in np.argsort(-(bars / size).max(axis=1))[:MOST_SPOTS].tolist():
-        loads = middle[place : place + 1] * np.array(table.scale)
+        loads = middle[place : place + 1] * table.scale
         names = [OUTPUTS[output] for output in axis.outputs]
         spots.append(
             {
                 "loads": _loads(axis, loads)[0],
                 "error": dict(zip(names, bars[place].tolist(), strict=True)),
-                "part_of_range": float(parts[place]),
-                "thin": bool(thin[place]) or not table.sound,
+                "part_of_range": float(fractions[place]),
+                "thin": bool(thin[place]) or not table.enough,
             }
         )
     return spots

@@ -21,7 +21,7 @@ def summarise(
     fit: ComplianceFit,
     composition: Composition | None,
 ) -> dict[str, Any]:
-    """Return rows, conflicts, spans and error bars per axis, what is left out.
+    """Return rows, conflicts, spans and error bars per axis.
 
     `used` are the rows that answers are made of; without a composition the 6x6 compliance answers.
     """
@@ -37,17 +37,11 @@ def summarise(
         **row_conflicts(rows, load_range),
     }
     if composition is None:
-        return {**summary, "axes": [], "left_out": None}
-    left_out = composition.left_out
+        return {**summary, "axes": []}
     summary["axes"] = [
         _axis(axis.name, [LOADS[load] for load in axis.inputs], table)
         for axis, table in zip(AXES, composition.tables, strict=True)
     ]
-    summary["left_out"] = {
-        "full_wrench_rows": left_out.shown,
-        "across_axes": dict(zip(OUTPUTS[:3], left_out.across, strict=True)),
-        "acting_together": dict(zip(OUTPUTS, left_out.together, strict=True)),
-    }
     return summary
 
 
@@ -65,13 +59,13 @@ def _axis(name: str, inputs: list[str], table: AxisTable | None) -> dict[str, An
             "part_of_range": 0.0,
             "thin_part_of_range": 0.0,
             "error": None,
-            "calibrated_on": 0,
         }
-    shape, points = table.interpolant, table.rows.points * np.array(table.scale)
-    parts, weak = table.parts(), np.array(table.weak) != SOUND
+    shape, points = table.triangulation, table.rows.points * table.scale
+    fractions, weak = table.fractions(), table.state != SOUND
     middle = shape.points[shape.simplices].mean(axis=1)
-    bars = table.read(np.arange(len(middle)), middle).bars
-    typical = np.average(bars, axis=0, weights=np.maximum(parts, np.finfo(float).tiny))
+    reading = table.read_in(np.arange(len(middle)), middle)
+    bars = np.abs(reading.bends) + reading.rest
+    typical = np.average(bars, axis=0, weights=np.maximum(fractions, np.finfo(float).tiny))
     return {
         "axis": name,
         "inputs": inputs,
@@ -82,12 +76,8 @@ def _axis(name: str, inputs: list[str], table: AxisTable | None) -> dict[str, An
             load: [float(points[:, column].min()), float(points[:, column].max())]
             for column, load in enumerate(inputs)
         },
-        "coverage": "covered" if table.sound and not weak.all() else "thin",
-        "part_of_range": float(parts.sum()),
-        "thin_part_of_range": float(parts.sum() if not table.sound else parts[weak].sum()),
-        "error": {
-            OUTPUTS[output]: float(bar)
-            for output, bar in zip(table.axis.outputs, typical, strict=True)
-        },
-        "calibrated_on": table.bars.held_out,
+        "coverage": "covered" if table.enough and not weak.all() else "thin",
+        "part_of_range": float(fractions.sum()),
+        "thin_part_of_range": float(fractions.sum() if not table.enough else fractions[weak].sum()),
+        "error": {OUTPUTS[output]: float(typical[output]) for output in table.axis.outputs},
     }

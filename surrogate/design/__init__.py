@@ -1,0 +1,1 @@
+"""Which wrench to solve next."""

@@ -1,0 +1,1 @@
+"""Scattered data on one axis: triangulation, walks, slopes."""

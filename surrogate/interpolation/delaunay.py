@@ -15,14 +15,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay, KDTree, QhullError
 
+from surrogate.interpolation.hull import nearest_points
 from surrogate.interpolation.morton import curve_order
+from surrogate.interpolation.numbering import Numbered, number
+from surrogate.interpolation.walk import LOST, ON_HULL, locate_many
+from surrogate.jit import COMPILED
 from surrogate.table.rows import Floats
 
 Indices = NDArray[np.intp]
 
 FLAT = 1e-9  # of the points' extent: what lies closer to a plane, a line or a point is in it
 SLIVER = 1e-10  # volume over cubed longest edge (or the like) below which a simplex is degenerate
-INWARD = 2e-9  # of the way to the middle: what lies 1e-9 of the range beyond the hull is on it
 SHEAR = np.eye(3) + 1e-3 * np.array([[0.31, 0.77, -0.53], [0.19, -0.41, 0.97], [-0.61, 0.37, 0.23]])
 
 
@@ -41,7 +44,7 @@ class ShearedDelaunay(Delaunay):
         return super().find_simplex(sheared, bruteforce=bruteforce, tol=tol)
 
 
-class Interpolant:
+class Triangulation:
     """A triangulation of scattered points, with one affine barycentric map per simplex.
 
     Attributes
@@ -57,6 +60,8 @@ class Interpolant:
     volumes : ndarray, shape (m,)
         Length, area or volume of each simplex; 1 for a single point.
     degenerate : ndarray of bool, shape (m,)
+    neighbours : ndarray of int, shape (m, dimension + 1)
+        The simplex across from each vertex, -1 on the hull.
     """
 
     def __init__(self, points: ArrayLike) -> None:
@@ -86,6 +91,7 @@ class Interpolant:
         if self.dimension == 0:
             self._find: Callable[[Floats], Indices] = lambda x: np.zeros(len(x), dtype=np.intp)
             self.simplices = np.zeros((1, 1), dtype=np.intp)
+            self.neighbours = np.full((1, 1), -1, dtype=np.intp)
             self.weights = np.zeros((1, 0, 3))
         elif self.dimension == 1:
             self._connect_line(flat[:, 0])
@@ -101,22 +107,27 @@ class Interpolant:
         """
         given = self.points if self.dimension == 3 else flat
         self.delaunay = Delaunay(given)
-        maps = self.delaunay.transform[:, : self.dimension]
-        flattened = _flat_count(given, self.delaunay)
+        flattened = _flat_count(given, self.delaunay.simplices)
         if flattened:
-            shear = SHEAR[: self.dimension, : self.dimension]
-            sheared = ShearedDelaunay(given, shear)
-            if _flat_count(given, sheared) < flattened:
-                self.delaunay, maps = sheared, sheared.transform[:, : self.dimension] @ shear
+            sheared = ShearedDelaunay(given, SHEAR[: self.dimension, : self.dimension])
+            if _flat_count(given, sheared.simplices) < flattened:
+                self.delaunay = sheared
         self._find = self._find_in_order
         self.simplices = self.delaunay.simplices.astype(np.intp)
-        self.weights = maps if self.dimension == 3 else maps @ self.basis
+        self.neighbours = self.delaunay.neighbors.astype(np.intp)
+        edges = given[self.simplices[:, :-1]] - given[self.simplices[:, -1:]]
+        self.weights = inverses(edges).transpose(0, 2, 1)
+        if self.dimension < 3:
+            self.weights = self.weights @ self.basis
 
     def _connect_line(self, along: Floats) -> None:
         order = np.argsort(along)
         stations = along[order]
         self._find = lambda x: _interval(stations, x[:, 0])
         self.simplices = np.stack((order[:-1], order[1:]), axis=1)
+        place = np.arange(len(self.simplices))
+        self.neighbours = np.stack((place + 1, place - 1), axis=1)
+        self.neighbours[-1, 0] = -1
         with np.errstate(divide="ignore", invalid="ignore"):  # no length: marked degenerate
             self.weights = -self.basis[None] / np.diff(stations)[:, None, None]
 
@@ -124,7 +135,7 @@ class Interpolant:
         edges = self.points[self.simplices[:, :-1]] - self.anchors[:, None]
         flat = edges @ self.basis.T
         longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1, initial=0.0)
-        self.volumes = np.abs(np.linalg.det(flat)) / math.factorial(self.dimension)
+        self.volumes = np.abs(determinants(flat)) / math.factorial(self.dimension)
         finite = np.isfinite(self.weights).reshape(len(edges), -1)
         broken: NDArray[np.bool_] = np.asarray(np.any(~finite, axis=1))
         self.degenerate = broken | (self.volumes < SLIVER * longest**self.dimension)
@@ -134,16 +145,37 @@ class Interpolant:
     def locate(self, x: ArrayLike) -> Indices:
         """Return the simplex of each point, shape (k, 3) -> (k,), or -1 outside the hull.
 
-        Points on the hull are inside, and so is what lies 1e-9 of the range beyond it: what is
-        found just outside is looked up again a little further in.
+        Points on the hull are inside: what rounding put just outside is looked up again a little
+        further in.
         """
         points = np.asarray(x, dtype=float)
+        if not COMPILED or self.dimension == 0:
+            return self._locate(points)
+        found = np.empty(len(points), dtype=np.intp)
+        locate_many(points, curve_order(self.flattened(points)), *self.numbered.walked, found)
+        lost = np.flatnonzero(found == LOST)
+        if len(lost):
+            found[lost] = self._locate(points[lost])
+        return found
+
+    def _locate(self, points: Floats) -> Indices:
         found = self._find_flat(points)
         missed = np.asarray(found < 0)
         if missed.any():
-            inward = points[missed] + INWARD * (self.origin - points[missed])
+            inward = points[missed] + ON_HULL * (self.origin - points[missed])
             found[missed] = self._find_flat(inward)
         return found
+
+    @cached_property
+    def numbered(self) -> Numbered:
+        """The same, laid out for walks."""
+        return number(
+            self.flattened(self.points),
+            self.simplices,
+            self.neighbours,
+            self.degenerate,
+            (self.origin, self.basis, self.slack),
+        )
 
     def _find_in_order(self, flat: Floats) -> Indices:
         """Walk to the points, shape (k, d), in an order that makes the walks short."""
@@ -168,23 +200,71 @@ class Interpolant:
     def _tree(self) -> KDTree:
         return KDTree(self.points)
 
+    def flattened(self, x: Floats) -> Floats:
+        """Return points (k, 3) in the coordinates of what the points span, (k, dimension)."""
+        return x if self.dimension == 3 else (x - self.origin) @ self.basis.T
+
+    def holds_direction(self, column: int) -> bool:
+        """Return whether a line along a coordinate through zero lies in what the points span."""
+        ends = np.zeros((2, 3))
+        ends[1, column] = 1.0
+        off = ends - self.origin
+        off = off - off @ self.basis.T @ self.basis
+        return bool((np.abs(off) <= self.slack).all())
+
+    def nearest_on_hull(self, x: Floats) -> tuple[Floats, Indices]:
+        """Return the nearest points of the hull, (k, 3), and a simplex that holds each, (k,).
+
+        Parameters
+        ----------
+        x : ndarray, shape (k, 3)
+            Points outside the hull.
+        """
+        if self.dimension == 0:
+            return np.tile(self.points[0], (len(x), 1)), np.zeros(len(x), dtype=np.intp)
+        # What lies off the plane or line of the points is nearest to its foot there, if the hull
+        # holds that.
+        place = x if self.dimension == 3 else self.origin + self.flattened(x) @ self.basis
+        found = self.locate(place) if self.dimension < 3 else np.full(len(x), -1)
+        beyond = np.flatnonzero(found < 0)
+        if len(beyond):
+            at, facet = nearest_points(self.points[self.hull], place[beyond])
+            place = place.copy()
+            place[beyond], found[beyond] = at, self.behind_hull[facet]
+        return place, found
+
+    @cached_property
+    def hull(self) -> Indices:
+        """The vertices of each facet of the hull, shape (f, dimension)."""
+        owner, across = np.nonzero(self.neighbours < 0)
+        keep = np.ones((len(owner), self.dimension + 1), dtype=bool)
+        keep[np.arange(len(owner)), across] = False
+        return self.simplices[owner][keep].reshape(len(owner), self.dimension)
+
+    @cached_property
+    def behind_hull(self) -> Indices:
+        """The simplex behind each facet of the hull, shape (f,)."""
+        return np.nonzero(self.neighbours < 0)[0]
+
+    def gradients_at(self, simplices: Indices, values: Floats) -> Floats:
+        """Return the gradients of vertex values (n, q) in some simplices, (k,) -> (k, q, 3)."""
+        corners = values[self.simplices[simplices]]
+        rise = corners[:, :-1] - corners[:, -1:]
+        return np.einsum("kdq,kdi->kqi", rise, self.weights[simplices])
+
     def barycentric(self, simplices: Indices, x: Floats) -> Floats:
         """Return the barycentric coordinates, shape (k, d + 1), of points (k, 3)."""
         most = np.einsum("kij,kj->ki", self.weights[simplices], x - self.anchors[simplices])
         return np.concatenate((most, 1 - most.sum(axis=1, keepdims=True)), axis=1)
 
+    def share_slopes(self, simplices: Indices) -> Floats:
+        """Return the slopes of the barycentric coordinates in simplices (k,), (k, d + 1, 3)."""
+        most = self.weights[simplices]
+        return np.concatenate((most, -most.sum(axis=1, keepdims=True)), axis=1)
+
     def gradients(self, values: Floats) -> Floats:
         """Return the gradient of vertex values (n, q) in each simplex, shape (m, q, 3)."""
-        rise = values[self.simplices[:, :-1]] - values[self.simplices[:, -1:]]
-        return np.einsum("mdq,mdi->mqi", rise, self.weights)
-
-    def bubbles(self, simplices: Indices, x: Floats) -> Floats:
-        """Return the mean squared distance to the vertices, barycentrically weighted, shape (k,).
-
-        Linear interpolation of a function of constant curvature c errs by c/2 times this.
-        """
-        apart = self.points[self.simplices[simplices]] - x[:, None]
-        return ((apart**2).sum(axis=2) * self.barycentric(simplices, x)).sum(axis=1)
+        return self.gradients_at(np.arange(len(self.simplices)), values)
 
 
 def _span(points: Floats) -> tuple[int, Floats]:
@@ -204,12 +284,31 @@ def _span(points: Floats) -> tuple[int, Floats]:
     return dimension, np.linalg.svd(centred, full_matrices=False)[2]
 
 
-def _flat_count(points: Floats, delaunay: Delaunay) -> int:
+def _flat_count(points: Floats, simplices: NDArray[np.int32]) -> int:
     """Return how many simplices of points (n, d) have no volume to speak of."""
-    edges = points[delaunay.simplices[:, :-1]] - points[delaunay.simplices[:, -1:]]
+    edges = points[simplices[:, :-1]] - points[simplices[:, -1:]]
     longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1)
-    volumes = np.abs(np.linalg.det(edges)) / math.factorial(points.shape[1])
+    volumes = np.abs(determinants(edges)) / math.factorial(points.shape[1])
     return int((volumes < SLIVER * longest ** points.shape[1]).sum())
+
+
+def determinants(edges: Floats) -> Floats:
+    """Return the determinants of matrices (m, d, d), d at most 3, shape (m,)."""
+    if edges.shape[1] < 3:
+        return np.linalg.det(edges)
+    a, b, c = edges[:, 0], edges[:, 1], edges[:, 2]
+    return (a * np.cross(b, c)).sum(axis=1)
+
+
+def inverses(edges: Floats) -> Floats:
+    """Return the inverses of matrices (m, d, d), d 2 or 3, by cofactors; not finite if singular."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        over = 1.0 / determinants(edges)[:, None, None]
+        if edges.shape[1] == 2:
+            a, b, c, d = edges[:, 0, 0], edges[:, 0, 1], edges[:, 1, 0], edges[:, 1, 1]
+            return np.stack((d, -b, -c, a), axis=1).reshape(-1, 2, 2) * over
+        a, b, c = edges[:, 0], edges[:, 1], edges[:, 2]
+        return np.stack((np.cross(b, c), np.cross(c, a), np.cross(a, b)), axis=2) * over
 
 
 def _interval(stations: Floats, along: Floats) -> Indices:

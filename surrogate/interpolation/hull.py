@@ -1,99 +1,73 @@
-"""The nearest point of a convex hull, for many points outside it at once.
-
-Gilbert, Johnson and Keerthi's algorithm (1988, "A fast procedure for computing the distance between
-complex objects in three-dimensional space"): of a few vertices of the hull the nearest point is
-kept, and the vertex that lies farthest towards the point asked for joins them, until none lies
-farther. A point outside has its nearest point on a face, so that three vertices are enough.
-"""
+"""The nearest point of a hull's facets: a point, a stretch of a line, or a triangle each."""
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import numpy as np
+from numpy.typing import NDArray
 
 from surrogate.table.rows import Floats
 
-MOST_STEPS = 60  # each takes a vertex nearer; some ten are usual
-NEARER = 1e-13  # of the squared distances at hand: less is rounding
-FLAT = 1e-14  # of squared edges: a triangle or an edge below it is met by its own edges or ends
-
-_SUBSETS = [list(subset) for size in (1, 2, 3) for subset in combinations(range(4), size)]
+CHUNK = 200_000  # pairs of points and facets looked at together: some 50 MB of numbers
 
 
-def nearest_in_hull(vertices: Floats, x: Floats) -> Floats:
-    """Return the hull's points nearest to points outside it.
+def nearest_points(facets: Floats, x: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    """Return the nearest point of any facet to each point, (k, 3), and which facet, (k,).
 
     Parameters
     ----------
-    vertices : ndarray, shape (n, 3), dimensionless
-        Points whose hull it is, which may be flat, a line or a point.
-    x : ndarray, shape (k, 3), dimensionless
-        Points outside the hull, or on it.
-
-    Returns
-    -------
-    ndarray, shape (k, 3), dimensionless
+    facets : ndarray, shape (f, corners, 3)
+        One, two or three corners each.
+    x : ndarray, shape (k, 3)
+        In the facets' unit.
     """
-    start = np.argmax(x @ vertices.T - 0.5 * (vertices**2).sum(axis=1), axis=1)
-    corners = np.repeat(vertices[start][:, None], 4, axis=1)
-    nearest = corners[:, 0].copy()
-    going = np.arange(len(x))
-    for _ in range(MOST_STEPS):
-        to = x[going] - nearest[going]
-        farthest = np.argmax(to @ vertices.T, axis=1)
-        gain = np.einsum("ki,ki->k", to, vertices[farthest] - nearest[going])
-        size = np.einsum("ki,ki->k", to, to) + NEARER
-        nearer = gain > NEARER * np.maximum(size, 1.0)
-        going, farthest = going[nearer], farthest[nearer]
-        if not len(going):
-            break
-        corners[going, 3] = vertices[farthest]
-        found, kept = _nearest_on_faces(corners[going], x[going])
-        before = ((x[going] - nearest[going]) ** 2).sum(axis=1)
-        after = ((x[going] - found) ** 2).sum(axis=1)
-        better = after < before
-        going, found, kept = going[better], found[better], kept[better]
-        corners[going, :3], nearest[going] = kept, found
-    return nearest
+    place = np.empty_like(x)
+    which = np.empty(len(x), dtype=np.intp)
+    step = max(CHUNK // len(facets), 1)
+    for start in range(0, len(x), step):
+        some = slice(start, start + step)
+        on_each = _on_facets(facets, x[some])
+        apart = ((on_each - x[some, None]) ** 2).sum(axis=2)
+        best = apart.argmin(axis=1)
+        which[some] = best
+        place[some] = on_each[np.arange(len(best)), best]
+    return place, which
 
 
-def _nearest_on_faces(corners: Floats, x: Floats) -> tuple[Floats, Floats]:
-    """Return, of four corners (k, 4, 3), the nearest point (k, 3) and the corners it is between.
+def _on_facets(facets: Floats, x: Floats) -> Floats:
+    """Return the nearest point of each facet to each point, shape (k, f, 3)."""
+    corners = facets.shape[1]
+    if corners == 1:
+        return np.broadcast_to(facets[None, :, 0], (len(x), len(facets), 3))
+    if corners == 2:
+        return _on_stretch(facets[:, 0], facets[:, 1], x)
+    return _on_triangles(facets, x)
 
-    Those are three, (k, 3, 3), some of them repeated where the point is on an edge or a corner.
+
+def _on_stretch(a: Floats, b: Floats, x: Floats) -> Floats:
+    along = b - a
+    length = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+    share = np.einsum("kfi,fi->kf", x[:, None] - a, along) / length
+    return a + np.clip(share, 0.0, 1.0)[..., None] * along
+
+
+def _on_triangles(facets: Floats, x: Floats) -> Floats:
+    """Take the foot of the perpendicular if the triangle holds it, else the nearest of its edges.
+
+    The barycentric coordinates of the foot come of the normal equations; a triangle without area
+    has none, and its edges answer.
     """
-    least = np.full(len(x), np.inf)
-    found, kept = np.empty_like(x), np.empty((len(x), 3, 3))
-    for subset in _SUBSETS:
-        some = corners[:, subset]
-        point, inside = _foot(some, x)
-        apart = np.where(inside, ((x - point) ** 2).sum(axis=1), np.inf)
-        better = apart < least
-        least[better], found[better] = apart[better], point[better]
-        padded = [*range(len(subset)), *[0] * (3 - len(subset))]
-        kept[better] = some[better][:, padded]
-    return found, kept
-
-
-def _foot(corners: Floats, x: Floats) -> tuple[Floats, np.ndarray]:
-    """Return the foot (k, 3) of x on points, lines or planes, and whether it is between corners."""
-    base, count = corners[:, 0], corners.shape[1]
-    to = x - base
-    if count == 1:
-        return base, np.ones(len(x), dtype=bool)
-    first = corners[:, 1] - base
-    a = np.einsum("ki,ki->k", first, first)
-    p = np.einsum("ki,ki->k", first, to)
+    a, e, f = facets[:, 0], facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0]
+    ee, ef, ff = ((u * v).sum(axis=1) for u, v in ((e, e), (e, f), (f, f)))
+    area = ee * ff - ef**2
+    apart = x[:, None] - a
+    pe, pf = np.einsum("kfi,fi->kf", apart, e), np.einsum("kfi,fi->kf", apart, f)
     with np.errstate(divide="ignore", invalid="ignore"):
-        if count == 2:
-            s = p / a
-            return base + s[:, None] * first, (a > 0) & (s >= 0) & (s <= 1)
-        second = corners[:, 2] - base
-        b = np.einsum("ki,ki->k", first, second)
-        c = np.einsum("ki,ki->k", second, second)
-        q = np.einsum("ki,ki->k", second, to)
-        size = a * c - b * b
-        s, t = (c * p - b * q) / size, (a * q - b * p) / size
-        inside = (size > FLAT * a * c) & (s >= 0) & (t >= 0) & (s + t <= 1)
-        return base + s[:, None] * first + t[:, None] * second, inside
+        s, t = (ff * pe - ef * pf) / area, (ee * pf - ef * pe) / area
+    inside = (s >= 0) & (t >= 0) & (s + t <= 1)
+    foot = a + np.where(inside, s, 0.0)[..., None] * e + np.where(inside, t, 0.0)[..., None] * f
+    edges = np.stack(
+        [_on_stretch(facets[:, i], facets[:, j], x) for i, j in ((0, 1), (1, 2), (2, 0))]
+    )
+    nearest = ((edges - x[None, :, None]) ** 2).sum(axis=3).argmin(axis=0)
+    on_edge = np.take_along_axis(edges, nearest[None, ..., None], axis=0)[0]
+    return np.where(inside[..., None], foot, on_edge)

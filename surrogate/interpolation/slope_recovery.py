@@ -1,4 +1,4 @@
-"""Slopes at the rows, and what they tell about the error of interpolating linearly.
+"""Slopes at the points of a table, and what neighbours know of a point they do not hold.
 
 With the slope g_i of the response at each vertex v_i of a simplex, the blend
 
@@ -7,109 +7,93 @@ With the slope g_i of the response at each vertex v_i of a simplex, the blend
 is exact for quadratics: linear interpolation of a quadratic errs by half of what the vertices'
 first-order expansions, blended by their barycentric weights, add to it (the whole of it would err
 by as much to the other side). So its second part, the *bend*, is a third-order estimate of the
-error of linear interpolation. As x - v_i is a sum of edges, it is
+error of linear interpolation.
 
-    bend(x) = 1/2 sum_{i<j} lambda_i lambda_j (g_i - g_j) (v_j - v_i)
-
-Slopes come from FEA solves as their tangent compliance. Where no row has one they are recovered
-from a quadratic fitted through the neighbours (as in Zienkiewicz and Zhu 1992, patch recovery).
+Slopes come from solves as their tangent compliance. Where no row has one they are recovered from a
+quadratic fitted through the neighbours (as in Zienkiewicz and Zhu 1992, patch recovery). The
+quadratic does not know the point itself, so that what it misses it by is an honest error.
 """
 
 from __future__ import annotations
 
 from itertools import combinations_with_replacement
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from surrogate.interpolation.delaunay import Indices, Interpolant
+from surrogate.interpolation.delaunay import Triangulation
 from surrogate.table.rows import Floats
 
-NEIGHBOURS = {1: 4, 2: 9, 3: 16}  # of a fitted quadratic, by dimension: not quite two per unknown
-RIDGE = 1e-10
+NEIGHBOURS = {1: 5, 2: 10, 3: 18}  # of a patch, by dimension: not quite two for each unknown
+RIDGE = 1e-10  # of the patch's own size: keeps points on one quadric from a singular fit
+NEARER = 0.1  # added to squared distances (of the farthest) before weights are their inverse
+CHUNK = 4096  # patches fitted at once: their normal equations fit the cache
 
 
-def row_slopes(interpolant: Interpolant, values: Floats, tangent: Floats) -> Floats:
-    """Return the slopes of values (n, q) at the points, shape (n, q, 3).
+class Patches(NamedTuple):
+    """Quadratics through the neighbours of each of n points.
 
-    Those known from `tangent`, shape (n, q, 3); those recovered from neighbours if no row has a
-    tangent; NaN where there is neither.
+    Attributes
+    ----------
+    slopes : ndarray, shape (n, q, 3)
+        Their derivative at the point; NaN where there are too few points for a patch.
+    misses : ndarray, shape (n, q)
+        Value at the point less the quadratic's; NaN likewise.
     """
-    if np.isfinite(tangent).all(axis=(1, 2)).any():
-        return tangent
-    return _recovered(interpolant, values)
+
+    slopes: Floats
+    misses: Floats
 
 
-def edge_bends(interpolant: Interpolant, slopes: Floats) -> Floats:
-    """Return (g_i - g_j) (v_j - v_i) / 2 of each simplex' edges i < j, shape (m, edges, q).
+def fit_patches(triangulation: Triangulation, values: Floats) -> Patches:
+    """Fit a quadratic through each point's neighbours, the point left out.
 
-    A vertex without a slope takes that of the simplex' linear interpolation, which bends nothing;
-    the caller passes slopes with that taken off, so that 0 stands for it.
+    Parameters
+    ----------
+    values : ndarray, shape (n, q)
+        In any unit; slopes are in that unit, points being dimensionless.
     """
-    simplices, points = interpolant.simplices, interpolant.points
-    first, second = np.triu_indices(simplices.shape[1], 1)
-    edges = points[simplices[:, second]] - points[simplices[:, first]]
-    differ = slopes[:, first] - slopes[:, second]
-    return 0.5 * np.einsum("meqi,mei->meq", differ, edges)
-
-
-def simplex_slopes(interpolant: Interpolant, values: Floats, slopes: Floats) -> Floats:
-    """Return each vertex' slope less its simplex' own, shape (m, d + 1, q, 3); 0 where unknown."""
-    own = interpolant.gradients(values)
-    return np.nan_to_num(slopes[interpolant.simplices] - own[:, None])
-
-
-def _recovered(interpolant: Interpolant, values: Floats) -> Floats:
-    """Return slopes of quadratics fitted through each point and its neighbours, (n, q, 3)."""
-    dimension, n = interpolant.dimension, len(values)
+    dimension, n = triangulation.dimension, len(values)
     slopes = np.full((n, values.shape[1], 3), np.nan)
+    misses = np.full(values.shape, np.nan)
     wanted = NEIGHBOURS.get(dimension, 0)
     if not wanted or n <= wanted:
-        return slopes
-    flat = (interpolant.points - interpolant.origin) @ interpolant.basis.T
+        return Patches(slopes, misses)
+    flat = triangulation.flattened(triangulation.points)
     found = KDTree(flat).query(flat, k=wanted + 1)
     far, near = np.asarray(found[0])[:, 1:], np.asarray(found[1], dtype=np.intp)[:, 1:]
+    for start in range(0, n, CHUNK):
+        some = slice(start, start + CHUNK)
+        apart = flat[near[some]] - flat[some, None]
+        rise = values[near[some]] - values[some, None]
+        constant, slope = _quadratics(apart, far[some], rise)
+        slopes[some] = np.einsum("niq,ij->nqj", slope, triangulation.basis)
+        misses[some] = -constant
+    return Patches(slopes, misses)
+
+
+def _quadratics(apart: Floats, far: Floats, rise: Floats) -> tuple[Floats, Floats]:
+    """Return constants (n, q) and slopes (n, d, q) of quadratics through rises (n, k, q)."""
+    dimension = apart.shape[2]
     reach = np.maximum(far[:, -1], np.finfo(float).tiny)
-    apart = (flat[near] - flat[:, None]) / reach[:, None, None]
+    apart = apart / reach[:, None, None]
     squares = list(combinations_with_replacement(range(dimension), 2))
     second = np.stack([apart[..., i] * apart[..., j] for i, j in squares], axis=-1)
-    weight = 1 / (0.1 + (far / reach[:, None]) ** 2)
-    terms = np.concatenate((apart, second), axis=-1)
-    told = weight[..., None] * terms
-    normal = np.einsum("nki,nkj->nij", told, terms) + RIDGE * wanted * np.eye(terms.shape[-1])
-    rise = values[near] - values[:, None]
-    fitted = np.linalg.solve(normal, np.einsum("nki,nkq->niq", told, rise))[:, :dimension]
-    fitted = fitted / reach[:, None, None]
-    return np.einsum("niq,ij->nqj", fitted, interpolant.basis)
+    terms = np.concatenate((np.ones((*apart.shape[:2], 1)), apart, second), axis=-1)
+    weighed = terms / (NEARER + (far / reach[:, None]) ** 2)[..., None]
+    normal = weighed.transpose(0, 2, 1) @ terms
+    normal += RIDGE * terms.shape[1] * np.eye(terms.shape[-1])
+    fitted = np.linalg.solve(normal, weighed.transpose(0, 2, 1) @ rise)
+    return fitted[:, 0], fitted[:, 1 : 1 + dimension] / reach[:, None, None]
 
 
-def bends_at(shares: Floats, edges: Floats) -> Floats:
-    """Return the bends (k, q) at barycentric coordinates (k, d + 1), edge bends (k, edges, q)."""
-    first, second = np.triu_indices(shares.shape[1], 1)
-    return np.einsum("ke,keq->kq", shares[:, first] * shares[:, second], edges)
-
-
-def quadratic_maps(interpolant: Interpolant, edges: Floats) -> tuple[Floats, Floats]:
-    """Return Q (m, q, 3, 3) and l (m, q, 3) such that the bend is dx Q dx + l dx.
-
-    dx is counted from the simplex' anchor, its last vertex, whose barycentric coordinate is one
-    less the others'.
-    """
-    weights = interpolant.weights
-    count, width = interpolant.simplices.shape
-    maps = np.concatenate((weights, -weights.sum(axis=1, keepdims=True)), axis=1)
-    constant = np.zeros((count, width))
-    constant[:, -1] = 1.0
-    first, second = np.triu_indices(width, 1)
-    square = np.einsum("meq,mei,mej->mqij", edges, maps[:, first], maps[:, second])
-    line = np.einsum("meq,mei,me->mqi", edges, maps[:, first], constant[:, second])
-    return square, line
-
-
-def bend_of(
-    interpolant: Interpolant, values: Floats, tangent: Floats, found: Indices, shares: Floats
-) -> Floats:
-    """Return the bends (k, q) in simplices (k,) at barycentric coordinates (k, d + 1)."""
-    slopes = row_slopes(interpolant, values, tangent)
-    edges = edge_bends(interpolant, simplex_slopes(interpolant, values, slopes))
-    return bends_at(shares, edges[found])
+def mean_slopes(triangulation: Triangulation, values: Floats) -> Floats:
+    """Return slopes (n, q, 3) as the mean of the simplices that meet at each point."""
+    around = np.zeros((len(values), values.shape[1], 3))
+    count = np.zeros(len(values))
+    own = triangulation.gradients(values)
+    for corner in triangulation.simplices.T:
+        np.add.at(around, corner, own)
+        np.add.at(count, corner, 1.0)
+    return around / np.maximum(count, 1.0)[:, None, None]

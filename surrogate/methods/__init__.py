@@ -1,0 +1,1 @@
+"""The ways to answer, in one registry, and which is the default."""

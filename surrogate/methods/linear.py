@@ -1,69 +1,59 @@
-"""The answer of the 6x6 compliance, for one wrench and in words."""
+"""`linear`: the 6x6 compliance times the wrench."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 
-from surrogate.answer import Answer, judged
-from surrogate.table.axes import AXES, CLEAN
+from surrogate.answer import COVERED, OUTSIDE
+from surrogate.methods.method import Estimates, why_beyond
+from surrogate.methods.reference import Reference
+from surrogate.table.axes import CLEAN
 from surrogate.table.compliance import ComplianceFit
-from surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUTS, LoadRange, Rows, Tolerance
+from surrogate.table.rows import LOADS, Floats, LoadRange
+
+ROUNDING = 1e-12  # of the answer's size: what the solver's own arithmetic leaves
 
 
-def answer_linearly(
-    fit: ComplianceFit, load_range: LoadRange, wrench: Sequence[float], tolerance: Tolerance | None
-) -> Answer:
-    """Return the compliance times one wrench, and why it is not covered where it is not."""
-    loads = np.array(wrench, dtype=float)
-    displacement = tuple((fit.matrix @ loads).tolist())
-    unknown = ~fit.known & (np.abs(loads) > CLEAN * load_range.scale)
-    if unknown.any():
-        reason = f"no row tells the influence of {LOADS[int(np.argmax(unknown))]}"
-        return Answer(displacement, None, "outside", reason, "linear")
-    error = tuple(fit.bar.tolist())
-    if load_range.holds(loads[None])[0]:
-        return judged(displacement, error, tolerance, "linear")
-    beyond = np.maximum(load_range.low - loads, loads - load_range.high) / load_range.scale
-    load = int(np.argmax(beyond))
-    low, high = load_range.low[load], load_range.high[load]
-    reason = (
-        f"{LOADS[load]} = {loads[load]:.6g} {LOAD_UNITS[load]} is outside "
-        f"the load range, {low:.6g}..{high:.6g} {LOAD_UNITS[load]}"
-    )
-    return Answer(displacement, error, "outside", reason, "linear")
+class Linear:
+    """The compliance's answer.
 
-
-def explain_linearly(
-    fit: ComplianceFit,
-    rows: Rows,
-    members: Sequence[tuple[int, ...]],
-    wrench: Sequence[float],
-    answer: Answer,
-) -> list[dict[str, Any]]:
-    """Return what each axis' three loads contribute to a linear answer, as `explain` lists it.
-
-    The rows are those the compliance comes from; the error bars are those of the whole answer.
+    Parameters
+    ----------
+    fit : ComplianceFit
+    reference : Reference or None
+        None for a linear component, whose compliance is the whole truth.
     """
-    stored = np.isfinite(rows.compliance).all(axis=(1, 2))
-    behind = np.flatnonzero(stored) if fit.origin == "stored" else np.arange(len(rows))
-    used = sorted(seq for place in behind.tolist() for seq in members[place])
-    parts = []
-    for axis in AXES:
-        loads = np.zeros(6)
-        loads[list(axis.inputs)] = np.array(wrench, dtype=float)[list(axis.inputs)]
-        moved = fit.matrix @ loads
-        parts.append(
-            {
-                "axis": axis.name,
-                "inputs": {LOADS[load]: float(loads[load]) for load in axis.inputs},
-                "outputs": {OUTPUTS[k]: float(moved[k]) for k in axis.outputs},
-                "error": answer.error and {OUTPUTS[k]: answer.error[k] for k in axis.outputs},
-                "coverage": answer.coverage,
-                "reason": answer.reason,
-                "rows": used,
-            }
-        )
-    return parts
+
+    name = "linear"
+
+    def __init__(
+        self, fit: ComplianceFit, load_range: LoadRange, reference: Reference | None
+    ) -> None:
+        self.fit, self.load_range, self.reference = fit, load_range, reference
+
+    def estimate(self, wrenches: Floats) -> Estimates:
+        """Answer wrenches, shape (n, 6), N and N·m."""
+        displacement = wrenches @ self.fit.matrix.T
+        # Rounding is that of the sum's parts, which may cancel.
+        error = self.fit.bar + ROUNDING * np.abs(wrenches) @ np.abs(self.fit.matrix).T
+        if self.reference is not None:
+            best, bars = self.reference.estimate(wrenches, None)
+            error = np.maximum(error, np.abs(displacement - best) + bars)
+        unknown = self._unknown(wrenches).any(axis=1)
+        error[unknown] = np.nan
+        outside = unknown | ~self.load_range.holds(wrenches)
+        return Estimates(displacement, error, np.where(outside, OUTSIDE, COVERED).astype(np.uint8))
+
+    def derivatives(self, wrenches: Floats) -> Floats:
+        """Return the compliance for each wrench, (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)."""
+        return np.tile(self.fit.matrix, (len(wrenches), 1, 1))
+
+    def reason(self, wrench: Floats) -> str:
+        """Return which load of a wrench (6,) no row tells, or lies outside the load range."""
+        unknown = self._unknown(wrench[None])[0]
+        if unknown.any():
+            return f"no row tells the influence of {LOADS[int(np.argmax(unknown))]}"
+        return why_beyond(self.load_range, wrench)
+
+    def _unknown(self, wrenches: Floats) -> np.ndarray:
+        return ~self.fit.known & (np.abs(wrenches) > CLEAN * self.load_range.scale)

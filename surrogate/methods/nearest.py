@@ -1,45 +1,39 @@
-"""The answer of the nearest row, in loads scaled by the load range."""
+"""`nearest`: the row nearest to the wrench, in loads scaled by the load range."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from surrogate.bars.conformal import conformal_factor
-from surrogate.table.compliance import LEAST, SMALLEST
+from surrogate.answer import COVERED, OUTSIDE
+from surrogate.methods.method import Estimates, why_beyond
+from surrogate.methods.reference import Reference
 from surrogate.table.rows import Floats, LoadRange, Rows
 
 
-class NearestRow:
-    """The row nearest to a wrench; its bar grows with the distance as rows differ among themselves.
+class Nearest:
+    """The nearest row's displacement; its derivative is zero, as that of any step function."""
 
-    Attributes
-    ----------
-    factor : ndarray, shape (6,), m and rad
-        Per unit of scaled distance; covers 95 % of the differences of rows to their nearest.
-    least : ndarray, shape (6,), m and rad
-        The least bar: rounding.
-    """
+    name = "nearest"
 
-    def __init__(self, rows: Rows, load_range: LoadRange) -> None:
+    def __init__(self, rows: Rows, load_range: LoadRange, reference: Reference) -> None:
         """Index the rows, at least one."""
-        self.rows, self.scale = rows, load_range.scale
-        scaled = rows.wrench / self.scale
-        self.tree = KDTree(scaled)
-        self.factor = np.abs(rows.displacement).max(axis=0)
-        kinds = np.repeat([self.factor[:3].max(), self.factor[3:].max()], 3)
-        self.least = np.maximum(LEAST * kinds, SMALLEST)
-        if len(rows) > 1:
-            found = self.tree.query(scaled, k=2)
-            far, near = np.asarray(found[0], dtype=float), np.asarray(found[1], dtype=np.intp)
-            differ = np.abs(rows.displacement - rows.displacement[near[:, 1]])
-            apart = np.repeat(far[:, 1:], 6, axis=1)
-            factor = conformal_factor(differ[far[:, 1] > 0], apart[far[:, 1] > 0])
-            self.factor = np.where(np.isfinite(factor), factor, self.factor)
+        self.rows, self.load_range, self.reference = rows, load_range, reference
+        self._tree = KDTree(rows.wrench / load_range.scale)
 
-    def read(self, wrenches: Floats) -> tuple[Floats, Floats]:
-        """Return displacements and error bars, each (n, 6), m and rad, at wrenches (n, 6)."""
-        found = self.tree.query(wrenches / self.scale)
-        far, near = np.asarray(found[0], dtype=float), np.asarray(found[1], dtype=np.intp)
-        bars = far[:, None] * self.factor + self.least + np.nan_to_num(self.rows.uncertainty[near])
-        return self.rows.displacement[near], bars
+    def estimate(self, wrenches: Floats) -> Estimates:
+        """Answer wrenches, shape (n, 6), N and N·m."""
+        near = np.asarray(self._tree.query(wrenches / self.load_range.scale)[1], dtype=np.intp)
+        displacement = self.rows.displacement[near]
+        best, bars = self.reference.estimate(wrenches, None)
+        outside = ~self.load_range.holds(wrenches)
+        state = np.where(outside, OUTSIDE, COVERED).astype(np.uint8)
+        return Estimates(displacement, np.abs(displacement - best) + bars, state)
+
+    def derivatives(self, wrenches: Floats) -> Floats:
+        """Return zeros, shape (n, 6, 6)."""
+        return np.zeros((len(wrenches), 6, 6))
+
+    def reason(self, wrench: Floats) -> str:
+        """Return which load of a wrench (6,) lies outside the load range."""
+        return why_beyond(self.load_range, wrench)

@@ -68,15 +68,19 @@ class LoadRange:
         size = np.maximum(np.abs(self.low), np.abs(self.high))
         return np.where(half > 0, half, np.where(size > 0, size, 1.0))
 
-    def holds(self, wrenches: ArrayLike) -> NDArray[np.bool_]:
-        """Return which wrenches, shape (n, 6), N and N·m, lie within the range, shape (n,).
+    def exceeded(self, wrenches: ArrayLike) -> NDArray[np.bool_]:
+        """Return which loads of wrenches, shape (n, 6), N and N·m, are out of range, (n, 6).
 
         It is stretched to hold zero, from where every answer is counted. A load within 1e-9 of
         the range beyond an end counts as on it.
         """
         loads, slack = np.asarray(wrenches, dtype=float), ON_END * self.scale
         low, high = np.minimum(self.low, 0.0) - slack, np.maximum(self.high, 0.0) + slack
-        return np.asarray(np.all((loads >= low) & (loads <= high), axis=-1), dtype=bool)
+        return (loads < low) | (loads > high)
+
+    def holds(self, wrenches: ArrayLike) -> NDArray[np.bool_]:
+        """Return which wrenches, shape (n, 6), N and N·m, lie within the range, shape (n,)."""
+        return ~self.exceeded(wrenches).any(axis=-1)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,80 @@
+"""Why an axis does not hold a wrench, in words."""
+
+from __future__ import annotations
+
+from surrogate.composition.axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
+from surrogate.composition.composition import NO_ROWS, OFF_HULL, Composition
+from surrogate.composition.pure_moment import ON_HULL
+from surrogate.table.axes import AXES, Axis
+from surrogate.table.rows import LOADS, LOAD_UNITS, Floats
+
+
+def why_not(composition: Composition, wrench: Floats) -> str:
+    """Return why the axes do not cover a wrench, shape (6,), N and N·m; empty if they do."""
+    found = composition.evaluate(wrench[None])
+    worst = int(found.state[0])
+    if worst == SOUND:
+        return ""
+    reasons = [
+        why_axis(composition, index, wrench)
+        for index in range(3)
+        if int(found.states[0, index]) == worst
+    ]
+    return "; ".join(dict.fromkeys(reason for reason in reasons if reason))
+
+
+def why_axis(composition: Composition, index: int, wrench: Floats) -> str:
+    """Return why one axis does not cover its part of a wrench (6,); empty if it does."""
+    axis, look = AXES[index], composition.look(index, wrench)
+    state = int(look.found.states[0, index])
+    if state in (OFF_HULL, NO_ROWS):
+        return _why_outside(axis, composition.tables[index], wrench)
+    if look.table is not None and look.simplex is not None and state > SOUND:
+        return why_weak(look.table, look.simplex)
+    if composition.evaluate(wrench[None]).states[0, index] >= OFF_HULL:
+        return (
+            f"axis {axis.name}: {_amount(axis.inputs[1], wrench)} alone, from which the "
+            "composition counts, lies outside the rows"
+        )
+    return ""
+
+
+def why_weak(table: AxisTable, simplex: int) -> str:
+    """Return why an axis is thin in a simplex."""
+    name, points = table.axis.name, len(table.values)
+    if not table.enough:
+        return (
+            f"axis {name}: {points} row{'s' if points > 1 else ''}, "
+            f"at least {table.fewest} are needed to tell the error"
+        )
+    if table.state[simplex] == DEGENERATE:
+        return f"axis {name}: the rows around this wrench lie almost in one plane or line"
+    most = LARGEST[table.triangulation.dimension]
+    return (
+        f"axis {name}: the rows around this wrench are far apart, "
+        f"{table.fractions()[simplex]:.0%} of the load range lies between them (at most {most:.0%})"
+    )
+
+
+def _amount(load: int, wrench: Floats) -> str:
+    return f"{LOADS[load]} = {wrench[load]:.10g} {LOAD_UNITS[load]}"
+
+
+def _why_outside(axis: Axis, table: AxisTable | None, wrench: Floats) -> str:
+    """Say which load leaves the rows, and what the rows span."""
+    amounts = ", ".join(_amount(load, wrench) for load in axis.inputs if wrench[load])
+    if table is None:
+        return f"axis {axis.name}: no rows to answer {amounts}"
+    spans = table.rows.points * table.scale
+    for column, load in enumerate(axis.inputs):
+        low, high = float(spans[:, column].min()), float(spans[:, column].max())
+        slack, unit = ON_HULL * table.scale[column], LOAD_UNITS[load]
+        if low - slack <= wrench[load] <= high + slack:
+            continue
+        if high - low <= slack:
+            where = f": all rows hold {LOADS[load]} = {low:.6g} {unit}"
+        else:
+            where = f" lies outside the rows, which span {low:.6g}..{high:.6g} {unit}"
+        return f"axis {axis.name}: {_amount(load, wrench)}{where}"
+    count = len(table.values)
+    return f"axis {axis.name}: {amounts} together lie outside the hull of its {count} rows"

@@ -1,0 +1,103 @@
+"""What each axis contributes to an answer, as JSON-able values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from surrogate.answer import COVERED, NAMES, OUTSIDE, THIN, Answer, allowed_by, over_tolerance
+from surrogate.composition.axis_table import SOUND
+from surrogate.composition.composition import OFF_HULL, Composition, Look
+from surrogate.composition.reasons import why_axis
+from surrogate.table.axes import AXES, Axis
+from surrogate.table.compliance import ComplianceFit
+from surrogate.table.rows import LOADS, OUTPUTS, Floats, Rows, Tolerance
+
+
+def explain_axes(
+    composition: Composition,
+    members: Sequence[tuple[int, ...]],
+    wrench: Floats,
+    tolerance: Tolerance | None,
+) -> list[dict[str, Any]]:
+    """Return what each axis answers to its own loads of a wrench (6,), and from which rows.
+
+    Parameters
+    ----------
+    members : sequence of tuple of int
+        The numbers of the rows behind each row that the composition was made from.
+    """
+    found = composition.evaluate(wrench[None])
+    return [
+        _axis(composition, members, index, wrench, int(found.states[0, index]), tolerance)
+        for index in range(len(AXES))
+    ]
+
+
+def explain_linear(
+    fit: ComplianceFit,
+    rows: Rows,
+    members: Sequence[tuple[int, ...]],
+    wrench: Floats,
+    answer: Answer,
+) -> list[dict[str, Any]]:
+    """Return what each axis' three loads contribute to a linear answer.
+
+    The rows are those the compliance comes from; the error bars are those of the whole answer.
+    """
+    stored = np.isfinite(rows.compliance).all(axis=(1, 2))
+    places = np.flatnonzero(stored) if fit.origin == "stored" else range(len(rows))
+    used = sorted(row for place in places for row in members[place])
+    parts = []
+    for axis in AXES:
+        moved = fit.matrix @ np.where(np.isin(np.arange(6), axis.inputs), wrench, 0.0)
+        bars = None if answer.error is None else np.array(answer.error)
+        parts.append(
+            _part(axis, wrench, moved, bars)
+            | {"coverage": answer.coverage, "reason": answer.reason, "rows": used}
+        )
+    return parts
+
+
+def _axis(
+    composition: Composition,
+    members: Sequence[tuple[int, ...]],
+    index: int,
+    wrench: Floats,
+    worst: int,
+    tolerance: Tolerance | None,
+) -> dict[str, Any]:
+    axis, look = AXES[index], composition.look(index, wrench)
+    bars = np.abs(look.found.bend[0]) + look.found.rest[0]
+    state = OUTSIDE if worst >= OFF_HULL else THIN if worst > SOUND else COVERED
+    reason = why_axis(composition, index, wrench) if state != COVERED else ""
+    if tolerance is not None and state == COVERED:
+        own = np.where(np.isin(np.arange(6), axis.outputs), bars, 0.0)
+        over = over_tolerance(own.tolist(), allowed_by(tolerance))
+        state, reason = (THIN, f"axis {axis.name}: {over}") if over else (state, "")
+    told = bars if np.isfinite(bars[list(axis.outputs)]).all() else None
+    return _part(axis, wrench, look.found.displacement[0], told) | {
+        "coverage": NAMES[state],
+        "reason": reason,
+        "rows": _rows_of(look, members),
+    }
+
+
+def _part(axis: Axis, wrench: Floats, moved: Floats, bars: Floats | None) -> dict[str, Any]:
+    return {
+        "axis": axis.name,
+        "inputs": {LOADS[load]: float(wrench[load]) for load in axis.inputs},
+        "outputs": {OUTPUTS[k]: float(moved[k]) for k in axis.outputs},
+        "error": None if bars is None else {OUTPUTS[k]: float(bars[k]) for k in axis.outputs},
+    }
+
+
+def _rows_of(look: Look, members: Sequence[tuple[int, ...]]) -> list[int]:
+    """Return the ids of the rows at the corners of the simplex that was read."""
+    if look.table is None or look.simplex is None:
+        return []
+    corners = look.table.triangulation.simplices[look.simplex]
+    places = sorted({row for corner in corners for row in look.table.rows.members[corner]})
+    return sorted(row for place in places for row in members[place])

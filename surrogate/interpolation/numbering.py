@@ -1,0 +1,130 @@
+"""A triangulation laid out for walks: numbered along a curve, with a grid to start from."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrogate.interpolation.morton import curve_order
+from surrogate.interpolation.walk import (
+    AXIS_FLOATS,
+    AXIS_INTS,
+    BASIS,
+    CELLS,
+    CORNER,
+    DEGENERATE,
+    DENSITY,
+    DIMENSION,
+    NEIGHBOUR,
+    ORIGIN,
+    SIMPLEX,
+    SLACK,
+    STATE,
+)
+from surrogate.table.rows import Floats
+
+Indices = NDArray[np.intp]
+
+CELLS_PER_SIMPLEX = 0.5  # of a grid that starts walks: most then take one or two steps
+
+
+class Numbered(NamedTuple):
+    """Vertices and simplices numbered along a space-filling curve.
+
+    Attributes
+    ----------
+    place : ndarray, shape (n, 3), dimensionless
+        The points in the triangulation's own coordinates, in their new order.
+    simplex : ndarray of int32, shape (m, SIMPLEX)
+    grid : ndarray of int32, shape (cells,)
+        For each cell a simplex close by.
+    floats, ints : ndarray, shape (AXIS_FLOATS,) and (AXIS_INTS,)
+        See `walk`; the load scale is left at one.
+    simplex_order, point_order : ndarray of int, shape (m,) and (n,)
+        The old number of each simplex and point.
+    """
+
+    place: Floats
+    simplex: NDArray[np.int32]
+    grid: NDArray[np.int32]
+    floats: Floats
+    ints: NDArray[np.int64]
+    simplex_order: Indices
+    point_order: Indices
+
+    @property
+    def walked(self) -> tuple[NDArray, ...]:
+        """What `walk.locate_many` takes."""
+        return self[:6]
+
+
+def number(
+    flat: Floats,
+    simplices: Indices,
+    neighbours: Indices,
+    degenerate: NDArray[np.bool_],
+    frame: tuple[Floats, Floats, float],
+) -> Numbered:
+    """Number the points (n, d) and simplices (m, d + 1) of a triangulation along a curve.
+
+    Parameters
+    ----------
+    frame
+        Origin (3,), basis (d, 3) and how far off its plane or line a point may lie.
+    """
+    dimension = flat.shape[1]
+    points, way = curve_order(flat), curve_order(flat[simplices].mean(axis=1))
+    new_point, new_simplex = np.empty(len(points), np.intp), np.empty(len(way) + 1, np.intp)
+    new_point[points] = np.arange(len(points))
+    new_simplex[way], new_simplex[-1] = np.arange(len(way)), -1
+    simplex = np.zeros((len(way), SIMPLEX), dtype=np.int32)
+    simplex[:, : dimension + 1] = new_point[simplices[way]]
+    simplex[:, NEIGHBOUR:STATE] = -1
+    simplex[:, NEIGHBOUR : NEIGHBOUR + dimension + 1] = new_simplex[neighbours[way]]
+    simplex[:, STATE] = np.where(degenerate[way], DEGENERATE, 0)
+    place = np.zeros((len(flat), 3))
+    place[:, :dimension] = flat[points]
+    floats, ints = _frame(dimension, *frame)
+    grid = _grid(place[:, :dimension], simplex, floats, ints)
+    return Numbered(place, simplex, grid.astype(np.int32), floats, ints, way, points)
+
+
+def _frame(
+    dimension: int, origin: Floats, basis: Floats, slack: float
+) -> tuple[Floats, NDArray[np.int64]]:
+    floats, ints = np.zeros(AXIS_FLOATS), np.zeros(AXIS_INTS, dtype=np.int64)
+    floats[:3] = 1.0
+    floats[ORIGIN : ORIGIN + 3] = origin
+    floats[BASIS : BASIS + 3 * dimension] = basis.ravel()
+    floats[SLACK] = slack
+    ints[DIMENSION] = dimension
+    return floats, ints
+
+
+def _grid(
+    flat: Floats, simplex: NDArray[np.int32], floats: Floats, ints: NDArray[np.int64]
+) -> Indices:
+    """Lay a grid over the points, (n, d), and return a simplex close to each of its cells.
+
+    That is one whose middle is in the cell; a cell without any takes that of the cell before it,
+    and the walk does the rest.
+    """
+    dimension = flat.shape[1]
+    if dimension == 0:
+        return np.zeros(1, dtype=np.intp)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    side = max(int((len(simplex) * CELLS_PER_SIMPLEX) ** (1 / dimension)), 1)
+    density = side / np.maximum(high - low, np.finfo(float).tiny)
+    floats[CORNER : CORNER + dimension], floats[DENSITY : DENSITY + dimension] = low, density
+    ints[CELLS : CELLS + dimension] = side
+    sound = np.flatnonzero(simplex[:, STATE] != DEGENERATE)
+    if not len(sound):
+        return np.zeros(side**dimension, dtype=np.intp)
+    middle = flat[simplex[sound, : dimension + 1]].mean(axis=1)
+    cell = np.clip(((middle - low) * density).astype(np.intp), 0, side - 1)
+    grid = np.full(side**dimension, -1, dtype=np.intp)
+    grid[np.ravel_multi_index(tuple(cell.T), (side,) * dimension)] = sound
+    last = np.maximum.accumulate(np.where(grid >= 0, np.arange(len(grid)), -1))
+    return grid[np.where(last >= 0, last, np.flatnonzero(grid >= 0)[0])]

@@ -1,0 +1,26 @@
+"""Compile a function if numba is installed (extra ``fast``), or leave it as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+try:
+    import numba
+except ImportError:  # the extra is optional: the array versions answer instead
+    numba = None
+
+COMPILED = numba is not None
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function, compiled at its first call and kept on disk for the next process.
+
+    Where no folder can be written for it, it is compiled anew by each process.
+    """
+    if numba is None:
+        return function
+    try:
+        return numba.njit(cache=True, error_model="numpy")(function)
+    except RuntimeError:  # numba finds no folder that it may write to
+        return numba.njit(error_model="numpy")(function)

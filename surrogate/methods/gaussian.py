@@ -1,0 +1,34 @@
+"""`kriging`: the Gaussian process over all rows and their tangents."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from surrogate.answer import COVERED, OUTSIDE
+from surrogate.kriging import Kriging
+from surrogate.methods.method import Estimates, why_beyond
+from surrogate.table.rows import Floats, LoadRange
+
+
+class GaussianProcess:
+    """The kriging's answer and bars; outside the load range it is an estimate."""
+
+    name = "kriging"
+
+    def __init__(self, kriging: Kriging, load_range: LoadRange) -> None:
+        self.kriging, self.load_range = kriging, load_range
+
+    def estimate(self, wrenches: Floats) -> Estimates:
+        """Answer wrenches, shape (n, 6), N and N·m."""
+        displacement, error = self.kriging.answer_many(wrenches)
+        outside = ~self.load_range.holds(wrenches)
+        state = np.where(outside, OUTSIDE, COVERED).astype(np.uint8)
+        return Estimates(displacement, error, state)
+
+    def derivatives(self, wrenches: Floats) -> Floats:
+        """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)."""
+        return self.kriging.derivatives(wrenches)
+
+    def reason(self, wrench: Floats) -> str:
+        """Return which load of a wrench (6,) lies outside the load range."""
+        return why_beyond(self.load_range, wrench)

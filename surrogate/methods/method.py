@@ -1,0 +1,55 @@
+"""What every method offers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrogate.table.rows import LOADS, LOAD_UNITS, Floats, LoadRange
+
+
+class Estimates(NamedTuple):
+    """Answers to n wrenches, before they are held against a tolerance.
+
+    Attributes
+    ----------
+    displacement, error : ndarray, shape (n, 6), m and rad
+        Error bars are NaN where nothing tells them.
+    state : ndarray of uint8, shape (n,)
+        `COVERED`, `THIN` or `OUTSIDE`.
+    """
+
+    displacement: Floats
+    error: Floats
+    state: NDArray[np.uint8]
+
+
+class Method(Protocol):
+    """One way to answer; made for one version of a table."""
+
+    name: str
+
+    def estimate(self, wrenches: Floats) -> Estimates:
+        """Answer wrenches, shape (n, 6), N and N·m."""
+        ...
+
+    def derivatives(self, wrenches: Floats) -> Floats:
+        """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), exact of the method."""
+        ...
+
+    def reason(self, wrench: Floats) -> str:
+        """Return why one wrench (6,) is not covered; empty if no reason is the method's own."""
+        ...
+
+
+def why_beyond(load_range: LoadRange, wrench: Floats) -> str:
+    """Return which load of a wrench (6,) lies outside the load range, or an empty text."""
+    over = load_range.exceeded(wrench)
+    if not over.any():
+        return ""
+    load = int(np.argmax(over))
+    low, high, unit = load_range.low[load], load_range.high[load], LOAD_UNITS[load]
+    amount = f"{LOADS[load]} = {wrench[load]:.10g} {unit}"
+    return f"{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}"
