@@ -45,6 +45,10 @@ class Tables(NamedTuple):
         Its T by columns: what an equation's covariance adds to the reduced ones.
     terms : ndarray, shape (n, e, 7)
         Its TF.
+    least : ndarray, shape (n,)
+        Smallest sigma squared, but for the mean's.
+    prior : float
+        Sigma squared far from all rows, but for the mean's.
     mean_covariance : ndarray, shape (7, 7)
     centre, rate : ndarray, shape (6,)
         Loads are scaled by (wrench - centre) * rate; the rate of a load that takes no part is 0.
@@ -69,6 +73,8 @@ class Tables(NamedTuple):
     sizes: NDArray[np.int64]
     columns: Floats
     terms: Floats
+    least: Floats
+    prior: float
     mean_covariance: Floats
     centre: Floats
     rate: Floats
@@ -88,12 +94,13 @@ def tables_of(
     share, n = inside.shares[0], len(inside.equations)
     most = max(len(local.places) for local in share.around)
     anchors, places = np.zeros(n, dtype=bool), np.zeros((n, most), dtype=np.int64)
-    sizes = np.zeros(n, dtype=np.int64)
+    sizes, least = np.zeros(n, dtype=np.int64), np.zeros(n)
     columns, terms = np.zeros((n, most, most)), np.zeros((n, most, PLACES))
     for row, local in zip(share.factor.rows, share.around, strict=True):
         size = len(local.places)
         anchors[row], sizes[row], places[row, :size] = True, size, local.places
         columns[row, :size, :size], terms[row, :size] = local.T.T, local.TF
+        least[row] = local.least
     rates, weights = inside.held.terms
     return Tables(
         x=np.ascontiguousarray(inside.equations.x),
@@ -108,6 +115,8 @@ def tables_of(
         sizes=sizes,
         columns=columns,
         terms=terms,
+        least=least,
+        prior=float(inside.held.prior[0]),
         mean_covariance=np.ascontiguousarray(share.factor.mean_covariance),
         centre=scaling.centre,
         rate=np.where(scaling.active, 1 / scaling.half, 0.0),
@@ -199,7 +208,7 @@ def _squared_deviation(tables, at, across, reduced, anchor):  # pragma: no cover
     for a in range(PLACES):
         for b in range(PLACES):
             loose += unsettled[a] * tables.mean_covariance[a, b] * unsettled[b]
-    return max(tables.term_weights.sum() - spent, 0.0) + loose
+    return max(tables.prior - spent, tables.least[anchor]) + loose
 
 
 def _answers(tables, wrenches, displacement, bar, derivative):  # pragma: no cover: compiled

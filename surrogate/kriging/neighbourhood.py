@@ -103,12 +103,15 @@ class LocalFactor:
         Inverse of the lower Cholesky factor.
     TF : ndarray, shape (e, 7)
         T times the mean's terms.
+    least : float
+        The nugget's share of the prior variance: below it sigma squared is rounding.
     """
 
     members: Places
     places: Places
     T: Floats
     TF: Floats
+    least: float
 
     def squared_deviation(
         self, across: Floats, terms: Floats, prior: float, mean_covariance: Floats
@@ -126,7 +129,7 @@ class LocalFactor:
         unsettled = terms - reduced @ self.TF
         spent = np.einsum("me,me->m", reduced, reduced)
         loose = np.einsum("ma,ab,mb->m", unsettled, mean_covariance, unsettled)
-        return np.maximum(prior - spent, 0.0) + loose
+        return np.maximum(prior - spent, self.least) + loose
 
 
 def local_factor(
@@ -155,5 +158,6 @@ def local_factor(
         matrix = known_covariance[np.ix_(places, places)]
     matrix[np.diag_indices_from(matrix)] += diagonal_added(own, noise[members], nugget, held)
     prior = np.tile(held.prior, (len(own), 1))[own.known]
-    T, _ = inverse_factor(matrix, nugget, settings.nugget_limit, prior)
-    return LocalFactor(members, places, T, T @ mean_terms(own.x, own.known))
+    T, used = inverse_factor(matrix, nugget, settings.nugget_limit, prior)
+    TF = T @ mean_terms(own.x, own.known)
+    return LocalFactor(members, places, T, TF, used * float(held.prior[0]))

@@ -77,8 +77,9 @@ class KrigingSettings:
     # Left-out rows had their say in the hyperparameters, and few of them tell a tail badly: factors
     # widen by this over their number (a fifth at 30 rows).
     widening: float = 6.0
-    # Where values are not told apart from rounding: of an output's spread, and of the value itself.
-    bar_floor: float = 1e-12
+    # What the sums over the rows lose to rounding, of an output's spread and of the value itself:
+    # weights are up to 1e5 times what they sum to.
+    bar_floor: float = 1e-11
     # Half width of 95 % over the deviation of a normal distribution.
     half_width: float = 1.96
 
