@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from surrogate.kriging.correlation import PLACES, Mask
 from surrogate.kriging.settings import DEFAULTS, KrigingSettings
@@ -82,20 +82,28 @@ class Equations:
 
     def take(self, which: NDArray[np.intp]) -> Equations:
         """Return the equations of some rows."""
-        return Equations(*(column[which] for column in self._columns()))
+        return Equations(
+            self.x[which],
+            self.known[which],
+            self.told[which],
+            self.measured[which],
+            self.noise[which],
+        )
 
     def plus(self, other: Equations) -> Equations:
         """Return these equations, then the others."""
-        pairs = zip(self._columns(), other._columns(), strict=True)
-        return Equations(*(np.concatenate(pair) for pair in pairs))
+        return Equations(
+            np.concatenate((self.x, other.x)),
+            np.concatenate((self.known, other.known)),
+            np.concatenate((self.told, other.told)),
+            np.concatenate((self.measured, other.measured)),
+            np.concatenate((self.noise, other.noise)),
+        )
 
     def records(self) -> list[bytes]:
         """Return for each row what it says, as bytes."""
-        columns = self._columns()
+        columns = (self.x, self.known, self.told, self.measured, self.noise)
         return [b"".join(column[row].tobytes() for column in columns) for row in range(len(self))]
-
-    def _columns(self) -> tuple[Floats, Mask, Floats, Mask, Floats]:
-        return self.x, self.known, self.told, self.measured, self.noise
 
 
 def within(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Rows:
@@ -152,7 +160,7 @@ def _active(rows: Rows, load_range: LoadRange, spread: Floats, settings: Kriging
 def _with_slopes(rows: Rows) -> Mask:
     """Return which rows bring a full finite compliance and all outputs, shape (n,)."""
     finite = np.isfinite(rows.compliance).all(axis=(1, 2))
-    return finite & np.isfinite(rows.displacement).all(axis=1)
+    return np.logical_and(finite, np.isfinite(rows.displacement).all(axis=1))
 
 
 def equations_of(rows: Rows, scaling: Scaling, settings: KrigingSettings = DEFAULTS) -> Equations:
@@ -190,7 +198,7 @@ def later_order(before: Equations, now: Equations) -> NDArray[np.intp] | None:
 def _merged(equations: Equations, settings: KrigingSettings) -> Equations:
     """Return the equations with rows at one wrench merged: means, and their spread as noise."""
     n = len(equations)
-    pairs = cKDTree(equations.x).query_pairs(2 * settings.same, p=np.inf, output_type="ndarray")
+    pairs = KDTree(equations.x).query_pairs(2 * settings.same, p=np.inf, output_type="ndarray")
     if not len(pairs):
         return equations
     joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))

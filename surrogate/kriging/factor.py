@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
+from scipy.linalg.lapack import get_lapack_funcs
 
 from surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms
 from surrogate.kriging.equations import Equations
@@ -103,8 +103,8 @@ def inverse_factor(
             scaled[places] += 9 * nugget
             nugget *= 10
             continue
-        inverse, info = lapack.dtrtri(lower, lower=1)
-        assert info == 0
+        (invert,) = get_lapack_funcs(("trtri",), (lower,))
+        inverse, _ = invert(lower, lower=1)  # cannot fail: the diagonal is positive
         return np.tril(inverse) / size, nugget
 
 
@@ -139,7 +139,7 @@ def finish(
     told = own.told[own.known][:, outputs]
     Ty = T @ told
     precision = TF.T @ TF + np.eye(TF.shape[1]) / settings.mean_variance
-    mean_covariance = np.linalg.inv(precision)
+    mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
     coefficients = mean_covariance @ (TF.T @ Ty)
     remainder = Ty - TF @ coefficients
     return Factor(

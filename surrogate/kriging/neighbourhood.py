@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from surrogate.kriging.correlation import (
     GROUPS,
@@ -54,7 +54,7 @@ class Finder:
         self.size = equations.known[rows].sum(axis=1)
         self.most_rows, self.most_equations = most_rows, most_equations
         self.roots = np.sqrt(held.inverse_squares) * GROUPS[[3, 0, 1, 2]]
-        self.trees = [cKDTree(equations.x[rows] * root) for root in self.roots]
+        self.trees = [KDTree(equations.x[rows] * root) for root in self.roots]
 
     def nearest(self, x: Floats) -> Places:
         """Return the row nearest to each place (m, 6) over all loads, shape (m,)."""
@@ -68,14 +68,15 @@ class Finder:
         x : ndarray, shape (n, 6)
             Of all rows of the table.
         """
-        near = self.rows[self.trees[0].query(x[rows] * self.roots[0], k=[1, 2])[1]]
+        found = self.trees[0].query(x[rows] * self.roots[0], k=2)[1]
+        near = self.rows[np.asarray(found, dtype=np.intp)]
         return np.where(near[:, 0] == rows, near[:, 1], near[:, 0])
 
     def members(self, x: Floats, without: Places | None = None) -> list[Places]:
         """Return the neighbours of each place (m, 6), nearest first, without one row each."""
         count = min(self.most_rows + 1, len(self.rows))
         found = [
-            tree.query(x * root, k=np.arange(1, count + 1))[1]
+            np.asarray(tree.query(x * root, k=count)[1]).reshape(len(x), count)
             for tree, root in zip(self.trees, self.roots, strict=True)
         ]
         turns = np.stack(found, axis=2).reshape(len(x), -1)
