@@ -1,7 +1,9 @@
-"""The single answer compiled: value, derivative and sigma in one walk over the rows.
+"""The single answer compiled: displacement, bar and derivative in one walk over the rows.
 
 Optional: without numba the same numbers come from numpy, more slowly. Compiled code is kept beside
-this file; where that cannot be written each program compiles once, some seconds.
+this file; where that cannot be written each program compiles once, some seconds. The covariances of
+a place's value and slopes with those of all rows are laid out with the rows innermost, so that a
+processor's vectors run along them, and meet the weights in one product of matrices.
 """
 
 from __future__ import annotations
@@ -18,43 +20,35 @@ from surrogate.kriging.dense import Dense
 from surrogate.kriging.equations import OUTPUTS, Scaling
 from surrogate.rows import Floats
 
-LANES = 8  # six outputs, and two zeros: what fills a processor's vectors
 TERMS = len(GROUPS)
 
 
 class Tables(NamedTuple):
     """What the compiled answer reads: contiguous, in scaled numbers.
 
+    Few arrays, since each costs a tenth of a microsecond to hand over.
+
     Attributes
     ----------
-    x : ndarray, shape (n, 6)
-    rates : ndarray, shape (4, 6)
-        Inverse squared lengths of the covariance's terms.
-    loads : ndarray of int, shape (4, 6)
-        Which loads each term sees: its first `counts`, shape (4,).
-    term_weights : ndarray, shape (4,)
-    weights : ndarray, shape (n, 7, 8)
-    coefficients : ndarray, shape (7, 8)
-    anchors : ndarray of bool, shape (n,)
-        Which rows have a neighbourhood.
+    x : ndarray, shape (6, n)
+    terms : ndarray, shape (4, 7)
+        The covariance's terms: inverse squared lengths, and the weight.
+    weights : ndarray, shape (7 n, 6)
+        Of all rows' values, then of all their slopes by the first load, and so on.
+    coefficients : ndarray, shape (7, 6)
+        The mean.
     places : ndarray of int, shape (n, e)
-        Each row's neighbourhood: places of its equations among 7 n, padded.
-    sizes : ndarray of int, shape (n,)
-        How many equations it has.
-    columns : ndarray, shape (n, e, e)
-        Its T by columns: what an equation's covariance adds to the reduced ones.
-    terms : ndarray, shape (n, e, 7)
+        Each row's neighbourhood: where its equations stand among the 7 n.
+    reduce : ndarray, shape (n, e, e)
+        Its T; zero beyond its equations.
+    unsettled : ndarray, shape (n, e, 7)
         Its TF.
     least : ndarray, shape (n,)
-        Smallest sigma squared, but for the mean's.
-    prior : float
-        Sigma squared far from all rows, but for the mean's.
+        Smallest sigma squared, but for the mean's; infinite for a row without a neighbourhood.
     mean_covariance : ndarray, shape (7, 7)
-    centre, rate : ndarray, shape (6,)
-        Loads are scaled by (wrench - centre) * rate; the rate of a load that takes no part is 0.
-    offset, spread : ndarray, shape (6,), m and rad
-    bar : ndarray, shape (6,), m and rad
-        What sigma over the process variance is multiplied by.
+    scales : ndarray, shape (5, 6)
+        Centre and rate of the loads, which are scaled to (wrench - centre) rate (the rate of a load
+        that takes no part is 0); offset, spread, and bar over sigma of the outputs, m and rad.
     floor : float
         Smallest bar, of an answer's size.
     tangent : ndarray, shape (6, 6), SI
@@ -62,25 +56,15 @@ class Tables(NamedTuple):
     """
 
     x: Floats
-    rates: Floats
-    loads: NDArray[np.int64]
-    counts: NDArray[np.int64]
-    term_weights: Floats
+    terms: Floats
     weights: Floats
     coefficients: Floats
-    anchors: NDArray[np.bool_]
     places: NDArray[np.int64]
-    sizes: NDArray[np.int64]
-    columns: Floats
-    terms: Floats
+    reduce: Floats
+    unsettled: Floats
     least: Floats
-    prior: float
     mean_covariance: Floats
-    centre: Floats
-    rate: Floats
-    offset: Floats
-    spread: Floats
-    bar: Floats
+    scales: Floats
     floor: float
     tangent: Floats
 
@@ -93,141 +77,135 @@ def tables_of(
         return None
     share, n = inside.shares[0], len(inside.equations)
     most = max(len(local.places) for local in share.around)
-    anchors, places = np.zeros(n, dtype=bool), np.zeros((n, most), dtype=np.int64)
-    sizes, least = np.zeros(n, dtype=np.int64), np.zeros(n)
-    columns, terms = np.zeros((n, most, most)), np.zeros((n, most, PLACES))
+    places, least = np.zeros((n, most), dtype=np.int64), np.full(n, np.inf)
+    reduce, unsettled = np.zeros((n, most, most)), np.zeros((n, most, PLACES))
     for row, local in zip(share.factor.rows, share.around, strict=True):
         size = len(local.places)
-        anchors[row], sizes[row], places[row, :size] = True, size, local.places
-        columns[row, :size, :size], terms[row, :size] = local.T.T, local.TF
+        at_row, of_row = np.divmod(local.places, PLACES)
+        places[row, :size] = of_row * n + at_row
+        reduce[row, :size, :size], unsettled[row, :size] = local.T, local.TF
         least[row] = local.least
     rates, weights = inside.held.terms
+    rate = np.where(scaling.active, 1 / scaling.half, 0.0)
+    bar = conformal * inside.deviation * scaling.spread
     return Tables(
-        x=np.ascontiguousarray(inside.equations.x),
-        rates=np.ascontiguousarray(rates),
-        loads=np.argsort(rates == 0, axis=1, kind="stable"),
-        counts=(rates != 0).sum(axis=1),
-        term_weights=weights,
-        weights=_in_lanes(inside.weights),
-        coefficients=_in_lanes(inside.coefficients),
-        anchors=anchors,
+        x=np.ascontiguousarray(inside.equations.x.T),
+        terms=np.concatenate((rates, weights[:, None]), axis=1),
+        weights=inside.weights.transpose(1, 0, 2).reshape(-1, OUTPUTS).copy(),
+        coefficients=np.ascontiguousarray(inside.coefficients),
         places=places,
-        sizes=sizes,
-        columns=columns,
-        terms=terms,
+        reduce=reduce,
+        unsettled=unsettled,
         least=least,
-        prior=float(inside.held.prior[0]),
         mean_covariance=np.ascontiguousarray(share.factor.mean_covariance),
-        centre=scaling.centre,
-        rate=np.where(scaling.active, 1 / scaling.half, 0.0),
-        offset=scaling.offset,
-        spread=scaling.spread,
-        bar=conformal * inside.deviation * scaling.spread,
+        scales=np.stack((scaling.centre, rate, scaling.offset, scaling.spread, bar)),
         floor=floor,
         tangent=np.where(scaling.active, 0.0, tangent),
     )
 
 
-def _in_lanes(outputs: Floats) -> Floats:
-    """Return an array of six outputs with zeros behind them."""
-    return np.concatenate((outputs, np.zeros((*outputs.shape[:-1], LANES - OUTPUTS))), axis=-1)
-
-
-def _walk(tables, at, across, value, slope):  # pragma: no cover: compiled
-    """Sum the covariances times the weights over the rows; return the nearest row.
-
-    Writes value (8,), slope (6 loads, 8 outputs) and the covariances across (n, 7) at a place (6,).
-    """
-    apart, along = np.empty(LOADS), np.empty(LANES)
-    value[:] = tables.coefficients[0]
+def _place(x, rates, anchored, at, apart):
+    """Write the rows' distances by each load (6, n); return the nearest anchor over all loads."""
+    distance = np.zeros(x.shape[1])
     for a in range(LOADS):
-        slope[a] = tables.coefficients[1 + a]
-        value += at[a] * tables.coefficients[1 + a]
+        for row in range(x.shape[1]):
+            apart[a, row] = at[a] - x[a, row]
+            distance[row] += rates[a] * apart[a, row] * apart[a, row]
     anchor, closest = 0, np.inf
-    for row in range(len(tables.x)):
-        told, here = tables.weights[row], across[row]
-        here[:] = 0.0
-        for a in range(LOADS):
-            apart[a] = at[a] - tables.x[row, a]
-        distance = 0.0
-        for term in range(TERMS):
-            distance = _term(tables, term, apart, told, here, along, slope)
-        if tables.anchors[row] and distance < closest:
-            closest, anchor = distance, row
-        for place in range(PLACES):
-            for q in range(LANES):
-                value[q] += here[place] * told[place, q]
+    for row in range(x.shape[1]):
+        if distance[row] < closest and anchored[row] < np.inf:
+            closest, anchor = distance[row], row
     return anchor
 
 
-def _term(tables, term, apart, told, here, along, slope):  # pragma: no cover: compiled
-    """Add what one term of the covariance with one row makes of it; return its distance."""
-    distance = 0.0
-    for number in range(tables.counts[term]):
-        a = tables.loads[term, number]
-        distance += tables.rates[term, a] * apart[a] * apart[a]
-    root = np.sqrt(7.0 * distance)
-    decay = np.exp(-root) * tables.term_weights[term]
-    here[0] += (1 + root + 0.4 * root * root + root * root * root / 15) * decay
-    first = -0.7 * (1 + root + root * root / 3) * decay
-    second = 49 / 60 * (1 + root) * decay
-    for q in range(LANES):
-        along[q] = first * told[0, q]
-    for number in range(tables.counts[term]):
-        a = tables.loads[term, number]
-        rise = 2 * tables.rates[term, a] * apart[a]
-        here[1 + a] -= first * rise
-        for q in range(LANES):
-            along[q] -= second * rise * told[1 + a, q]
-    for number in range(tables.counts[term]):
-        a = tables.loads[term, number]
-        rise, bend = 2 * tables.rates[term, a] * apart[a], 2 * tables.rates[term, a] * first
-        for q in range(LANES):
-            slope[a, q] += rise * along[q] - bend * told[1 + a, q]
-    return distance
+def _correlate(term, apart, first, second, across):
+    """Add one term's covariance of the values to across; write its two derivatives by q (n,)."""
+    for row in range(apart.shape[1]):
+        first[row] = 0.0
+    for a in range(LOADS):
+        if term[a] > 0:
+            for row in range(apart.shape[1]):
+                first[row] += term[a] * apart[a, row] * apart[a, row]
+    for row in range(apart.shape[1]):
+        root = np.sqrt(7.0 * first[row])
+        decay = np.exp(-root) * term[LOADS]
+        across[0, 0, row] += (1 + root + 0.4 * root * root + root * root * root / 15) * decay
+        first[row] = -0.7 * (1 + root + root * root / 3) * decay
+        second[row] = 49 / 60 * (1 + root) * decay
 
 
-def _squared_deviation(tables, at, across, reduced, anchor):  # pragma: no cover: compiled
-    """Return sigma squared over the process variance, from the nearest row's neighbourhood."""
-    size, flat = tables.sizes[anchor], across.reshape(-1)
-    columns, terms = tables.columns[anchor], tables.terms[anchor]
-    reduced[:size] = 0.0
-    for column in range(size):
-        told = flat[tables.places[anchor, column]]
-        source = columns[column]
-        for row in range(column, size):
-            reduced[row] += source[row] * told
-    spent, unsettled = 0.0, np.empty(PLACES)
-    unsettled[0] = 1.0
-    unsettled[1:] = at
-    for row in range(size):
-        spent += reduced[row] * reduced[row]
-        for place in range(PLACES):
-            unsettled[place] -= reduced[row] * terms[row, place]
+def _slope(term, apart, first, second, across):
+    """Add one term's covariances of slopes to across (7, 7, n)."""
+    for a in range(LOADS):
+        if term[a] == 0:
+            continue
+        double = 2 * term[a]
+        for row in range(apart.shape[1]):
+            across[1 + a, 0, row] += double * first[row] * apart[a, row]
+            across[1 + a, 1 + a, row] -= double * first[row]
+        for b in range(a + 1):
+            if term[b] > 0:
+                for row in range(apart.shape[1]):
+                    bend = 2 * double * term[b] * second[row]
+                    across[1 + a, 1 + b, row] -= bend * apart[a, row] * apart[b, row]
+
+
+def _mirror(across):
+    """Complete across, of which slopes with slopes are symmetric and with values antisymmetric."""
+    for a in range(1, PLACES):
+        for row in range(across.shape[2]):
+            across[0, a, row] = -across[a, 0, row]
+        for b in range(a + 1, PLACES):
+            for row in range(across.shape[2]):
+                across[a, b, row] = across[b, a, row]
+
+
+def _squared_deviation(tables, anchor, at, across, chosen):
+    """Return sigma squared over the process variance, from a row's neighbourhood."""
+    for number in range(len(chosen)):
+        chosen[number] = across[tables.places[anchor, number]]
+    reduced = np.dot(tables.reduce[anchor], chosen)
+    explained = np.dot(reduced, tables.unsettled[anchor])
     loose = 0.0
     for a in range(PLACES):
+        left = (1.0 if a == 0 else at[a - 1]) - explained[a]
         for b in range(PLACES):
-            loose += unsettled[a] * tables.mean_covariance[a, b] * unsettled[b]
-    return max(tables.prior - spent, tables.least[anchor]) + loose
+            other = (1.0 if b == 0 else at[b - 1]) - explained[b]
+            loose += left * tables.mean_covariance[a, b] * other
+    prior = tables.terms[:, LOADS].sum()
+    return max(prior - np.dot(reduced, reduced), tables.least[anchor]) + loose
 
 
-def _answers(tables, wrenches, displacement, bar, derivative):  # pragma: no cover: compiled
+def _answers(tables, wrenches, displacement, bar, derivative):
     """Write displacements and bars (m, 6) and derivatives (m, 6, 6), SI, at wrenches (m, 6)."""
-    across, reduced = np.empty((len(tables.x), PLACES)), np.empty(tables.columns.shape[1])
-    at, value, slope = np.empty(LOADS), np.empty(LANES), np.empty((LOADS, LANES))
+    n, centre, rate = tables.x.shape[1], tables.scales[0], tables.scales[1]
+    offset, spread = tables.scales[2], tables.scales[3]
+    at, apart, chosen = np.empty(LOADS), np.empty((LOADS, n)), np.empty(tables.places.shape[1])
+    first, second, across = np.empty(n), np.empty(n), np.empty((PLACES, PLACES, n))
     for place in range(len(wrenches)):
         for a in range(LOADS):
-            at[a] = (wrenches[place, a] - tables.centre[a]) * tables.rate[a]
-        anchor = _walk(tables, at, across, value, slope)
-        sigma = np.sqrt(_squared_deviation(tables, at, across, reduced, anchor))
+            at[a] = (wrenches[place, a] - centre[a]) * rate[a]
+        across[:] = 0.0
+        anchor = _place(tables.x, tables.terms[TERMS - 1], tables.least, at, apart)
+        for term in range(TERMS):
+            _correlate(tables.terms[term], apart, first, second, across)
+            _slope(tables.terms[term], apart, first, second, across)
+        _mirror(across)
+        told = np.dot(across.reshape(PLACES, PLACES * n), tables.weights) + tables.coefficients
+        flat = across[0].reshape(PLACES * n)
+        sigma = np.sqrt(_squared_deviation(tables, anchor, at, flat, chosen))
         for q in range(OUTPUTS):
-            offset, spread = tables.offset[q], tables.spread[q]
-            displacement[place, q] = value[q] * spread + offset
-            size = (np.abs(value[q]) + 1.0) * spread + np.abs(offset)
-            bar[place, q] = max(sigma * tables.bar[q], tables.floor * size)
+            value = told[0, q]
             for a in range(LOADS):
-                change = slope[a, q] * spread * tables.rate[a]
-                derivative[place, q, a] = change + tables.tangent[q, a]
+                value += at[a] * tables.coefficients[1 + a, q]
+                slope = told[1 + a, q] * spread[q] * rate[a]
+                derivative[place, q, a] = slope + tables.tangent[q, a]
+            displacement[place, q] = value * spread[q] + offset[q]
+            size = (np.abs(value) + 1.0) * spread[q] + np.abs(offset[q])
+            bar[place, q] = max(sigma * tables.scales[4, q], tables.floor * size)
+
+
+KERNELS = ("_place", "_correlate", "_slope", "_mirror", "_squared_deviation", "_answers")
 
 
 def _compile() -> Callable[..., Any] | None:
@@ -237,7 +215,7 @@ def _compile() -> Callable[..., Any] | None:
     import numba
 
     module = globals()
-    for name in ("_term", "_walk", "_squared_deviation", "_answers"):
+    for name in KERNELS:
         try:
             module[name] = numba.njit(cache=True, nogil=True, error_model="numpy")(module[name])
         except RuntimeError:  # no folder for the compiled code can be written
