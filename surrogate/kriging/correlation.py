@@ -22,6 +22,7 @@ Mask = NDArray[np.bool_]
 
 LOADS = 6
 PLACES = 1 + LOADS  # of one row: its value, then its slope by each load
+PAIRS = 100_000  # of rows at once: differences by each load within some 5 MB, blocks within 40 MB
 
 # Which loads each of the four terms sees: the three axes, then all.
 GROUPS = np.zeros((4, LOADS))
@@ -112,28 +113,25 @@ def covariance(x: Floats, known_x: Mask, v: Floats, known_v: Mask, held: Hyperpa
         Which of value and slopes each row brings; equations count row by row.
     """
     out = np.empty((int(known_x.sum()), int(known_v.sum())))
-    first_x, first_v = _first(known_x), _first(known_v)
-    for slopes_x in (False, True):
-        rows = np.flatnonzero(known_x[:, 1:].any(axis=1) == slopes_x)
-        for slopes_v in (False, True):
-            columns = np.flatnonzero(known_v[:, 1:].any(axis=1) == slopes_v)
-            if not (len(rows) and len(columns)):
-                continue
-            found = block(x[rows], v[columns], held, slopes_x, slopes_v)
-            here = known_x[rows, : 1 + LOADS * slopes_x]
-            there = known_v[columns, : 1 + LOADS * slopes_v]
-            picked = found.reshape(here.size, there.size)[np.ix_(here.ravel(), there.ravel())]
-            out[
-                np.ix_(
-                    first_x[rows][:, : here.shape[1]][here],
-                    first_v[columns][:, : there.shape[1]][there],
-                )
-            ] = picked
+    first_x, first_v = numbers(known_x), numbers(known_v)
+    for slopes_v in (False, True):
+        columns = np.flatnonzero(known_v[:, 1:].any(axis=1) == slopes_v)
+        there = known_v[columns, : 1 + LOADS * slopes_v]
+        for slopes_x in (False, True):
+            every = np.flatnonzero(known_x[:, 1:].any(axis=1) == slopes_x)
+            for rows in np.array_split(every, 1 + len(every) * len(columns) // PAIRS):
+                here = known_x[rows, : 1 + LOADS * slopes_x]
+                if not (here.size and there.size):
+                    continue
+                found = block(x[rows], v[columns], held, slopes_x, slopes_v)
+                found = found.reshape(here.size, there.size)
+                to = first_x[rows, : here.shape[1]][here], first_v[columns, : there.shape[1]][there]
+                out[np.ix_(*to)] = found[np.ix_(here.ravel(), there.ravel())]
     return out
 
 
-def _first(known: Mask) -> NDArray[np.intp]:
-    """Return the number of each place's equation, shape (n, 7); meaningless where not known."""
+def numbers(known: Mask) -> NDArray[np.intp]:
+    """Return the number of each place's equation, shape (n, 7); no meaning where not known."""
     return (np.cumsum(known.ravel()) - 1).reshape(known.shape)
 
 

@@ -14,6 +14,7 @@ from surrogate.kriging.correlation import (
     block,
     covariance,
     mean_terms,
+    numbers,
 )
 from surrogate.kriging.equations import OUTPUTS, Equations
 from surrogate.kriging.factor import Factor, border, factorise
@@ -149,7 +150,7 @@ def dense(
         Of the table's first rows, with the same hyperparameters, scaling and shares: its factors
         are bordered.
     """
-    table = _table(equations, held)
+    table = covariance(equations.x, equations.known, equations.x, equations.known, held)
     weights = np.zeros((len(equations), PLACES, OUTPUTS))
     coefficients = np.empty((PLACES, OUTPUTS))
     variance = np.empty(OUTPUTS)
@@ -158,7 +159,7 @@ def dense(
     spreads = []
     for number, share in enumerate(shares):
         known = before.shares[number] if before else None
-        factor = _factor(equations, held, share, known, settings)
+        factor = _factor(equations, held, share, table, known, settings)
         spread = _spread(equations, held, factor, table, known, settings)
         own = equations.known & np.isin(np.arange(len(equations)), factor.rows)[:, None]
         for column, output in enumerate(factor.outputs):
@@ -184,24 +185,17 @@ def dense(
     )
 
 
-def _table(equations: Equations, held: Hyperparameters) -> Floats | None:
-    """Return the covariance of all places of all rows, where most of them are known."""
-    if equations.known.mean() < 0.5:
-        return None
-    every = np.ones_like(equations.known)
-    return covariance(equations.x, every, equations.x, every, held)
-
-
 def _factor(
     equations: Equations,
     held: Hyperparameters,
     share: Share,
+    table: Floats,
     before: Spread | None,
     settings: KrigingSettings,
 ) -> Factor:
     """Return a share's factor, bordered where all but some last rows are in one already."""
     if before is None:
-        return factorise(equations, held, *share, settings)
+        return factorise(equations, held, *share, settings, table)
     added = share.rows[len(before.factor.rows) :]
     if not len(added):
         return before.factor
@@ -212,7 +206,7 @@ def _spread(
     equations: Equations,
     held: Hyperparameters,
     factor: Factor,
-    table: Floats | None,
+    table: Floats,
     before: Spread | None,
     settings: KrigingSettings,
 ) -> Spread:
@@ -241,7 +235,7 @@ def _left_out(
     equations: Equations,
     held: Hyperparameters,
     spread: Spread,
-    table: Floats | None,
+    table: Floats,
     settings: KrigingSettings,
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
     """Return rows left out, their errors (k, q) and sigma squared as an answer there would tell it.
@@ -252,17 +246,15 @@ def _left_out(
     factor, prior = spread.factor, float(held.prior[0])
     out = left_out(equations, factor, settings)
     anchors = spread.finder.nearest_others(out.rows, equations.x)
-    noise = _noise(equations, factor)
+    noise, number = _noise(equations, factor), numbers(equations.known)
     squared = np.empty(len(out.rows))
     lists = spread.finder.members(equations.x[anchors], without=out.rows)
     for place, (row, members) in enumerate(zip(out.rows, lists, strict=True)):
         local = local_factor(equations, noise, held, members, factor.nugget, settings, table)
-        value = np.zeros((1, PLACES), dtype=bool)
-        value[0, 0] = True
-        here, own = equations.x[row : row + 1], equations.take(members)
+        told = number[members][equations.known[members]]
         found = local.squared_deviation(
-            covariance(here, value, own.x, own.known, held),
-            mean_terms(here, value),
+            table[np.ix_(number[row, :1], told)],
+            np.append(1.0, equations.x[row])[None],
             prior,
             out.mean_covariances[place],
         )

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import get_lapack_funcs
 
-from surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms
+from surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms, numbers
 from surrogate.kriging.equations import Equations
 from surrogate.kriging.settings import DEFAULTS, KrigingSettings
 from surrogate.rows import Floats
@@ -115,10 +115,18 @@ def factorise(
     rows: NDArray[np.intp],
     noise: Floats,
     settings: KrigingSettings = DEFAULTS,
+    table: Floats | None = None,
 ) -> Factor:
-    """Return the factor of some rows of a table for some outputs."""
+    """Return the factor of some rows of a table for some outputs.
+
+    `table` is the covariance of all the table's equations, where it is at hand.
+    """
     own = equations.take(rows)
-    matrix = covariance(own.x, own.known, own.x, own.known, held)
+    if table is None:
+        matrix = covariance(own.x, own.known, own.x, own.known, held)
+    else:
+        places = numbers(equations.known)[rows][own.known]
+        matrix = table[np.ix_(places, places)]
     matrix[np.diag_indices_from(matrix)] += diagonal_added(own, noise, settings.nugget, held)
     prior = np.tile(held.prior, (len(own), 1))[own.known]
     T, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, prior)

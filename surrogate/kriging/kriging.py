@@ -23,13 +23,12 @@ from surrogate.kriging.equations import (
     scaling_of,
     within,
 )
-from surrogate.kriging.factor import factorise
+from surrogate.kriging.estimate import estimated
 from surrogate.kriging.left_out import conformal_factors
-from surrogate.kriging.likelihood import maximise
 from surrogate.kriging.nearest import Nearest, nearest
 from surrogate.kriging.settings import DEFAULTS, KrigingSettings
 from surrogate.kriging.shares import Share, shares_of
-from surrogate.kriging.spread_rows import spread_rows
+from surrogate.kriging.threads import one_thread
 from surrogate.rows import Floats, LoadRange, Rows
 
 
@@ -91,6 +90,17 @@ class Kriging:
         SingularCovarianceError
             If rows contradict each other so that no nugget makes the covariance regular.
         """
+        with one_thread():
+            return cls._build(rows, load_range, previous, settings)
+
+    @classmethod
+    def _build(
+        cls,
+        rows: Rows,
+        load_range: LoadRange,
+        previous: Kriging | None,
+        settings: KrigingSettings,
+    ) -> Kriging:
         inside = within(rows, load_range, settings)
         scaling = scaling_of(inside, load_range, settings)
         equations = equations_of(inside, scaling, settings)
@@ -106,7 +116,7 @@ class Kriging:
         if follows is not None and len(equations) < settings.growth * follows.estimated_rows:
             return follows._extended(inside, tangent)
         before = follows.hyperparameters if follows is not None else None
-        held, noise_scale = _estimated(equations, scaling, before, settings)
+        held, noise_scale = estimated(equations, scaling, before, settings)
         fresh = _built(equations, held, noise_scale, None, settings)
         blank = cls(
             load_range=load_range,
@@ -163,10 +173,11 @@ class Kriging:
         if self.tables is not None and compiled.answers is not None:
             compiled.answers(self.tables, asked, *out)
             return out
-        for start in range(0, n, self.settings.chunk):
-            part = slice(start, start + self.settings.chunk)
-            for column, told in zip(out, self._evaluate(asked[part]), strict=True):
-                column[part] = told
+        with one_thread():
+            for start in range(0, n, self.settings.chunk):
+                part = slice(start, start + self.settings.chunk)
+                for column, told in zip(out, self._evaluate(asked[part]), strict=True):
+                    column[part] = told
         return out
 
     def _evaluate(self, wrenches: Floats) -> tuple[Floats, Floats, Floats]:
@@ -243,39 +254,6 @@ def _follows(previous: Kriging | None, load_range: LoadRange, scaling: Scaling) 
         and np.array_equal(previous.scaling.silent, scaling.silent)
     )
     return previous if same else None
-
-
-def _estimated(
-    equations: Equations,
-    scaling: Scaling,
-    before: Hyperparameters | None,
-    settings: KrigingSettings,
-) -> tuple[Hyperparameters, Floats]:
-    """Return the hyperparameters, and the process variances (6,) that noise is held against.
-
-    Noise counts relative to the process variance, which the hyperparameters decide: with noise the
-    likelihood is maximised a second time, with the variances that the first time found.
-    """
-    limits = settings.likelihood_rows, settings.likelihood_equations
-    chosen = equations.take(spread_rows(equations, *limits))
-    variance = np.ones(OUTPUTS)
-    noisy = bool((chosen.noise > settings.nugget).any())
-    for _ in range(1 + noisy):
-        shares = _telling(shares_of(chosen, variance, settings), scaling)
-        before = maximise(chosen, shares, before, settings)
-        for share in shares:
-            found = factorise(chosen, before, *share, settings)
-            variance[share.outputs] = found.variance
-    assert before is not None
-    return before, variance
-
-
-def _telling(shares: list[Share], scaling: Scaling) -> list[Share]:
-    """Return the shares without the outputs that vary by rounding only, and with enough rows."""
-    heard = [
-        share._replace(outputs=share.outputs[~scaling.silent[share.outputs]]) for share in shares
-    ]
-    return [share for share in heard if len(share.outputs) and len(share.rows)]
 
 
 def _built(

@@ -20,6 +20,7 @@ from surrogate.kriging.correlation import (
     Hyperparameters,
     covariance,
     mean_terms,
+    numbers,
 )
 from surrogate.kriging.equations import Equations
 from surrogate.kriging.factor import diagonal_added, inverse_factor
@@ -140,7 +141,7 @@ def local_factor(
     members: Places,
     nugget: float,
     settings: KrigingSettings = DEFAULTS,
-    known_covariance: Floats | None = None,
+    table: Floats | None = None,
 ) -> LocalFactor:
     """Return the factor over some rows.
 
@@ -148,15 +149,16 @@ def local_factor(
     ----------
     noise : ndarray, shape (n,)
         Of every row of the table, over the process variance.
-    known_covariance : ndarray, shape (7 n, 7 n), optional
-        The covariance of all places of all rows, where it is at hand.
+    table : ndarray, optional
+        The covariance of all the table's equations, where it is at hand.
     """
     own = equations.take(members)
     places = (members[:, None] * PLACES + np.arange(PLACES))[own.known]
-    if known_covariance is None:
+    if table is None:
         matrix = covariance(own.x, own.known, own.x, own.known, held)
     else:
-        matrix = known_covariance[np.ix_(places, places)]
+        equation = numbers(equations.known)[members][own.known]
+        matrix = table[np.ix_(equation, equation)]
     matrix[np.diag_indices_from(matrix)] += diagonal_added(own, noise[members], nugget, held)
     prior = np.tile(held.prior, (len(own), 1))[own.known]
     T, used = inverse_factor(matrix, nugget, settings.nugget_limit, prior)
