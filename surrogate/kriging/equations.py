@@ -204,11 +204,14 @@ def _merged(equations: Equations, settings: KrigingSettings) -> Equations:
     joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     group = connected_components(joined, directed=False)[1]
     _, first = np.unique(group, return_index=True)
-    out = equations.take(np.sort(first))
-    for place, row in enumerate(np.sort(first)):
-        members = np.flatnonzero(group == group[row])
-        if len(members) > 1:
-            _merge(out, place, equations.take(members), settings)
+    kept = np.sort(first)
+    out = equations.take(kept)
+    # rows by group, in their own order within each
+    rows, sizes = np.argsort(group, kind="stable"), np.bincount(group)
+    ends = np.cumsum(sizes)
+    for place in np.flatnonzero(sizes[group[kept]] > 1):
+        own = group[kept[place]]
+        _merge(out, int(place), equations.take(rows[ends[own] - sizes[own] : ends[own]]), settings)
     return out
 
 

@@ -32,7 +32,7 @@ from surrogate.kriging.threads import one_thread
 from surrogate.rows import Floats, LoadRange, Rows
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Kriging:
     """The Gaussian process through a table's rows and their tangents; never changed once built.
 

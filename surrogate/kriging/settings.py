@@ -73,7 +73,7 @@ class KrigingSettings:
     rows_an_output: int = 20
     # With so many rows of more than one axis bars are calibrated on them alone: what is asked loads
     # all axes too, and rows at the corners of one axis err more (bars up to 16 x their errors).
-    full_rows: int = 20
+    full_rows: int = 30
     level: float = 0.95
     # Left-out rows had their say in the hyperparameters, and few of them tell a tail badly: factors
     # widen by this over their number (a fifth at 30 rows).
