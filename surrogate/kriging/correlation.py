@@ -1,0 +1,144 @@
+"""The covariance of values and slopes: Matern 7/2, one term an axis and one of all loads.
+
+With scaled loads x and v, inverse squared lengths t and the squared scaled distance over the loads
+of a group, q = sum t_a (x_a - v_a)^2, the covariance of values is
+
+    m(q_x) + m(q_y) + m(q_z) + c m(q_all).
+
+Slopes are its derivatives by x and by v (Morris, Mitchell and Ylvisaker 1993).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrogate.axes import AXES
+from surrogate.rows import Floats
+
+Mask = NDArray[np.bool_]
+
+LOADS = 6
+PLACES = 1 + LOADS  # of one row: its value, then its slope by each load
+PAIRS = 100_000  # of rows at once: differences by each load within some 5 MB, blocks within 40 MB
+
+# Which loads each of the four terms sees: the three axes, then all.
+GROUPS = np.zeros((4, LOADS))
+for _place, _axis in enumerate(AXES):
+    GROUPS[_place, list(_axis.inputs)] = 1.0
+GROUPS[3] = 1.0
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """What the likelihood settles, one set for all outputs.
+
+    Attributes
+    ----------
+    inverse_squares : ndarray, shape (6,)
+        One over the squared length of each load, in half ranges.
+    weight : float
+        Variance of the term of all loads over that of one axis.
+    """
+
+    inverse_squares: Floats
+    weight: float
+
+    @classmethod
+    def of_logarithms(cls, logarithms: Floats) -> Hyperparameters:
+        """Return the hyperparameters of their seven logarithms."""
+        values = np.exp(np.asarray(logarithms, dtype=float))
+        return cls(values[:LOADS], float(values[LOADS]))
+
+    @property
+    def logarithms(self) -> Floats:
+        """The seven logarithms, shape (7,)."""
+        return np.log(np.append(self.inverse_squares, self.weight))
+
+    @property
+    def terms(self) -> tuple[Floats, Floats]:
+        """Each term's inverse squares (4, 6), zero for loads it does not see, and weights (4,)."""
+        return GROUPS * self.inverse_squares, np.array([1.0, 1.0, 1.0, self.weight])
+
+    @property
+    def prior(self) -> Floats:
+        """Covariance of one row's value and slopes, shape (7,): its diagonal, it has no other."""
+        rates, weights = self.terms
+        return np.append(weights.sum(), 1.4 * (weights @ rates))
+
+
+def matern(q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return Matern 7/2 of the squared scaled distance and its first three derivatives by it."""
+    a = np.sqrt(7.0 * q)
+    decay = np.exp(-a)
+    return (
+        (1 + a + 0.4 * a**2 + a**3 / 15) * decay,
+        -0.7 * (1 + a + a**2 / 3) * decay,
+        49 / 60 * (1 + a) * decay,
+        -343 / 120 * decay,
+    )
+
+
+def block(x: Floats, v: Floats, held: Hyperparameters, slopes_x: bool, slopes_v: bool) -> Floats:
+    """Return the covariance of rows at x (n, 6) and v (m, 6), shape (n, 1 or 7, m, 1 or 7)."""
+    apart = x[:, None, :] - v[None, :, :]
+    out = np.zeros((len(x), 1 + LOADS * slopes_x, len(v), 1 + LOADS * slopes_v))
+    for rates, weight in zip(*held.terms, strict=True):
+        value, first, second, _ = matern(apart**2 @ rates)
+        out[:, 0, :, 0] += weight * value
+        for a in np.flatnonzero(rates):
+            slope = 2 * rates[a] * weight * first * apart[..., a]
+            if slopes_x:
+                out[:, 1 + a, :, 0] += slope
+            if slopes_v:
+                out[:, 0, :, 1 + a] -= slope
+            if not (slopes_x and slopes_v):
+                continue
+            out[:, 1 + a, :, 1 + a] -= 2 * rates[a] * weight * first
+            for b in np.flatnonzero(rates):
+                turn = 4 * rates[a] * rates[b] * weight * second
+                out[:, 1 + a, :, 1 + b] -= turn * apart[..., a] * apart[..., b]
+    return out
+
+
+def covariance(x: Floats, known_x: Mask, v: Floats, known_v: Mask, held: Hyperparameters) -> Floats:
+    """Return the covariance of the equations that rows at x and v bring.
+
+    Parameters
+    ----------
+    x, v : ndarray, shapes (n, 6) and (m, 6), half ranges
+    known_x, known_v : ndarray of bool, shapes (n, 7) and (m, 7)
+        Which of value and slopes each row brings; equations count row by row.
+    """
+    out = np.empty((int(known_x.sum()), int(known_v.sum())))
+    first_x, first_v = numbers(known_x), numbers(known_v)
+    for slopes_v in (False, True):
+        columns = np.flatnonzero(known_v[:, 1:].any(axis=1) == slopes_v)
+        there = known_v[columns, : 1 + LOADS * slopes_v]
+        for slopes_x in (False, True):
+            every = np.flatnonzero(known_x[:, 1:].any(axis=1) == slopes_x)
+            for rows in np.array_split(every, 1 + len(every) * len(columns) // PAIRS):
+                here = known_x[rows, : 1 + LOADS * slopes_x]
+                if not (here.size and there.size):
+                    continue
+                found = block(x[rows], v[columns], held, slopes_x, slopes_v)
+                found = found.reshape(here.size, there.size)
+                to = first_x[rows, : here.shape[1]][here], first_v[columns, : there.shape[1]][there]
+                out[np.ix_(*to)] = found[np.ix_(here.ravel(), there.ravel())]
+    return out
+
+
+def numbers(known: Mask) -> NDArray[np.intp]:
+    """Return the number of each place's equation, shape (n, 7); no meaning where not known."""
+    return (np.cumsum(known.ravel()) - 1).reshape(known.shape)
+
+
+def mean_terms(x: Floats, known: Mask) -> Floats:
+    """Return the mean's seven terms, constant and linear, at each equation, (e, 7)."""
+    terms = np.zeros((len(x), PLACES, PLACES))
+    terms[:, 0, 0] = 1.0
+    terms[:, 0, 1:] = x
+    terms[:, 1:, 1:] = np.eye(LOADS)
+    return terms[known]

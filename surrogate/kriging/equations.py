@@ -1,0 +1,230 @@
+"""From rows to equations: scaled, merged, in an order of their own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from surrogate.kriging.correlation import PLACES, Mask
+from surrogate.kriging.settings import DEFAULTS, KrigingSettings
+from surrogate.rows import Floats, LoadRange, RowError, Rows
+
+OUTPUTS = 6
+
+
+class TooFewRowsError(RowError):
+    """A table with too few rows in its load range for a kriging."""
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Between SI and the numbers a kriging works in.
+
+    Attributes
+    ----------
+    centre, half : ndarray, shape (6,), N and N·m
+        Middle and half width of each load's range.
+    active : ndarray of bool, shape (6,)
+        Loads that can occur and that move something; the others take no part.
+    offset, spread : ndarray, shape (6,), m and rad
+        Mean and standard deviation of each output over the rows; a spread of none is 1.
+    silent : ndarray of bool, shape (6,)
+        Outputs that vary by rounding only.
+    """
+
+    centre: Floats
+    half: Floats
+    active: Mask
+    offset: Floats
+    spread: Floats
+    silent: Mask
+
+    def loads(self, wrenches: Floats) -> Floats:
+        """Return wrenches (n, 6), N and N·m, in half ranges from the centre; inert loads are 0."""
+        return np.where(self.active, (wrenches - self.centre) / self.half, 0.0)
+
+
+@dataclass(frozen=True)
+class Equations:
+    """What the rows of a table say, in scaled numbers, row by row.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n, 6), half ranges
+    known : ndarray of bool, shape (n, 7)
+        Which of its value and slopes a row brings.
+    told : ndarray, shape (n, 7, 6), spreads
+        Values and slopes of the six outputs; zero where not known.
+    measured : ndarray of bool, shape (n, 6)
+        Which outputs a row brings.
+    noise : ndarray, shape (n, 6), spreads squared
+        Variance of the values.
+    """
+
+    x: Floats
+    known: Mask
+    told: Floats
+    measured: Mask
+    noise: Floats
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    @property
+    def count(self) -> int:
+        """The number of equations."""
+        return int(self.known.sum())
+
+    def take(self, which: NDArray[np.intp]) -> Equations:
+        """Return the equations of some rows."""
+        return Equations(
+            self.x[which],
+            self.known[which],
+            self.told[which],
+            self.measured[which],
+            self.noise[which],
+        )
+
+    def plus(self, other: Equations) -> Equations:
+        """Return these equations, then the others."""
+        return Equations(
+            np.concatenate((self.x, other.x)),
+            np.concatenate((self.known, other.known)),
+            np.concatenate((self.told, other.told)),
+            np.concatenate((self.measured, other.measured)),
+            np.concatenate((self.noise, other.noise)),
+        )
+
+    def records(self) -> list[bytes]:
+        """Return for each row what it says, as bytes."""
+        columns = (self.x, self.known, self.told, self.measured, self.noise)
+        return [b"".join(column[row].tobytes() for column in columns) for row in range(len(self))]
+
+
+def within(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Rows:
+    """Return the rows inside the load range, sorted by wrench: their order must not matter."""
+    room = settings.edge * load_range.scale
+    inside = (rows.wrench >= load_range.low - room) & (rows.wrench <= load_range.high + room)
+    kept = rows.take(inside.all(axis=1))
+    columns = np.concatenate((kept.wrench, kept.displacement), axis=1)
+    return kept.take(np.lexsort(columns.T[::-1]))
+
+
+def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Scaling:
+    """Return the scaling of rows that lie in the load range.
+
+    Raises
+    ------
+    TooFewRowsError
+        If fewer rows than `least_rows` are left, or an output is measured by fewer.
+    """
+    measured = np.isfinite(rows.displacement)
+    fewest = int(measured.sum(axis=0).min()) if len(rows) else 0
+    if fewest < settings.least_rows:
+        raise TooFewRowsError(
+            f"kriging needs {settings.least_rows} rows in the load range that bring each output; "
+            f"there are {fewest}: solve or import more"
+        )
+    centre = (load_range.low + load_range.high) / 2
+    offset = np.nanmean(rows.displacement, axis=0)
+    spread = np.nanstd(rows.displacement, axis=0)
+    largest = np.repeat(spread.reshape(2, 3).max(axis=1), 3)
+    # An output that nothing moves is told from its own size, where no other of its kind moves.
+    size = np.maximum(largest, np.abs(offset) * settings.rounding)
+    silent = spread <= settings.rounding * size
+    return Scaling(
+        centre=centre,
+        half=load_range.scale,
+        active=_active(rows, load_range, np.where(silent, np.inf, spread), settings),
+        offset=offset,
+        spread=np.where(spread > 0, spread, 1.0),
+        silent=silent,
+    )
+
+
+def _active(rows: Rows, load_range: LoadRange, spread: Floats, settings: KrigingSettings) -> Mask:
+    """Return which loads have a range and, where slopes tell, move some output."""
+    ranged = load_range.high > load_range.low
+    tangents = rows.compliance[_with_slopes(rows)]
+    if len(tangents) < len(rows):
+        return ranged
+    moved = np.abs(tangents).max(axis=0) * load_range.scale / spread[:, None]
+    return ranged & (moved > settings.rounding).any(axis=0)
+
+
+def _with_slopes(rows: Rows) -> Mask:
+    """Return which rows bring a full finite compliance and all outputs, shape (n,)."""
+    finite = np.isfinite(rows.compliance).all(axis=(1, 2))
+    return np.logical_and(finite, np.isfinite(rows.displacement).all(axis=1))
+
+
+def equations_of(rows: Rows, scaling: Scaling, settings: KrigingSettings = DEFAULTS) -> Equations:
+    """Return the equations of rows, those at one wrench merged."""
+    sloped = _with_slopes(rows)
+    measured = np.isfinite(rows.displacement)
+    known = np.zeros((len(rows), PLACES), dtype=bool)
+    known[:, 0] = True
+    known[:, 1:] = sloped[:, None] & scaling.active
+    told = np.zeros((len(rows), PLACES, OUTPUTS))
+    told[:, 0] = np.where(measured, (rows.displacement - scaling.offset) / scaling.spread, 0.0)
+    slopes = rows.compliance * scaling.half / scaling.spread[:, None]
+    told[:, 1:] = np.where(known[:, 1:, None], slopes.transpose(0, 2, 1), 0.0)
+    half_widths = np.nan_to_num(rows.uncertainty) / scaling.spread
+    whole = Equations(
+        x=scaling.loads(rows.wrench),
+        known=known,
+        told=told,
+        measured=measured,
+        noise=(half_widths / settings.half_width) ** 2,
+    )
+    return _merged(whole, settings)
+
+
+def later_order(before: Equations, now: Equations) -> NDArray[np.intp] | None:
+    """Return the order of rows that begins with those before; None where one is gone or changed."""
+    places = {key: place for place, key in enumerate(now.records())}
+    kept = [places.get(key, -1) for key in before.records()]
+    if min(kept) < 0:
+        return None
+    new = np.setdiff1d(np.arange(len(now)), kept)
+    return np.concatenate((np.array(kept, dtype=np.intp), new))
+
+
+def _merged(equations: Equations, settings: KrigingSettings) -> Equations:
+    """Return the equations with rows at one wrench merged: means, and their spread as noise."""
+    n = len(equations)
+    pairs = KDTree(equations.x).query_pairs(2 * settings.same, p=np.inf, output_type="ndarray")
+    if not len(pairs):
+        return equations
+    joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    group = connected_components(joined, directed=False)[1]
+    _, first = np.unique(group, return_index=True)
+    kept = np.sort(first)
+    out = equations.take(kept)
+    # rows by group, in their own order within each
+    rows, sizes = np.argsort(group, kind="stable"), np.bincount(group)
+    ends = np.cumsum(sizes)
+    for place in np.flatnonzero(sizes[group[kept]] > 1):
+        own = group[kept[place]]
+        _merge(out, int(place), equations.take(rows[ends[own] - sizes[own] : ends[own]]), settings)
+    return out
+
+
+def _merge(out: Equations, place: int, members: Equations, settings: KrigingSettings) -> None:
+    """Write one row for several at one wrench into a copy's place."""
+    values = np.where(members.measured, members.told[:, 0], np.nan)
+    for output in np.flatnonzero(members.measured.any(axis=0)):
+        known = values[members.measured[:, output], output]
+        spread = np.ptp(known) / 2 / settings.half_width
+        out.told[place, 0, output] = known.mean()
+        out.noise[place, output] = max(spread**2, members.noise[:, output].max())
+    out.measured[place] = members.measured.any(axis=0)
+    sloped = members.known[:, 1:].any(axis=1)
+    whole = sloped.any() and out.measured[place].all()
+    out.known[place, 1:] = members.known[sloped, 1:].any(axis=0) if whole else False
+    out.told[place, 1:] = members.told[sloped, 1:].mean(axis=0) if whole else 0.0

@@ -1,0 +1,212 @@
+"""The dense factor of the covariance, by which every answer and every left-out row is had.
+
+Kept is T, the inverse of the lower Cholesky factor: the inverse of the covariance is T'T, a new row
+borders it, and answers are products. The mean's coefficients have a wide normal prior, of variance
+P; with A = F' T'T F + 1/P this is the usual universal kriging where rows settle the mean, and still
+defined where they do not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import get_lapack_funcs
+
+from surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms, numbers
+from surrogate.kriging.equations import Equations
+from surrogate.kriging.settings import DEFAULTS, KrigingSettings
+from surrogate.rows import Floats
+
+
+class SingularCovarianceError(ArithmeticError):
+    """A covariance that is singular even with the largest nugget."""
+
+
+@dataclass(frozen=True)
+class Factor:
+    """The factor of some rows' equations, for the outputs that these rows tell alike.
+
+    Attributes
+    ----------
+    outputs : ndarray of int
+        The outputs it answers.
+    rows : ndarray of int, shape (r,)
+        Which rows of the table take part.
+    noise : ndarray, shape (r,)
+        Variance of their values over the process variance.
+    nugget : float
+        What the diagonal was raised by, relative.
+    T : ndarray, shape (e, e)
+        Inverse of the lower Cholesky factor of the e equations' covariance.
+    TF : ndarray, shape (e, 7)
+        T times the mean's terms.
+    mean_covariance : ndarray, shape (7, 7)
+        Posterior covariance of the mean's coefficients, over the process variance.
+    coefficients : ndarray, shape (7, k)
+        The mean of each output.
+    weights : ndarray, shape (e, k)
+        What covariances are multiplied by.
+    variance : ndarray, shape (k,)
+        Process variance of each output, spreads squared.
+    """
+
+    outputs: NDArray[np.intp]
+    rows: NDArray[np.intp]
+    noise: Floats
+    nugget: float
+    T: Floats
+    TF: Floats
+    mean_covariance: Floats
+    coefficients: Floats
+    weights: Floats
+    variance: Floats
+
+
+def diagonal_added(
+    equations: Equations, noise: Floats, nugget: float, held: Hyperparameters
+) -> Floats:
+    """Return what is added to the covariance's diagonal: nugget and noise, shape (equations,)."""
+    added = np.tile(nugget * held.prior, (len(equations), 1))
+    added[:, 0] += noise
+    return added[equations.known]
+
+
+def inverse_factor(
+    matrix: Floats, nugget: float, nugget_limit: float, prior: Floats
+) -> tuple[Floats, float]:
+    """Return the inverse of the lower Cholesky factor, and the nugget it took.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (e, e)
+        With a nugget of `nugget` times `prior` on its diagonal; raised by decades on failure.
+
+    Raises
+    ------
+    SingularCovarianceError
+        If it is singular with the largest nugget.
+    """
+    size = np.sqrt(prior)
+    scaled = matrix / size[:, None] / size
+    places = np.diag_indices_from(scaled)
+    while True:
+        try:
+            lower = np.linalg.cholesky(scaled)
+        except np.linalg.LinAlgError:
+            if nugget * 10 > nugget_limit:
+                raise SingularCovarianceError(
+                    f"the covariance of {len(matrix)} equations is singular with a nugget of "
+                    f"{nugget:g}: rows contradict each other; invalidate the wrong ones"
+                ) from None
+            scaled[places] += 9 * nugget
+            nugget *= 10
+            continue
+        (invert,) = get_lapack_funcs(("trtri",), (lower,))
+        inverse, _ = invert(lower, lower=1)  # cannot fail: the diagonal is positive
+        return np.tril(inverse) / size, nugget
+
+
+def factorise(
+    equations: Equations,
+    held: Hyperparameters,
+    outputs: NDArray[np.intp],
+    rows: NDArray[np.intp],
+    noise: Floats,
+    settings: KrigingSettings = DEFAULTS,
+    table: Floats | None = None,
+) -> Factor:
+    """Return the factor of some rows of a table for some outputs.
+
+    `table` is the covariance of all the table's equations, where it is at hand.
+    """
+    own = equations.take(rows)
+    if table is None:
+        matrix = covariance(own.x, own.known, own.x, own.known, held)
+    else:
+        places = numbers(equations.known)[rows][own.known]
+        matrix = table[np.ix_(places, places)]
+    matrix[np.diag_indices_from(matrix)] += diagonal_added(own, noise, settings.nugget, held)
+    prior = np.tile(held.prior, (len(own), 1))[own.known]
+    T, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, prior)
+    return finish(own, outputs, rows, noise, nugget, T, T @ mean_terms(own.x, own.known), settings)
+
+
+def finish(
+    own: Equations,
+    outputs: NDArray[np.intp],
+    rows: NDArray[np.intp],
+    noise: Floats,
+    nugget: float,
+    T: Floats,
+    TF: Floats,
+    settings: KrigingSettings,
+) -> Factor:
+    """Return the factor with what follows from T: the mean, the weights, the variances."""
+    told = own.told[own.known][:, outputs]
+    Ty = T @ told
+    precision = TF.T @ TF + np.eye(TF.shape[1]) / settings.mean_variance
+    mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
+    coefficients = mean_covariance @ (TF.T @ Ty)
+    remainder = Ty - TF @ coefficients
+    return Factor(
+        outputs=outputs,
+        rows=rows,
+        noise=noise,
+        nugget=nugget,
+        T=T,
+        TF=TF,
+        mean_covariance=mean_covariance,
+        coefficients=coefficients,
+        weights=T.T @ remainder,
+        variance=np.einsum("eq,eq->q", remainder, Ty) / len(T),
+    )
+
+
+def border(
+    factor: Factor,
+    equations: Equations,
+    held: Hyperparameters,
+    added: NDArray[np.intp],
+    noise: Floats,
+    settings: KrigingSettings = DEFAULTS,
+) -> Factor:
+    """Return the factor with further rows of the table, at the cost of their products with it.
+
+    Parameters
+    ----------
+    equations : Equations
+        The whole table: the factor's rows and, at the places `added`, the new ones.
+    noise : ndarray, shape (len(added),)
+        Variance of the new values over the process variance.
+    """
+    old, new = equations.take(factor.rows), equations.take(added)
+    across = covariance(new.x, new.known, old.x, old.known, held) @ factor.T.T
+    corner = covariance(new.x, new.known, new.x, new.known, held) - across @ across.T
+    corner[np.diag_indices_from(corner)] += diagonal_added(new, noise, factor.nugget, held)
+    prior = np.tile(held.prior, (len(new), 1))[new.known]
+    # A corner that is not positive needs a larger nugget everywhere, so it is not raised here.
+    last, _ = inverse_factor(corner, factor.nugget, factor.nugget, prior)
+    count, more = len(factor.T), len(last)
+    T = np.zeros((count + more, count + more))
+    T[:count, :count] = factor.T
+    T[count:, count:] = last
+    T[count:, :count] = -last @ (across @ factor.T)
+    TF = np.concatenate(
+        (
+            factor.TF,
+            T[count:, :count] @ mean_terms(old.x, old.known) + last @ mean_terms(new.x, new.known),
+        )
+    )
+    rows = np.concatenate((factor.rows, added))
+    return finish(
+        equations.take(rows),
+        factor.outputs,
+        rows,
+        np.append(factor.noise, noise),
+        factor.nugget,
+        T,
+        TF,
+        settings,
+    )

@@ -1,0 +1,291 @@
+"""The kriging of a table: wrenches in, displacements with error bars and derivatives out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrogate.axes import AXES, CLEAN
+from surrogate.kriging import compiled
+from surrogate.kriging.correlation import LOADS, Hyperparameters
+from surrogate.kriging.dense import Dense, dense
+from surrogate.kriging.equations import (
+    OUTPUTS,
+    Equations,
+    Scaling,
+    TooFewRowsError,
+    equations_of,
+    later_order,
+    scaling_of,
+    within,
+)
+from surrogate.kriging.estimate import estimated
+from surrogate.kriging.left_out import conformal_factors
+from surrogate.kriging.nearest import Nearest, nearest
+from surrogate.kriging.settings import DEFAULTS, KrigingSettings
+from surrogate.kriging.shares import Share, shares_of
+from surrogate.kriging.threads import one_thread
+from surrogate.rows import Floats, LoadRange, Rows
+
+
+@dataclass(frozen=True, eq=False)
+class Kriging:
+    """The Gaussian process through a table's rows and their tangents; never changed once built.
+
+    Attributes
+    ----------
+    load_range : LoadRange
+    settings : KrigingSettings
+    scaling : Scaling
+    hyperparameters : Hyperparameters
+    noise_scale : ndarray, shape (6,), spreads squared
+        Process variances that the rows' uncertainties were held against.
+    estimated_rows : int
+        Rows of the table when the hyperparameters were estimated.
+    inside : Dense or Nearest
+        What answers, in scaled numbers.
+    conformal : ndarray, shape (6,)
+        What sigma is multiplied by for a 95 % bar.
+    tangent : ndarray, shape (6, 6), SI
+        Mean tangent of the rows: the derivative by loads that take no part.
+    detail : str
+        How it answers, in words.
+    """
+
+    load_range: LoadRange
+    settings: KrigingSettings
+    scaling: Scaling
+    hyperparameters: Hyperparameters
+    noise_scale: Floats
+    estimated_rows: int
+    inside: Dense | Nearest
+    conformal: Floats
+    tangent: Floats
+    detail: str
+
+    @classmethod
+    def build(
+        cls,
+        rows: Rows,
+        load_range: LoadRange,
+        previous: Kriging | None = None,
+        settings: KrigingSettings = DEFAULTS,
+    ) -> Kriging:
+        """Return the kriging of a table's rows inside the load range.
+
+        Parameters
+        ----------
+        previous : Kriging, optional
+            Of an earlier version of the table: its hyperparameters are kept until the table has
+            grown by a quarter, and start the estimate then; its factor is bordered by new rows.
+
+        Raises
+        ------
+        TooFewRowsError
+            If too few rows lie in the load range.
+        SingularCovarianceError
+            If rows contradict each other so that no nugget makes the covariance regular.
+        """
+        with one_thread():
+            return cls._build(rows, load_range, previous, settings)
+
+    @classmethod
+    def _build(
+        cls,
+        rows: Rows,
+        load_range: LoadRange,
+        previous: Kriging | None,
+        settings: KrigingSettings,
+    ) -> Kriging:
+        inside = within(rows, load_range, settings)
+        scaling = scaling_of(inside, load_range, settings)
+        equations = equations_of(inside, scaling, settings)
+        if len(equations) < settings.least_rows:
+            raise TooFewRowsError(
+                f"kriging needs {settings.least_rows} rows at different wrenches; there are "
+                f"{len(equations)}: solve or import more"
+            )
+        tangents = inside.compliance[np.isfinite(inside.compliance).all(axis=(1, 2))]
+        tangent = tangents.mean(axis=0) if len(tangents) else np.zeros((OUTPUTS, LOADS))
+        usable = previous is not None and previous.settings == settings
+        follows = _follows(previous, load_range, scaling) if usable else None
+        if follows is not None and len(equations) < settings.growth * follows.estimated_rows:
+            return follows._extended(inside, tangent)
+        before = follows.hyperparameters if follows is not None else None
+        held, noise_scale = estimated(equations, scaling, before, settings)
+        fresh = _built(equations, held, noise_scale, None, settings)
+        blank = cls(
+            load_range=load_range,
+            settings=settings,
+            scaling=scaling,
+            hyperparameters=held,
+            noise_scale=noise_scale,
+            estimated_rows=len(equations),
+            inside=fresh,
+            conformal=np.ones(OUTPUTS),
+            tangent=tangent,
+            detail="",
+        )
+        return blank._calibrated(fresh, tangent)
+
+    @cached_property
+    def tables(self) -> compiled.Tables | None:
+        """What compiled code answers from; None without it, or where it does not apply."""
+        if compiled.answers is None or not isinstance(self.inside, Dense):
+            return None
+        floor = self.settings.bar_floor
+        return compiled.tables_of(self.inside, self.scaling, self.conformal, self.tangent, floor)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: not the tables, which follow from the rest."""
+        return {name: value for name, value in vars(self).items() if name != "tables"}
+
+    def answer(self, wrench: Floats) -> tuple[Floats, Floats]:
+        """Return displacement and 95 % error bar at one wrench (6,), each (6,), m and rad."""
+        displacement, bar, _ = self.evaluate(np.asarray(wrench, dtype=float).reshape(1, LOADS))
+        return displacement[0], bar[0]
+
+    def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
+        """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""
+        displacement, bar, _ = self.evaluate(wrenches)
+        return displacement, bar
+
+    def derivative(self, wrench: Floats) -> Floats:
+        """Return du/dw (6, 6) at one wrench: m/N, m/(N·m), rad/N, rad/(N·m)."""
+        return self.derivatives(np.asarray(wrench, dtype=float).reshape(1, LOADS))[0]
+
+    def derivatives(self, wrenches: Floats) -> Floats:
+        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
+
+        Exact of the interpolant. By a load that takes no part it is the rows' mean tangent.
+        """
+        return self.evaluate(wrenches)[2]
+
+    def evaluate(self, wrenches: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return displacements (n, 6), 95 % error bars (n, 6) and du/dw (n, 6, 6) in one go."""
+        asked = np.ascontiguousarray(wrenches, dtype=float)
+        n = len(asked)
+        out = np.empty((n, OUTPUTS)), np.empty((n, OUTPUTS)), np.empty((n, OUTPUTS, LOADS))
+        if self.tables is not None and compiled.answers is not None:
+            compiled.answers(self.tables, asked, *out)
+            return out
+        with one_thread():
+            for start in range(0, n, self.settings.chunk):
+                part = slice(start, start + self.settings.chunk)
+                for column, told in zip(out, self._evaluate(asked[part]), strict=True):
+                    column[part] = told
+        return out
+
+    def _evaluate(self, wrenches: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return what `evaluate` does, without compiled code."""
+        values, sigmas, slopes = self.inside.answers(self.scaling.loads(wrenches))
+        spread, offset = self.scaling.spread, self.scaling.offset
+        size = (np.abs(values) + 1) * spread + np.abs(offset)
+        # Never below what rounding makes of an answer.
+        bars = np.maximum(sigmas * self.conformal * spread, self.settings.bar_floor * size)
+        by_load = slopes * spread[:, None] / self.scaling.half
+        derivative = np.where(self.scaling.active, by_load, self.tangent)
+        return values * spread + offset, bars, derivative
+
+    def sigma_with(self, pending: Floats, at: Floats) -> Floats:
+        """Return the error bars (n, 6), m and rad, at wrenches if others were solved too.
+
+        Parameters
+        ----------
+        pending, at : ndarray, shapes (m, 6) and (n, 6), N and N·m
+            What is being solved (with slopes, if rows bring them), and where to tell the bars.
+        """
+        _, bars = self.answer_many(at)
+        if not len(pending) or not len(at):
+            return bars
+        others, places = self.scaling.loads(pending), self.scaling.loads(at)
+        size = self.settings.chunk
+        left = [
+            self.inside.sigmas_with(others, places[start : start + size])
+            for start in range(0, len(places), size)
+        ]
+        return bars * np.concatenate(left)[:, None]
+
+    def left_out(self) -> tuple[Floats, Floats]:
+        """Return errors and sigma at rows left out whole, each (k, 6), m and rad.
+
+        NaN where a row does not bring the output. Without the conformal factor.
+        """
+        spread = self.scaling.spread
+        return self.inside.errors * spread, self.inside.deviations * spread
+
+    def _extended(self, inside: Rows, tangent: Floats) -> Kriging:
+        """Return the kriging of a later version of the table, with these hyperparameters."""
+        equations = equations_of(inside, self.scaling, self.settings)
+        order = later_order(self.inside.equations, equations)
+        before = self.inside if order is not None else None
+        equations = equations if order is None else equations.take(order)
+        later = _built(equations, self.hyperparameters, self.noise_scale, before, self.settings)
+        return self._calibrated(later, tangent)
+
+    def _calibrated(self, inside: Dense | Nearest, tangent: Floats) -> Kriging:
+        """Return this with another inside, its bars calibrated on its rows left out."""
+        kept = self._asked_like(inside)
+        factors = conformal_factors(inside.errors[kept], inside.deviations[kept], self.settings)
+        detail = _in_words(inside)
+        return replace(self, inside=inside, conformal=factors, tangent=tangent, detail=detail)
+
+    def _asked_like(self, inside: Dense | Nearest) -> NDArray[np.bool_]:
+        """Return which of the rows left out load more than one axis, or all if these are few."""
+        at_rest = self.scaling.loads(np.zeros((1, LOADS)))
+        loaded = np.abs(inside.equations.x[inside.rows] - at_rest) > CLEAN
+        clean = [~loaded[:, axis.others].any(axis=1) for axis in AXES]
+        full = ~np.any(clean, axis=0)
+        return full if full.sum() >= self.settings.full_rows else np.ones(len(full), dtype=bool)
+
+
+def _follows(previous: Kriging | None, load_range: LoadRange, scaling: Scaling) -> Kriging | None:
+    """Return the previous kriging if its scaled numbers mean the same, else None."""
+    if previous is None:
+        return None
+    same = (
+        np.array_equal(previous.load_range.low, load_range.low)
+        and np.array_equal(previous.load_range.high, load_range.high)
+        and np.array_equal(previous.scaling.active, scaling.active)
+        and np.array_equal(previous.scaling.silent, scaling.silent)
+    )
+    return previous if same else None
+
+
+def _built(
+    equations: Equations,
+    held: Hyperparameters,
+    noise_scale: Floats,
+    before: Dense | Nearest | None,
+    settings: KrigingSettings,
+) -> Dense | Nearest:
+    """Return what answers: one dense factor, or the nearest rows of a large table."""
+    shares = shares_of(equations, noise_scale, settings)
+    if equations.count > settings.dense_equations:
+        return nearest(equations, held, shares, settings)
+    known = before if isinstance(before, Dense) and _bordered(before, shares) else None
+    return dense(equations, held, shares, known, settings)
+
+
+def _bordered(before: Dense, shares: list[Share]) -> bool:
+    """Whether each share is that of an earlier factor and further rows."""
+    if len(before.shares) != len(shares):
+        return False
+    pairs = [(own.factor, share) for own, share in zip(before.shares, shares, strict=True)]
+    return all(
+        np.array_equal(factor.outputs, share.outputs)
+        and np.array_equal(factor.rows, share.rows[: len(factor.rows)])
+        and np.array_equal(factor.noise, share.noise[: len(factor.rows)])
+        for factor, share in pairs
+    )
+
+
+def _in_words(inside: Dense | Nearest) -> str:
+    rows, equations = len(inside.equations), inside.equations.count
+    if isinstance(inside, Dense):
+        return f"kriging, one factor over {rows} rows ({equations} equations)"
+    return f"kriging over the nearest of {rows} rows ({equations} equations in all)"

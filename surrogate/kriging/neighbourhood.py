@@ -1,0 +1,166 @@
+"""The nearest rows of a place, and the small factors over them.
+
+A place's neighbours are taken in turn by each of the four terms of the covariance: nearest over all
+loads, then over those of axis x, y and z. By all loads alone a table of clean rows would tell a
+wrench of six loads by one axis. Neighbourhoods belong to rows, their anchors, so that the factors
+are made before anything is asked; a wrench takes that of its nearest row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from surrogate.kriging.correlation import (
+    GROUPS,
+    PLACES,
+    Hyperparameters,
+    covariance,
+    mean_terms,
+    numbers,
+)
+from surrogate.kriging.equations import Equations
+from surrogate.kriging.factor import diagonal_added, inverse_factor
+from surrogate.kriging.settings import DEFAULTS, KrigingSettings
+from surrogate.rows import Floats
+
+Places = NDArray[np.intp]
+
+
+class Finder:
+    """Finds the nearest rows of any place.
+
+    Parameters
+    ----------
+    equations : Equations
+    rows : ndarray of int
+        The rows among which it looks.
+    held : Hyperparameters
+    most_rows, most_equations : int
+        What a neighbourhood may hold.
+    """
+
+    def __init__(
+        self,
+        equations: Equations,
+        rows: Places,
+        held: Hyperparameters,
+        most_rows: int,
+        most_equations: int,
+    ) -> None:
+        self.rows = rows
+        self.size = equations.known[rows].sum(axis=1)
+        self.most_rows, self.most_equations = most_rows, most_equations
+        self.roots = np.sqrt(held.inverse_squares) * GROUPS[[3, 0, 1, 2]]
+        self.trees = [KDTree(equations.x[rows] * root) for root in self.roots]
+
+    def nearest(self, x: Floats) -> Places:
+        """Return the row nearest to each place (m, 6) over all loads, shape (m,)."""
+        return self.rows[self.trees[0].query(x * self.roots[0])[1]]
+
+    def nearest_others(self, rows: Places, x: Floats) -> Places:
+        """Return the row nearest to each of some of its own rows, itself left out.
+
+        Parameters
+        ----------
+        x : ndarray, shape (n, 6)
+            Of all rows of the table.
+        """
+        found = self.trees[0].query(x[rows] * self.roots[0], k=2)[1]
+        near = self.rows[np.asarray(found, dtype=np.intp)]
+        return np.where(near[:, 0] == rows, near[:, 1], near[:, 0])
+
+    def members(self, x: Floats, without: Places | None = None) -> list[Places]:
+        """Return the neighbours of each place (m, 6), nearest first, without one row each."""
+        count = min(self.most_rows + 1, len(self.rows))
+        found = [
+            np.asarray(tree.query(x * root, k=count)[1]).reshape(len(x), count)
+            for tree, root in zip(self.trees, self.roots, strict=True)
+        ]
+        turns = np.stack(found, axis=2).reshape(len(x), -1)
+        left_out = np.full(len(x), -1) if without is None else without
+        return [self._first(turn, out) for turn, out in zip(turns, left_out, strict=True)]
+
+    def _first(self, turn: Places, left_out: int) -> Places:
+        """Return the rows of a list of places that the limits allow, each once."""
+        each = np.array(list(dict.fromkeys(turn.tolist())), dtype=np.intp)
+        each = each[self.rows[each] != left_out][: self.most_rows]
+        return self.rows[each[np.cumsum(self.size[each]) <= self.most_equations]]
+
+
+@dataclass(frozen=True)
+class LocalFactor:
+    """The factor over one neighbourhood.
+
+    Attributes
+    ----------
+    members : ndarray of int
+        Rows of the table.
+    places : ndarray of int, shape (e,)
+        Its equations: seven times the row, plus 0 for the value or 1 to 6 for a slope.
+    T : ndarray, shape (e, e)
+        Inverse of the lower Cholesky factor.
+    TF : ndarray, shape (e, 7)
+        T times the mean's terms.
+    least : float
+        The nugget's share of the prior variance: below it sigma squared is rounding.
+    """
+
+    members: Places
+    places: Places
+    T: Floats
+    TF: Floats
+    least: float
+
+    def squared_deviation(
+        self, across: Floats, terms: Floats, prior: float, mean_covariance: Floats
+    ) -> Floats:
+        """Return sigma squared, over the process variance, at places (m).
+
+        Parameters
+        ----------
+        across : ndarray, shape (m, e)
+            Covariance of the values there with the equations.
+        terms : ndarray, shape (m, 7)
+            The mean's terms there.
+        """
+        reduced = across @ self.T.T
+        unsettled = terms - reduced @ self.TF
+        spent = np.einsum("me,me->m", reduced, reduced)
+        loose = np.einsum("ma,ab,mb->m", unsettled, mean_covariance, unsettled)
+        return np.maximum(prior - spent, self.least) + loose
+
+
+def local_factor(
+    equations: Equations,
+    noise: Floats,
+    held: Hyperparameters,
+    members: Places,
+    nugget: float,
+    settings: KrigingSettings = DEFAULTS,
+    table: Floats | None = None,
+) -> LocalFactor:
+    """Return the factor over some rows.
+
+    Parameters
+    ----------
+    noise : ndarray, shape (n,)
+        Of every row of the table, over the process variance.
+    table : ndarray, optional
+        The covariance of all the table's equations, where it is at hand.
+    """
+    own = equations.take(members)
+    places = (members[:, None] * PLACES + np.arange(PLACES))[own.known]
+    if table is None:
+        matrix = covariance(own.x, own.known, own.x, own.known, held)
+    else:
+        equation = numbers(equations.known)[members][own.known]
+        matrix = table[np.ix_(equation, equation)]
+    matrix[np.diag_indices_from(matrix)] += diagonal_added(own, noise[members], nugget, held)
+    prior = np.tile(held.prior, (len(own), 1))[own.known]
+    T, used = inverse_factor(matrix, nugget, settings.nugget_limit, prior)
+    TF = T @ mean_terms(own.x, own.known)
+    return LocalFactor(members, places, T, TF, used * float(held.prior[0]))

@@ -1,0 +1,71 @@
+"""Run times of the kriging: single answers with bar and derivative, batches, builds, updates."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from surrogate.kriging import Kriging, compiled
+from surrogate.kriging.equations import equations_of, scaling_of, within
+from surrogate.kriging.estimate import estimated
+from surrogate.kriging.settings import DEFAULTS
+from tests.surrogate.kriging.responses import RESPONSES, solved, spread_wrenches
+from tests.surrogate.responses import HIGH, RANGE, full_wrenches
+
+RESPONSE = RESPONSES["strongly_coupled"]
+ASKED = full_wrenches(100_000, 3) * HIGH
+
+
+def best(call: Callable[[], object], repeats: int) -> float:
+    """Return the best of some processor times of one call, s: others may use the machine too."""
+    took = []
+    for _ in range(repeats):
+        start = time.process_time()
+        call()
+        took.append(time.process_time() - start)
+    return min(took)
+
+
+def rows_of(count: int):
+    """Return a table of so many solves, a third of them of one axis."""
+    clean = count // 9
+    return solved(RESPONSE, spread_wrenches(clean, count - 3 * clean, 1))
+
+
+@pytest.mark.skipif(compiled.answers is None, reason="numba is an extra")
+@pytest.mark.parametrize(("solves", "most"), [(60, 20.0), (120, 40.0)])
+def test_a_single_answer_with_bar_and_derivative_takes_microseconds(
+    solves: int, most: float
+) -> None:
+    kriging = Kriging.build(rows_of(solves), RANGE)
+    kriging.answer(ASKED[0])
+    single = best(lambda: [kriging.answer(one) for one in ASKED[:500]], 7) * 2000
+    whole = best(lambda: [kriging.evaluate(ASKED[:1]) for _ in range(500)], 7) * 2000
+    plain = best(lambda: kriging._evaluate(ASKED[1:2]), 100) * 1e6
+    batch = best(lambda: kriging.answer_many(ASKED), 2)
+    print(
+        f"\n{solves} solves: answer {single:.1f} us, with derivative {whole:.1f} us, "
+        f"numpy {plain:.0f} us, batch of 1e5 {batch:.2f} s"
+    )
+    assert whole <= most
+
+
+@pytest.mark.parametrize("solves", [30, 60, 120, 400])
+def test_builds_are_ready_in_time(solves: int) -> None:
+    rows = rows_of(solves)
+    inside = within(rows, RANGE)
+    scaling = scaling_of(inside, RANGE)
+    equations = equations_of(inside, scaling)
+    first = best(lambda: Kriging.build(rows, RANGE), 2)
+    estimate = best(lambda: estimated(equations, scaling, None, DEFAULTS), 1)
+    before = Kriging.build(rows.take(np.arange(len(rows) - 1)), RANGE)
+    bordered = best(lambda: Kriging.build(rows, RANGE, before), 3)
+    print(
+        f"\n{solves} solves: first build {first:.2f} s (of it the estimate {estimate:.2f} s), "
+        f"one more row {bordered:.3f} s"
+    )
+    assert bordered < (1 if solves <= 120 else 3)
+    assert first < (2 if solves <= 120 else 6)

@@ -1,0 +1,132 @@
+"""Interpolation at rows, rows left out against refitting, bordering against factorising anew."""
+
+import numpy as np
+import pytest
+
+from surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms
+from surrogate.kriging.equations import Equations, equations_of, scaling_of, within
+from surrogate.kriging.factor import (
+    Factor,
+    SingularCovarianceError,
+    border,
+    diagonal_added,
+    factorise,
+    inverse_factor,
+)
+from surrogate.kriging.left_out import conformal_factors, left_out
+from surrogate.kriging.settings import KrigingSettings
+from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spread_wrenches
+from tests.surrogate.responses import RANGE
+
+HELD = Hyperparameters.of_logarithms(np.array([0.4, 0.6, 0.5, 0.3, 0.7, 0.2, -1.0]))
+SETTINGS = KrigingSettings(nugget=1e-8)
+OUTPUTS = np.arange(6)
+
+
+def _equations(per_axis: int, full: int, measured: bool = False) -> Equations:
+    x, response = spread_wrenches(per_axis, full, 5), RESPONSES["strongly_coupled"]
+    rows = noisy_rows(response, x, 5, told=True) if measured else solved(response, x)
+    inside = within(rows, RANGE)
+    return equations_of(inside, scaling_of(inside, RANGE))
+
+
+def _factor(equations: Equations, rows: np.ndarray) -> Factor:
+    noise = equations.noise[rows, 0]
+    return factorise(equations, HELD, OUTPUTS, rows, noise, SETTINGS)
+
+
+def _answer(equations: Equations, factor: Factor, row: int) -> tuple[np.ndarray, float]:
+    """Return value and variance over the process variance at a row, mean's doubt included."""
+    own, here = equations.take(factor.rows), equations.take(np.array([row]))
+    value = np.zeros((1, 7), dtype=bool)
+    value[0, 0] = True
+    across = covariance(here.x, value, own.x, own.known, HELD)
+    told = mean_terms(here.x, value) @ factor.coefficients + across @ factor.weights
+    reduced = across @ factor.T.T
+    loose = mean_terms(here.x, value) - reduced @ factor.TF
+    variance = HELD.prior[0] - reduced @ reduced.T + loose @ factor.mean_covariance @ loose.T
+    return told[0], float(variance[0, 0])
+
+
+def test_the_inverse_factor_is_that_of_the_covariance() -> None:
+    equations = _equations(3, 6)
+    factor = _factor(equations, np.arange(len(equations)))
+    matrix = covariance(equations.x, equations.known, equations.x, equations.known, HELD)
+    matrix[np.diag_indices_from(matrix)] += diagonal_added(equations, factor.noise, 1e-8, HELD)
+    unit = factor.T @ matrix @ factor.T.T
+    np.testing.assert_allclose(unit, np.eye(len(unit)), atol=1e-7)
+    assert (np.triu(factor.T, 1) == 0).all()
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_left_out_rows_equal_refitting_without_them(measured: bool) -> None:
+    equations = _equations(4, 10, measured)
+    every = np.arange(len(equations))
+    factor = _factor(equations, every)
+    told = left_out(equations, factor, SETTINGS)
+    np.testing.assert_array_equal(told.rows, every)
+    for row in every[::3]:
+        without = _factor(equations, np.delete(every, row))
+        value, variance = _answer(equations, without, row)
+        np.testing.assert_allclose(told.errors[row], equations.told[row, 0] - value, atol=1e-8)
+        own = factor.nugget * HELD.prior[0] + factor.noise[row]
+        assert told.squared_deviations[row] == pytest.approx(variance + own, abs=1e-8)
+        np.testing.assert_allclose(
+            told.mean_covariances[row], without.mean_covariance, rtol=1e-6, atol=1e-8
+        )
+
+
+def test_left_out_rows_with_the_mean_kept_equal_refitting_about_it() -> None:
+    """Without the mean's share in Q the blocks are those of a known mean."""
+    equations = _equations(3, 8)
+    every = np.arange(len(equations))
+    settings = KrigingSettings(nugget=1e-8, mean_variance=1e-14)
+    factor = factorise(equations, HELD, OUTPUTS, every, np.zeros(len(every)), settings)
+    told = left_out(equations, factor, settings)
+    for row in every[::4]:
+        rest = np.delete(every, row)
+        without = factorise(equations, HELD, OUTPUTS, rest, np.zeros(len(rest)), settings)
+        value, _ = _answer(equations, without, row)
+        np.testing.assert_allclose(told.errors[row], equations.told[row, 0] - value, atol=1e-8)
+
+
+@pytest.mark.parametrize("more", [1, 3])
+def test_bordering_equals_factorising_anew(more: int) -> None:
+    equations = _equations(4, 12)
+    every = np.arange(len(equations))
+    old, new = every[:-more], every[-more:]
+    bordered = border(
+        _factor(equations, old), equations, HELD, new, equations.noise[new, 0], SETTINGS
+    )
+    anew = _factor(equations, every)
+    np.testing.assert_array_equal(bordered.rows, anew.rows)
+    size = np.abs(anew.T).max()
+    np.testing.assert_allclose(bordered.T / size, anew.T / size, atol=1e-10)
+    np.testing.assert_allclose(bordered.coefficients, anew.coefficients, atol=1e-9)
+    place = equations.take(np.array([2]))
+    place.x[:] = 0.31
+    both = [_answer(equations.plus(place), one, len(equations))[0] for one in (bordered, anew)]
+    np.testing.assert_allclose(both[0], both[1], atol=1e-10)
+
+
+def test_a_singular_covariance_takes_a_larger_nugget_and_says_so() -> None:
+    twice = np.ones((2, 2))
+    twice[0, 0] += 1e-18
+    _, nugget = inverse_factor(twice - 1e-9 * np.eye(2), 1e-10, 1e-4, np.ones(2))
+    assert 1e-9 < nugget <= 1e-4
+
+
+def test_a_covariance_no_nugget_mends_is_refused_by_name() -> None:
+    with pytest.raises(SingularCovarianceError, match="invalidate"):
+        inverse_factor(np.array([[1.0, 2.0], [2.0, 1.0]]), 1e-10, 1e-4, np.ones(2))
+
+
+def test_conformal_factors_hold_for_one_more_row_of_each_output() -> None:
+    rng = np.random.default_rng(4)
+    sizes = np.array([1.0, 2.0, 0.5, 1.0, 3.0, 1.0])
+    errors = rng.normal(size=(60, 6)) * sizes
+    factors = conformal_factors(errors, np.ones((60, 6)))
+    fresh = np.abs(rng.normal(size=(4000, 6)) * sizes)
+    inside = (fresh <= factors).mean(axis=0)
+    assert inside.min() > 0.93
+    assert inside.max() < 0.995

@@ -1,0 +1,259 @@
+"""A table's kriging: exact at rows, invariant, calibrated, updated, and the same compiled."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from surrogate.kriging import Kriging, KrigingSettings, TooFewRowsError, compiled
+from surrogate.kriging.dense import Dense
+from surrogate.rows import LoadRange, Rows
+from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spread_wrenches
+from tests.surrogate.responses import HIGH, RANGE, full_wrenches, table
+
+COUPLED = RESPONSES["strongly_coupled"]
+WRENCHES = spread_wrenches(6, 14, 11)
+ROWS = solved(COUPLED, WRENCHES)
+ASKED = full_wrenches(60, 12) * HIGH
+
+
+@pytest.fixture(scope="module")
+def kriging() -> Kriging:
+    return Kriging.build(ROWS, RANGE)
+
+
+def _size(rows: Rows) -> np.ndarray:
+    return np.ptp(rows.displacement, axis=0)
+
+
+def test_answers_and_derivatives_at_rows_are_the_rows(kriging: Kriging) -> None:
+    displacement, bar, derivative = kriging.evaluate(ROWS.wrench)
+    size = _size(ROWS)
+    nugget = kriging.settings.nugget * kriging.hyperparameters.prior[0]
+    allowed = np.sqrt(nugget) * kriging.inside.deviation * kriging.scaling.spread
+    assert (allowed / size).max() < 2e-4
+    assert (np.abs(displacement - ROWS.displacement) <= allowed).all()
+    assert (np.abs(derivative - ROWS.compliance) * HIGH / size[:, None]).max() < 1e-6
+    assert (bar > 0).all()
+
+
+def test_derivatives_equal_differences(kriging: Kriging) -> None:
+    step = 1e-4 * HIGH
+    derivative = kriging.derivatives(ASKED)
+    for load in range(6):
+        way = step * np.eye(6)[load]
+        ahead, behind = kriging.answer_many(ASKED + way)[0], kriging.answer_many(ASKED - way)[0]
+        difference = (ahead - behind) / (2 * step[load])
+        scaled = np.abs(derivative[:, :, load] - difference) * HIGH[load] / _size(ROWS)
+        assert scaled.max() < 1e-6
+
+
+def test_one_answer_is_that_of_many(kriging: Kriging) -> None:
+    displacement, bar, derivative = kriging.evaluate(ASKED)
+    for place in (0, 7, 31):
+        one, its_bar = kriging.answer(ASKED[place])
+        np.testing.assert_allclose(one, displacement[place], rtol=0, atol=1e-14)
+        np.testing.assert_allclose(its_bar, bar[place], rtol=1e-9)
+        slope = kriging.derivative(ASKED[place])
+        np.testing.assert_allclose(slope, derivative[place], rtol=0, atol=1e-14)
+
+
+@pytest.mark.skipif(compiled.answers is None, reason="numba is an extra")
+def test_compiled_answers_are_those_of_numpy(kriging: Kriging) -> None:
+    """To 1e-12 m and rad, of displacements of 1e-3: the sums over the rows lose that much."""
+    wrenches = np.concatenate((ASKED, ROWS.wrench, 1.3 * ASKED[:5]))
+    assert kriging.tables is not None
+    told, plain = kriging.evaluate(wrenches), kriging._evaluate(wrenches)
+    np.testing.assert_allclose(told[0], plain[0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(told[1], plain[1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(told[2] * HIGH, plain[2] * HIGH, rtol=0, atol=1e-12)
+
+
+def test_answers_do_not_depend_on_units(kriging: Kriging) -> None:
+    loads, moved = np.array([1e3, 1e3, 1e3, 1e-2, 1e-2, 1e-2]), np.array([1e3] * 3 + [57.3] * 3)
+    rows = Rows.of(
+        ROWS.wrench * loads,
+        ROWS.displacement * moved,
+        compliance=ROWS.compliance * moved[:, None] / loads,
+    )
+    other = Kriging.build(rows, LoadRange(-HIGH * loads, HIGH * loads))
+    for told, expected in zip(
+        other.answer_many(ASKED * loads), kriging.answer_many(ASKED), strict=True
+    ):
+        np.testing.assert_allclose(told / moved / _size(ROWS), expected / _size(ROWS), atol=1e-9)
+
+
+def test_answers_do_not_depend_on_the_order_of_rows(kriging: Kriging) -> None:
+    shuffled = ROWS.take(np.random.default_rng(1).permutation(len(ROWS)))
+    for told, expected in zip(
+        Kriging.build(shuffled, RANGE).answer_many(ASKED), kriging.answer_many(ASKED), strict=True
+    ):
+        np.testing.assert_allclose(told / _size(ROWS), expected / _size(ROWS), atol=1e-9)
+
+
+def test_a_pickled_kriging_answers_the_same(kriging: Kriging) -> None:
+    again = pickle.loads(pickle.dumps(kriging))
+    np.testing.assert_array_equal(again.answer_many(ASKED)[0], kriging.answer_many(ASKED)[0])
+    np.testing.assert_array_equal(again.answer_many(ASKED)[1], kriging.answer_many(ASKED)[1])
+
+
+def test_a_new_row_borders_the_factor_and_keeps_the_hyperparameters(kriging: Kriging) -> None:
+    more = ROWS + solved(COUPLED, full_wrenches(2, 77))
+    later = Kriging.build(more, RANGE, previous=kriging)
+    assert later.hyperparameters is kriging.hyperparameters
+    assert isinstance(kriging.inside, Dense)
+    assert isinstance(later.inside, Dense)
+    count = len(kriging.inside.shares[0].factor.T)
+    corner = later.inside.shares[0].factor.T[:count, :count]
+    np.testing.assert_array_equal(corner, kriging.inside.shares[0].factor.T)
+    displacement, _ = later.answer_many(more.wrench[-2:])
+    assert (np.abs(displacement - more.displacement[-2:]) / _size(ROWS)).max() < 1e-5
+
+
+def test_a_table_grown_by_a_quarter_estimates_anew(kriging: Kriging) -> None:
+    more = ROWS + solved(COUPLED, full_wrenches(8, 78))
+    later = Kriging.build(more, RANGE, previous=kriging)
+    assert later.hyperparameters is not kriging.hyperparameters
+    assert later.estimated_rows == len(more)
+
+
+def test_an_invalidated_row_is_forgotten(kriging: Kriging) -> None:
+    later = Kriging.build(ROWS.take(np.arange(len(ROWS) - 1)), RANGE, previous=kriging)
+    assert isinstance(later.inside, Dense)
+    assert len(later.inside.equations) == len(ROWS) - 1
+    _, bar = later.answer(ROWS.wrench[-1])
+    assert (bar > kriging.answer(ROWS.wrench[-1])[1]).all()
+
+
+def test_rows_outside_the_load_range_take_no_part(kriging: Kriging) -> None:
+    far = Rows.of(ROWS.wrench[:2] * 25, np.ones((2, 6)))
+    told = Kriging.build(ROWS + far, RANGE).answer_many(ASKED)[0]
+    np.testing.assert_array_equal(told, kriging.answer_many(ASKED)[0])
+
+
+def test_rows_at_one_wrench_are_one_row() -> None:
+    again = Rows.of(
+        ROWS.wrench[:3] + 1e-7 * HIGH, ROWS.displacement[:3], compliance=ROWS.compliance[:3]
+    )
+    merged = Kriging.build(ROWS + again, RANGE)
+    assert isinstance(merged.inside, Dense)
+    assert len(merged.inside.equations) == len(ROWS)
+
+
+def test_rows_that_contradict_each_other_at_one_wrench_are_met_between() -> None:
+    other = Rows.of(ROWS.wrench[-1:], ROWS.displacement[-1:] + 2e-4)
+    kriging = Kriging.build(ROWS + other, RANGE)
+    displacement, bar = kriging.answer(ROWS.wrench[-1])
+    part = (displacement - ROWS.displacement[-1]) / 2e-4
+    assert (part > -0.1).all()
+    assert (part < 1.1).all()
+    assert (bar > 1e-5).all()
+
+
+def test_fewer_than_four_rows_are_refused() -> None:
+    with pytest.raises(TooFewRowsError, match="solve or import more"):
+        Kriging.build(ROWS.take(np.arange(3)), RANGE)
+
+
+def test_a_load_that_cannot_occur_drops_out() -> None:
+    x = WRENCHES.copy()
+    x[:, 4] = 0.0
+    high = np.where(np.arange(6) == 4, 0.0, HIGH)
+    rows = solved(COUPLED, x)
+    kriging = Kriging.build(rows, LoadRange(-high, high))
+    assert isinstance(kriging.inside, Dense)
+    assert kriging.inside.equations.count == 6 * len(kriging.inside.equations)
+    asked = ASKED * (np.arange(6) != 4)
+    error = np.abs(kriging.answer_many(asked)[0] - COUPLED(asked / HIGH))
+    assert (np.sqrt((error**2).mean(axis=0)) / _size(rows)).max() < 0.05
+    mean = rows.compliance[:, :, 4].mean(axis=0)
+    np.testing.assert_allclose(kriging.derivative(asked[0])[:, 4], mean, rtol=1e-12)
+
+
+def test_a_load_that_moves_nothing_drops_out() -> None:
+    def idle(x: np.ndarray) -> np.ndarray:
+        return COUPLED(x * (np.arange(6) != 5))
+
+    kriging = Kriging.build(solved(idle, WRENCHES), RANGE)
+    assert isinstance(kriging.inside, Dense)
+    assert kriging.inside.equations.count == 6 * len(kriging.inside.equations)
+    turned = ASKED * [1, 1, 1, 1, 1, -1]
+    np.testing.assert_array_equal(kriging.answer_many(ASKED)[0], kriging.answer_many(turned)[0])
+
+
+def test_an_output_that_nothing_moves_is_answered_with_a_bar() -> None:
+    def locked(x: np.ndarray) -> np.ndarray:
+        return np.where(np.arange(6) == 3, 2e-5, COUPLED(x))
+
+    displacement, bar = Kriging.build(solved(locked, WRENCHES), RANGE).answer_many(ASKED)
+    assert (np.abs(displacement[:, 3] - 2e-5) <= bar[:, 3]).all()
+    assert (bar[:, 3] > 0).all()
+    assert bar[:, 3].max() < 1e-12
+
+
+def test_outputs_not_measured_are_answered_from_the_rows_that_bring_them() -> None:
+    displacement = ROWS.displacement.copy()
+    displacement[1::2, 4] = np.nan
+    kriging = Kriging.build(Rows.of(ROWS.wrench, displacement, compliance=ROWS.compliance), RANGE)
+    told, bar = kriging.answer_many(ASKED)
+    error = np.abs(told - COUPLED(ASKED / HIGH))
+    assert (error <= bar).mean(axis=0).min() >= 0.9
+    known = ROWS.take(np.arange(0, len(ROWS), 2))
+    at_rows, _ = kriging.answer_many(known.wrench)
+    assert (np.abs(at_rows - known.displacement)[:, 4] / _size(ROWS)[4]).max() < 1e-3
+
+
+def test_measured_rows_are_smoothed_by_their_uncertainty() -> None:
+    x, response = spread_wrenches(40, 60, 21), RESPONSES["smooth"]
+    rows = noisy_rows(response, x, 21, told=True)
+    true = response(ASKED / HIGH)
+    smoothing = Kriging.build(rows, RANGE).answer_many(ASKED)[0] - true
+    # without their uncertainty rows are taken as they are
+    exact = Kriging.build(Rows.of(rows.wrench, rows.displacement), RANGE)
+    through = exact.answer_many(ASKED)[0] - true
+    assert (smoothing**2).mean() < 0.6 * (through**2).mean()
+    told, _ = exact.answer_many(rows.wrench)
+    assert (np.abs(told - rows.displacement) / _size(rows)).max() < 1e-3
+
+
+def test_pending_solves_lower_bars_where_they_are_and_nowhere_raise_them(kriging: Kriging) -> None:
+    before = kriging.answer_many(ASKED)[1]
+    after = kriging.sigma_with(ASKED[:3], ASKED)
+    assert (after <= before * (1 + 1e-12)).all()
+    assert (after[:3] < 0.05 * before[:3]).all()
+    np.testing.assert_array_equal(kriging.sigma_with(np.empty((0, 6)), ASKED), before)
+
+
+def test_the_detail_tells_how_it_answers(kriging: Kriging) -> None:
+    assert kriging.detail == "kriging, one factor over 32 rows (224 equations)"
+
+
+def test_bars_never_vanish_even_where_nothing_is_left_to_learn() -> None:
+    straight = solved(lambda x: x @ np.diag([1e-3] * 6), WRENCHES)
+    displacement, bar = Kriging.build(straight, RANGE).answer_many(ASKED)
+    assert (bar > 0).all()
+    assert (np.abs(displacement - ASKED / HIGH * 1e-3) <= bar).all()
+
+
+LOCAL = KrigingSettings(dense_equations=150)
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_a_table_too_large_for_one_factor_answers_from_the_nearest_rows(measured: bool) -> None:
+    x = spread_wrenches(10, 60, 31) if not measured else spread_wrenches(60, 240, 31)
+    rows = table(COUPLED, x) if measured else solved(COUPLED, x)
+    kriging = Kriging.build(rows, RANGE, settings=LOCAL)
+    assert kriging.detail.startswith("kriging over the nearest of")
+    told, bar, slope = kriging.evaluate(ASKED)
+    error = np.abs(told - COUPLED(ASKED / HIGH))
+    assert (error <= bar).mean() >= 0.9
+    assert (np.sqrt((error**2).mean(axis=0)) / _size(rows)).max() < 0.03
+    step = 1e-3 * HIGH[2] * np.eye(6)[2]
+    ahead, behind = kriging.answer(ASKED[0] + step)[0], kriging.answer(ASKED[0] - step)[0]
+    difference = (ahead - behind) / (2 * step[2])
+    np.testing.assert_allclose(slope[0, :, 2] * HIGH[2], difference * HIGH[2], atol=1e-7)
+    after = kriging.sigma_with(ASKED[:2], ASKED)
+    assert (after <= bar * (1 + 1e-12)).all()
+    assert (after[:2] < 0.5 * bar[:2]).all()
+    again = pickle.loads(pickle.dumps(kriging))
+    np.testing.assert_array_equal(again.answer_many(ASKED)[0], told)

@@ -1,0 +1,98 @@
+"""The likelihood's gradient is analytic, and hyperparameters come of maximising it."""
+
+import numpy as np
+import pytest
+
+from surrogate.kriging.correlation import Hyperparameters
+from surrogate.kriging.equations import Equations, equations_of, scaling_of, within
+from surrogate.kriging.likelihood import maximise, negative_log_likelihood
+from surrogate.kriging.settings import KrigingSettings
+from surrogate.kriging.shares import Share, shares_of
+from surrogate.kriging.spread_rows import spread_rows
+from surrogate.rows import Rows
+from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spread_wrenches
+from tests.surrogate.responses import RANGE, table
+
+PLACE = np.array([-0.5, 0.2, 0.1, -0.3, 0.4, 0.0, -0.7])
+SMOOTH = RESPONSES["smooth"]
+# A larger nugget, so that differences of the likelihood are not lost in rounding.
+ROUGH = KrigingSettings(nugget=1e-6)
+
+
+def _equations(rows: Rows) -> Equations:
+    inside = within(rows, RANGE)
+    return equations_of(inside, scaling_of(inside, RANGE))
+
+
+def _partial(rows: Rows) -> Rows:
+    displacement = rows.displacement.copy()
+    displacement[::3, 2] = np.nan
+    return Rows.of(rows.wrench, displacement, compliance=rows.compliance)
+
+
+WRENCHES = spread_wrenches(3, 6, 1)
+TABLES = {
+    "solved": solved(SMOOTH, WRENCHES),
+    "measured": noisy_rows(SMOOTH, WRENCHES, 1, told=True),
+    "partial": _partial(solved(SMOOTH, WRENCHES)),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_gradient_equals_differences(name: str) -> None:
+    equations = _equations(TABLES[name])
+    shares = shares_of(equations, np.ones(6))
+    _, gradient = negative_log_likelihood(PLACE, equations, shares, ROUGH)
+    step = 1e-4
+    for parameter, way in enumerate(step * np.eye(7)):
+        ahead, behind, ahead2, behind2 = (
+            negative_log_likelihood(PLACE + far * way, equations, shares, ROUGH)[0]
+            for far in (1, -1, 2, -2)
+        )
+        difference = (8 * (ahead - behind) - (ahead2 - behind2)) / (12 * step)
+        assert gradient[parameter] == pytest.approx(difference, rel=1e-6, abs=1e-6)
+
+
+def test_the_maximum_is_no_worse_than_both_starts_and_in_bounds() -> None:
+    equations = _equations(TABLES["solved"])
+    shares = [Share(np.arange(6), np.arange(len(equations)), np.zeros(len(equations)))]
+    settings = KrigingSettings()
+    found = maximise(equations, shares, settings=settings).logarithms
+    reached = negative_log_likelihood(found, equations, shares)[0]
+    for theta in settings.theta_starts:
+        start = np.array([theta] * 6 + [settings.weight_start])
+        assert reached <= negative_log_likelihood(start, equations, shares)[0]
+    assert (found[:6] >= settings.theta_bounds[0] - 1e-12).all()
+    assert (found <= np.array([settings.theta_bounds[1]] * 6 + [settings.weight_bounds[1]])).all()
+
+
+def test_a_response_that_is_a_sum_over_axes_needs_no_full_kernel() -> None:
+    equations = _equations(solved(SMOOTH, spread_wrenches(4, 12, 2)))
+    shares = shares_of(equations, np.ones(6))
+    assert maximise(equations, shares).weight < 1e-2
+
+
+def test_the_estimate_before_is_the_start_of_the_next() -> None:
+    equations = _equations(TABLES["solved"])
+    shares = shares_of(equations, np.ones(6))
+    found = maximise(equations, shares)
+    again = maximise(equations, shares, before=found)
+    reached = [
+        negative_log_likelihood(one.logarithms, equations, shares)[0] for one in (found, again)
+    ]
+    assert reached[1] <= reached[0] + 1e-9
+
+
+def test_no_more_rows_estimate_than_the_limits_allow() -> None:
+    few = KrigingSettings()
+    sloped = _equations(solved(SMOOTH, spread_wrenches(20, 40, 3)))
+    measured = _equations(table(SMOOTH, spread_wrenches(60, 60, 3)))
+    for equations in (sloped, measured):
+        chosen = spread_rows(equations, few.likelihood_rows, few.likelihood_equations)
+        assert len(chosen) <= few.likelihood_rows
+        assert equations.take(chosen).count <= few.likelihood_equations
+        assert len(np.unique(chosen)) == len(chosen)
+
+
+def test_hyperparameters_are_their_logarithms() -> None:
+    np.testing.assert_allclose(Hyperparameters.of_logarithms(PLACE).logarithms, PLACE, atol=1e-15)
