@@ -1,6 +1,6 @@
 """Tables as HDF5: the form of the table store, with what an upload may not be.
 
-The store's own file (`surrogate.table.hdf5`) is what is sent and taken, so that one file serves both.
+The store's own file is what is sent and taken, so that one file serves both.
 Always SI. It holds no notes.
 """
 

@@ -105,7 +105,7 @@ class AxisTable:
         at = x.copy()
         at[~inside], found[~inside] = self.triangulation.nearest_on_hull(x[~inside])
         reading = self.read_in(found, at)
-        # Slopes blended from the vertices, unlike those of simplices, are continuous along the hull.
+        # Slopes blended from the vertices are continuous along the hull; those of simplices jump.
         shares = self.triangulation.barycentric(found[~inside], at[~inside])
         corners = self.slopes[self.triangulation.simplices[found[~inside]]]
         slopes = np.einsum("kv,kvqi->kqi", shares, corners)

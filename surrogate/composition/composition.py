@@ -89,7 +89,7 @@ class Evaluated(Composed):
 
 
 class Look(NamedTuple):
-    """One axis' answer, and the table and the simplex it was read from; None where there is none."""
+    """One axis' answer, and the table and the simplex it was read from, if there are any."""
 
     found: Evaluated
     table: AxisTable | None

@@ -6,7 +6,7 @@ from surrogate.composition.axis_table import DEGENERATE, LARGEST, SOUND, AxisTab
 from surrogate.composition.composition import NO_ROWS, OFF_HULL, Composition
 from surrogate.composition.pure_moment import ON_HULL
 from surrogate.table.axes import AXES, Axis
-from surrogate.table.rows import LOADS, LOAD_UNITS, Floats
+from surrogate.table.rows import LOAD_UNITS, LOADS, Floats
 
 
 def why_not(composition: Composition, wrench: Floats) -> str:

@@ -67,7 +67,7 @@ def number(
     degenerate: NDArray[np.bool_],
     frame: tuple[Floats, Floats, float],
 ) -> Numbered:
-    """Number the points (n, d) and simplices (m, d + 1) of a triangulation along a curve.
+    """Lay out the points (n, d) and simplices (m, d + 1) of a triangulation for walks.
 
     Parameters
     ----------

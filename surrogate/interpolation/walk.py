@@ -31,7 +31,7 @@ OUTSIDE, LOST = -1, -2
 DEGENERATE = 2
 
 INSIDE = -1e-13  # a barycentric coordinate above which rounding may have put a point outside
-ON_HULL = 1e-9  # below which negative one the same on the hull: a load that far beyond the range counts as on it
+ON_HULL = 1e-9  # the same on the hull: a load that far beyond the range counts as on it
 MOST_STEPS = 100_000  # a walk of more steps goes in circles, between flat simplices
 
 
@@ -152,7 +152,7 @@ def read(x, here, dimension, vertex, simplex, shares, outputs, bends, rests):
 
 @compiled
 def place(x, flat, vertex, simplex, grid, floats, ints, shares, slopes):
-    """Return the simplex of scaled inputs (3,), `OUTSIDE` or `LOST`; fill their own coordinates."""
+    """Return the simplex of scaled inputs (3,), `OUTSIDE` or `LOST`; fill `flat` with them."""
     dimension = ints[DIMENSION]
     if dimension < 0:
         return OUTSIDE
@@ -174,7 +174,7 @@ def place(x, flat, vertex, simplex, grid, floats, ints, shares, slopes):
 
 @compiled
 def locate_many(points, order, vertex, simplex, grid, floats, ints, back, found):
-    """Fill the simplex of each point (k, 3), in the numbers before `back`, (m,), renumbered them."""
+    """Fill the simplex of each point (k, 3), by the numbers that `back`, (m,), gives it."""
     shares, slopes, flat = np.empty(4), np.empty((4, 3)), np.empty(3)
     for row in order:
         here = place(points[row], flat, vertex, simplex, grid, floats, ints, shares, slopes)

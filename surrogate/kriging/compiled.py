@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from surrogate.kriging.correlation import GROUPS, LOADS, PLACES
 from surrogate.kriging.dense import Dense
 from surrogate.kriging.equations import OUTPUTS, Scaling
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 TERMS = len(GROUPS)
 

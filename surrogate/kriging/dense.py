@@ -22,7 +22,7 @@ from surrogate.kriging.left_out import left_out
 from surrogate.kriging.neighbourhood import Finder, LocalFactor, local_factor
 from surrogate.kriging.settings import DEFAULTS, KrigingSettings
 from surrogate.kriging.shares import Share
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from surrogate.kriging.correlation import PLACES, Mask
 from surrogate.kriging.settings import DEFAULTS, KrigingSettings
-from surrogate.rows import Floats, LoadRange, RowError, Rows
+from surrogate.table.rows import Floats, LoadRange, RowError, Rows
 
 OUTPUTS = 6
 

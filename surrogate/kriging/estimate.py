@@ -11,7 +11,7 @@ from surrogate.kriging.likelihood import maximise
 from surrogate.kriging.settings import KrigingSettings
 from surrogate.kriging.shares import Share, shares_of
 from surrogate.kriging.spread_rows import spread_rows
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 
 def estimated(

@@ -17,7 +17,7 @@ from scipy.linalg.lapack import get_lapack_funcs
 from surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms, numbers
 from surrogate.kriging.equations import Equations
 from surrogate.kriging.settings import DEFAULTS, KrigingSettings
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 
 class SingularCovarianceError(ArithmeticError):

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.axes import AXES, CLEAN
 from surrogate.kriging import compiled
 from surrogate.kriging.correlation import LOADS, Hyperparameters
 from surrogate.kriging.dense import Dense, dense
@@ -29,7 +28,8 @@ from surrogate.kriging.nearest import Nearest, nearest
 from surrogate.kriging.settings import DEFAULTS, KrigingSettings
 from surrogate.kriging.shares import Share, shares_of
 from surrogate.kriging.threads import one_thread
-from surrogate.rows import Floats, LoadRange, Rows
+from surrogate.table.axes import AXES, CLEAN
+from surrogate.table.rows import Floats, LoadRange, Rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +143,11 @@ class Kriging:
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled: not the tables, which follow from the rest."""
         return {name: value for name, value in vars(self).items() if name != "tables"}
+
+    @property
+    def is_dense(self) -> bool:
+        """Whether one factor over all rows answers, rather than the nearest rows."""
+        return isinstance(self.inside, Dense)
 
     def answer(self, wrench: Floats) -> tuple[Floats, Floats]:
         """Return displacement and 95 % error bar at one wrench (6,), each (6,), m and rad."""

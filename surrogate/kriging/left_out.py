@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surrogate.kriging.equations import Equations
 from surrogate.kriging.factor import Factor
 from surrogate.kriging.settings import DEFAULTS, KrigingSettings
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 
 class LeftOut(NamedTuple):
@@ -76,7 +76,8 @@ def conformal_factors(
     errors, deviations : ndarray, shape (k, 6)
         NaN where a row does not bring the output.
     """
-    ratios = np.abs(errors) / deviations
+    with np.errstate(invalid="ignore"):  # an output that nothing moves errs by nothing
+        ratios = np.abs(errors) / deviations
     told = np.isfinite(ratios)
     counts = told.sum(axis=0)
     squares = np.where(told, ratios, 0.0) ** 2

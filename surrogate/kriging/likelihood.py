@@ -21,7 +21,7 @@ from surrogate.kriging.equations import Equations
 from surrogate.kriging.factor import SingularCovarianceError, factorise
 from surrogate.kriging.settings import DEFAULTS, KrigingSettings
 from surrogate.kriging.shares import Share
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 REFUSED = 1e10  # of a covariance that cannot be factorised: more than any likelihood's logarithm
 

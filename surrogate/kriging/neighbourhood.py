@@ -25,7 +25,7 @@ from surrogate.kriging.correlation import (
 from surrogate.kriging.equations import Equations
 from surrogate.kriging.factor import diagonal_added, inverse_factor
 from surrogate.kriging.settings import DEFAULTS, KrigingSettings
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 Places = NDArray[np.intp]
 

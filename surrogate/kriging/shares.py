@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from surrogate.kriging.equations import OUTPUTS, Equations
 from surrogate.kriging.settings import DEFAULTS, KrigingSettings
-from surrogate.rows import Floats
+from surrogate.table.rows import Floats
 
 
 class Share(NamedTuple):

@@ -5,7 +5,7 @@ import pytest
 
 from surrogate.bars.conformal import conformal_factor
 from surrogate.build import build
-from surrogate.interpolation.delaunay import Interpolant
+from surrogate.interpolation.delaunay import Triangulation
 from tests.surrogate.calibrating import calibration, noisy, shipped, synthetic, with_slopes
 from tests.surrogate.responses import (
     HIGH,
@@ -172,7 +172,7 @@ def test_the_factor_covers_its_level_and_is_careful_with_few_errors() -> None:
 def test_the_bubble_is_the_error_of_interpolating_a_parabola() -> None:
     rng = np.random.default_rng(5)
     points = rng.uniform(-1, 1, (60, 3))
-    shape = Interpolant(points)
+    shape = Triangulation(points)
     x = rng.dirichlet(np.ones(60), 200) @ points
     found = shape.locate(x)
     height = (points**2).sum(axis=1)[shape.simplices[found]]

@@ -4,11 +4,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import griddata
 
-from surrogate.interpolation.delaunay import Interpolant
+from surrogate.interpolation.delaunay import Triangulation
 
 
 def interpolate(points: np.ndarray, values: np.ndarray, x: np.ndarray) -> np.ndarray:
-    shape = Interpolant(points)
+    shape = Triangulation(points)
     found = shape.locate(x)
     weights = shape.barycentric(np.maximum(found, 0), x)
     answer = np.einsum("ki,ki->k", weights, values[shape.simplices[np.maximum(found, 0)]])
@@ -47,7 +47,7 @@ def test_a_slanted_plane_is_two_dimensional_and_empty_beside_itself() -> None:
     rng = np.random.default_rng(4)
     points = rng.uniform(-1, 1, (60, 3))
     points[:, 2] = 0.4 * points[:, 0] - 0.7 * points[:, 1]
-    shape = Interpolant(points)
+    shape = Triangulation(points)
     middle = points.mean(axis=0)
     assert shape.dimension == 2
     assert shape.locate(np.array([middle, middle + np.array([0, 0, 1e-3])])).tolist()[1] == -1
@@ -55,7 +55,7 @@ def test_a_slanted_plane_is_two_dimensional_and_empty_beside_itself() -> None:
 
 
 def test_a_single_point_answers_itself_only() -> None:
-    shape = Interpolant([[0.1, 0.2, 0.3]])
+    shape = Triangulation([[0.1, 0.2, 0.3]])
     assert shape.dimension == 0
     assert shape.locate([[0.1, 0.2, 0.3], [0.1, 0.2, 0.4]]).tolist() == [0, -1]
 
@@ -66,7 +66,7 @@ def test_points_on_the_hull_of_a_grid_are_inside() -> None:
     rng = np.random.default_rng(5)
     faces = rng.uniform(-0.7, 0.7, (3000, 3))
     faces[np.arange(3000), rng.integers(0, 3, 3000)] = rng.choice([-0.7, 0.7], 3000)
-    shape = Interpolant(grid)
+    shape = Triangulation(grid)
     assert (shape.locate(faces) >= 0).all()
     assert (shape.locate(grid) >= 0).all()
     assert (shape.locate(faces * 1.001) < 0).all()
@@ -83,7 +83,7 @@ def test_a_grid_with_its_cospherical_cells_reproduces_an_affine_function() -> No
 def test_inputs_over_twelve_orders_of_magnitude_do_not_break_it() -> None:
     rng = np.random.default_rng(7)
     points = rng.choice([-1.0, 1.0], (300, 3)) * 10 ** rng.uniform(-12, 0, (300, 3))
-    shape = Interpolant(points)
+    shape = Triangulation(points)
     found = shape.locate(points * 0.999)
     assert (found >= 0).mean() > 0.99
     weights = shape.barycentric(np.maximum(found, 0), points * 0.999)
@@ -94,9 +94,9 @@ def test_almost_flat_points_fall_back_to_fewer_dimensions() -> None:
     rng = np.random.default_rng(8)
     points = rng.uniform(-1, 1, (30, 3))
     points[:, 2] *= 1e-13
-    assert Interpolant(points).dimension == 2
+    assert Triangulation(points).dimension == 2
     points[:, 1] *= 1e-13
-    assert Interpolant(points).dimension == 1
+    assert Triangulation(points).dimension == 1
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 3), st.floats(1e-3, 1e3))

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from surrogate.spline import Spline
 
 from surrogate.answer import COMPOSED
 from surrogate.build import build
-from surrogate.interpolation.delaunay import Interpolant
+from surrogate.interpolation.delaunay import Triangulation
 from surrogate.interpolation.slope_recovery import bend_of
-from surrogate.spline import Spline
 from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.calibrating import calibration, noisy, shipped, with_slopes
 from tests.surrogate.responses import (
@@ -28,7 +28,7 @@ def test_half_the_vertices_first_order_expansions_reproduce_a_quadratic() -> Non
     bowl += bowl.T
     values = np.einsum("ni,ij,nj->n", points, bowl, points)[:, None]
     slopes = 2 * (points @ bowl)[:, None]
-    shape = Interpolant(points)
+    shape = Triangulation(points)
     x = rng.dirichlet(np.ones(40), 100) @ points
     found = shape.locate(x)
     shares = shape.barycentric(found, x)

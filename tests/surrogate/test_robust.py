@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrogate.build import build
-from surrogate.interpolation.delaunay import Interpolant
+from surrogate.interpolation.delaunay import Triangulation
 from surrogate.surrogate import Surrogate
 from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.responses import (
@@ -42,14 +42,14 @@ def same_as_one_by_one(surrogate: Surrogate, asked: np.ndarray) -> None:
 
 
 def test_a_grid_is_triangulated_without_flat_simplices() -> None:
-    shape = Interpolant(GRID)
+    shape = Triangulation(GRID)
     assert not shape.degenerate.any()
     assert shape.volumes.sum() == pytest.approx(8.0)
     assert (shape.locate(GRID) >= 0).all()
 
 
 def test_an_affine_response_on_a_grid_is_exact() -> None:
-    shape = Interpolant(GRID)
+    shape = Triangulation(GRID)
     x = np.random.default_rng(1).uniform(-1, 1, (2000, 3))
     x[::2] = np.round(x[::2] * 2) / 2  # half of them on the grid's own planes and corners
     found = shape.locate(x)

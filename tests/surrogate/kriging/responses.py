@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from surrogate.axes import AXES
-from surrogate.rows import Rows
+from surrogate.table.axes import AXES
+from surrogate.table.rows import Rows
 from tests.surrogate.responses import (
     HIGH,
     clean_wrenches,

@@ -7,7 +7,7 @@ import pytest
 
 from surrogate.kriging import Kriging, KrigingSettings, TooFewRowsError, compiled
 from surrogate.kriging.dense import Dense
-from surrogate.rows import LoadRange, Rows
+from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spread_wrenches
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, table
 

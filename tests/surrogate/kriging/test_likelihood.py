@@ -9,7 +9,7 @@ from surrogate.kriging.likelihood import maximise, negative_log_likelihood
 from surrogate.kriging.settings import KrigingSettings
 from surrogate.kriging.shares import Share, shares_of
 from surrogate.kriging.spread_rows import spread_rows
-from surrogate.rows import Rows
+from surrogate.table.rows import Rows
 from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spread_wrenches
 from tests.surrogate.responses import RANGE, table
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrogate.kriging import Kriging
-from surrogate.rows import LoadRange, Rows
+from surrogate.table.rows import LoadRange, Rows
 
 TABLE = Path(__file__).parents[1] / "tables" / "plate_thin.npz"
 CLEAN = 168  # rows of one axis come first in the file, then those of six loads
