@@ -151,9 +151,6 @@ def dense(
         are bordered.
     """
     table = covariance(equations.x, equations.known, equations.x, equations.known, held)
-    weights = np.zeros((len(equations), PLACES, OUTPUTS))
-    coefficients = np.empty((PLACES, OUTPUTS))
-    variance = np.empty(OUTPUTS)
     errors = np.full((len(equations), OUTPUTS), np.nan)
     deviations = errors.copy()
     spreads = []
@@ -161,28 +158,37 @@ def dense(
         known = before.shares[number] if before else None
         factor = _factor(equations, held, share, table, known, settings)
         spread = _spread(equations, held, factor, table, known, settings)
-        own = equations.known & np.isin(np.arange(len(equations)), factor.rows)[:, None]
-        for column, output in enumerate(factor.outputs):
-            weights[own, output] = factor.weights[:, column]
-        coefficients[:, factor.outputs] = factor.coefficients
-        variance[factor.outputs] = factor.variance
         rows, found, squared = _left_out(equations, held, spread, table, settings)
         errors[np.ix_(rows, factor.outputs)] = found
         scale = np.sqrt(squared)[:, None] * np.sqrt(factor.variance)
         deviations[np.ix_(rows, factor.outputs)] = scale
         spreads.append(spread)
     told = np.flatnonzero(np.isfinite(errors).any(axis=1))
+    weights, coefficients, deviation = _together(equations, [own.factor for own in spreads])
     return Dense(
         equations,
         held,
         tuple(spreads),
         weights,
         coefficients,
-        np.sqrt(variance),
+        deviation,
         told,
         errors[told],
         deviations[told],
     )
+
+
+def _together(equations: Equations, factors: list[Factor]) -> tuple[Floats, Floats, Floats]:
+    """Return weights (n, 7, 6), coefficients (7, 6) and process deviations (6,) of all outputs."""
+    weights = np.zeros((len(equations), PLACES, OUTPUTS))
+    coefficients, deviation = np.empty((PLACES, OUTPUTS)), np.empty(OUTPUTS)
+    for factor in factors:
+        own = equations.known & np.isin(np.arange(len(equations)), factor.rows)[:, None]
+        for column, output in enumerate(factor.outputs):
+            weights[own, output] = factor.weights[:, column]
+        coefficients[:, factor.outputs] = factor.coefficients
+        deviation[factor.outputs] = np.sqrt(factor.variance)
+    return weights, coefficients, deviation
 
 
 def _factor(

@@ -188,17 +188,9 @@ def border(
     prior = np.tile(held.prior, (len(new), 1))[new.known]
     # A corner that is not positive needs a larger nugget everywhere, so it is not raised here.
     last, _ = inverse_factor(corner, factor.nugget, factor.nugget, prior)
-    count, more = len(factor.T), len(last)
-    T = np.zeros((count + more, count + more))
-    T[:count, :count] = factor.T
-    T[count:, count:] = last
-    T[count:, :count] = -last @ (across @ factor.T)
-    TF = np.concatenate(
-        (
-            factor.TF,
-            T[count:, :count] @ mean_terms(old.x, old.known) + last @ mean_terms(new.x, new.known),
-        )
-    )
+    T = _bordered(factor.T, across, last)
+    own = mean_terms(old.x, old.known), mean_terms(new.x, new.known)
+    TF = np.concatenate((factor.TF, T[len(factor.T) :] @ np.concatenate(own)))
     rows = np.concatenate((factor.rows, added))
     return finish(
         equations.take(rows),
@@ -210,3 +202,13 @@ def border(
         TF,
         settings,
     )
+
+
+def _bordered(T: Floats, across: Floats, last: Floats) -> Floats:
+    """Return the inverse factor with more rows: `across` of the factor, and their own inverse."""
+    count, more = len(T), len(last)
+    out = np.zeros((count + more, count + more))
+    out[:count, :count] = T
+    out[count:, count:] = last
+    out[count:, :count] = -last @ (across @ T)
+    return out

@@ -68,4 +68,4 @@ def test_builds_are_ready_in_time(solves: int) -> None:
         f"one more row {bordered:.3f} s"
     )
     assert bordered < (1 if solves <= 120 else 3)
-    assert first < (2 if solves <= 120 else 6)
+    assert first < (1 if solves <= 120 else 6)

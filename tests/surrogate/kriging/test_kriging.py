@@ -1,6 +1,7 @@
 """A table's kriging: exact at rows, invariant, calibrated, updated, and the same compiled."""
 
 import pickle
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -257,3 +258,28 @@ def test_a_table_too_large_for_one_factor_answers_from_the_nearest_rows(measured
     assert (after[:2] < 0.5 * bar[:2]).all()
     again = pickle.loads(pickle.dumps(kriging))
     np.testing.assert_array_equal(again.answer_many(ASKED)[0], told)
+
+
+def test_without_numba_the_same_answers_come_from_numpy(
+    kriging: Kriging, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = kriging.evaluate(ASKED)
+    monkeypatch.setattr(compiled, "answers", None)
+    again = pickle.loads(pickle.dumps(kriging))
+    assert again.tables is None
+    for one, other in zip(again.evaluate(ASKED), told, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
+
+
+def test_many_threads_read_one_kriging_at_once(kriging: Kriging) -> None:
+    expected = kriging.answer_many(ASKED)[0]
+    with ThreadPoolExecutor(4) as pool:
+        for told in pool.map(lambda _: kriging.answer_many(ASKED)[0], range(16)):
+            np.testing.assert_array_equal(told, expected)
+
+
+def test_left_out_rows_are_told_in_si_units(kriging: Kriging) -> None:
+    errors, deviations = kriging.left_out()
+    assert errors.shape == deviations.shape == (len(ROWS), 6)
+    assert (np.abs(errors).max(axis=0) < 0.2 * _size(ROWS)).all()
+    assert (deviations > 0).all()
