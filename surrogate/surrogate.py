@@ -163,7 +163,7 @@ class Surrogate:
         state = int(told.state[0])
         reason = self._reason(found, asked, state)
         if reason and state == COVERED:
-            state = THIN
+            state = OUTSIDE if reason == UNKNOWN_AT_REST else THIN
         if state == COVERED:
             reason = over_tolerance(error, self._allowed(name, tolerance))
             state = THIN if reason else COVERED
@@ -192,8 +192,9 @@ class Surrogate:
         told = self._methods.get(name).estimate(asked)
         state = told.state.copy()
         over = ~(told.error <= np.array(self._allowed(name, tolerance))).all(axis=1)
-        thin = over | self._doubtful(asked)
-        state[(state == COVERED) & thin] = THIN
+        together, at_rest = self._doubtful(asked)
+        state[(state == COVERED) & at_rest] = OUTSIDE
+        state[(state == COVERED) & (over | together)] = THIN
         unknown = ~np.isfinite(told.error).all(axis=1)
         told.error[unknown] = np.nan
         return self._with_rows(asked, Batch(told.displacement, told.error, state))
@@ -227,10 +228,8 @@ class Surrogate:
         """
         name = method or self.default
         self._methods.check(name)
-        if not len(self.used):
-            return []
         asked = np.array(wrench, dtype=float)
-        if name == "linear":
+        if name == "linear" and len(self.used):
             found = self.answer(wrench, tolerance, name)
             return explain_linear(self.fit, self.used, self.members, asked, found)
         limit = tolerance or self.tolerance
@@ -328,24 +327,28 @@ class Surrogate:
             return (WITHOUT_TOLERANCE * self.ranges).tolist()
         return (np.inf,) * 6
 
-    def _doubtful(self, asked: Floats) -> NDArray[np.bool_]:
-        """Return which wrenches (n, 6) load more than rows show, shape (n,), whatever the bars."""
-        doubtful = np.zeros(len(asked), dtype=bool)
-        if self._rest_unknown:
-            doubtful |= ~(np.abs(asked) > self._small).any(axis=1)
+    def _doubtful(self, asked: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return which wrenches (n, 6) ask what no row shows, each (n,), whatever the bars say.
+
+        What loads of several axes do together, and what the component does without load.
+        """
+        none = np.zeros(len(asked), dtype=bool)
+        together = at_rest = none
         if not self.knows_interaction:
             clean = clean_rows(Rows.of(asked, np.zeros_like(asked)), self.load_range)
-            doubtful |= ~clean.any(axis=1)
-        return doubtful
+            together = ~clean.any(axis=1)
+        if self._rest_unknown:
+            at_rest = ~(np.abs(asked) > self._small).any(axis=1)
+        return together, at_rest
 
     def _reason(self, method: Method, asked: Floats, state: int) -> str:
+        """Return why a wrench (6,) is not covered, tolerance apart, or an empty text."""
         if state != COVERED:
             return method.reason(asked)
-        if not self._doubtful(asked[None])[0]:
-            return ""
-        if np.any(np.abs(asked) > self._small):
-            return UNKNOWN_TOGETHER.format(full=self.full_wrenches)
-        return UNKNOWN_AT_REST
+        together, at_rest = self._doubtful(asked[None])
+        if at_rest[0]:
+            return UNKNOWN_AT_REST
+        return UNKNOWN_TOGETHER.format(full=self.full_wrenches) if together[0] else ""
 
     @cached_property
     def _rest_unknown(self) -> bool:

@@ -57,7 +57,7 @@ def answer_at_rest(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable
     """Return the row at zero load, or what the axes whose hull holds zero interpolate there.
 
     Of several axes that is the mean, with half their spread in the bar (DESIGN: measured tables
-    have offsets). Without any the answer is zero and not known.
+    have offsets). Without any the answer is zero and not known: its bar is the rows' size.
     """
     unloaded = (np.abs(rows.wrench) <= CLEAN * load_range.scale).all(axis=1)
     if unloaded.any():
@@ -67,7 +67,8 @@ def answer_at_rest(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable
     readings = [table.read(np.zeros((1, 3))) for table in tables if table is not None]
     held = [reading for reading in readings if reading.inside[0]]
     if not held:
-        return AtRest(np.zeros(6), np.zeros(6), False)
+        size = np.abs(rows.displacement).max(axis=0, initial=0.0)
+        return AtRest(np.zeros(6), size, False)
     outputs = np.concatenate([reading.outputs for reading in held])
     own = np.concatenate([np.abs(reading.bends) + reading.rest for reading in held])
     return AtRest(outputs.mean(axis=0), np.ptp(outputs, axis=0) / 2 + own.mean(axis=0), True)

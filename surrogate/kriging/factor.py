@@ -20,6 +20,9 @@ from surrogate.kriging.settings import DEFAULTS, KrigingSettings
 from surrogate.table.rows import Floats
 
 
+ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of values that are one
+
+
 class SingularCovarianceError(ArithmeticError):
     """A covariance that is singular even with the largest nugget."""
 
@@ -160,7 +163,8 @@ def finish(
         mean_covariance=mean_covariance,
         coefficients=coefficients,
         weights=T.T @ remainder,
-        variance=np.einsum("eq,eq->q", remainder, Ty) / len(T),
+        # Of a response that is linear nothing remains, and rounding may make that negative.
+        variance=np.maximum(np.einsum("eq,eq->q", remainder, Ty) / len(T), ROUNDING),
     )
 
 

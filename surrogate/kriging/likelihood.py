@@ -127,4 +127,6 @@ def maximise(
         )
         for start in starts
     ]
-    return Hyperparameters.of_logarithms(min(found, key=lambda run: run.fun).x)
+    # Rounded so that the rounding of another unit does not change them; the likelihood is flat.
+    best = np.round(min(found, key=lambda run: run.fun).x, settings.decimals)
+    return Hyperparameters.of_logarithms(best)

@@ -65,6 +65,9 @@ class KrigingSettings:
     local_equations: int = 210
     # Answers at once, so that their covariances with 400 solved rows stay within 25 MB.
     chunk: int = 1000
+    # Decimals of the logarithms that the estimate ends at: a length to 0.05 %, and the same one
+    # whatever the units, whose rounding moves it by some 1e-8.
+    decimals: int = 3
     # Outputs whose noise over process variance is within this factor share one factorisation.
     like_noise: float = 2.0
     # Left-out rows of a large table: enough for a 95 % quantile an output.

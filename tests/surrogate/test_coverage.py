@@ -12,14 +12,14 @@ FULL = build(with_slopes(smooth, clean_wrenches(60, 1)), RANGE)
 
 
 def test_inside_the_rows_is_covered_without_a_word() -> None:
-    answer = FULL.answer([100.0, -200.0, 300.0, 40.0, 50.0, -60.0])
+    answer = FULL.answer([100.0, -200.0, 300.0, 40.0, 50.0, -60.0], method="griddata")
     assert (answer.coverage, answer.reason, answer.method) == ("covered", "", "griddata")
 
 
 def test_beyond_the_rows_is_outside_and_says_which_load_of_which_axis() -> None:
-    answer = FULL.answer([1200.0, 0, 0, 0, 0, 0])
+    answer = FULL.answer([1200.0, 0, 0, 0, 0, 0], method="griddata")
     assert answer.coverage == "outside"
-    assert answer.method == "estimate"
+    assert answer.method == "griddata"
     assert answer.reason == "axis x: fx = 1200 N lies outside the rows, which span -1000..1000 N"
     assert answer.displacement is not None
     assert answer.error is not None
@@ -78,7 +78,7 @@ def test_an_error_bar_over_the_tolerance_is_thin_and_names_the_output() -> None:
     assert error is not None
     strict = FULL.answer(wrench, Tolerance(1.0, max(error[3:]) * 0.99))
     assert strict.coverage == "thin"
-    assert strict.method == "griddata"
+    assert strict.method == FULL.default == "kriging"
     assert "rad, is over the tolerance" in strict.reason
     assert FULL.answer(wrench, Tolerance(1.0, max(error[3:]) * 1.01)).coverage == "covered"
 
