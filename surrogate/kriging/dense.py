@@ -159,6 +159,10 @@ def dense(
         factor = _factor(equations, held, share, table, known, settings)
         spread = _spread(equations, held, factor, table, known, settings)
         rows, found, squared = _left_out(equations, held, spread, table, settings)
+        # With hardly more rows than the mean has terms, rounding leaves no variance to speak of:
+        # such a row says nothing.
+        lost = ~(squared > 0)
+        found[lost], squared[lost] = np.nan, np.nan
         errors[np.ix_(rows, factor.outputs)] = found
         scale = np.sqrt(squared)[:, None] * np.sqrt(factor.variance)
         deviations[np.ix_(rows, factor.outputs)] = scale

@@ -49,6 +49,9 @@ class Scaling:
         return np.where(self.active, (wrenches - self.centre) / self.half, 0.0)
 
 
+DECIMALS = 12  # of scaled loads: a thousandth of what bars are told to
+
+
 @dataclass(frozen=True)
 class Equations:
     """What the rows of a table say, in scaled numbers, row by row.
@@ -176,7 +179,8 @@ def equations_of(rows: Rows, scaling: Scaling, settings: KrigingSettings = DEFAU
     told[:, 1:] = np.where(known[:, 1:, None], slopes.transpose(0, 2, 1), 0.0)
     half_widths = np.nan_to_num(rows.uncertainty) / scaling.spread
     whole = Equations(
-        x=scaling.loads(rows.wrench),
+        # Rounded, so that another unit's rounding is not blown up by the covariance's condition.
+        x=np.round(scaling.loads(rows.wrench), DECIMALS),
         known=known,
         told=told,
         measured=measured,

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from surrogate.answer import METHODS, UnknownMethodError
 from surrogate.build import build
-from surrogate.interpolation.hull import nearest_in_hull
+from surrogate.interpolation.delaunay import Triangulation
 from surrogate.missing_outputs import MissingOutputs
-from surrogate.table.rows import Rows
+from surrogate.table.rows import Rows, Tolerance
 from tests.surrogate.calibrating import with_slopes
 from tests.surrogate.responses import (
     HIGH,
@@ -69,12 +69,13 @@ def test_almost_equal_rows_do_not_make_slopes_of_their_noise() -> None:
     assert merged.displacement is not None
     assert merged.error is not None
     np.testing.assert_allclose(merged.displacement[0], smooth(CLEAN[10:11])[0, 0] * 1.0005)
-    assert merged.error[0] >= abs(smooth(CLEAN[10:11])[0, 0]) * 0.0005 * 0.999
+    # The kriging weighs the two rows with those around them: a little less than half their spread.
+    assert merged.error[0] >= abs(smooth(CLEAN[10:11])[0, 0]) * 0.0005 * 0.9
     behind = surrogate.explain((CLEAN[10] * HIGH).tolist())[0]["rows"]
     assert {11, 1010} <= set(behind)
 
 
-@pytest.mark.parametrize("method", ["griddata", "nearest", "linear", "tangent", "corrected"])
+@pytest.mark.parametrize("method", METHODS)
 def test_full_wrenches_are_thin_on_tables_without_full_wrenches(method: str) -> None:
     surrogate = build(table(coupled, CLEAN), RANGE)
     one = surrogate.answer((ASKED[0] * HIGH).tolist(), method=method)
@@ -85,10 +86,12 @@ def test_full_wrenches_are_thin_on_tables_without_full_wrenches(method: str) -> 
 
 
 def test_twenty_full_wrenches_or_tangents_tell_what_axes_leave_out() -> None:
+    wide = Tolerance(1.0, 1.0)
     for count, state in ((19, 1), (20, 0)):
         rows = table(coupled, np.concatenate((CLEAN, full_wrenches(count, 5))))
-        assert (build(rows, RANGE).batch(ASKED[:9] * HIGH).coverage == state).all()
-    assert (build(with_slopes(coupled, CLEAN), RANGE).batch(ASKED[:9] * HIGH).coverage == 0).all()
+        assert (build(rows, RANGE).batch(ASKED[:9] * HIGH, wide).coverage == state).all()
+    told = build(with_slopes(coupled, CLEAN), RANGE).batch(ASKED[:9] * HIGH, wide)
+    assert (told.coverage == 0).all()
 
 
 @pytest.mark.parametrize("count", range(1, 9))
@@ -183,7 +186,7 @@ def test_the_nearest_point_of_a_hull_is_nearer_than_any_other() -> None:
     for points in (rng.normal(size=(60, 3)), rng.normal(size=(20, 3)) * [1, 1, 0], np.ones((1, 3))):
         x = 5 * rng.normal(size=(200, 3))
         x = x[np.linalg.norm(x, axis=1) > 4]
-        nearest = nearest_in_hull(points, x)
+        nearest, _ = Triangulation(points).nearest_on_hull(x)
         way = x - nearest
         farther = (way @ points.T).max(axis=1) - (way * nearest).sum(axis=1)
         assert farther.max() < 1e-10

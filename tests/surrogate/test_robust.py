@@ -65,8 +65,9 @@ def test_answers_on_a_grids_planes_do_not_jump() -> None:
     plane[:, 0] = 0.5  # a plane of the grid
     near = plane.copy()
     near[:, 0] += 1e-9
-    on, beside = surrogate.batch(plane * HIGH), surrogate.batch(near * HIGH)
-    assert (on.coverage == 0).all()
+    on, beside = (surrogate.batch(x * HIGH, method="griddata") for x in (plane, near))
+    assert (on.coverage == beside.coverage).all()
+    assert (on.coverage < 2).all()
     np.testing.assert_allclose(on.displacement, beside.displacement, atol=1e-11)
 
 
