@@ -42,7 +42,7 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
             return outcome
         if query.on_thin == "reject":
             raise NotCoveredError(
-                f"{outcome.reason} Ask with on_thin 'queue' or 'wait' to have it solved, or "
+                f"{outcome.reason}. Ask with on_thin 'queue' or 'wait' to have it solved, or "
                 "'estimate' for the best guess.",
                 coverage=outcome.coverage,
             )
