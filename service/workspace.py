@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from service.jobs.attempt import Progress, attempt_folder, read_progress
 from service.jobs.dispatcher import Dispatcher
 from service.jobs.engines.registry import open_engine
+from service.jobs.record_outcome import notes_of
 from service.ledger import Change, Job, Ledger, LedgerUnavailableError
 from service.library.component import Component
 from service.library.library import Library
@@ -163,6 +164,10 @@ class Workspace:
     def progress(self, job: Job) -> Progress | None:
         """Return how far a running job is; None if its solver has not said anything yet."""
         return read_progress(self.attempt_folder(job))
+
+    def notes(self, job: Job) -> list[str]:
+        """Return what the solver of a done job said about its answer."""
+        return notes_of(job, self.attempt_folder(job)) if job.status == "done" else []
 
     def attempt_folder(self, job: Job) -> Path:
         """Return the folder of a job's latest attempt."""

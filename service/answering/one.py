@@ -100,6 +100,7 @@ async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Ou
         raise SolveFailedError(placed.job)
     if placed.job.row is not None:
         await run_in_threadpool(_take_row, workspace, query, outcome, placed.job.row)
+        outcome.notes = await run_in_threadpool(workspace.notes, placed.job)
     return outcome
 
 

@@ -80,6 +80,13 @@ def test_wait_that_is_too_short_answers_202(http, stand_in):
     assert time.monotonic() - started < 5.0
 
 
+def test_what_the_solver_says_of_its_answer_is_in_the_reply_and_in_the_job(http, stand_in):
+    stand_in("doubtful")
+    body = ask(http, on_thin="wait", wait_s=20).json()
+    assert body["notes"] == ["mesh: 3 cells are strongly distorted"]
+    assert http.get(body["job"]["url"]).json()["notes"] == body["notes"]
+
+
 def test_a_solved_wrench_is_answered_at_once_afterwards(http):
     job = ask(http).json()["job"]["id"]
     wait_for(http, job)

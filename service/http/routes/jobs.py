@@ -70,7 +70,8 @@ def list_jobs(
 async def one_job(job_id: JobId, request: Request, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
     job = await workspace.wait(job_id, wait_s)
-    return await run_in_threadpool(job_body, workspace, job)
+    body = await run_in_threadpool(job_body, workspace, job)
+    return body | {"notes": await run_in_threadpool(workspace.notes, job)}
 
 
 @router.delete("", summary="Cancel all jobs that wait, or that run")
