@@ -119,6 +119,22 @@ class Workspace:
             self._ask_compliance(name, surrogate)
         return surrogate
 
+    async def newest(self, name: str, seconds: float) -> AnyTable:
+        """Return the surrogate once it holds all rows there are now, or after `seconds` as it is.
+
+        It waits on threads of asyncio's own, few: on those that queue a loop's wrenches, forty
+        such readers would hold the loop up for as long as a table is built.
+
+        Raises
+        ------
+        UnknownComponentError
+            If there is no such component.
+        """
+        self.tables.surrogate(name)  # a name that is unknown ends here
+        loop = asyncio.get_running_loop()
+        await loop.run_in_executor(None, self.tables.catch_up, name, seconds)
+        return self.tables.surrogate(name)
+
     def fill(self, name: str, budget: int, tolerance: Tolerance | None) -> tuple[Design, list[Job]]:
         """Design one round of solves on all rows there are, and accept them.
 
