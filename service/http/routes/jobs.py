@@ -8,7 +8,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Path, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
@@ -19,7 +19,7 @@ from service.workspace import Workspace
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
-JobId = int
+JobId = Annotated[int, Path(lt=2**63, gt=-(2**63), description="SQLite holds no larger one")]
 WaitSeconds = Annotated[
     float, Query(ge=0, le=600, description="wait up to this long for the job to end")
 ]
