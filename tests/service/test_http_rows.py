@@ -191,7 +191,8 @@ def test_a_server_starts_and_answers_though_a_component_and_a_table_are_damaged(
     with TestClient(create_app(Settings(folder, solvers=0))) as again:
         ready = again.get("/health/ready")
         assert (ready.status_code, list(ready.json()["broken"])) == (200, ["other"])
-        assert "name" in again.get("/v1/components").json()["broken"]["other"]
+        (broken,) = again.get("/v1/components").json()["broken"]
+        assert (broken["name"], "name: missing" in broken["reason"]) == ("other", True)
         assert again.get("/v1/components/rig").json()["rows"] == 5
         assert "cannot be used" in again.get("/v1/components/other").json()["detail"]
 
