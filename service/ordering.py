@@ -64,12 +64,12 @@ class _Open:
     def _tree(self) -> KDTree:
         return KDTree(self._scaled)
 
-    def near(self, scaled: Floats) -> NDArray[np.intp]:
+    def near(self, scaled: Floats, reach: float) -> NDArray[np.intp]:
         """Return the place of the open job within reach of each, shape (n,); -1 for none."""
-        if not self.ids:
+        if not self.ids or not reach:
             return np.full(len(scaled), -1)
         # The bound is exclusive; a job at just the reach is joined.
-        bound = REACH * (1 + 1e-12)
+        bound = reach * (1 + 1e-12)
         _, place = self._tree.query(scaled, p=np.inf, distance_upper_bound=bound)
         return np.where(place < len(self.ids), place, -1)
 
@@ -130,7 +130,8 @@ class Orders:
         """Find or accept the jobs of queries' wrenches, shape (n, 6), N and N·m.
 
         Each is rounded to whole grains, takes the job there is for it, else joins the open job
-        within `REACH`, else becomes a job unless `queue_limit` of them are open.
+        within `REACH`, else becomes a job unless `queue_limit` of them are open. A linear
+        component's one open job is within reach of every wrench: any solve tells all.
 
         Raises
         ------
@@ -140,7 +141,8 @@ class Orders:
         component = self.solvable(name)
         # Divided at the end, not multiplied: a decimal wrench then stays the decimal it is.
         per_unit = GRAINS / component.load_range.scale
-        return self._place(component, np.round(wrenches * per_unit) / per_unit, REACH)
+        reach = np.inf if component.linear else REACH
+        return self._place(component, np.round(wrenches * per_unit) / per_unit, reach)
 
     def each(self, name: str, wrenches: Floats) -> list[Placed]:
         """Find or accept each wrench's own exact job, shape (n, 6), N and N·m, up to the limit.
@@ -192,12 +194,12 @@ class Orders:
         if left:
             scaled = wrenches[left] / scale
             open_jobs = self._open(component)
-            near = open_jobs.near(scaled) if reach else np.full(len(left), -1)
+            near = open_jobs.near(scaled, reach)
             if (near < 0).any() and open_jobs.queries < self.queue_limit:
                 self._accept(component, scaled[near < 0], wrenches[left][near < 0], reach)
                 jobs |= self._found(component, {keys[place] for place in left})
                 open_jobs = self._open(component)
-                near = open_jobs.near(scaled) if reach else near
+                near = open_jobs.near(scaled, reach)
             ids = [*open_jobs.ids, -1]
             joined = dict(zip(left, (ids[one] for one in near.tolist()), strict=True))
         others = {number: self._ledger.job(number) for number in {*joined.values()} - {-1}}
@@ -227,8 +229,7 @@ class Orders:
 
         def choose(jobs: list[OpenJob]) -> list[bytes]:
             room = self.queue_limit - _from_queries(jobs)
-            near = _Open(0, jobs, scale).near(scaled) if reach else np.full(len(scaled), -1)
-            free = near < 0
+            free = _Open(0, jobs, scale).near(scaled, reach) < 0
             return packed(wrenches[free][spread(scaled[free], reach, room)])
 
         self._ledger.accept_chosen(component.name, component.fingerprint, choose, asked_by="query")

@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from service.jobs.attempt import Progress, attempt_folder, read_progress
 from service.jobs.dispatcher import Dispatcher
 from service.jobs.engines.registry import open_engine
+from service.jobs.record_outcome import notes_of
 from service.ledger import Change, Job, Ledger, LedgerUnavailableError
 from service.library.component import Component
 from service.library.library import Library
@@ -118,6 +119,22 @@ class Workspace:
             self._ask_compliance(name, surrogate)
         return surrogate
 
+    async def newest(self, name: str, seconds: float) -> AnyTable:
+        """Return the surrogate once it holds all rows there are now, or after `seconds` as it is.
+
+        It waits on threads of asyncio's own, few: on those that queue a loop's wrenches, forty
+        such readers would hold the loop up for as long as a table is built.
+
+        Raises
+        ------
+        UnknownComponentError
+            If there is no such component.
+        """
+        self.tables.surrogate(name)  # a name that is unknown ends here
+        loop = asyncio.get_running_loop()
+        await loop.run_in_executor(None, self.tables.catch_up, name, seconds)
+        return self.tables.surrogate(name)
+
     def fill(self, name: str, budget: int, tolerance: Tolerance | None) -> tuple[Design, list[Job]]:
         """Design one round of solves on all rows there are, and accept them.
 
@@ -163,6 +180,10 @@ class Workspace:
     def progress(self, job: Job) -> Progress | None:
         """Return how far a running job is; None if its solver has not said anything yet."""
         return read_progress(self.attempt_folder(job))
+
+    def notes(self, job: Job) -> list[str]:
+        """Return what the solver of a done job said about its answer."""
+        return notes_of(job, self.attempt_folder(job)) if job.status == "done" else []
 
     def attempt_folder(self, job: Job) -> Path:
         """Return the folder of a job's latest attempt."""

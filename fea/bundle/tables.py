@@ -27,10 +27,15 @@ from fea.spec.toml_table import Keys
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
 
+def is_slug(name: str) -> bool:
+    """Return whether a name does as a component's: as a folder and in a URL."""
+    return _SLUG.fullmatch(name) is not None
+
+
 def read_name(top: Keys) -> str | None:
     """Return the name, which serves as a folder and in a URL."""
     name = top.text("name")
-    if name is not None and not _SLUG.fullmatch(name):
+    if name is not None and not is_slug(name):
         top.wrong(
             "name",
             f'"{name}" will not do as a folder and in a URL; use 1 to 64 of a-z, 0-9, _ and -, '

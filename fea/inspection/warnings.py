@@ -19,6 +19,10 @@ from fea.spec.problems import Problem
 Array = np.ndarray
 
 _MOST_TOLD = 5
+# Pa. From soft rubber to beyond diamond (1.2e12); steel written in MPa or GPa is far below.
+_USUAL_YOUNGS_MODULUS = (1e6, 2e12)
+# Of the mesh's diagonal. Longer levers than this are millimetres written where metres belong.
+_LONGEST_LEVER = 10.0
 
 
 def warnings_of(component: Component) -> list[Problem]:
@@ -30,8 +34,8 @@ def warnings_of(component: Component) -> list[Problem]:
 
 
 def set_up_warnings(component: Component) -> list[Problem]:
-    """Return warnings on what the bundle attaches to the mesh: its section and supports."""
-    return place_warnings(component) + support_warnings(component)
+    """Return warnings on what the bundle attaches to the mesh: sections, supports and units."""
+    return place_warnings(component) + support_warnings(component) + unit_warnings(component)
 
 
 def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Problem]:
@@ -101,6 +105,30 @@ def support_warnings(component: Component) -> list[Problem]:
         "without limit at points, so the answer depends on the mesh size; fix faces"
     )
     return [Problem("supports.fixed", message)]
+
+
+def unit_warnings(component: Component) -> list[Problem]:
+    """Return warnings on numbers that are rather written in another unit than SI."""
+    told = []
+    low, high = _USUAL_YOUNGS_MODULUS
+    for number, material in enumerate(component.materials):
+        if not low <= material.youngs_modulus <= high:
+            message = (
+                f"is {material.youngs_modulus:.4g} Pa, softer than rubber or stiffer than "
+                "diamond; if it was meant in MPa or GPa, write it in Pa"
+            )
+            told.append(Problem(f"material[{number}].youngs_modulus", message))
+    points = component.mesh.points
+    low_corner, high_corner = points.min(axis=0), points.max(axis=0)
+    away = component.point - np.clip(component.point, low_corner, high_corner)
+    lever, size = float(np.linalg.norm(away)), float(np.linalg.norm(high_corner - low_corner))
+    if lever > _LONGEST_LEVER * size:
+        message = (
+            f"is {lever:.4g} m away from a mesh {size:.4g} m large; if it was meant in the "
+            "mesh's unit, write it in m"
+        )
+        told.append(Problem("interface.point", message))
+    return told
 
 
 def place_in_words(place: Array) -> str:

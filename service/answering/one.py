@@ -42,7 +42,7 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
             return outcome
         if query.on_thin == "reject":
             raise NotCoveredError(
-                f"{outcome.reason} Ask with on_thin 'queue' or 'wait' to have it solved, or "
+                f"{outcome.reason}. Ask with on_thin 'queue' or 'wait' to have it solved, or "
                 "'estimate' for the best guess.",
                 coverage=outcome.coverage,
             )
@@ -100,6 +100,7 @@ async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Ou
         raise SolveFailedError(placed.job)
     if placed.job.row is not None:
         await run_in_threadpool(_take_row, workspace, query, outcome, placed.job.row)
+        outcome.notes = await run_in_threadpool(workspace.notes, placed.job)
     return outcome
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -81,6 +81,8 @@ class Outcome:
         The solve that answers or will answer; None if none is queued.
     row : int or None
         The ledger's number of the row that a solve gave.
+    notes : list of str
+        What the solver said about that row.
     axes : list or None
         `Surrogate.explain`, if asked for.
     missing : tuple of str
@@ -99,6 +101,7 @@ class Outcome:
     unsolved: bool = False
     job: Job | None = None
     row: int | None = None
+    notes: list[str] = field(default_factory=list)
     axes: list[dict[str, Any]] | None = None
     missing: tuple[str, ...] = ()
 

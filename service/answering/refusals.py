@@ -34,10 +34,10 @@ class SolveFailedError(RefusedError):
 
     def __init__(self, job: Job) -> None:
         error = job.error or {}
-        message = (
-            f"{error.get('message', '')} {error.get('remedy', '')} "
-            f"Once mended, POST /v1/jobs/{job.id}/retry."
-        )
-        super().__init__(message.strip(), error=error)
+        message, remedy = error.get("message", ""), error.get("remedy", "")
+        # A solver's own failures end in their remedy already.
+        told = message if message.endswith(remedy) else f"{message} {remedy}"
+        mended = f"Once mended, POST /v1/jobs/{job.id}/retry."
+        super().__init__(f"{told} {mended}".strip(), error=error)
         self.kind = error.get("kind", "unknown")
         self.job = job

@@ -233,11 +233,13 @@ def main() -> None:
         # Named here, because a file run by its path would show that path.
         app(prog_name="wrenchbook")
     except ProblemError as error:
-        Console(stderr=True).print(f"[red]{error.title}[/red]\n{error.detail}", highlight=False)
-        render.body_errors(Console(stderr=True), error.errors)
+        err = Console(stderr=True)
+        render.plain(err, error.title, style="red")
+        render.plain(err, error.detail)
+        render.body_errors(err, error.errors)
         sys.exit(1)
     except (ServerUnreachable, OSError, RuntimeError, ValueError) as error:
-        Console(stderr=True).print(f"[red]{error}[/red]", highlight=False)
+        render.plain(Console(stderr=True), str(error), style="red")
         sys.exit(1)
 
 

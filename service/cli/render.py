@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -57,7 +58,7 @@ def component_table(components: Sequence[dict[str, Any]]) -> Table:
             " ".join(f"{max(map(abs, span)):g}" for span in one["range"][word])
             for word in ("force", "moment")
         )
-        table.add_row(one["name"], one["title"], str(one["rows"]), kind, force, moment)
+        table.add_row(one["name"], escape(one["title"]), str(one["rows"]), kind, force, moment)
     return table
 
 
@@ -67,7 +68,12 @@ def job_table(jobs: Sequence[Job]) -> Table:
     for job in jobs:
         wrench = " ".join(f"{load:g}" for load in [*job.raw["force"], *job.raw["moment"]])
         table.add_row(
-            str(job.id), job.component, job.status, str(job.raw["attempt"]), wrench, _state(job)
+            str(job.id),
+            job.component,
+            job.status,
+            str(job.raw["attempt"]),
+            wrench,
+            escape(_state(job)),
         )
     return table
 
@@ -82,13 +88,18 @@ def _state(job: Job) -> str:
 def row_errors(out: Console, errors: Sequence[dict[str, Any]]) -> None:
     """Print the mistakes of a table file, one a line."""
     for error in errors:
-        out.print(f"row {error['row']}, {error['field']}: {error['message']}", highlight=False)
+        plain(out, f"row {error['row']}, {error['field']}: {error['message']}")
 
 
 def body_errors(out: Console, errors: Sequence[dict[str, Any]]) -> None:
     """Print the mistakes a problem answer lists, one a line."""
     for error in errors:
-        out.print(f"  {error.get('loc', '')}: {error.get('msg', '')}", highlight=False)
+        plain(out, f"  {error.get('loc', '')}: {error.get('msg', '')}")
+
+
+def plain(out: Console, text: str, style: str | None = None) -> None:
+    """Print text as it is: ``Fz [lbf]`` is a column and its unit, not a colour."""
+    out.print(text, style=style, markup=False, highlight=False)
 
 
 def bar(out: Console) -> Progress:
@@ -173,14 +184,14 @@ def fill(
     spent = 0
     while spent < budget:
         order = client.fill(name, tolerance=tolerance, budget=min(round_size, budget - spent))
-        out.print(f"{order.stage}: {order.reason}", highlight=False)
+        plain(out, f"{order.stage}: {order.reason}")
         if not order.jobs:
             break
         ended = follow(out, client, order.jobs, seconds)
         spent += len(ended)
         failed = [job for job in ended if job.status == "failed"]
         for job in failed:
-            out.print(f"[red]job {job.id} failed[/red]: {_state(job)}", highlight=False)
+            plain(out, f"job {job.id} failed: {_state(job)}", style="red")
         if len(failed) == len(ended):
             raise RuntimeError("every solve of this round failed; look at the jobs' files")
     out.print(f"{spent} solves; {name} has {client.component(name)['rows']} rows.")

@@ -43,6 +43,8 @@ def write_outcome(outcome: Outcome) -> Response:
         fields["missing"] = outcome.missing
     if outcome.row is not None:
         fields["row"] = outcome.row
+    if outcome.notes:
+        fields["notes"] = outcome.notes
     if outcome.axes is not None:
         fields["axes"] = outcome.axes
     if outcome.job is not None:

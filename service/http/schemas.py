@@ -80,6 +80,16 @@ DISPLACEMENT: Final[Schema] = _with_contract(
         "elapsed_us": {"type": "number", "description": "time spent on the answer, µs"},
         "reason": {"type": "string", "description": "why not covered, why no solve is queued"},
         "row": {"type": "integer", "description": "the row that the solve gave"},
+        "notes": {
+            "type": "array",
+            "items": {"type": "string"},
+            "description": "what the solver says about that row: doubtful cells, ill conditioning",
+        },
+        "missing": {
+            "type": "array",
+            "items": {"type": "string"},
+            "description": "the outputs that no row of the table holds",
+        },
         "job": {**_JOB, "type": ["object", "null"]},
         "axes": {"type": "array", "items": OBJECT, "description": "with detail"},
     }

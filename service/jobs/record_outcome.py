@@ -63,6 +63,12 @@ def _commit(ledger: Ledger, job: Job, folder: Path, outcome: dict[str, Any]) -> 
         tidy(folder)
 
 
+def notes_of(job: Job, folder: Path) -> list[str]:
+    """Return what the solver said about its answer in the attempt's folder; often nothing."""
+    notes = (_outcome(job, folder) or {}).get("notes")
+    return [str(note) for note in notes] if isinstance(notes, list) else []
+
+
 def _outcome(job: Job, folder: Path) -> dict[str, Any] | None:
     try:
         return read_outcome(folder, spec_of(job))

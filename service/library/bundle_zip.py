@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import lzma
 import subprocess
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -13,6 +16,14 @@ from service.files.child import child_command
 
 MAX_BUNDLE_BYTES = 512 * 1024 * 1024  # a mesh of some million cells
 CHECK_SECONDS = 300
+# A password or an unknown compression (RuntimeError), a damaged or an impossible member.
+_UNREADABLE = (RuntimeError, zlib.error, lzma.LZMAError, EOFError, ValueError)
+# A path no file can have, or a file that is a folder of another one.
+_BAD_PATH = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.EEXIST)
+_CANNOT_UNPACK = (
+    "The zip cannot be unpacked: {why}. Zip the folder again, without a password, with the usual "
+    "compression (deflate) and with short file names."
+)
 
 
 def extract(archive: BinaryIO, target: Path) -> Path:
@@ -26,6 +37,12 @@ def extract(archive: BinaryIO, target: Path) -> Path:
             "bundle",
             "This is not a zip file. Zip the folder that holds component.toml and send it.",
         ) from None
+    except _UNREADABLE as error:
+        raise one_problem("bundle", _CANNOT_UNPACK.format(why=error)) from None
+    except OSError as error:
+        if error.errno not in _BAD_PATH:
+            raise  # the disk's fault, not the bundle's
+        raise one_problem("bundle", _CANNOT_UNPACK.format(why=error.strerror)) from None
     folders = sorted(path.parent for path in target.rglob("component.toml"))
     if len(folders) != 1:
         raise one_problem(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import logging
-import shutil
+import os
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
@@ -14,6 +15,7 @@ from typing import BinaryIO
 
 from fea.bundle.read import read_bundle
 from fea.bundle.shipped import SHIPPED
+from fea.bundle.tables import is_slug
 from service.files.durable import sync_folder, sync_tree
 from service.library.bundle_zip import check_mesh, extract, one_problem
 from service.library.component import (
@@ -32,6 +34,10 @@ _DECKS_REFUSED = (
     "A deck names a command that the server's solvers run, and this server takes none from "
     "outside. Ask its operator to start it with: wrenchbook serve --allow-decks; or to put the "
     "bundle's folder into the data directory's components folder"
+)
+_TAKEN = (
+    "A component {name!r} is there already. Give the new one another name: "
+    "rows of one setup are never mixed with rows of another."
 )
 
 
@@ -96,7 +102,7 @@ class Library:
     def _look_for(self, name: str) -> bool:
         """Take up a component that another process has added to the same data directory."""
         folder = self._own / name
-        if folder.parent != self._own or not (folder / "component.toml").is_file():
+        if not is_slug(name) or not (folder / "component.toml").is_file():
             return False
         with self._lock:
             if name not in self._components:
@@ -174,16 +180,19 @@ class Library:
 
     def _adopt(self, folder: Path) -> Component:
         """Move a checked bundle into the library under its own name, in one step."""
-        bundle = read_bundle(folder)
+        name = read_bundle(folder).name
+        final = self._own / name
         with self._lock:
-            if bundle.name in self._components:
-                raise ComponentExistsError(
-                    f"A component {bundle.name!r} is there already. Give the new one another name: "
-                    "rows of one setup are never mixed with rows of another."
-                )
-            final = self._own / bundle.name
+            # On the disk too: another process may have added it, or its files may be damaged.
+            if name in self._components or os.path.lexists(final):
+                raise ComponentExistsError(_TAKEN.format(name=name))
             sync_tree(folder)
-            shutil.move(folder, final)
+            try:
+                folder.rename(final)  # never into a folder that is there: shutil.move would
+            except OSError as error:
+                if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+                    raise ComponentExistsError(_TAKEN.format(name=name)) from error
+                raise
             sync_folder(self._own)
             return self._register(final, shipped=False)
 
@@ -201,8 +210,25 @@ class Library:
 
     def _register(self, folder: Path, *, shipped: bool) -> Component:
         component = component_of(read_bundle(folder), shipped=shipped)
+        if not shipped:
+            self._refuse_other_name(folder, component.name)
         self._components = {**self._components, component.name: component}
         return component
+
+    def _refuse_other_name(self, folder: Path, name: str) -> None:
+        """Refuse a folder that says it is another's component: it would answer in its place.
+
+        Raises
+        ------
+        BundleError
+            If the bundle's name is not its folder's, or is a shipped component's.
+        """
+        if name != folder.name:
+            raise one_problem(
+                "name", f'is "{name}" but the folder is "{folder.name}"; give both one name'
+            )
+        if name in self._components and self._components[name].shipped:
+            raise one_problem("name", f'"{name}" is a shipped component; take another name')
 
 
 def _bundle_folders(parent: Path) -> list[Path]:

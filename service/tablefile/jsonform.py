@@ -76,7 +76,7 @@ def read_json(text: str | bytes, *, load_range: LoadRange | None = None) -> Pars
         from 1, `RowError.field` the key, with the index of a number: ``wrench[2]``.
     """
     try:
-        content = json.loads(text, parse_float=_parsed_float)
+        content = json.loads(text, parse_float=_parsed_float, object_pairs_hook=_once)
     except (ValueError, RecursionError) as error:
         return refused([RowError(0, "file", f"is not JSON: {error}")])
     problem = _envelope(content)
@@ -241,6 +241,16 @@ def _length(value: Any) -> int | None:
 def _parsed_float(text: str) -> float:
     number = float(text)
     return _Vanished(number) if vanished(text, number) else number
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object whose keys each stand once: of two wrenches the last would win unseen."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"the key {twice!r} stands twice in one object; keep one")
+    return found
 
 
 def _text(row: dict[str, Any], key: str, place: int, errors: list[RowError]) -> str:

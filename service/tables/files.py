@@ -32,14 +32,19 @@ class TableFiles:
         self._ledger = ledger
 
     def read(self, component: Component) -> tuple[Rows, TableMeta] | None:
-        """Return what a component's file holds; None if there is none or it is damaged."""
+        """Return what a component's file holds; None if it is missing, damaged or another's."""
+        instead = "table %s is built from the ledger instead: %s"
         try:
-            return read_table(self._path(component.name))
+            rows, meta = read_table(self._path(component.name))
         except FileNotFoundError:
             return None
         except (TableFileError, OSError) as error:
-            log.warning("table %s is built from the ledger instead: %s", component.name, error)
+            log.warning(instead, component.name, error)
             return None
+        if meta.component != component.name:  # tables without a setup share one fingerprint
+            log.warning(instead, component.name, f"the file is the table of {meta.component!r}")
+            return None
+        return rows, meta
 
     def load(self, component: Component) -> tuple[Rows, int]:
         """Return the rows of a component's file and the seq they go up to.

@@ -17,6 +17,10 @@ def quick(spec, report):
     return {"displacement": displacement(spec.wrench), "seconds": 0.0}
 
 
+def doubtful(spec, report):
+    return {**quick(spec, report), "notes": ["mesh: 3 cells are strongly distorted"]}
+
+
 def slow(spec, report):
     """Takes 0.3 s, long enough to be killed in the middle."""
     for step in range(15):

@@ -101,3 +101,16 @@ def test_help_names_the_command_and_not_the_file_that_was_run():
         check=True,
     )
     assert "Usage: wrenchbook query [OPTIONS]" in run.stdout
+
+
+def test_a_unit_in_brackets_is_printed_and_not_taken_for_a_colour(stub: Stub, run: Run):
+    problem = {
+        "title": "The table has mistakes",
+        "status": 422,
+        "detail": "the first is in row 1, Fz [lbx]: the unit [lbx] is not known",
+        "errors": [{"loc": "row 1.Fz [lbx]", "msg": "the unit [lbx] is not known"}],
+    }
+    stub.answers(Answer(problem, status=422))
+    status, _, err = run("query", "plate", "--force", "1", "2", "3")
+    assert status == 1
+    assert err.count("Fz [lbx]: the unit [lbx] is not known") == 2

@@ -118,6 +118,20 @@ def test_rows_of_a_ledger_put_back_from_a_copy_are_all_there(site):
     assert site.wrenches() == expected(35)
 
 
+def test_a_table_file_copied_over_anothers_brings_no_row_of_the_other_component(site, caplog):
+    """b.h5 put in place of a.h5: b's rows went into a's ledger and its answers were covered."""
+    site.close()
+    site.open("other")
+    site.insert(5)
+    site.insert(5, first=20, name="other")
+    site.close()
+    shutil.copy(site.file("other"), site.file("rig"))
+    site.open()
+    assert site.wrenches() == expected(5)
+    assert len(site.ledger.rows("rig")) == 5
+    assert "the file is the table of 'other'" in caplog.text
+
+
 def test_rows_kept_through_the_ledgers_deletion_come_back_at_the_next_start(site):
     site.insert(10)
     for path in site.folder.glob("ledger.sqlite*"):

@@ -193,6 +193,15 @@ def test_what_is_not_there_is_a_404_problem(http, path):
     assert reply.json()["detail"]
 
 
+@pytest.mark.parametrize("method", ["GET", "DELETE"])
+@pytest.mark.parametrize("job", [2**63, -(2**63) - 1, 2**70])
+def test_a_job_id_larger_than_sqlite_holds_is_422_by_place(http, method, job):
+    """It was a 500: OverflowError."""
+    reply = http.request(method, f"/v1/jobs/{job}")
+    assert reply.status_code == 422
+    assert reply.json()["errors"][0]["loc"] == "path.job_id"
+
+
 def test_health_and_openapi_answer(http):
     assert http.get("/health/live").json() == {"status": "live"}
     assert http.get("/health/ready").json()["status"] == "ready"

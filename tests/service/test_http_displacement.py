@@ -1,9 +1,11 @@
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
+from service.answering.refusals import SolveFailedError
 from service.http.app import create_app
 from service.workspace import Settings
 from surrogate.surrogate import Surrogate
@@ -78,6 +80,13 @@ def test_wait_that_is_too_short_answers_202(http, stand_in):
     assert time.monotonic() - started < 5.0
 
 
+def test_what_the_solver_says_of_its_answer_is_in_the_reply_and_in_the_job(http, stand_in):
+    stand_in("doubtful")
+    body = ask(http, on_thin="wait", wait_s=20).json()
+    assert body["notes"] == ["mesh: 3 cells are strongly distorted"]
+    assert http.get(body["job"]["url"]).json()["notes"] == body["notes"]
+
+
 def test_a_solved_wrench_is_answered_at_once_afterwards(http):
     job = ask(http).json()["job"]["id"]
     wait_for(http, job)
@@ -98,7 +107,16 @@ def test_reject_is_a_problem_that_names_the_coverage(http):
     assert reply.status_code == 409
     assert reply.headers["content-type"] == "application/problem+json"
     assert reply.json()["coverage"] == "outside"
+    assert reply.json()["detail"].startswith("the table has no rows. Ask with on_thin")
     assert http.get("/v1/jobs").json()["jobs"] == []
+
+
+@pytest.mark.parametrize("number", [0, 2**63, 10**22])
+def test_a_job_number_no_ledger_can_hold_is_422_and_not_a_mistake_of_the_server(http, number):
+    calls = [("GET", ""), ("DELETE", ""), ("POST", "/retry"), ("GET", "/files")]
+    assert {http.request(verb, f"/v1/jobs/{number}{rest}").status_code for verb, rest in calls} == {
+        422
+    }
 
 
 def test_a_failed_solve_is_a_problem_with_kind_and_remedy(http, stand_in):
@@ -109,6 +127,12 @@ def test_a_failed_solve_is_a_problem_with_kind_and_remedy(http, stand_in):
     assert body["error"]["kind"] == "not_converged"
     assert "smaller load steps" in body["detail"]
     assert f"/v1/jobs/{body['job']['id']}/retry" in body["detail"]
+
+
+def test_a_failure_that_ends_in_its_remedy_says_it_once():
+    error = {"kind": "snap_through", "message": "It snaps. Guide it.", "remedy": "Guide it."}
+    job = SimpleNamespace(id=3, error=error)
+    assert str(SolveFailedError(job)) == "It snaps. Guide it. Once mended, POST /v1/jobs/3/retry."
 
 
 def test_a_retried_job_is_solved(http, stand_in):

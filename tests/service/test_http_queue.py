@@ -1,6 +1,8 @@
 """`queue` in a simulator's loop: joined, limited, and said when nothing is queued."""
 
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from typer.testing import CliRunner
 
 from service.cli.main import app
 from service.http.app import create_app
+from service.tables.live import Tables
 from service.workspace import Settings
 
 CALL = "/v1/components/plate_thin/displacement"
@@ -169,3 +172,21 @@ def test_serve_takes_the_queue_limit(monkeypatch, tmp_path):
     reply = CliRunner().invoke(app, words)
     assert reply.exit_code == 0, reply.output
     assert served[0].queue_limit == 7
+
+
+def test_many_who_look_at_a_table_that_is_being_built_do_not_hold_up_the_loop(
+    http, scale, monkeypatch
+):
+    built = threading.Event()
+    monkeypatch.setattr(Tables, "catch_up", lambda *_: built.wait(10.0))
+    with ThreadPoolExecutor(45) as pool:
+        for call in ("", "/coverage", "/compliance"):
+            looks = [pool.submit(http.get, f"/v1/components/plate_thin{call}") for _ in range(45)]
+            time.sleep(0.5)  # until they wait: the server has 40 threads for such work
+            started = time.monotonic()
+            assert ask(http, 0.1 * scale).status_code == 202
+            took = time.monotonic() - started
+            built.set()
+            assert {look.result().status_code for look in looks} == {200}
+            assert took < 3.0
+            built.clear()

@@ -2,12 +2,17 @@
 
 import io
 import os
-import shutil
 import zipfile
+from pathlib import Path
 
 import pytest
 
-from service.library.component import LibraryUnavailableError
+from fea.bundle.read import BundleError
+from service.library.component import (
+    ComponentExistsError,
+    LibraryUnavailableError,
+    UnknownComponentError,
+)
 from service.library.library import Library
 
 TEXT = 'name = "rig"\ntitle = "rig"\n[range]\nforce = [1, 1, 1]\nmoment = [1, 1, 1]\n'
@@ -30,7 +35,7 @@ def rig_zip():
 def test_every_file_of_a_bundle_is_synced_before_it_is_moved_in(library, tmp_path, monkeypatch):
     """A power cut after 201 could leave a component with empty files."""
     events = []
-    fsync, move = os.fsync, shutil.move
+    fsync, rename = os.fsync, Path.rename
 
     def recorded(descriptor):
         events.append(os.path.basename(os.readlink(f"/proc/self/fd/{descriptor}")))  # noqa: PTH119, PTH115
@@ -38,10 +43,10 @@ def test_every_file_of_a_bundle_is_synced_before_it_is_moved_in(library, tmp_pat
 
     def moved(*places):
         events.append("moved")
-        return move(*places)
+        return rename(*places)
 
     monkeypatch.setattr("service.files.durable.os.fsync", recorded)
-    monkeypatch.setattr("service.library.library.shutil.move", moved)
+    monkeypatch.setattr(Path, "rename", moved)
     monkeypatch.setattr("service.library.library.check_mesh", lambda folder: {})
     library.add_zip(rig_zip())
     before = events[: events.index("moved")]
@@ -49,7 +54,7 @@ def test_every_file_of_a_bundle_is_synced_before_it_is_moved_in(library, tmp_pat
     assert events[events.index("moved") + 1 :] == ["components"]
 
 
-@pytest.mark.parametrize("write", ["extract", "sync_tree", "shutil.move"])
+@pytest.mark.parametrize("write", ["extract", "sync_tree", "Path.rename"])
 def test_a_bundle_that_cannot_be_written_is_refused_by_name_and_leaves_nothing(
     library, tmp_path, monkeypatch, write
 ):
@@ -80,3 +85,101 @@ def test_a_component_is_taken_up_once_its_files_are_mended(library, tmp_path):
     (folder / "component.toml").write_text(TEXT)
     assert library["rig"].title == "rig"
     assert library.broken() == {}
+
+
+def test_a_second_server_on_the_folder_does_not_answer_201_with_the_first_ones_component(
+    library, tmp_path
+):
+    """It moved its bundle into the first one's folder and told the first one's range as added."""
+    second = Library(tmp_path / "components", tmp_path / "none")
+    library.add_table_only("two", "first", [[-9, 9]] * 3, [[-9, 9]] * 3, None)
+    with pytest.raises(ComponentExistsError, match="'two' is there already"):
+        second.add_table_only("two", "second", [[-1, 1]] * 3, [[-1, 1]] * 3, None)
+    files = [path.name for path in (tmp_path / "components").rglob("*")]
+    assert sorted(files) == ["component.toml", "two"]
+    assert second["two"].title == "first"
+
+
+def test_two_servers_that_add_one_name_at_the_same_moment_add_it_once(
+    library, tmp_path, monkeypatch
+):
+    """The other's folder appears between the look and the rename."""
+    monkeypatch.setattr("service.library.library.os.path.lexists", lambda path: False)
+    library.add_table_only("two", "first", [[-9, 9]] * 3, [[-9, 9]] * 3, None)
+    second = Library(tmp_path / "components", tmp_path / "none")
+    second._components = {}
+    with pytest.raises(ComponentExistsError):
+        second.add_table_only("two", "second", [[-1, 1]] * 3, [[-1, 1]] * 3, None)
+    assert second["two"].title == "first"
+
+
+def test_a_name_whose_files_are_damaged_is_taken_and_nothing_is_put_into_its_folder(
+    library, tmp_path
+):
+    """The new bundle was moved into the damaged folder, and the reply told the old mistakes."""
+    folder = tmp_path / "components" / "rig"
+    folder.mkdir()
+    (folder / "component.toml").write_bytes(b"")
+    with pytest.raises(ComponentExistsError):
+        library.add_table_only("rig", "rig", [[-1, 1]] * 3, [[-1, 1]] * 3, None)
+    assert [path.name for path in folder.iterdir()] == ["component.toml"]
+
+
+@pytest.mark.parametrize("place", ["a", "z"])  # read before and after the folder "rig"
+def test_a_folder_with_anothers_name_in_its_file_does_not_answer_in_its_place(tmp_path, place):
+    """One damaged or copied component.toml replaced a healthy component of another folder."""
+    for name, text in (("rig", TEXT), (place, TEXT.replace('"rig"\n[', '"copy"\n['))):
+        folder = tmp_path / "components" / name
+        folder.mkdir(parents=True)
+        (folder / "component.toml").write_text(text)
+    library = Library(tmp_path / "components", tmp_path / "none")
+    assert library["rig"].title == "rig"
+    assert library.broken() == {
+        place: f'name: is "rig" but the folder is "{place}"; give both one name'
+    }
+
+
+def test_a_folder_does_not_take_the_place_of_a_shipped_component(tmp_path):
+    """A plate put into the data directory by hand answered instead of the shipped plate."""
+    for parent, title in (("shipped", "shipped"), ("components", "own")):
+        folder = tmp_path / parent / "rig"
+        folder.mkdir(parents=True)
+        (folder / "component.toml").write_text(TEXT.replace('"rig"\n[', f'"{title}"\n['))
+    library = Library(tmp_path / "components", tmp_path / "shipped")
+    assert library["rig"].title == "shipped"
+    assert "shipped component" in library.broken()["rig"]
+
+
+def test_a_name_no_folder_can_have_is_an_unknown_component(library):
+    """A name of 300 characters in the path was a 500: File name too long."""
+    for name in ("x" * 300, "..", "a/b", "a\0b"):
+        assert name not in library
+        with pytest.raises(UnknownComponentError):
+            library[name]
+
+
+def damaged_zip(kind):
+    content = bytearray(rig_zip().getvalue())
+    if kind == "password":
+        for mark, flags in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+            content[content.find(mark) + flags] |= 1
+    elif kind == "compression":
+        for mark, method in ((b"PK\x03\x04", 8), (b"PK\x01\x02", 10)):
+            content[content.find(mark) + method] = 77
+    else:
+        names = {"long name": ["rig/" + "n" * 300], "file and folder": ["rig/a", "rig/a/b"]}[kind]
+        buffer = io.BytesIO()
+        with zipfile.ZipFile(buffer, "w") as archive:
+            archive.writestr("rig/component.toml", TEXT)
+            for name in names:
+                archive.writestr(name, "x")
+        return buffer
+    return io.BytesIO(bytes(content))
+
+
+@pytest.mark.parametrize("kind", ["password", "compression", "long name", "file and folder"])
+def test_a_zip_that_cannot_be_unpacked_is_the_senders_to_mend(library, tmp_path, kind):
+    """A password was a 500; a file name of 300 characters asked for room on the disk (507)."""
+    with pytest.raises(BundleError, match="The zip cannot be unpacked"):
+        library.add_zip(damaged_zip(kind))
+    assert list((tmp_path / "components").iterdir()) == []

@@ -88,3 +88,12 @@ def test_picked_points_are_apart_and_near_every_point(reach, count):
     if len(picked) <= 500:
         assert (nearest <= reach).all()
     assert spread(points, reach, 5) == picked[:5]
+
+
+def test_a_loop_on_a_linear_component_queues_one_solve_not_sixty_four(opened):
+    orders = opened[0]
+    span = orders.solvable("bar").load_range.scale
+    some = span * np.random.default_rng(3).uniform(-1, 1, (40, 6))
+    placed = [*orders.queue("bar", some[:20]), *(orders.queue("bar", one[None])[0] for one in some)]
+    assert {one.job.id for one in placed} == {1}
+    assert [one.own for one in placed[:20]] == [True] + 19 * [False]

@@ -97,3 +97,10 @@ def test_1e_400_does_not_become_zero():
 
 def test_what_an_export_says_about_itself_may_stand_in_an_import():
     assert read(ROW, component="plate", table_version=17, units="SI").errors == ()
+
+
+def test_a_row_with_two_wrenches_is_refused_rather_than_loaded_with_the_last():
+    doubled = '{"wrench": [9, 9, 9, 9, 9, 9], "wrench"'
+    text = json.dumps({"rows": [ROW]}).replace('{"wrench"', doubled)
+    (error,) = read_json(text).errors
+    assert "the key 'wrench' stands twice in one object" in error.message

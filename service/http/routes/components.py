@@ -38,10 +38,10 @@ def list_components(request: Request) -> dict[str, Any]:
 
 
 @router.get("/{name}", summary="One component: contract, range, rows, coverage")
-def one_component(name: str, request: Request) -> dict[str, Any]:
+async def one_component(name: str, request: Request) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
-    workspace.tables.catch_up(name, CATCH_UP_S)
-    return component_body(workspace, workspace.library[name])
+    await workspace.newest(name, CATCH_UP_S)
+    return await run_in_threadpool(component_body, workspace, workspace.library[name])
 
 
 @router.post("", status_code=201, summary="Add a component: a zip bundle, or JSON for a table only")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from fastapi import APIRouter, Request
+from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from service.http.replies import json_reply
@@ -19,15 +20,23 @@ CATCH_UP_S = 30.0
 
 
 @router.get("/coverage", summary="Hull and gaps per axis, and rows that contradict each other")
-def coverage(name: str, request: Request) -> Response:
-    surrogate = _newest(request, name)
+async def coverage(name: str, request: Request) -> Response:
+    workspace: Workspace = request.app.state.workspace
+    return await run_in_threadpool(_coverage, name, await workspace.newest(name, CATCH_UP_S))
+
+
+def _coverage(name: str, surrogate: AnyTable) -> Response:
     body = {"component": name, **surrogate.coverage_summary(), "gaps": axis_gaps(surrogate)}
     return json_reply(body)
 
 
 @router.get("/compliance", summary="The fitted 6x6, its checks, and the rows that break them")
-def compliance(name: str, request: Request) -> Response:
-    surrogate = _newest(request, name)
+async def compliance(name: str, request: Request) -> Response:
+    workspace: Workspace = request.app.state.workspace
+    return await run_in_threadpool(_compliance, name, await workspace.newest(name, CATCH_UP_S))
+
+
+def _compliance(name: str, surrogate: AnyTable) -> Response:
     fit = surrogate.fit
     body: dict[str, Any] = {
         "component": name,
@@ -41,10 +50,3 @@ def compliance(name: str, request: Request) -> Response:
         **check_physics(surrogate.rows, surrogate.load_range, fit),
     }
     return json_reply(body)
-
-
-def _newest(request: Request, name: str) -> AnyTable:
-    workspace: Workspace = request.app.state.workspace
-    workspace.tables.surrogate(name)  # a name that is unknown ends here
-    workspace.tables.catch_up(name, CATCH_UP_S)
-    return workspace.tables.surrogate(name)

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Path, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
@@ -19,7 +19,8 @@ from service.workspace import Workspace
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
-JobId = int
+# SQLite's integers end at 2**63.
+JobId = Annotated[int, Path(ge=1, lt=2**63, description="the job's id")]
 WaitSeconds = Annotated[
     float, Query(ge=0, le=600, description="wait up to this long for the job to end")
 ]
@@ -69,7 +70,8 @@ def list_jobs(
 async def one_job(job_id: JobId, request: Request, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
     job = await workspace.wait(job_id, wait_s)
-    return await run_in_threadpool(job_body, workspace, job)
+    body = await run_in_threadpool(job_body, workspace, job)
+    return body | {"notes": await run_in_threadpool(workspace.notes, job)}
 
 
 @router.delete("", summary="Cancel all jobs that wait, or that run")

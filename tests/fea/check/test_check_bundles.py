@@ -109,6 +109,18 @@ def test_supports_that_hold_points_only_are_a_warning(tmp_path):
     assert warning.startswith("holds 3 nodes and no whole face")
 
 
+def test_steel_in_megapascals_and_a_point_in_millimetres_are_warnings(tmp_path):
+    folder = write_inp(tmp_path, box("hex20", (4, 2, 2), (0.4, 0.1, 0.1)), young="2.1e5")
+    setup = folder / "component.toml"
+    text = setup.read_text()
+    setup.write_text(text.replace("[interface]", "[interface]\npoint = [400, 50, 50]"))
+    told = report(folder)
+    assert told["ok"]
+    modulus, point = messages(told, "warnings")
+    assert "write it in Pa" in modulus
+    assert "write it in m" in point
+
+
 def test_supports_that_touch_the_section_are_an_error(tmp_path):
     told = report(write_inp(tmp_path, box("hex20", (4, 2, 2), (4, 1, 1)), section="root"))
     assert any("are fixed by [supports]" in text for text in messages(told, "problems"))
