@@ -87,7 +87,7 @@ def test_one_more_row_changes_only_the_simplices_around_it(seed: int) -> None:
     fresh = after.batch(asked * HIGH, method="griddata").displacement[:, 0]
     table_x = after.composition.tables[0]
     assert table_x is not None
-    shape = table_x.interpolant
+    shape = table_x.triangulation
     place = int(shape.nearest(new[[0, 4, 5]][None])[0])
     touched = (shape.simplices[shape.locate(asked[:, [0, 4, 5]])] == place).any(axis=1)
     np.testing.assert_allclose(fresh[~touched], old[~touched], rtol=0, atol=1e-12)
