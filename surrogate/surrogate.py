@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,7 @@ from surrogate.methods.selection import (
     choose,
     knows_interaction,
 )
-from surrogate.table.axes import OffAxis, clean_rows
+from surrogate.table.axes import OffAxis, clean_rows, clean_wrenches
 from surrogate.table.compliance import ComplianceFit, fit_compliance
 from surrogate.table.merging import merge
 from surrogate.table.rows import CLEAN, Floats, LoadRange, Rows, Tolerance
@@ -52,6 +53,7 @@ UNKNOWN_AT_REST = (
     "no row is at zero load and the rows of no axis surround it: what the component does without "
     "load is not known"
 )
+UNKNOWN_ERROR = "no row tells how far this answer may be wrong"
 UNKNOWN_TOGETHER = (
     f"{{full}} full wrenches and no tangents: at least {ENOUGH_FULL} full wrenches are needed to "
     "tell what loads of several axes do together"
@@ -97,7 +99,8 @@ class Surrogate:
         if (np.diff(rows.seq) < 0).any():  # so that the order they come in changes nothing
             rows = rows.take(np.argsort(rows.seq, kind="stable"))
         self.rows, self.load_range, self.tolerance = rows, load_range, tolerance
-        self.linear, self.version, self.off_axis = linear, version, off_axis
+        self.linear, self.version = linear, version
+        self.off_axis: OffAxis = off_axis
         merged = merge(rows, load_range)
         self._exact, self._owner = merged.rows, merged.owner
         self.used = merged.rows.take(merged.within)
@@ -157,17 +160,17 @@ class Surrogate:
             reason = ONLY_BEYOND if len(self.rows) else EMPTY
             return self._or_row(wrench, Answer(None, None, "outside", reason, "estimate"))
         found = self._methods.get(name)
-        asked = np.array(wrench, dtype=float)
-        told = found.estimate(asked[None])
+        asked = np.array((wrench,), dtype=float)
+        told = found.estimate(asked)
         displacement, error = tuple(told.displacement[0].tolist()), tuple(told.error[0].tolist())
-        state = int(told.state[0])
-        reason = self._reason(found, asked, state)
-        if reason and state == COVERED:
+        state, reason = int(told.state[0]), ""
+        if state != COVERED:
+            reason = found.reason(asked[0])
+        elif not self._sure and (reason := self._doubt(asked)):
             state = OUTSIDE if reason == UNKNOWN_AT_REST else THIN
-        if state == COVERED:
-            reason = over_tolerance(error, self._allowed(name, tolerance))
-            state = THIN if reason else COVERED
-        bars = error if np.isfinite(told.error[0]).all() else None
+        if state == COVERED and not _within(error, allowed := self._allowed(name, tolerance)):
+            state, reason = THIN, over_tolerance(error, allowed) or UNKNOWN_ERROR
+        bars = error if isfinite(sum(error)) else None
         answer = Answer(displacement, bars, NAMES[state], reason, name)
         return answer if state == COVERED else self._or_row(wrench, answer)
 
@@ -335,20 +338,22 @@ class Surrogate:
         none = np.zeros(len(asked), dtype=bool)
         together = at_rest = none
         if not self.knows_interaction:
-            clean = clean_rows(Rows.of(asked, np.zeros_like(asked)), self.load_range)
-            together = ~clean.any(axis=1)
+            together = np.asarray(~clean_wrenches(asked, self.load_range).any(axis=1))
         if self._rest_unknown:
-            at_rest = ~(np.abs(asked) > self._small).any(axis=1)
+            at_rest = np.asarray((np.abs(asked) <= self._small).all(axis=1))
         return together, at_rest
 
-    def _reason(self, method: Method, asked: Floats, state: int) -> str:
-        """Return why a wrench (6,) is not covered, tolerance apart, or an empty text."""
-        if state != COVERED:
-            return method.reason(asked)
-        together, at_rest = self._doubtful(asked[None])
+    def _doubt(self, asked: Floats) -> str:
+        """Return why nothing tells how far one wrench, (1, 6), is right, or an empty text."""
+        together, at_rest = self._doubtful(asked)
         if at_rest[0]:
             return UNKNOWN_AT_REST
         return UNKNOWN_TOGETHER.format(full=self.full_wrenches) if together[0] else ""
+
+    @cached_property
+    def _sure(self) -> bool:
+        """Whether no wrench is doubtful, whatever it loads."""
+        return self.knows_interaction and not self._rest_unknown
 
     @cached_property
     def _rest_unknown(self) -> bool:
@@ -377,6 +382,13 @@ class Surrogate:
                 found.displacement[place], found.error[place] = self._row(row)
                 found.coverage[place] = COVERED
         return found
+
+
+def _within(error: Sequence[float], allowed: Sequence[float]) -> bool:
+    """Whether six error bars are within what is allowed; one that is not a number is not."""
+    a, b, c, d, e, f = error
+    u, v, w, x, y, z = allowed
+    return a <= u and b <= v and c <= w and d <= x and e <= y and f <= z
 
 
 def _nothing(count: int) -> Batch:

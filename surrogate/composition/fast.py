@@ -12,11 +12,13 @@ from surrogate.interpolation.walk import (
     DIMENSION,
     SCALE,
     STATE,
+    find,
     place,
     read,
 )
 from surrogate.jit import compiled
 
+UNSOUND = 2  # from where on a state says that there is no answer here
 UNKNOWN = 99  # the state of a wrench that the array version must answer
 ON_HULL = 1e-9  # of the range: a moment that far beyond the last station counts as on it
 
@@ -25,6 +27,7 @@ ON_HULL = 1e-9  # of the range: a moment that far beyond the last station counts
 def compose(
     wrenches,
     vertex,
+    maps,
     simplex,
     grid,
     floats,
@@ -40,69 +43,153 @@ def compose(
     squares,
     state,
 ):
-    """Fill outputs, bends and squared rests, (n, 6), and the worst state, (n,), of each wrench."""
-    x, flat = np.empty(3), np.empty(3)
-    shares, slopes = np.empty(4), np.empty((4, 3))
-    outputs, bends, rests = np.empty(4), np.empty(4), np.empty(4)
-    alone, times = np.empty((3, 18)), np.empty(3)
-    loaded = np.empty(6, dtype=np.bool_)
+    """Fill outputs, bends and squared rests, (n, 6), and the worst state, (n,), of each wrench.
+
+    Axis after axis, so that one triangulation at a time is in the cache.
+    """
+    _start(
+        wrenches,
+        floats,
+        stations,
+        pieces,
+        cut_state,
+        cut_ints,
+        rest_point,
+        small,
+        moved,
+        bend,
+        squares,
+        state,
+    )
+    # Rows are named by number, not cut out: a view for each would cost more than what is read.
+    for axis in range(3):
+        own_floats, own_ints = floats[axis], ints[axis]
+        for row in range(len(wrenches)):
+            if state[row] < UNKNOWN:
+                found = _add_axis(
+                    wrenches,
+                    row,
+                    axis,
+                    vertex,
+                    maps,
+                    simplex,
+                    grid,
+                    own_floats,
+                    own_ints,
+                    rest_point,
+                    small,
+                    moved,
+                    bend,
+                    squares,
+                )
+                if found > state[row]:
+                    state[row] = found
+
+
+@compiled
+def _start(
+    wrenches,
+    floats,
+    stations,
+    pieces,
+    cut_state,
+    cut_ints,
+    rest_point,
+    small,
+    moved,
+    bend,
+    squares,
+    state,
+):
+    """Fill what no load and single moments answer, and how sound that is."""
     for row in range(len(wrenches)):
-        worst = 0
         for load in range(6):
-            loaded[load] = abs(wrenches[row, load]) > small[load]
             moved[row, load] = rest_point[0, load]
             bend[row, load] = 0.0
             squares[row, load] = rest_point[1, load] ** 2
+        worst = 0
         for moment in range(3):
-            times[moment] = 0.0
-            if loaded[3 + moment]:
-                times[moment] = -1.0
-                along = wrenches[row, 3 + moment] / floats[(moment + 2) % 3, SCALE + 1]
-                sound = _alone(along, moment, stations, pieces, cut_state, cut_ints, alone)
-                worst = max(worst, sound)
-        for axis in range(3):
-            i, j, k = axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3
-            if not (loaded[i] or loaded[j] or loaded[k]):
+            if abs(wrenches[row, 3 + moment]) <= small[3 + moment]:
                 continue
-            if not loaded[i] and loaded[j] != loaded[k]:
-                moment = j - 3 if loaded[j] else k - 3
-                times[moment] += 1.0
-                moved[row, axis] = alone[moment, axis]
-                bend[row, axis] = alone[moment, 6 + axis]
-                squares[row, axis] = alone[moment, 12 + axis] ** 2
-                continue
-            x[0] = wrenches[row, i] / floats[axis, SCALE]
-            x[1] = wrenches[row, j] / floats[axis, SCALE + 1]
-            x[2] = wrenches[row, k] / floats[axis, SCALE + 2]
-            here = place(x, flat, vertex, simplex, grid, floats[axis], ints[axis], shares, slopes)
-            if here < 0:
+            along = wrenches[row, 3 + moment] / floats[(moment + 2) % 3, SCALE + 1]
+            first, count = cut_ints[moment, 0], cut_ints[moment, 1]
+            stretch = _stretch(along, first, count, stations)
+            if stretch < 0 or cut_state[stretch] >= UNSOUND:
                 worst = UNKNOWN
                 break
-            worst = max(worst, simplex[here, STATE])
-            read(flat, here, ints[axis, DIMENSION], vertex, simplex, shares, outputs, bends, rests)
-            moved[row, axis], bend[row, axis] = outputs[0], bends[0]
-            squares[row, axis] = rests[0] * rests[0]
-            for turn in range(1, 4):
-                moved[row, 2 + turn] += outputs[turn] - rest_point[0, 2 + turn]
-                bend[row, 2 + turn] += bends[turn]
-                squares[row, 2 + turn] += rests[turn] * rests[turn]
-        for moment in range(3):
-            if times[moment] != 0.0:
-                for turn in range(3, 6):
-                    moved[row, turn] += times[moment] * (alone[moment, turn] - rest_point[0, turn])
-                    bend[row, turn] += times[moment] * alone[moment, 6 + turn]
-                    squares[row, turn] += (times[moment] * alone[moment, 12 + turn]) ** 2
+            worst = max(worst, cut_state[stretch])
+            y, times = along - stations[stretch], -1.0
+            # The two axes that this moment loads: the one it comes first in, then the other.
+            for axis in ((moment + 2) % 3, (moment + 1) % 3):
+                if _is_alone(wrenches, row, axis, small):
+                    times += 1.0
+                    _put_alone(row, axis, y, pieces, stretch, moved, bend, squares)
+            if times != 0.0:
+                _add_turns(row, y, pieces, stretch, times, rest_point, moved, bend, squares)
         state[row] = worst
 
 
 @compiled
-def _alone(along, moment, stations, pieces, cut_state, cut_ints, alone):
-    """Fill outputs, bends and rests (18,) of one moment alone; return how sound they are."""
-    first, count = cut_ints[moment, 0], cut_ints[moment, 1]
+def _is_alone(wrenches, row, axis, small):
+    """Whether one moment is all that loads an axis that a moment loads."""
+    j, k = 3 + (axis + 1) % 3, 3 + (axis + 2) % 3
+    both = abs(wrenches[row, j]) > small[j] and abs(wrenches[row, k]) > small[k]
+    return abs(wrenches[row, axis]) <= small[axis] and not both
+
+
+@compiled
+def _add_axis(
+    wrenches,
+    row,
+    axis,
+    vertex,
+    maps,
+    simplex,
+    grid,
+    floats,
+    ints,
+    zero,
+    small,
+    moved,
+    bend,
+    squares,
+):
+    """Add what an axis answers to its loads; return how sound that is."""
+    j, k = 3 + (axis + 1) % 3, 3 + (axis + 2) % 3
+    force, first, second = wrenches[row, axis], wrenches[row, j], wrenches[row, k]
+    if abs(force) <= small[axis] and (abs(first) <= small[j] or abs(second) <= small[k]):
+        return 0  # no load, or a moment alone: added already
+    x, y, z, held = place(
+        force / floats[SCALE], first / floats[SCALE + 1], second / floats[SCALE + 2], floats, ints
+    )
+    if not held:
+        return UNKNOWN
+    here, a, b, c, last = find(x, y, z, maps, simplex, grid, floats, ints)
+    if here < 0:
+        return UNKNOWN
+    u, rx, ry, rz, bu, bx, by, bz, du, dx, dy, dz = read(
+        x, y, z, here, ints[DIMENSION], a, b, c, last, vertex, simplex
+    )
+    moved[row, axis], bend[row, axis], squares[row, axis] = u, bu, du * du
+    moved[row, 3] += rx - zero[0, 3]
+    moved[row, 4] += ry - zero[0, 4]
+    moved[row, 5] += rz - zero[0, 5]
+    bend[row, 3] += bx
+    bend[row, 4] += by
+    bend[row, 5] += bz
+    squares[row, 3] += dx * dx
+    squares[row, 4] += dy * dy
+    squares[row, 5] += dz * dz
+    return simplex[here, STATE]
+
+
+@compiled
+def _stretch(along, first, count, stations):
+    """Return the stretch of a cut that holds a scaled moment, or -1."""
     if count < 2 or along < stations[first] - ON_HULL:
-        return UNKNOWN
+        return -1
     if along > stations[first + count - 1] + ON_HULL:
-        return UNKNOWN
+        return -1
     low, high = first, first + count - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -110,9 +197,55 @@ def _alone(along, moment, stations, pieces, cut_state, cut_ints, alone):
             low = middle
         else:
             high = middle
-    y = along - stations[low]
-    for k in range(6):
-        alone[moment, k] = pieces[low, 0, k] + y * pieces[low, 1, k]
-        alone[moment, 6 + k] = pieces[low, 2, k] + y * (pieces[low, 3, k] + y * pieces[low, 4, k])
-        alone[moment, 12 + k] = pieces[low, 5, k] + y * pieces[low, 6, k]
-    return cut_state[low] if cut_state[low] < 2 else UNKNOWN
+    return low
+
+
+@compiled
+def _put_alone(row, axis, y, pieces, stretch, moved, bend, squares):
+    """Put an axis' translation under one moment alone."""
+    moved[row, axis] = pieces[stretch, 0, axis] + y * pieces[stretch, 1, axis]
+    curved = pieces[stretch, 3, axis] + y * pieces[stretch, 4, axis]
+    bend[row, axis] = pieces[stretch, 2, axis] + y * curved
+    squares[row, axis] = (pieces[stretch, 5, axis] + y * pieces[stretch, 6, axis]) ** 2
+
+
+@compiled
+def _add_turns(row, y, pieces, stretch, times, zero, moved, bend, squares):
+    """Add the rotation under one moment alone, so many times."""
+    for turn in range(3, 6):
+        told = pieces[stretch, 0, turn] + y * pieces[stretch, 1, turn]
+        moved[row, turn] += times * (told - zero[0, turn])
+        curved = pieces[stretch, 3, turn] + y * pieces[stretch, 4, turn]
+        bend[row, turn] += times * (pieces[stretch, 2, turn] + y * curved)
+        rest = times * (pieces[stretch, 5, turn] + y * pieces[stretch, 6, turn])
+        squares[row, turn] += rest * rest
+
+
+@compiled
+def judge(
+    moved, bend, squares, state, best, own, mode, bent, off_hull, displacement, error, coverage
+):
+    """Fill displacements and bars, (n, 6), m and rad, and coverage, (n,), from what was composed.
+
+    The bar is |answer - reference| + bar of the reference, which is by `mode`: 0, the outputs with
+    their bends; 1, those and `best`, what they miss, with bar `own`; 2, `best` itself.
+    """
+    for row in range(len(moved)):
+        off = state[row] >= off_hull
+        coverage[row] = 2 if off else 1 if state[row] > 0 else 0
+        for k in range(6):
+            value = moved[row, k] + (bend[row, k] if bent else 0.0)
+            if mode == 2:
+                wrong, rest = value - best[row, k], own[row, k]
+            else:
+                wrong = value - moved[row, k] - bend[row, k]
+                rest = squares[row, k]
+                if mode == 1:
+                    wrong -= best[row, k]
+                    rest += own[row, k] * own[row, k]
+                rest = np.sqrt(rest)
+            bar = abs(wrong) + rest
+            if off:  # it may be as wrong as the step from the hull is long
+                bar = max(bar, np.sqrt(squares[row, k]))
+            displacement[row, k] = value
+            error[row, k] = bar

@@ -19,6 +19,7 @@ from surrogate.interpolation.walk import (
     AXIS_INTS,
     DIMENSION,
     FIRST_CELL,
+    MAP,
     NEIGHBOUR,
     PLACE,
     REST,
@@ -34,11 +35,12 @@ from surrogate.table.rows import Floats
 
 
 class Packed(NamedTuple):
-    """The arrays; the columns of the first five are named in `interpolation.walk`.
+    """The arrays; the columns of the first six are named in `interpolation.walk`.
 
     Attributes
     ----------
     vertex : ndarray, shape (n, VERTEX)
+    maps : ndarray, shape (m, MAP)
     simplex : ndarray of int32, shape (m, SIMPLEX)
     grid : ndarray of int32, shape (cells,)
         The simplex a walk starts from.
@@ -55,6 +57,7 @@ class Packed(NamedTuple):
     """
 
     vertex: Floats
+    maps: Floats
     simplex: NDArray[np.int32]
     grid: NDArray[np.int32]
     floats: Floats
@@ -70,7 +73,8 @@ class Packed(NamedTuple):
 def pack(composition: Composition) -> Packed:
     """Lay out a composition for `fast`."""
     floats, ints = np.zeros((3, AXIS_FLOATS)), np.zeros((3, AXIS_INTS), dtype=np.int64)
-    vertices, simplices, grids = [np.empty((0, VERTEX))], [np.empty((0, SIMPLEX))], [np.empty(0)]
+    vertices, maps = [np.empty((0, VERTEX))], [np.empty((0, MAP))]
+    simplices, grids = [np.empty((0, SIMPLEX))], [np.empty(0)]
     points = cells = count = 0
     for axis, table in enumerate(composition.tables):
         ints[axis, DIMENSION] = -1
@@ -84,6 +88,7 @@ def pack(composition: Composition) -> Packed:
         floats[axis], ints[axis] = numbered.floats, numbered.ints
         floats[axis, SCALE : SCALE + 3], ints[axis, FIRST_CELL] = table.scale, cells
         vertices.append(_vertices(table))
+        maps.append(numbered.maps)
         simplices.append(simplex)
         grids.append(numbered.grid + count)
         points, count = points + len(numbered.place), count + len(simplex)
@@ -91,6 +96,7 @@ def pack(composition: Composition) -> Packed:
     at_rest = composition.at_rest
     return Packed(
         np.ascontiguousarray(np.concatenate(vertices)),
+        np.ascontiguousarray(np.concatenate(maps)),
         np.ascontiguousarray(np.concatenate(simplices).astype(np.int32)),
         np.concatenate(grids).astype(np.int32),
         floats,
@@ -108,8 +114,9 @@ def _vertices(table: AxisTable) -> Floats:
     vertex = np.zeros((len(order), VERTEX))
     vertex[:, PLACE:VALUE] = numbered.place
     vertex[:, VALUE:SLOPE] = table.values[order][:, own]
-    along = np.zeros((len(order), 4, 3))
-    along[:, :, :dimension] = table.slopes[order][:, own] @ table.triangulation.basis.T
+    along = np.zeros((len(order), 3, 4))
+    slopes = table.slopes[order][:, own] @ table.triangulation.basis.T
+    along[:, :dimension] = slopes.transpose(0, 2, 1)
     vertex[:, SLOPE:REST] = along.reshape(-1, 12)
     vertex[:, REST:VERTEX] = table.rest[order][:, own]
     return vertex

@@ -173,6 +173,7 @@ class Triangulation:
             self.flattened(self.points),
             self.simplices,
             self.neighbours,
+            self.weights if self.dimension == 3 else self.weights @ self.basis.T,
             self.degenerate,
             (self.origin, self.basis, self.slack),
         )

@@ -17,6 +17,7 @@ from surrogate.interpolation.walk import (
     DEGENERATE,
     DENSITY,
     DIMENSION,
+    MAP,
     NEIGHBOUR,
     ORIGIN,
     SIMPLEX,
@@ -35,8 +36,7 @@ class Numbered(NamedTuple):
 
     Attributes
     ----------
-    place : ndarray, shape (n, 3), dimensionless
-        The points in the triangulation's own coordinates, in their new order.
+    maps : ndarray, shape (m, MAP)
     simplex : ndarray of int32, shape (m, SIMPLEX)
     grid : ndarray of int32, shape (cells,)
         For each cell a simplex close by.
@@ -44,15 +44,18 @@ class Numbered(NamedTuple):
         See `walk`; the load scale is left at one.
     simplex_order, point_order : ndarray of int, shape (m,) and (n,)
         The old number of each simplex and point.
+    place : ndarray, shape (n, 3), dimensionless
+        The points in the triangulation's own coordinates, in their new order.
     """
 
-    place: Floats
+    maps: Floats
     simplex: NDArray[np.int32]
     grid: NDArray[np.int32]
     floats: Floats
     ints: NDArray[np.int64]
     simplex_order: Indices
     point_order: Indices
+    place: Floats
 
     @property
     def walked(self) -> tuple[NDArray, ...]:
@@ -64,6 +67,7 @@ def number(
     flat: Floats,
     simplices: Indices,
     neighbours: Indices,
+    slopes: Floats,
     degenerate: NDArray[np.bool_],
     frame: tuple[Floats, Floats, float],
 ) -> Numbered:
@@ -71,6 +75,8 @@ def number(
 
     Parameters
     ----------
+    slopes : ndarray, shape (m, d, d)
+        Of the barycentric coordinates but the last, in the triangulation's own coordinates.
     frame
         Origin (3,), basis (d, 3) and how far off its plane or line a point may lie.
     """
@@ -88,7 +94,11 @@ def number(
     place[:, :dimension] = flat[points]
     floats, ints = _frame(dimension, *frame)
     grid = _grid(place[:, :dimension], simplex, floats, ints)
-    return Numbered(place, simplex, grid.astype(np.int32), floats, ints, way, points)
+    maps = np.zeros((len(way), MAP))
+    for corner in range(dimension):
+        maps[:, 3 * corner : 3 * corner + dimension] = slopes[way, corner]
+    maps[:, 9:] = place[simplex[:, dimension]]
+    return Numbered(maps, simplex, grid.astype(np.int32), floats, ints, way, points, place)
 
 
 def _frame(
@@ -96,6 +106,7 @@ def _frame(
 ) -> tuple[Floats, NDArray[np.int64]]:
     floats, ints = np.zeros(AXIS_FLOATS), np.zeros(AXIS_INTS, dtype=np.int64)
     floats[:3] = 1.0
+    ints[CELLS : CELLS + 3] = 1
     floats[ORIGIN : ORIGIN + 3] = origin
     floats[BASIS : BASIS + 3 * dimension] = basis.ravel()
     floats[SLACK] = slack

@@ -12,13 +12,14 @@ and the array version (`composition`) answers, with the same numbers to 1e-12.
 
 from __future__ import annotations
 
-import numpy as np
-
 from surrogate.jit import compiled
 
 # Columns of a vertex: place (3, in the triangulation's own coordinates), the four outputs of its
-# axis, their slopes along those coordinates (4 x 3), and the rest of their error bars (4).
+# axis, their slopes along those coordinates (3 x 4), and the rest of their error bars (4).
 PLACE, VALUE, SLOPE, REST, VERTEX = 0, 3, 7, 19, 23
+# Numbers of a simplex' map: the slopes of all barycentric coordinates but the last (3 x 3), and the
+# place of the last vertex, where those are zero.
+MAP = 12
 # Columns of a simplex: four vertices, the four neighbours across from them, and how sound it is.
 NEIGHBOUR, STATE, SIMPLEX = 4, 8, 9
 # Whole numbers of an axis: dimensions (-1 without a table), first cell of its grid, cells a side.
@@ -36,146 +37,116 @@ MOST_STEPS = 100_000  # a walk of more steps goes in circles, between flat simpl
 
 
 @compiled
-def find(x, vertex, simplex, grid, floats, ints, shares, slopes):
-    """Return the simplex of a point, `OUTSIDE` or `LOST`.
+def find(x, y, z, maps, simplex, grid, floats, ints):
+    """Return the simplex of a point, or `OUTSIDE` or `LOST`, and its barycentric coordinates.
 
     Parameters
     ----------
-    x : ndarray, shape (3,)
-        The point in the triangulation's own coordinates.
-    vertex, simplex, grid, floats, ints
+    x, y, z : float
+        The point in the triangulation's own coordinates; those it has not are zero.
+    maps, simplex, grid, floats, ints
         The tables of the axis; see the columns above.
-    shares : ndarray, shape (4,)
-        Filled with the barycentric coordinates.
-    slopes : ndarray, shape (4, 3)
-        Filled with their slopes.
+
+    Returns
+    -------
+    tuple of int and four floats
     """
     dimension = ints[DIMENSION]
-    here = _hint(x, grid, floats, ints)
+    here = _hint(x, y, z, grid, floats, ints)
     for _ in range(MOST_STEPS):
         if simplex[here, STATE] == DEGENERATE:
-            return LOST
-        _shares_at(x, here, dimension, vertex, simplex, shares, slopes)
-        worst, least = 0, shares[0]
-        for corner in range(1, dimension + 1):
-            if shares[corner] < least:
-                worst, least = corner, shares[corner]
-        if least >= INSIDE:
-            return here
-        there = simplex[here, NEIGHBOUR + worst]
-        if there < 0:
-            return here if least >= -ON_HULL else OUTSIDE
+            break
+        p, q, r = x - maps[here, 9], y - maps[here, 10], z - maps[here, 11]
+        a = maps[here, 0] * p + maps[here, 1] * q + maps[here, 2] * r
+        b = maps[here, 3] * p + maps[here, 4] * q + maps[here, 5] * r
+        c = maps[here, 6] * p + maps[here, 7] * q + maps[here, 8] * r
+        last = 1.0 - a - b - c
+        worst, least = 0, a
+        if b < least and dimension > 1:
+            worst, least = 1, b
+        if c < least and dimension > 2:
+            worst, least = 2, c
+        if last < least:
+            worst, least = dimension, last
+        there = here
+        if least < INSIDE:
+            there = simplex[here, NEIGHBOUR + worst]
+            if there < 0 and least < -ON_HULL:
+                return OUTSIDE, a, b, c, last
+        if there == here or there < 0:
+            return here, a, b, c, last
         here = there
-    return LOST
+    return LOST, 0.0, 0.0, 0.0, 0.0
 
 
 @compiled
-def _hint(x, grid, floats, ints):
-    cell = 0
-    for way in range(ints[DIMENSION]):
-        cells = ints[CELLS + way]
-        place = int((x[way] - floats[CORNER + way]) * floats[DENSITY + way])
-        cell = cell * cells + min(max(place, 0), cells - 1)
-    return grid[ints[FIRST_CELL] + cell]
+def _hint(x, y, z, grid, floats, ints):
+    i = _cell((x - floats[CORNER]) * floats[DENSITY], ints[CELLS])
+    j = _cell((y - floats[CORNER + 1]) * floats[DENSITY + 1], ints[CELLS + 1])
+    k = _cell((z - floats[CORNER + 2]) * floats[DENSITY + 2], ints[CELLS + 2])
+    return grid[ints[FIRST_CELL] + (i * ints[CELLS + 1] + j) * ints[CELLS + 2] + k]
 
 
 @compiled
-def _shares_at(x, here, dimension, vertex, simplex, shares, slopes):
-    """Fill barycentric coordinates and their slopes, by Cramer's rule from the last vertex."""
-    last = simplex[here, dimension]
-    if dimension == 0:
-        shares[0] = 1.0
-        return
-    a = simplex[here, 0]
-    p0, e0 = x[0] - vertex[last, 0], vertex[a, 0] - vertex[last, 0]
-    if dimension == 1:
-        slopes[0, 0] = 1.0 / e0
-        shares[0] = p0 * slopes[0, 0]
-    else:
-        b = simplex[here, 1]
-        p1, e1 = x[1] - vertex[last, 1], vertex[a, 1] - vertex[last, 1]
-        f0, f1 = vertex[b, 0] - vertex[last, 0], vertex[b, 1] - vertex[last, 1]
-        if dimension == 2:
-            over = 1.0 / (e0 * f1 - e1 * f0)
-            slopes[0, 0], slopes[0, 1] = f1 * over, -f0 * over
-            slopes[1, 0], slopes[1, 1] = -e1 * over, e0 * over
-            for corner in range(2):
-                shares[corner] = slopes[corner, 0] * p0 + slopes[corner, 1] * p1
-        else:
-            c = simplex[here, 2]
-            p2, e2 = x[2] - vertex[last, 2], vertex[a, 2] - vertex[last, 2]
-            f2 = vertex[b, 2] - vertex[last, 2]
-            g0, g1 = vertex[c, 0] - vertex[last, 0], vertex[c, 1] - vertex[last, 1]
-            g2 = vertex[c, 2] - vertex[last, 2]
-            fg0, fg1, fg2 = f1 * g2 - f2 * g1, f2 * g0 - f0 * g2, f0 * g1 - f1 * g0
-            over = 1.0 / (e0 * fg0 + e1 * fg1 + e2 * fg2)
-            slopes[0, 0], slopes[0, 1], slopes[0, 2] = fg0 * over, fg1 * over, fg2 * over
-            slopes[1, 0] = (g1 * e2 - g2 * e1) * over
-            slopes[1, 1] = (g2 * e0 - g0 * e2) * over
-            slopes[1, 2] = (g0 * e1 - g1 * e0) * over
-            slopes[2, 0] = (e1 * f2 - e2 * f1) * over
-            slopes[2, 1] = (e2 * f0 - e0 * f2) * over
-            slopes[2, 2] = (e0 * f1 - e1 * f0) * over
-            for corner in range(3):
-                shares[corner] = (
-                    slopes[corner, 0] * p0 + slopes[corner, 1] * p1 + slopes[corner, 2] * p2
-                )
-    rest = 1.0
-    for way in range(dimension):
-        slopes[dimension, way] = 0.0
-    for corner in range(dimension):
-        rest -= shares[corner]
-        for way in range(dimension):
-            slopes[dimension, way] -= slopes[corner, way]
-    shares[dimension] = rest
+def _cell(place, cells):
+    return min(max(int(place), 0), cells - 1)
 
 
 @compiled
-def read(x, here, dimension, vertex, simplex, shares, outputs, bends, rests):
-    """Read outputs (4,), bends (4,) and rests of the bars (4,) in a simplex.
+def read(x, y, z, here, dimension, a, b, c, last, vertex, simplex):
+    """Return outputs, bends and rests of the bars in a simplex, four numbers each.
 
     Outputs are barycentric; a bend is half of what the vertices' first-order expansions, blended
     alike, add to them (`slope_recovery`).
     """
-    for k in range(4):
-        outputs[k], bends[k], rests[k] = 0.0, 0.0, 0.0
+    u0 = u1 = u2 = u3 = 0.0
+    b0 = b1 = b2 = b3 = 0.0
+    r0 = r1 = r2 = r3 = 0.0
     for corner in range(dimension + 1):
-        row, share = simplex[here, corner], shares[corner]
-        for k in range(4):
-            outputs[k] += share * vertex[row, VALUE + k]
-            rests[k] += share * vertex[row, REST + k]
-            rise = 0.0
-            for way in range(dimension):
-                rise += vertex[row, SLOPE + 3 * k + way] * (x[way] - vertex[row, way])
-            bends[k] += 0.5 * share * rise
+        share = last
+        if corner < dimension:
+            share = a if corner == 0 else b if corner == 1 else c
+        v = simplex[here, corner]
+        u0 += share * vertex[v, VALUE]
+        u1 += share * vertex[v, VALUE + 1]
+        u2 += share * vertex[v, VALUE + 2]
+        u3 += share * vertex[v, VALUE + 3]
+        r0 += share * vertex[v, REST]
+        r1 += share * vertex[v, REST + 1]
+        r2 += share * vertex[v, REST + 2]
+        r3 += share * vertex[v, REST + 3]
+        half = 0.5 * share
+        p, q, r = half * (x - vertex[v, 0]), half * (y - vertex[v, 1]), half * (z - vertex[v, 2])
+        b0 += vertex[v, SLOPE] * p + vertex[v, SLOPE + 4] * q + vertex[v, SLOPE + 8] * r
+        b1 += vertex[v, SLOPE + 1] * p + vertex[v, SLOPE + 5] * q + vertex[v, SLOPE + 9] * r
+        b2 += vertex[v, SLOPE + 2] * p + vertex[v, SLOPE + 6] * q + vertex[v, SLOPE + 10] * r
+        b3 += vertex[v, SLOPE + 3] * p + vertex[v, SLOPE + 7] * q + vertex[v, SLOPE + 11] * r
+    return u0, u1, u2, u3, b0, b1, b2, b3, r0, r1, r2, r3
 
 
 @compiled
-def place(x, flat, vertex, simplex, grid, floats, ints, shares, slopes):
-    """Return the simplex of scaled inputs (3,), `OUTSIDE` or `LOST`; fill `flat` with them."""
+def place(x, y, z, floats, ints):
+    """Return scaled inputs in the triangulation's own coordinates, and whether they lie in it."""
     dimension = ints[DIMENSION]
-    if dimension < 0:
-        return OUTSIDE
     if dimension == 3:
-        flat[0], flat[1], flat[2] = x[0], x[1], x[2]
-        return find(flat, vertex, simplex, grid, floats, ints, shares, slopes)
-    for way in range(dimension):
-        flat[way] = 0.0
-        for load in range(3):
-            flat[way] += (x[load] - floats[ORIGIN + load]) * floats[BASIS + 3 * way + load]
-    for load in range(3):
-        off = x[load] - floats[ORIGIN + load]
-        for way in range(dimension):
-            off -= flat[way] * floats[BASIS + 3 * way + load]
-        if abs(off) > floats[SLACK]:
-            return OUTSIDE
-    return find(flat, vertex, simplex, grid, floats, ints, shares, slopes)
+        return x, y, z, True
+    if dimension < 0:
+        return x, y, z, False
+    x, y, z = x - floats[ORIGIN], y - floats[ORIGIN + 1], z - floats[ORIGIN + 2]
+    p = x * floats[BASIS] + y * floats[BASIS + 1] + z * floats[BASIS + 2]
+    q = x * floats[BASIS + 3] + y * floats[BASIS + 4] + z * floats[BASIS + 5]
+    x -= p * floats[BASIS] + q * floats[BASIS + 3]
+    y -= p * floats[BASIS + 1] + q * floats[BASIS + 4]
+    z -= p * floats[BASIS + 2] + q * floats[BASIS + 5]
+    return p, q, 0.0, max(abs(x), abs(y), abs(z)) <= floats[SLACK]
 
 
 @compiled
-def locate_many(points, order, vertex, simplex, grid, floats, ints, back, found):
+def locate_many(points, order, maps, simplex, grid, floats, ints, back, found):
     """Fill the simplex of each point (k, 3), by the numbers that `back`, (m,), gives it."""
-    shares, slopes, flat = np.empty(4), np.empty((4, 3)), np.empty(3)
     for row in order:
-        here = place(points[row], flat, vertex, simplex, grid, floats, ints, shares, slopes)
+        x, y, z, held = place(points[row, 0], points[row, 1], points[row, 2], floats, ints)
+        here = OUTSIDE
+        if held:
+            here, _, _, _, _ = find(x, y, z, maps, simplex, grid, floats, ints)
         found[row] = back[here] if here >= 0 else here

@@ -205,13 +205,66 @@ def _answers(tables, wrenches, displacement, bar, derivative):
             bar[place, q] = max(sigma * tables.scales[4, q], tables.floor * size)
 
 
-KERNELS = ("_place", "_correlate", "_slope", "_mirror", "_squared_deviation", "_answers")
+def _covariances(term, apart, first, second, flat):
+    """Add one term's covariances of a value with the rows' values and slopes to flat (7, n)."""
+    for row in range(apart.shape[1]):
+        first[row] = 0.0
+    for a in range(LOADS):
+        if term[a] > 0:
+            for row in range(apart.shape[1]):
+                first[row] += term[a] * apart[a, row] * apart[a, row]
+    for row in range(apart.shape[1]):
+        root = np.sqrt(7.0 * first[row])
+        decay = np.exp(-root) * term[LOADS]
+        flat[0, row] += (1 + root + 0.4 * root * root + root * root * root / 15) * decay
+        second[row] = 1.4 * (1 + root + root * root / 3) * decay
+    for a in range(LOADS):
+        if term[a] > 0:
+            for row in range(apart.shape[1]):
+                flat[1 + a, row] += term[a] * second[row] * apart[a, row]
 
 
-def _compile() -> Callable[..., Any] | None:
-    """Return `_answers` compiled, or None without numba."""
+def _values(tables, wrenches, displacement, bar):
+    """Write displacements and bars (m, 6), SI, at wrenches (m, 6), without derivatives."""
+    n, centre, rate = tables.x.shape[1], tables.scales[0], tables.scales[1]
+    offset, spread = tables.scales[2], tables.scales[3]
+    at, apart, chosen = np.empty(LOADS), np.empty((LOADS, n)), np.empty(tables.places.shape[1])
+    first, second, flat = np.empty(n), np.empty(n), np.empty((PLACES, n))
+    for place in range(len(wrenches)):
+        for a in range(LOADS):
+            at[a] = (wrenches[place, a] - centre[a]) * rate[a]
+        flat[:] = 0.0
+        anchor = _place(tables.x, tables.terms[TERMS - 1], tables.least, at, apart)
+        for term in range(TERMS):
+            _covariances(tables.terms[term], apart, first, second, flat)
+        own = flat.reshape(PLACES * n)
+        told = np.dot(own, tables.weights)
+        sigma = np.sqrt(_squared_deviation(tables, anchor, at, own, chosen))
+        for q in range(OUTPUTS):
+            value = told[q] + tables.coefficients[0, q]
+            for a in range(LOADS):
+                value += at[a] * tables.coefficients[1 + a, q]
+            displacement[place, q] = value * spread[q] + offset[q]
+            size = (np.abs(value) + 1.0) * spread[q] + np.abs(offset[q])
+            bar[place, q] = max(sigma * tables.scales[4, q], tables.floor * size)
+
+
+KERNELS = (
+    "_place",
+    "_correlate",
+    "_slope",
+    "_mirror",
+    "_squared_deviation",
+    "_answers",
+    "_covariances",
+    "_values",
+)
+
+
+def _compile() -> tuple[Callable[..., Any] | None, Callable[..., Any] | None]:
+    """Return `_answers` and `_values` compiled, or None twice without numba."""
     if importlib.util.find_spec("numba") is None:
-        return None
+        return None, None
     import numba
 
     module = globals()
@@ -220,8 +273,8 @@ def _compile() -> Callable[..., Any] | None:
             module[name] = numba.njit(cache=True, nogil=True, error_model="numpy")(module[name])
         except RuntimeError:  # no folder for the compiled code can be written
             module[name] = numba.njit(nogil=True, error_model="numpy")(module[name])
-    return module["_answers"]
+    return module["_answers"], module["_values"]
 
 
-answers = _compile()
-"""`_answers` compiled, or None where numba is not installed."""
+answers, values = _compile()
+"""`_answers` and `_values` compiled, or None where numba is not installed."""

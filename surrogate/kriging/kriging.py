@@ -156,8 +156,12 @@ class Kriging:
 
     def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""
-        displacement, bar, _ = self.evaluate(wrenches)
-        return displacement, bar
+        if self.tables is None or compiled.values is None:
+            return self.evaluate(wrenches)[:2]
+        asked = np.ascontiguousarray(wrenches, dtype=float)
+        out = np.empty((len(asked), OUTPUTS)), np.empty((len(asked), OUTPUTS))
+        compiled.values(self.tables, asked, *out)
+        return out
 
     def derivative(self, wrench: Floats) -> Floats:
         """Return du/dw (6, 6) at one wrench: m/N, m/(N·m), rad/N, rad/(N·m)."""

@@ -5,16 +5,16 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surrogate.answer import COVERED, OUTSIDE, THIN
-from surrogate.composition.axis_table import SOUND
-from surrogate.composition.composition import OFF_HULL, Composed, Composition
-from surrogate.composition.fast import UNKNOWN, compose
+from surrogate.composition.composition import OFF_HULL, Composition
+from surrogate.composition.fast import UNKNOWN, compose, judge
 from surrogate.composition.packed import Packed, pack
 from surrogate.composition.reasons import why_not
 from surrogate.jit import COMPILED
 from surrogate.methods.method import Estimates
-from surrogate.methods.reference import Reference
+from surrogate.methods.reference import BENDS, MISSED, Reference
 from surrogate.table.rows import Floats
 
 
@@ -35,16 +35,39 @@ class Griddata:
 
     def estimate(self, wrenches: Floats) -> Estimates:
         """Answer wrenches, shape (n, 6), N and N·m."""
-        composed = self._composed(wrenches)
-        displacement = composed.displacement + (composed.bend if self.bent else 0.0)
-        best, bars = self.reference.estimate(wrenches, composed)
-        worst = composed.state
-        state = np.where(worst >= OFF_HULL, OUTSIDE, np.where(worst > SOUND, THIN, COVERED))
-        # Off the hull the answer may be as wrong as the step from there is long; on it by the rest.
-        off = worst >= OFF_HULL
-        error = np.abs(displacement - best) + bars
-        error[off] = np.maximum(error[off], composed.rest[off])
-        return Estimates(displacement, error, state.astype(np.uint8))
+        asked = np.ascontiguousarray(wrenches, dtype=float)
+        count = len(asked)
+        moved, bend, squares, state = self._composed(asked)
+        best, own = self.reference.told(asked)
+        if not COMPILED:
+            return self._judged(moved, bend, np.sqrt(squares), state, asked)
+        best, own = self.reference.told(asked)
+        displacement, error = np.empty((count, 6)), np.empty((count, 6))
+        coverage = np.empty(count, dtype=np.uint8)
+        how = best, own, self.reference.mode, self.bent, OFF_HULL
+        judge(moved, bend, squares, state, *how, displacement, error, coverage)
+        return Estimates(displacement, error, coverage)
+
+    def _judged(
+        self,
+        moved: Floats,
+        bend: Floats,
+        rest: Floats,
+        state: NDArray[np.int64],
+        asked: Floats,
+    ) -> Estimates:
+        """Say what `judge` says, by arrays."""
+        displacement = moved + bend if self.bent else moved
+        best, own = self.reference.told(asked)
+        if self.reference.mode == BENDS:
+            best, own = moved + bend, rest
+        elif self.reference.mode == MISSED:
+            best, own = moved + bend + best, np.sqrt(rest**2 + own**2)
+        off = (state >= OFF_HULL)[:, None]
+        error = np.abs(displacement - best) + own
+        error = np.where(off, np.maximum(error, rest), error)
+        coverage = np.where(off[:, 0], OUTSIDE, np.where(state > 0, THIN, COVERED))
+        return Estimates(displacement, error, coverage.astype(np.uint8))
 
     def derivatives(self, wrenches: Floats) -> Floats:
         """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m): the slopes of the simplices."""
@@ -55,22 +78,24 @@ class Griddata:
         """Return which axis does not hold a wrench (6,), and why."""
         return why_not(self.composition, wrench)
 
-    def _composed(self, wrenches: Floats) -> Composed:
-        """Compose by the compiled pass; by the array version what that does not know."""
-        if not COMPILED:
-            return self.composition.evaluate(wrenches)
-        count = len(wrenches)
-        moved, bend, squares = (np.empty((count, 6)) for _ in range(3))
-        state = np.empty(count, dtype=np.int64)
-        asked = np.ascontiguousarray(wrenches, dtype=float)
-        compose(asked, *self._packed, moved, bend, squares, state)
-        found = Composed(moved, bend, np.sqrt(squares), state)
+    def _composed(self, asked: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.int64]]:
+        """Return outputs, bends and squared rests, (n, 6), and the worst state, (n,).
+
+        By the compiled pass; by the array version what that does not know.
+        """
+        count = len(asked)
+        moved, bend, squares = np.empty((count, 6)), np.empty((count, 6)), np.empty((count, 6))
+        state = np.full(count, UNKNOWN)
+        if COMPILED:
+            compose(asked, *self._packed, moved, bend, squares, state)
+        if count == 1 and state[0] != UNKNOWN:
+            return moved, bend, squares, state
         lost = np.flatnonzero(state == UNKNOWN)
         if len(lost):
-            rest = self.composition.evaluate(wrenches[lost])
-            found.displacement[lost], found.bend[lost] = rest.displacement, rest.bend
-            found.rest[lost], found.state[lost] = rest.rest, rest.state
-        return found
+            found = self.composition.evaluate(asked[lost])
+            moved[lost], bend[lost] = found.displacement, found.bend
+            squares[lost], state[lost] = found.rest**2, found.state
+        return moved, bend, squares, state
 
     @cached_property
     def _packed(self) -> Packed:

@@ -37,7 +37,7 @@ class Linear:
         # Rounding is that of the sum's parts, which may cancel.
         error = self.fit.bar + ROUNDING * np.abs(wrenches) @ np.abs(self.fit.matrix).T
         if self.reference is not None:
-            best, bars = self.reference.estimate(wrenches, None)
+            best, bars = self.reference.estimate(wrenches)
             error = np.maximum(error, np.abs(displacement - best) + bars)
         unknown = self._unknown(wrenches).any(axis=1)
         error[unknown] = np.nan

@@ -25,7 +25,7 @@ class Nearest:
         """Answer wrenches, shape (n, 6), N and N·m."""
         near = np.asarray(self._tree.query(wrenches / self.load_range.scale)[1], dtype=np.intp)
         displacement = self.rows.displacement[near]
-        best, bars = self.reference.estimate(wrenches, None)
+        best, bars = self.reference.estimate(wrenches)
         outside = ~self.load_range.holds(wrenches)
         state = np.where(outside, OUTSIDE, COVERED).astype(np.uint8)
         return Estimates(displacement, np.abs(displacement - best) + bars, state)

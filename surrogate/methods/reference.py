@@ -10,31 +10,42 @@ from typing import Protocol
 
 import numpy as np
 
-from surrogate.composition.composition import Composed, Composition
+from surrogate.composition.composition import Composition
 from surrogate.kriging import Kriging
 from surrogate.table.rows import Floats
 
+BENDS, MISSED, ITSELF = 0, 1, 2  # see `Reference.mode`
+
 
 class Reference(Protocol):
-    """The best estimate a table allows."""
+    """The best estimate a table allows.
 
-    def estimate(self, wrenches: Floats, composed: Composed | None) -> tuple[Floats, Floats]:
-        """Return displacements and 95 % error bars, (n, 6) each, m and rad, at wrenches (n, 6).
+    Attributes
+    ----------
+    mode : int
+        What `told` tells: nothing beyond the axes' outputs with their bends (`BENDS`), what those
+        miss (`MISSED`), or the estimate itself (`ITSELF`).
+    """
 
-        `composed` is what the axes say of them, if that is known already.
-        """
+    mode: int
+
+    def told(self, wrenches: Floats) -> tuple[Floats, Floats]:
+        """Return, (n, 6) each, m and rad, what `mode` says and its 95 % error bars."""
+        ...
+
+    def estimate(self, wrenches: Floats) -> tuple[Floats, Floats]:
+        """Return displacements and 95 % error bars, (n, 6) each, m and rad, at wrenches (n, 6)."""
         ...
 
 
 class KrigingReference:
     """The kriging, where one factor over all rows answers."""
 
+    mode = ITSELF
+
     def __init__(self, kriging: Kriging) -> None:
         self.kriging = kriging
-
-    def estimate(self, wrenches: Floats, composed: Composed | None) -> tuple[Floats, Floats]:
-        """See `Reference`."""
-        return self.kriging.answer_many(wrenches)
+        self.told = self.estimate = kriging.answer_many
 
 
 class BentReference:
@@ -50,10 +61,18 @@ class BentReference:
 
     def __init__(self, composition: Composition, interaction: Kriging | None) -> None:
         self.composition, self.interaction = composition, interaction
+        self.mode = BENDS if interaction is None else MISSED
+        self._none = np.empty((0, 6))
 
-    def estimate(self, wrenches: Floats, composed: Composed | None) -> tuple[Floats, Floats]:
+    def told(self, wrenches: Floats) -> tuple[Floats, Floats]:
+        """See `Reference`; nothing, (0, 6), without an interaction."""
+        if self.interaction is None:
+            return self._none, self._none
+        return self.interaction.answer_many(wrenches)
+
+    def estimate(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """See `Reference`; the bars of axes and interaction add up in quadrature."""
-        composed = composed or self.composition.evaluate(wrenches)
+        composed = self.composition.evaluate(wrenches)
         displacement, bars = composed.displacement + composed.bend, composed.rest
         if self.interaction is None:
             return displacement, bars

@@ -16,7 +16,6 @@ CLEARLY = 0.8  # of griddata's error: a kriging that is no better than that is n
 ENOUGH_FULL = 20  # full wrenches that show what loads of several axes do together: measured on
 # `plate_thin`, with fewer and no tangents 3 to 26 % of the errors lie inside the bars (DESIGN 3)
 FOLDS = 4  # griddata predicts a quarter of the rows from the others: as many as it can be made from
-MOST_SCORED = 3000  # rows of tables that are triangulated again to score griddata
 REGROWN = 1.25  # a choice holds until the table has grown by a quarter, as hyperparameters do
 
 
@@ -71,10 +70,13 @@ def choose(
     if not knows_interaction(rows, load_range):
         reason = f"no tangents and fewer than {ENOUGH_FULL} full wrenches: kriging would not know"
         return Choice("griddata", f"{reason} what loads of several axes do together", {}, count)
+    if not kriging.is_dense:
+        reason = "kriging by nearest rows takes milliseconds an answer; ask for it by name"
+        return Choice("griddata", f"{kriging.detail}: {reason}", {}, count)
     size = np.maximum(np.ptp(rows.displacement, axis=0), np.finfo(float).tiny)
     errors, _ = kriging.left_out()
     ours = _score(errors, size)
-    theirs = _score(_griddata_errors(rows, load_range, compose), size)
+    theirs = _score(_griddata_errors(rows, compose), size)
     scores = {"kriging": ours, "griddata": theirs}
     told = f"{ours:.2g} of the range against griddata's {theirs:.2g}"
     if not ours < CLEARLY * theirs:
@@ -82,17 +84,8 @@ def choose(
     return Choice("kriging", f"its error at left-out rows is {told}", scores, count)
 
 
-def _griddata_errors(
-    rows: Rows, load_range: LoadRange, compose: Callable[[Rows], Composition]
-) -> Floats:
-    """Return griddata's errors (k, 6), m and rad, at rows it was not made from.
-
-    Of a large table that is full wrenches only, which clean rows predict without them.
-    """
-    full = np.flatnonzero(~clean_rows(rows, load_range).any(axis=1))
-    if len(rows) > MOST_SCORED:
-        rest = compose(rows.take(np.setdiff1d(np.arange(len(rows)), full)))
-        return rows.displacement[full] - rest.evaluate(rows.wrench[full]).displacement
+def _griddata_errors(rows: Rows, compose: Callable[[Rows], Composition]) -> Floats:
+    """Return griddata's errors (k, 6), m and rad, at rows it was not made from."""
     errors = []
     for fold in range(FOLDS):
         left = np.arange(fold, len(rows), FOLDS)

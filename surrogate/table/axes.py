@@ -75,10 +75,15 @@ class AxisRows:
         )
 
 
+def clean_wrenches(wrenches: Floats, load_range: LoadRange) -> NDArray[np.bool_]:
+    """Return, shape (n, 3), which wrenches (n, 6), N and N·m, load no axis but which one."""
+    loaded = np.abs(wrenches) > CLEAN * load_range.scale
+    return np.stack([~loaded[:, axis.others].any(axis=1) for axis in AXES], axis=1)
+
+
 def clean_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
     """Return, shape (n, 3), which rows are clean for which axis: no load but the axis' own."""
-    loaded = np.abs(rows.wrench) > CLEAN * load_range.scale
-    return np.stack([~loaded[:, axis.others].any(axis=1) for axis in AXES], axis=1)
+    return clean_wrenches(rows.wrench, load_range)
 
 
 def axis_rows(

@@ -80,7 +80,7 @@ class LoadRange:
 
     def holds(self, wrenches: ArrayLike) -> NDArray[np.bool_]:
         """Return which wrenches, shape (n, 6), N and N·m, lie within the range, shape (n,)."""
-        return ~self.exceeded(wrenches).any(axis=-1)
+        return np.asarray(~self.exceeded(wrenches).any(axis=-1))
 
 
 @dataclass(frozen=True)
