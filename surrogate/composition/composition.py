@@ -207,14 +207,14 @@ class Composition:
     def _alone(self, moment: int, amounts: Floats) -> _Part:
         """Return the answers to amounts (k,), N·m, of one moment alone, from whichever axis tells.
 
-        That is the axis it comes first in, or the other one where that knows better.
+        That is the axis it comes first in, or the other one where that one's rows do not hold it.
         """
         part = self._guess(amounts[:, None], [moment + 3])
         if not amounts.any():
             return part
         for cut in self.cuts[moment]:
             reading = cut.read(amounts)
-            better = np.flatnonzero(reading.state < part.state)
+            better = np.flatnonzero((part.state >= OFF_HULL) & (reading.state < part.state))
             outputs, bends, rest, slopes, bent = (column[better] for column in reading[:5])
             news = _Part(
                 outputs, bends, rest, slopes[..., None], bent[..., None], reading.state[better]

@@ -74,7 +74,8 @@ def pack(composition: Composition) -> Packed:
     """Lay out a composition for `fast`."""
     floats, ints = np.zeros((3, AXIS_FLOATS)), np.zeros((3, AXIS_INTS), dtype=np.int64)
     vertices, maps = [np.empty((0, VERTEX))], [np.empty((0, MAP))]
-    simplices, grids = [np.empty((0, SIMPLEX))], [np.empty(0)]
+    simplices = [np.empty((0, SIMPLEX), dtype=np.int32)]
+    grids = [np.empty(0, dtype=np.int32)]
     points = cells = count = 0
     for axis, table in enumerate(composition.tables):
         ints[axis, DIMENSION] = -1
@@ -90,20 +91,24 @@ def pack(composition: Composition) -> Packed:
         vertices.append(_vertices(table))
         maps.append(numbered.maps)
         simplices.append(simplex)
-        grids.append(numbered.grid + count)
+        grids.append((numbered.grid + count).astype(np.int32))
         points, count = points + len(numbered.place), count + len(simplex)
         cells += len(numbered.grid)
     at_rest = composition.at_rest
+    cuts = _pack_cuts([cuts[0] if cuts else None for cuts in composition.cuts])
     return Packed(
-        np.ascontiguousarray(np.concatenate(vertices)),
-        np.ascontiguousarray(np.concatenate(maps)),
-        np.ascontiguousarray(np.concatenate(simplices).astype(np.int32)),
-        np.concatenate(grids).astype(np.int32),
-        floats,
-        ints,
-        *_pack_cuts([cuts[0] if cuts else None for cuts in composition.cuts]),
-        np.stack((at_rest.displacement, at_rest.bar)),
-        CLEAN * composition.scale,
+        vertex=np.concatenate(vertices),
+        maps=np.concatenate(maps),
+        simplex=np.concatenate(simplices),
+        grid=np.concatenate(grids),
+        floats=floats,
+        ints=ints,
+        stations=cuts[0],
+        pieces=cuts[1],
+        cut_state=cuts[2],
+        cut_ints=cuts[3],
+        rest_point=np.stack((at_rest.displacement, at_rest.bar)),
+        small=CLEAN * composition.scale,
     )
 
 

@@ -48,7 +48,9 @@ def explain_linear(
     The rows are those the compliance comes from; the error bars are those of the whole answer.
     """
     stored = np.isfinite(rows.compliance).all(axis=(1, 2))
-    places = np.flatnonzero(stored) if fit.origin == "stored" else range(len(rows))
+    places = range(len(rows))
+    if fit.origin == "stored":
+        places = np.flatnonzero(stored).tolist()
     used = sorted(row for place in places for row in members[place])
     parts = []
     for axis in AXES:
