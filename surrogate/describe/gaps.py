@@ -8,22 +8,19 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from surrogate.build import AnyTable
 from surrogate.composition.axis_table import SOUND, AxisTable
-from surrogate.design.initial import axis_box
-from surrogate.table.axes import AXES, Axis
+from surrogate.composition.composition import Composition
+from surrogate.table.axes import AXES, Axis, axis_box
 from surrogate.table.rows import LOADS, OUTPUTS, Floats, LoadRange
 
 MOST_SPOTS = 5
 MOST_VERTICES = 200
 
 
-def axis_gaps(surrogate: AnyTable) -> list[dict[str, Any]]:
+def axis_gaps(composition: Composition, load_range: LoadRange) -> list[dict[str, Any]]:
     """Return, per axis, hull, corners of the range outside it and worst spots, JSON-able."""
-    tables = surrogate.composition.tables
-    return [
-        _gaps(axis, table, surrogate.load_range) for axis, table in zip(AXES, tables, strict=True)
-    ]
+    tables = zip(AXES, composition.tables, strict=True)
+    return [_gaps(axis, table, load_range) for axis, table in tables]
 
 
 def _gaps(axis: Axis, table: AxisTable | None, load_range: LoadRange) -> dict[str, Any]:

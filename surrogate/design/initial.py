@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.table.axes import CLEAN, Axis
-from surrogate.table.rows import Floats, LoadRange
+from surrogate.table.rows import CLEAN, Floats, LoadRange
 
 FIRST = 15  # two for each load and three more: with those `plate_thin` is at 0.7 % of its range
 
@@ -62,9 +61,3 @@ def spread_wrenches(span: LoadRange, count: int, start: int = 1) -> Floats:
     wrenches = np.tile(span.low, (count, 1))
     wrenches[:, vary] += fraction * (span.high - span.low)[vary]
     return wrenches
-
-
-def axis_box(load_range: LoadRange, axis: Axis) -> tuple[Floats, Floats]:
-    """Return the low and high ends, (3,) each, of an axis' loads, stretched to hold zero."""
-    inputs = list(axis.inputs)
-    return np.minimum(load_range.low[inputs], 0.0), np.maximum(load_range.high[inputs], 0.0)

@@ -75,6 +75,12 @@ class AxisRows:
         )
 
 
+def axis_box(load_range: LoadRange, axis: Axis) -> tuple[Floats, Floats]:
+    """Return the low and high ends, (3,) each, of an axis' loads, stretched to hold zero."""
+    inputs = list(axis.inputs)
+    return np.minimum(load_range.low[inputs], 0.0), np.maximum(load_range.high[inputs], 0.0)
+
+
 def clean_wrenches(wrenches: Floats, load_range: LoadRange) -> NDArray[np.bool_]:
     """Return, shape (n, 3), which wrenches (n, 6), N and N·m, load no axis but which one."""
     loaded = np.abs(wrenches) > CLEAN * load_range.scale

@@ -11,7 +11,6 @@ from surrogate.table.physics_checks import check_physics
 from surrogate.table.rows import LOADS, OUTPUTS
 from tests.surrogate.responses import RANGE, clean_wrenches, smooth, table
 
-
 SYMBOLS = {name[0].upper() + "_" + name[1] for name in (*LOADS, *OUTPUTS)}
 
 
@@ -35,7 +34,7 @@ def test_no_key_or_list_that_leaves_the_room_spells_them_another_way() -> None:
     told = {
         "explained": surrogate.explain([100.0, 50, 30, 4, 5, 6]),
         "linear": surrogate.explain([100.0, 50, 30, 4, 5, 6], None, "linear"),
-        "gaps": axis_gaps(surrogate),
+        "gaps": axis_gaps(surrogate.composition, surrogate.load_range),
         "summary": surrogate.coverage_summary(),
         "checks": check_physics(surrogate.rows, RANGE, surrogate.fit),
     }

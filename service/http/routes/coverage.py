@@ -26,7 +26,11 @@ async def coverage(name: str, request: Request) -> Response:
 
 
 def _coverage(name: str, surrogate: AnyTable) -> Response:
-    body = {"component": name, **surrogate.coverage_summary(), "gaps": axis_gaps(surrogate)}
+    body = {
+        "component": name,
+        **surrogate.coverage_summary(),
+        "gaps": axis_gaps(surrogate.composition, surrogate.load_range),
+    }
     return json_reply(body)
 
 
