@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from surrogate.table.rows import Floats
+Floats = NDArray[np.float64]
 
 LEVEL = 0.95  # what bars are meant to hold; at least 0.9 is then held on rows not in the table
 # A quantile of h errors is uncertain by about 1 / h of itself; six times that keeps bars from 15

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.bars.local import local_bars
 from surrogate.interpolation.delaunay import Indices, Triangulation
+from surrogate.interpolation.local_bars import local_bars
 from surrogate.interpolation.slope_recovery import fit_patches, mean_slopes
 from surrogate.interpolation.walk import DEGENERATE
 from surrogate.table.axes import AxisRows

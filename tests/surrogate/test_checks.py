@@ -28,6 +28,11 @@ LINEAR = (SCALED * HIGH) @ MATRIX.T
 TANGENTS = np.tile(MATRIX, (len(SCALED), 1, 1))
 
 
+def gaps_of(rows, load_range):
+    """Return the gaps of a table's axes."""
+    return axis_gaps(build(rows, load_range).composition, load_range)
+
+
 def test_a_linear_elastic_table_passes_and_a_6x6_suffices() -> None:
     told = checks(LINEAR, compliance=TANGENTS)
     assert told["ok"]
@@ -108,12 +113,12 @@ def test_rows_that_contradict_each_other_are_listed_and_repeats_are_not() -> Non
 
 def test_gaps_name_the_corners_of_the_range_outside_the_hull() -> None:
     scaled = clean_wrenches(40, 1)
-    whole = axis_gaps(build(table(smooth, scaled), RANGE))
+    whole = gaps_of(table(smooth, scaled), RANGE)
     assert [len(axis["outside"]) for axis in whole] == [0, 0, 0]
     assert len(whole[0]["hull"]) == 8
     assert len(whole[0]["worst"]) == 5
-    without = axis_gaps(build(table(smooth, scaled[1:]), RANGE))
+    without = gaps_of(table(smooth, scaled[1:]), RANGE)
     assert without[0]["outside"] == [{"fx": -1000.0, "my": -500.0, "mz": -200.0}]
-    flat = axis_gaps(build(table(smooth, scaled[:40] * [1, 0, 0, 0, 1, 0]), RANGE))
+    flat = gaps_of(table(smooth, scaled[:40] * [1, 0, 0, 0, 1, 0]), RANGE)
     assert len(flat[0]["hull"]) == 4
     assert flat[2]["hull"] == []
