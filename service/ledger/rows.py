@@ -108,6 +108,12 @@ def last_seq(db: Connection, component: str | None) -> int:
     return db.execute(f"SELECT max({newest})", {"component": component}).fetchone()[0]
 
 
+def count(db: Connection, component: str) -> int:
+    """Return how many rows a component has, withdrawn ones too."""
+    found = db.execute("SELECT count(*) FROM rows WHERE component = ?", (component,))
+    return found.fetchone()[0]
+
+
 def digest(db: Connection, component: str, until: int) -> str:
     """Return a digest of which rows a component has, and their edits, up to and with a seq."""
     whole = blake2b(digest_size=16)

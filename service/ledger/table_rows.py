@@ -100,6 +100,11 @@ class TableRows:
         with self._db.reading() as db:
             return rows.last_seq(db, component)
 
+    def count_rows(self, component: str) -> int:
+        """Return how many rows a component has, withdrawn ones and those of other setups too."""
+        with self._db.reading() as db:
+            return rows.count(db, component)
+
     def digest(self, component: str, until: int) -> str:
         """Return a digest of which rows a component has up to a seq, and how they stand."""
         with self._db.reading() as db:

@@ -19,7 +19,6 @@ from surrogate.kriging.equations import Equations
 from surrogate.kriging.settings import DEFAULTS, KrigingSettings
 from surrogate.table.rows import Floats
 
-
 ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of values that are one
 
 

@@ -12,7 +12,7 @@ from surrogate.composition.composition import OFF_HULL, Composed, Composition
 from surrogate.composition.fast import UNKNOWN, compose
 from surrogate.composition.packed import Packed, pack
 from surrogate.composition.reasons import why_not
-from surrogate.jit import COMPILED
+from surrogate.jit import ready
 from surrogate.methods.method import Estimates
 from surrogate.methods.reference import Reference
 from surrogate.table.rows import Floats
@@ -57,12 +57,13 @@ class Griddata:
 
     def _composed(self, wrenches: Floats) -> Composed:
         """Compose by the compiled pass; by the array version what that does not know."""
-        if not COMPILED:
+        if not ready():
             return self.composition.evaluate(wrenches)
         count = len(wrenches)
         moved, bend, squares = (np.empty((count, 6)) for _ in range(3))
         state = np.empty(count, dtype=np.int64)
-        asked = np.ascontiguousarray(wrenches, dtype=float)
+        # Another kind of array, such as one that cannot be written, would be compiled for anew.
+        asked = np.require(wrenches, float, ("C", "W"))
         compose(asked, *self._packed, moved, bend, squares, state)
         found = Composed(moved, bend, np.sqrt(squares), state)
         lost = np.flatnonzero(state == UNKNOWN)

@@ -11,7 +11,6 @@ from surrogate.table.physics_checks import check_physics
 from surrogate.table.rows import LOADS, OUTPUTS
 from tests.surrogate.responses import RANGE, clean_wrenches, smooth, table
 
-
 SYMBOLS = {name[0].upper() + "_" + name[1] for name in (*LOADS, *OUTPUTS)}
 
 
