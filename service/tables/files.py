@@ -100,7 +100,7 @@ class TableFiles:
 
     def _put_back(self, name: str, rows: Rows, last_seq: int) -> None:
         """Insert a file's rows; the ledger knows those it has by their content."""
-        lost = [_new_row(rows, place) for place in range(len(rows))]
+        lost = (_new_row(rows, place) for place in range(len(rows)))
         inserted, _ = self._ledger.insert_rows(name, "", lost, above=last_seq)
         if inserted:
             log.warning(

@@ -251,18 +251,26 @@ class Tables:
                 rows, after = self._files.load(component)
             else:
                 rows, after = self._surrogates[name].rows, seen
-            news = self._ledger.news(name, after)
+            rows, version = self._followed(component, rows, after)
         except LedgerUnavailableError:
             if name not in self._surrogates:
                 self._build(component, *self._unchecked(component))
             raise
-        self._build(component, _with_news(component, rows, news), news.last_seq)
-        if news.last_seq != after:
+        self._build(component, rows, version)
+        if version != after:
             self._unsaved[name] = time.monotonic()
         with self._grown:
             self._faults.pop(name, None)
-            self._seen[name] = news.last_seq
+            self._seen[name] = version
             self._grown.notify_all()
+
+    def _followed(self, component: Component, rows: Rows, after: int) -> tuple[Rows, int]:
+        """Return rows with all that the ledger says of them after a seq, and up to which seq."""
+        while True:
+            news = self._ledger.news(component.name, after)
+            rows, after = _with_news(component, rows, news), news.last_seq
+            if news.whole:
+                return rows, after
 
     def _unchecked(self, component: Component) -> tuple[Rows, int]:
         """Return what a component's file holds, for as long as the ledger cannot be asked."""

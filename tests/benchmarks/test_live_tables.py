@@ -133,7 +133,9 @@ class Asking:
 def told(name: str, seconds: list[float]) -> None:
     p50, p99 = statistics.median(seconds), np.percentile(seconds, 99)
     most = max(seconds)
-    print(f"\n{name}: {len(seconds)} calls, ms: median {1e3 * p50:.2f}, p99 {1e3 * p99:.2f}", end="")
+    print(
+        f"\n{name}: {len(seconds)} calls, ms: median {1e3 * p50:.2f}, p99 {1e3 * p99:.2f}", end=""
+    )
     print(f", most {1e3 * most:.1f}", end="")
 
 
