@@ -31,7 +31,7 @@ def ready() -> bool:
     return COMPILED and (not _held_back or getattr(_warming, "here", False))
 
 
-def warm_in_background(use: Callable[[], None]) -> threading.Thread:
+def warm_in_background(use: Callable[[], object]) -> threading.Thread:
     """Use compiled code once in another thread, and everywhere only after that.
 
     Where it fails, compiled code is left alone until the program ends: the array versions answer.

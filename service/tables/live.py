@@ -27,8 +27,8 @@ POLL_S = 0.02
 SAVE_AFTER_QUIET_S = 1.0
 TROUBLE_S = 1.0  # before trying again what failed
 START_S = 30.0  # how long a start waits for small tables; what takes longer answers 503 till then
-# How long a thread that computes may keep the interpreter from one that answers. Python's 5 ms are
-# five times what an answer takes; below 0.2 ms switching itself is felt in a build (measured).
+# How long a thread that computes may keep the interpreter from one that answers: about what an
+# answer takes; Python's own 5 ms are felt by each call during a build.
 SWITCH_S = 0.0005
 
 

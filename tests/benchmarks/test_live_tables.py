@@ -28,7 +28,10 @@ AXES = ((0, 4, 5), (1, 5, 3), (2, 3, 4))
 ASKED = {"force": [120.0, -80.0, -700.0], "moment": [15.0, 25.0, 4.0], "on_thin": "estimate"}
 BODY = orjson.dumps(ASKED)
 SPAN = 1000.0
-HEADER = "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]"
+HEADER = (
+    "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],"
+    "ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]"
+)
 
 
 def made_up(count: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -61,8 +64,8 @@ def serving(folder: Path) -> Iterator[tuple[Client, int, int]]:
     server = subprocess.Popen(
         [*command, "--solvers", "0", "--log-level", "warning"], stdout=subprocess.PIPE, text=True
     )
+    assert server.stdout is not None
     try:
-        assert server.stdout is not None
         address = server.stdout.readline().rsplit(maxsplit=1)[-1]
         with Client(address, timeout=300) as client:
             while not client.is_ready():

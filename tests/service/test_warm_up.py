@@ -2,6 +2,7 @@
 
 import threading
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +10,9 @@ import pytest
 from service.tables.warm_up import METHODS, use_compiled_code
 from surrogate import jit
 from surrogate.build import build
+from surrogate.composition.fast import compose
+from surrogate.interpolation.walk import locate_many
+from surrogate.kriging import compiled
 from surrogate.table.rows import LoadRange, Rows
 
 
@@ -30,7 +34,7 @@ def table():
 
 def test_a_slow_warm_up_delays_no_answer_and_is_used_once_it_is_done():
     answering, may_end = table(), threading.Event()
-    thread = jit.warm_in_background(lambda: may_end.wait(30) and None)
+    thread = jit.warm_in_background(lambda: may_end.wait(30))
     try:
         assert not jit.ready()
         started = time.monotonic()
@@ -75,12 +79,8 @@ def test_answers_are_the_same_before_and_after_the_warm_up(method):
 
 @pytest.mark.skipif(not jit.COMPILED, reason="numba is an extra")
 def test_the_warm_up_leaves_nothing_to_compile_for_an_answer():
-    from surrogate.composition.fast import compose
-    from surrogate.interpolation.walk import locate_many
-    from surrogate.kriging import compiled
-
     use_compiled_code()
-    kernels = (compose, locate_many, compiled.answers)
+    kernels: tuple[Any, ...] = (compose, locate_many, compiled.answers)
     counts = [len(kernel.signatures) for kernel in kernels]
     assert min(counts) >= 1
     answering = table()
