@@ -6,16 +6,16 @@ import logging
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
-from service.ledger import Ledger, LedgerRow, LedgerUnavailableError, News
+from service.ledger import Ledger, LedgerUnavailableError
 from service.library.component import Component
 from service.library.library import Library
 from service.tables.builders import LARGE, Builders
 from service.tables.files import TableFiles
+from service.tables.memory import give_back
+from service.tables.news import with_news
 from service.tables.warm_up import use_compiled_code
 from surrogate.build import AnyTable, build
 from surrogate.jit import warm_in_background
@@ -256,6 +256,8 @@ class Tables:
             if name not in self._surrogates:
                 self._build(component, *self._unchecked(component))
             raise
+        if len(rows) > LARGE:
+            give_back()  # the import's, before the build takes as much again
         self._build(component, rows, version)
         if version != after:
             self._unsaved[name] = time.monotonic()
@@ -268,7 +270,7 @@ class Tables:
         """Return rows with all that the ledger says of them after a seq, and up to which seq."""
         while True:
             news = self._ledger.news(component.name, after)
-            rows, after = _with_news(component, rows, news), news.last_seq
+            rows, after = with_news(component, rows, news), news.last_seq
             if news.whole:
                 return rows, after
 
@@ -319,27 +321,3 @@ def _surrogate(
 def _ask(surrogate: AnyTable) -> None:
     """Ask for one answer, so that what is made at the first one is made here, by no request."""
     surrogate.answer((0.01 * surrogate.load_range.scale).tolist())
-
-
-def _with_news(component: Component, rows: Rows, news: News) -> Rows:
-    kept = rows.take(~np.isin(rows.seq, list(news.gone))) if news.gone else rows
-    return kept + _usable(component, news.rows)
-
-
-def _usable(component: Component, rows: Iterable[LedgerRow]) -> Rows:
-    """Keep rows of this setup and measured ones; FEA rows of another setup are never mixed in."""
-    return Rows.from_records(
-        [
-            {
-                "seq": row.seq,
-                "wrench": row.wrench,
-                "displacement": row.displacement,
-                "compliance": row.compliance,
-                "uncertainty": row.uncertainty,
-                "source": row.source,
-                "fingerprint": row.fingerprint,
-            }
-            for row in rows
-            if row.fingerprint in ("", component.fingerprint)
-        ]
-    )
