@@ -20,7 +20,7 @@ from service.library.component import Component
 from service.library.library import Library
 from service.ordering import QUEUE_LIMIT, Orders
 from service.report.queue import Reports
-from service.tables.live import Tables
+from service.tables.live import TableBehindError, Tables
 from surrogate.build import AnyTable
 from surrogate.design.adaptive import Design, next_wrenches
 from surrogate.table.rows import Tolerance
@@ -205,7 +205,10 @@ class Workspace:
         return {**damaged, **self.tables.faults(), **self.library.broken()}
 
     def _on_added(self, component: Component) -> None:
-        self.surrogate(component.name)
+        try:
+            self.surrogate(component.name)
+        except TableBehindError:
+            self.tables.notify()  # the ledger has rows of an earlier component of this name
 
     def _ask_compliance(self, name: str, surrogate: AnyTable) -> None:
         """Queue what tells a linear component's compliance, once a version of its table."""

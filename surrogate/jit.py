@@ -1,7 +1,15 @@
-"""Compile a function if numba is installed (extra ``fast``), or leave it as it is."""
+"""Compile a function if numba is installed (extra ``fast``), or leave it as it is.
+
+Compiled code is loaded at its first call, which takes seconds, or up to a minute where nothing is
+kept on disk yet. A program that computes uses it at once all the same. A server must not wait for
+it where it answers: it calls `warm_in_background`, and until that is done `ready` tells whoever
+has both to take the array version, which gives the same numbers.
+"""
 
 from __future__ import annotations
 
+import logging
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +18,44 @@ try:
 except ImportError:  # the extra is optional: the array versions answer instead
     numba = None
 
+log = logging.getLogger(__name__)
+
 COMPILED = numba is not None
+
+_held_back: set[object] = set()  # the warm-ups that run; none: compiled code answers
+_warming = threading.local()
+
+
+def ready() -> bool:
+    """Return whether compiled code answers here and now; true for the thread that warms it up."""
+    return COMPILED and (not _held_back or getattr(_warming, "here", False))
+
+
+def warm_in_background(use: Callable[[], object]) -> threading.Thread:
+    """Use compiled code once in another thread, and everywhere only after that.
+
+    Where it fails, compiled code is left alone until the program ends: the array versions answer.
+
+    Parameters
+    ----------
+    use : callable
+        Makes every compiled function run once.
+    """
+    token = object()
+    _held_back.add(token)
+
+    def warm() -> None:
+        _warming.here = True
+        try:
+            use()
+        except Exception:
+            log.exception("compiled code cannot be used; answers take longer")
+        else:
+            _held_back.discard(token)
+
+    thread = threading.Thread(target=warm, name="warm-up", daemon=True)
+    thread.start()
+    return thread
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:

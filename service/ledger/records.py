@@ -142,11 +142,14 @@ class News:
         Seqs to be dropped before: those withdrawn, or restored and so in `rows`.
     last_seq : int
         Up to here everything is told.
+    whole : bool
+        Whether that is all there is; else ask again from there.
     """
 
     rows: list[LedgerRow]
     gone: frozenset[int]
     last_seq: int
+    whole: bool = True
 
 
 @dataclass(frozen=True)

@@ -59,12 +59,16 @@ def add(
     return found
 
 
-def add_many(
-    db: Connection, component: str, fingerprint: str, rows: Iterable[NewRow], now: float
-) -> int:
-    """Insert the rows that are not there yet and return how many those were."""
-    values = (_values(component, fingerprint, row, None, now) for row in rows)
-    return db.executemany(_INSERT, values).rowcount
+def packed(
+    component: str, fingerprint: str, rows: Iterable[NewRow], now: float
+) -> list[tuple[object, ...]]:
+    """Return rows as `add_many` inserts them: most of the work, which needs no connection."""
+    return [_values(component, fingerprint, row, None, now) for row in rows]
+
+
+def add_many(db: Connection, rows: list[tuple[object, ...]]) -> int:
+    """Insert those of `packed` rows that are not there yet and return how many those were."""
+    return db.executemany(_INSERT, rows).rowcount if rows else 0
 
 
 def get(db: Connection, seq: int) -> LedgerRow:
@@ -86,17 +90,22 @@ def listed(
     return _sound(db.execute(f"SELECT {_COLUMNS} FROM rows {where} ORDER BY seq", values))
 
 
-def news(db: Connection, component: str, after: int) -> tuple[News, list[int]]:
-    """Return what happened to a component's rows above a seq, and the seqs of damaged ones."""
-    values = {"component": component, "after": after}
+def news(db: Connection, component: str, after: int, most: int) -> tuple[News, list[int]]:
+    """Return what happened to a component's rows above a seq, and the seqs of damaged ones.
+
+    Of new rows only the first `most`; the news then end with the last of them.
+    """
+    values = {"component": component, "after": after, "most": most}
     touched = "SELECT row FROM edits WHERE component = :component AND seq > :after"
     gone = frozenset(seq for (seq,) in db.execute(touched, values))
-    where = (
-        f"WHERE component = :component AND (seq > :after OR seq IN ({touched})) AND {_LIVE}"
-        " ORDER BY seq"
-    )
-    fresh, damaged = _sound(db.execute(f"SELECT {_COLUMNS} FROM rows {where}", values))
-    return News(fresh, gone, last_seq(db, component)), damaged
+    select = f"SELECT {_COLUMNS} FROM rows WHERE component = :component AND {_LIVE}"
+    again = f"{select} AND seq <= :after AND seq IN ({touched}) ORDER BY seq"
+    fresh = f"{select} AND seq > :after ORDER BY seq LIMIT :most"
+    old, broken = _sound(db.execute(again, values))
+    new, damaged = _sound(db.execute(fresh, values))
+    whole = len(new) + len(damaged) < most
+    until = last_seq(db, component) if whole else max(damaged + [row.seq for row in new[-1:]])
+    return News(old + new, gone, until, whole), broken + damaged
 
 
 def last_seq(db: Connection, component: str | None) -> int:
@@ -106,6 +115,12 @@ def last_seq(db: Connection, component: str | None) -> int:
         f"coalesce((SELECT max(seq) FROM {table} {where}), 0)" for table in ("rows", "edits")
     )
     return db.execute(f"SELECT max({newest})", {"component": component}).fetchone()[0]
+
+
+def count(db: Connection, component: str) -> int:
+    """Return how many rows a component has, withdrawn ones too."""
+    found = db.execute("SELECT count(*) FROM rows WHERE component = ?", (component,))
+    return found.fetchone()[0]
 
 
 def digest(db: Connection, component: str, until: int) -> str:

@@ -11,6 +11,8 @@ from service.ledger.schema import Connections
 
 _log = logging.getLogger(__name__)
 
+MOST_NEWS = 20_000  # rows told at once: 30 MB as Python holds them
+
 
 class TableRows:
     """What `Ledger` does with rows.
@@ -46,11 +48,12 @@ class TableRows:
         ValueError
             If a number is not finite or a length is wrong; then nothing was inserted.
         """
-        wanted = list(new)
+        # Packed and sealed before the lock is taken: other writers wait for the insertion alone.
+        wanted = rows.packed(component, fingerprint, new, time.time())
         with self._db.writing(keep=not dry_run) as db:
             if above:
                 rows.skip(db, least=above)
-            inserted = rows.add_many(db, component, fingerprint, wanted, time.time())
+            inserted = rows.add_many(db, wanted)
         if inserted and not dry_run:
             self._listeners.tell(Change(component, rows=inserted))
         return inserted, len(wanted) - inserted
@@ -83,10 +86,13 @@ class TableRows:
         self._note(component, damaged)
         return found
 
-    def news(self, component: str, after: int) -> News:
-        """Return what happened to a component's rows after a seq; as `rows` leaves rows out."""
+    def news(self, component: str, after: int, most: int = MOST_NEWS) -> News:
+        """Return what happened to a component's rows after a seq; as `rows` leaves rows out.
+
+        New rows are told `most` at a time.
+        """
         with self._db.reading() as db:
-            found, damaged = rows.news(db, component, after)
+            found, damaged = rows.news(db, component, after, most)
         self._note(component, damaged)
         return found
 
@@ -99,6 +105,11 @@ class TableRows:
         """Return the number of the newest row, withdrawal or restoring (of one component)."""
         with self._db.reading() as db:
             return rows.last_seq(db, component)
+
+    def count_rows(self, component: str) -> int:
+        """Return how many rows a component has, withdrawn ones and those of other setups too."""
+        with self._db.reading() as db:
+            return rows.count(db, component)
 
     def digest(self, component: str, until: int) -> str:
         """Return a digest of which rows a component has up to a seq, and how they stand."""

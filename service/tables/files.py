@@ -15,6 +15,8 @@ from surrogate.table.rows import Rows
 
 log = logging.getLogger(__name__)
 
+ROW_BYTES = 450  # of a row in a file, about
+
 
 class TableFiles:
     """The HDF5 files of a data directory, one ``<name>.h5`` a component.
@@ -30,6 +32,13 @@ class TableFiles:
     def __init__(self, folder: Path, ledger: Ledger) -> None:
         self._folder = folder
         self._ledger = ledger
+
+    def size(self, name: str) -> int:
+        """Return about how many rows a component's file holds; 0 if there is none."""
+        try:
+            return 1 + self._path(name).stat().st_size // ROW_BYTES
+        except OSError:
+            return 0
 
     def read(self, component: Component) -> tuple[Rows, TableMeta] | None:
         """Return what a component's file holds; None if it is missing, damaged or another's."""
@@ -96,7 +105,7 @@ class TableFiles:
 
     def _put_back(self, name: str, rows: Rows, last_seq: int) -> None:
         """Insert a file's rows; the ledger knows those it has by their content."""
-        lost = [_new_row(rows, place) for place in range(len(rows))]
+        lost = (_new_row(rows, place) for place in range(len(rows)))
         inserted, _ = self._ledger.insert_rows(name, "", lost, above=last_seq)
         if inserted:
             log.warning(

@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 import logging
+import sys
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
-from service.ledger import Ledger, LedgerRow, LedgerUnavailableError, News
+from service.ledger import Ledger, LedgerUnavailableError
 from service.library.component import Component
 from service.library.library import Library
+from service.tables.builders import LARGE, Builders
 from service.tables.files import TableFiles
+from service.tables.memory import give_back
+from service.tables.news import with_news
+from service.tables.warm_up import use_compiled_code
 from surrogate.build import AnyTable, build
+from surrogate.jit import warm_in_background
 from surrogate.table.rows import Rows
 
 log = logging.getLogger(__name__)
 
 POLL_S = 0.02
-REST = 1.0  # seconds of rest after each second of building: requests share the interpreter
 SAVE_AFTER_QUIET_S = 1.0
 TROUBLE_S = 1.0  # before trying again what failed
+START_S = 30.0  # how long a start waits for small tables; what takes longer answers 503 till then
+# How long a thread that computes may keep the interpreter from one that answers: about what an
+# answer takes; Python's own 5 ms are felt by each call during a build.
+SWITCH_S = 0.0005
 
 
 class TableBehindError(Exception):
@@ -32,11 +39,11 @@ class TableBehindError(Exception):
 class Tables:
     """Surrogates by component name, following the ledger.
 
-    A request takes the surrogate there is (`surrogate`, a dictionary look-up); one thread watches
+    A request takes the surrogate there is (`surrogate`, a dictionary look-up). One thread watches
     the ledger for rows committed, withdrawn or restored by this or any other process on the
-    machine, builds the next version, swaps it in, and writes the table's HDF5 file once it has
-    been quiet for a second. What goes wrong with one component is told by `faults` and stays its
-    own.
+    machine, `Builders` build the next version of a table beside all others and swap it in, and
+    a third writes a table's HDF5 file once it has been quiet for a second. What goes wrong with
+    one component is told by `faults` and stays its own.
 
     Parameters
     ----------
@@ -52,29 +59,46 @@ class Tables:
         self._files = TableFiles(folder, ledger)
         self._surrogates: dict[str, AnyTable] = {}
         self._seen: dict[str, int] = {}
+        self._asked: dict[str, int] = {}
         self._unsaved: dict[str, float] = {}
         self._faults: dict[str, str] = {}
         self._unwritten: dict[str, str] = {}
         self._failures = 0
-        self._again = False
         self._grown = threading.Condition()
         self._wake = threading.Event()
-        self._rest_until = 0.0
-        self._stopping = False
-        self._thread = threading.Thread(target=self._follow, name="tables", daemon=True)
+        self._stopping = threading.Event()
+        self._builders = Builders(lambda name: self._guarded(name, self._bring_up, self._faults))
+        self._threads = [
+            threading.Thread(target=self._follow, name="tables-follow", daemon=True),
+            threading.Thread(target=self._keep_files, name="tables-files", daemon=True),
+        ]
 
     def start(self) -> None:
-        """Load every table, catch up with the ledger, and start following it."""
+        """Start loading every table and following the ledger; return once the small ones answer."""
+        sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_S))
+        small = []
         for name in self._library.names():
-            self._guarded(name, self._bring_up, self._faults)
-        self._thread.start()
+            rows = self._size(name)
+            if rows <= LARGE:
+                small.append(name)
+            self._builders.ask(name, rows)
+        warm_in_background(self._warm_up)
+        self._builders.start()
+        for thread in self._threads:
+            thread.start()
+        with self._grown:
+            self._grown.wait_for(
+                lambda: all(name in self._seen or name in self._faults for name in small), START_S
+            )
 
     def stop(self) -> None:
         """Stop following and write what is not written yet."""
-        self._stopping = True
+        self._stopping.set()
         self._wake.set()
-        if self._thread.is_alive():
-            self._thread.join()
+        self._builders.stop()
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join()
         self._save(quiet_s=0.0)
 
     def surrogate(self, name: str) -> AnyTable:
@@ -84,6 +108,8 @@ class Tables:
         ------
         UnknownComponentError
             If the library has no such component.
+        TableBehindError
+            If it has rows and is built for the first time since the start.
         """
         found = self._surrogates.get(name)
         return found if found is not None else self._first(name)
@@ -91,6 +117,10 @@ class Tables:
     def faults(self) -> dict[str, str]:
         """Return why a component's table is not what the ledger says, by its name."""
         return {**self._unwritten, **self._faults}
+
+    def building(self) -> list[str]:
+        """Return the components that have no surrogate yet since the start: they answer 503."""
+        return [name for name in self._builders.busy() if name not in self._surrogates]
 
     def notify(self) -> None:
         """Look at the ledger now rather than at the next poll."""
@@ -102,16 +132,19 @@ class Tables:
         Returns False if time ran out, or if the table cannot be built: see `faults`.
         """
         goal, before = self._ledger.last_seq(name), self._failures
-        self._again = True  # what failed is tried once more, now that somebody waits for it
-        self.notify()
+        if self._holds(name, goal):
+            return True
+        if name in self._faults:  # tried once more, now that somebody waits for it
+            self._asked.pop(name, None)
+        self._look(name, goal)
 
         def settled() -> bool:
             failed = name in self._faults and self._failures > before
-            return self._seen.get(name, 0) >= goal or failed
+            return self._holds(name, goal) or failed
 
         with self._grown:
             self._grown.wait_for(settled, timeout)
-            return self._seen.get(name, 0) >= goal
+            return self._holds(name, goal)
 
     def caught_up(self, name: str, timeout: float) -> AnyTable:
         """Return a surrogate that holds all rows committed when this is called.
@@ -129,43 +162,68 @@ class Tables:
             "ask again in a while"
         )
 
+    def _holds(self, name: str, goal: int) -> bool:
+        return self._seen.get(name, 0) >= goal
+
     def _first(self, name: str) -> AnyTable:
-        """Make the empty surrogate of a component that was added after the start."""
+        """Make the empty surrogate of a component without rows that was added after the start."""
         component = self._library[name]
+        if self._size(name):
+            self._look(name)
+            why = self._faults.get(name) or "it is being built for the first time since the start"
+            raise TableBehindError(
+                f"the table of {name!r} has rows and cannot answer yet: {why}. Nothing was asked "
+                "for; ask again in a while"
+            )
         with self._grown:
             found = self._surrogates.setdefault(name, _surrogate(component, Rows.empty(), 0))
-        self._again = True
-        self.notify()
+        self._look(name)
         return found
+
+    def _size(self, name: str) -> int:
+        """Return about how many rows a table will have."""
+        try:
+            return self._ledger.count_rows(name) or self._files.size(name)
+        except LedgerUnavailableError:
+            return self._files.size(name)
+
+    def _look(self, name: str, goal: int | None = None) -> None:
+        """Have a table built if the ledger has what nobody has asked to be built."""
+        goal = self._ledger.last_seq(name) if goal is None else goal
+        with self._grown:
+            if self._asked.get(name) == goal or (name in self._seen and self._seen[name] == goal):
+                return
+            self._asked[name] = goal
+        known = self._surrogates.get(name)
+        self._builders.ask(name, len(known.rows) if known is not None else self._size(name))
 
     def _follow(self) -> None:
         seen = -1
-        while not self._stopping:
+        while not self._stopping.is_set():
             self._wake.wait(POLL_S)
             self._wake.clear()
             try:
                 now = self._ledger.version()
-                if (now != seen or self._is_due()) and time.monotonic() >= self._rest_until:
-                    self._again = False
+                if now != seen:
                     for name in self._library.names():
-                        self._guarded(name, self._bring_up, self._faults)
+                        self._look(name)
                     seen = now
-                self._save(SAVE_AFTER_QUIET_S)
             except LedgerUnavailableError:
-                self._wait(TROUBLE_S)  # the ledger itself tells of it
+                seen = -1  # the ledger itself tells of it
+                self._stopping.wait(TROUBLE_S)
             except Exception:
                 log.exception("following the ledger failed; trying again")
-                self._wait(TROUBLE_S)
+                self._stopping.wait(TROUBLE_S)
 
-    def _is_due(self) -> bool:
-        """Tell whether there is work the ledger's version does not tell of."""
-        new = any(name not in self._seen for name in list(self._surrogates))
-        return self._again and (new or bool(self._faults))
+    def _warm_up(self) -> None:
+        """Load the compiled code, and what the tables that are there need to use it."""
+        use_compiled_code()
+        for surrogate in list(self._surrogates.values()):
+            _ask(surrogate)
 
-    def _wait(self, seconds: float) -> None:
-        until = time.monotonic() + seconds
-        while not self._stopping and time.monotonic() < until:
-            time.sleep(POLL_S)
+    def _keep_files(self) -> None:
+        while not self._stopping.wait(SAVE_AFTER_QUIET_S / 4):
+            self._save(SAVE_AFTER_QUIET_S)
 
     def _guarded(self, name: str, step: Callable[[str], None], faults: dict[str, str]) -> None:
         """Do something for one component, whose failure is no other's."""
@@ -179,6 +237,7 @@ class Tables:
             with self._grown:
                 faults[name] = why
                 self._failures += 1
+                self._asked.pop(name, None)  # the next change of the ledger tries again
                 self._grown.notify_all()
 
     def _bring_up(self, name: str) -> None:
@@ -192,17 +251,28 @@ class Tables:
                 rows, after = self._files.load(component)
             else:
                 rows, after = self._surrogates[name].rows, seen
-            news = self._ledger.news(name, after)
+            rows, version = self._followed(component, rows, after)
         except LedgerUnavailableError:
             if name not in self._surrogates:
                 self._build(component, *self._unchecked(component))
             raise
-        self._build(component, _with_news(component, rows, news), news.last_seq)
-        if news.last_seq != after:
+        if len(rows) > LARGE:
+            give_back()  # the import's, before the build takes as much again
+        self._build(component, rows, version)
+        if version != after:
             self._unsaved[name] = time.monotonic()
         with self._grown:
-            self._seen[name] = news.last_seq
+            self._faults.pop(name, None)
+            self._seen[name] = version
             self._grown.notify_all()
+
+    def _followed(self, component: Component, rows: Rows, after: int) -> tuple[Rows, int]:
+        """Return rows with all that the ledger says of them after a seq, and up to which seq."""
+        while True:
+            news = self._ledger.news(component.name, after)
+            rows, after = with_news(component, rows, news), news.last_seq
+            if news.whole:
+                return rows, after
 
     def _unchecked(self, component: Component) -> tuple[Rows, int]:
         """Return what a component's file holds, for as long as the ledger cannot be asked."""
@@ -213,11 +283,12 @@ class Tables:
 
     def _build(self, component: Component, rows: Rows, version: int) -> None:
         started = time.monotonic()
-        surrogate = _surrogate(component, rows, version)
+        previous = self._surrogates.get(component.name)
+        surrogate = _surrogate(component, rows, version, previous)
+        _ask(surrogate)
         with self._grown:
             self._surrogates[component.name] = surrogate
         seconds = time.monotonic() - started
-        self._rest_until = time.monotonic() + REST * seconds
         log.debug("%s: version %d, %.3f s", component.name, surrogate.version, seconds)
 
     def _save(self, quiet_s: float) -> None:
@@ -233,7 +304,9 @@ class Tables:
         del self._unsaved[name]
 
 
-def _surrogate(component: Component, rows: Rows, version: int) -> AnyTable:
+def _surrogate(
+    component: Component, rows: Rows, version: int, previous: AnyTable | None = None
+) -> AnyTable:
     """Build the surrogate; its version is the number of the ledger's newest change in it."""
     return build(
         rows,
@@ -241,28 +314,10 @@ def _surrogate(component: Component, rows: Rows, version: int) -> AnyTable:
         tolerance=component.tolerance,
         linear=component.linear,
         version=version,
+        previous=previous,
     )
 
 
-def _with_news(component: Component, rows: Rows, news: News) -> Rows:
-    kept = rows.take(~np.isin(rows.seq, list(news.gone))) if news.gone else rows
-    return kept + _usable(component, news.rows)
-
-
-def _usable(component: Component, rows: Iterable[LedgerRow]) -> Rows:
-    """Keep rows of this setup and measured ones; FEA rows of another setup are never mixed in."""
-    return Rows.from_records(
-        [
-            {
-                "seq": row.seq,
-                "wrench": row.wrench,
-                "displacement": row.displacement,
-                "compliance": row.compliance,
-                "uncertainty": row.uncertainty,
-                "source": row.source,
-                "fingerprint": row.fingerprint,
-            }
-            for row in rows
-            if row.fingerprint in ("", component.fingerprint)
-        ]
-    )
+def _ask(surrogate: AnyTable) -> None:
+    """Ask for one answer, so that what is made at the first one is made here, by no request."""
+    surrogate.answer((0.01 * surrogate.load_range.scale).tolist())

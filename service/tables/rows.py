@@ -112,7 +112,7 @@ def insert(
     ledger: Ledger, component: Component, table: ParsedTable, *, dry_run: bool
 ) -> tuple[int, int]:
     """Insert a file's rows in one transaction; return how many were new and how many known."""
-    rows = [_new_row(table, place) for place in range(len(table))]
+    rows = (_new_row(table, place) for place in range(len(table)))
     return ledger.insert_rows(component.name, "", rows, dry_run=dry_run)
 
 

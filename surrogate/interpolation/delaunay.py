@@ -19,7 +19,7 @@ from surrogate.interpolation.hull import nearest_points
 from surrogate.interpolation.morton import curve_order
 from surrogate.interpolation.numbering import Numbered, number
 from surrogate.interpolation.walk import LOST, ON_HULL, locate_many
-from surrogate.jit import COMPILED
+from surrogate.jit import ready
 from surrogate.table.rows import Floats
 
 Indices = NDArray[np.intp]
@@ -149,7 +149,7 @@ class Triangulation:
         further in.
         """
         points = np.asarray(x, dtype=float)
-        if not COMPILED or self.dimension == 0:
+        if not ready() or self.dimension == 0:
             return self._locate(points)
         found = np.empty(len(points), dtype=np.intp)
         locate_many(points, curve_order(self.flattened(points)), *self.numbered.walked, found)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrogate.jit import ready
 from surrogate.kriging import compiled
 from surrogate.kriging.correlation import LOADS, Hyperparameters
 from surrogate.kriging.dense import Dense, dense
@@ -156,9 +157,9 @@ class Kriging:
 
     def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""
-        if self.tables is None or compiled.values is None:
+        if compiled.values is None or not ready() or self.tables is None:
             return self.evaluate(wrenches)[:2]
-        asked = np.ascontiguousarray(wrenches, dtype=float)
+        asked = np.require(wrenches, float, ("C", "W"))
         out = np.empty((len(asked), OUTPUTS)), np.empty((len(asked), OUTPUTS))
         compiled.values(self.tables, asked, *out)
         return out
@@ -176,10 +177,10 @@ class Kriging:
 
     def evaluate(self, wrenches: Floats) -> tuple[Floats, Floats, Floats]:
         """Return displacements (n, 6), 95 % error bars (n, 6) and du/dw (n, 6, 6) in one go."""
-        asked = np.ascontiguousarray(wrenches, dtype=float)
+        asked = np.require(wrenches, float, ("C", "W"))
         n = len(asked)
         out = np.empty((n, OUTPUTS)), np.empty((n, OUTPUTS)), np.empty((n, OUTPUTS, LOADS))
-        if self.tables is not None and compiled.answers is not None:
+        if compiled.answers is not None and ready() and self.tables is not None:
             compiled.answers(self.tables, asked, *out)
             return out
         with one_thread():

@@ -12,7 +12,7 @@ from surrogate.composition.composition import OFF_HULL, Composition
 from surrogate.composition.fast import UNKNOWN, compose, judge
 from surrogate.composition.packed import Packed, pack
 from surrogate.composition.reasons import why_not
-from surrogate.jit import COMPILED
+from surrogate.jit import ready
 from surrogate.methods.method import Estimates
 from surrogate.methods.reference import BENDS, MISSED, Reference
 from surrogate.table.rows import Floats
@@ -35,11 +35,12 @@ class Griddata:
 
     def estimate(self, wrenches: Floats) -> Estimates:
         """Answer wrenches, shape (n, 6), N and N·m."""
-        asked = np.ascontiguousarray(wrenches, dtype=float)
+        # Another kind of array, such as one that cannot be written, would be compiled for anew.
+        asked = np.require(wrenches, float, ("C", "W"))
         count = len(asked)
         moved, bend, squares, state = self._composed(asked)
         best, own = self.reference.told(asked)
-        if not COMPILED:
+        if not ready():
             return self._judged(moved, bend, np.sqrt(squares), state, asked)
         best, own = self.reference.told(asked)
         displacement, error = np.empty((count, 6)), np.empty((count, 6))
@@ -86,7 +87,7 @@ class Griddata:
         count = len(asked)
         moved, bend, squares = np.empty((count, 6)), np.empty((count, 6)), np.empty((count, 6))
         state = np.full(count, UNKNOWN)
-        if COMPILED:
+        if ready():
             compose(asked, *self._packed, moved, bend, squares, state)
         if count == 1 and state[0] != UNKNOWN:
             return moved, bend, squares, state

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 import h5py
 import numpy as np
 
-from surrogate.table.rows import LOAD_UNITS, OUTPUT_UNITS, LoadRange, Rows
+from surrogate.table.rows import LOAD_UNITS, OUTPUT_UNITS, LoadRange, Rows, unknown_column
 
 SCHEMA_VERSION = 2  # 1 had no digest
 FORMAT = "wrenchbook table"
@@ -35,6 +35,7 @@ CONTRACT = (
     "frame; the rotation is a rotation vector, applied as R0 exp(r)."
 )
 
+PIECE = 1 << 20  # bytes of a file in memory at once for its digest
 USER_BLOCK = 512  # the smallest HDF5 takes
 _DIGEST_MARK = b"wrenchbook table, blake2b of what follows byte 512: "
 _HDF5_MARK = b"\x89HDF\r\n\x1a\n"
@@ -160,9 +161,11 @@ def _check_digest(path: Path) -> None:
 
 def _digest(file: BinaryIO) -> bytes:
     file.seek(USER_BLOCK)
-    whole = blake2b(file.read(), digest_size=32).hexdigest().encode()
+    whole = blake2b(digest_size=32)
+    while piece := file.read(PIECE):
+        whole.update(piece)
     file.seek(0)
-    return whole
+    return whole.hexdigest().encode()
 
 
 def _sync(path: Path) -> None:
@@ -255,6 +258,9 @@ def _read_rows(file: h5py.File) -> Rows:
         for name in ("source", "fingerprint")
     }
     numbers = {name: _numbers(file, f"rows/{name}") for name in ("seq", *_UNITS)}
+    for name in ("uncertainty", "compliance"):
+        if np.isnan(numbers[name]).all():
+            numbers[name] = unknown_column(*numbers[name].shape)
     return Rows(**numbers, **words)
 
 

@@ -8,6 +8,7 @@ they differ by is its uncertainty.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,8 @@ from scipy.spatial import KDTree
 from surrogate.table.rows import CLEAN, Floats, LoadRange, Rows
 
 NEAR = 1e-6  # of the range: rows closer than this, in each load, are one
+DIRECTIONS = 3  # each leaves about a tenth of 30,000 rows
+ROUNDING = 1e-6  # of the distance along a direction, whose ends are of size 1 (2e-16 over 1e-6)
 EQUAL = 12  # decimals of scaled loads to which rows are one before any distance is measured
 
 
@@ -60,13 +63,19 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     order = np.lexsort((rows.seq, -(scaled**2).sum(axis=1), loaded, owner))
     first = order[np.searchsorted(owner[order], np.arange(count))]
     by_seq = np.argsort(owner, kind="stable")
-    ends = np.cumsum(np.bincount(owner, minlength=count))
-    groups = np.split(by_seq, ends[:-1]) if count else []
+    sizes = np.bincount(owner, minlength=count)
+    starts = np.cumsum(sizes) - sizes
+    members = list(zip(rows.seq[by_seq[starts]].tolist(), strict=True))
     found = rows.take(first)
-    for place in np.flatnonzero(np.bincount(owner, minlength=count) > 1):
-        _put_mean(found, int(place), rows.take(groups[place]))
-    members = tuple(tuple(rows.seq[group].tolist()) for group in groups)
-    return Merged(found, members, within[first], owner)
+    several = np.flatnonzero(sizes > 1)
+    if len(several):  # what the means are written to
+        own = {name: np.array(getattr(found, name)) for name in ("uncertainty", "compliance")}
+        found = replace(found, **own)
+    for place in several.tolist():
+        group = by_seq[starts[place] : starts[place] + sizes[place]]
+        members[place] = tuple(rows.seq[group].tolist())
+        _put_mean(found, place, rows.take(group))
+    return Merged(found, tuple(members), within[first], owner)
 
 
 def close_groups(points: Floats) -> NDArray[np.intp]:
@@ -79,15 +88,48 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
         return np.empty(0, dtype=np.intp)
     # + 0.0 turns -0.0 into 0.0, which a byte-wise comparison would keep apart
     keys = np.round(points, EQUAL) + 0.0
-    distinct, group = np.unique(keys, axis=0, return_inverse=True)
-    pairs = KDTree(distinct).query_pairs(NEAR, p=np.inf, output_type="ndarray")
+    distinct, group = _distinct(keys)
+    near = _maybe_near(distinct)
+    pairs = near[KDTree(distinct[near]).query_pairs(NEAR, p=np.inf, output_type="ndarray")]
     size = len(distinct)
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
-    label = np.asarray(connected_components(links, directed=False)[1])[group.reshape(-1)]
+    label = np.asarray(connected_components(links, directed=False)[1])[group]
     _, first, number = np.unique(label, return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=np.intp)
     rank[np.argsort(first)] = np.arange(len(first))
     return rank[number.reshape(-1)]
+
+
+def _distinct(keys: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    """Return the distinct points in lexical order, and the place of each given one in them.
+
+    As `numpy.unique` along an axis does, which compares bytes and keeps all other threads waiting.
+    """
+    order = np.lexsort(keys.T[::-1])
+    ordered = keys[order]
+    new = np.ones(len(keys), dtype=bool)
+    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    group = np.empty(len(keys), dtype=np.intp)
+    group[order] = np.cumsum(new) - 1
+    return ordered[new], group
+
+
+def _maybe_near(points: Floats) -> NDArray[np.intp]:
+    """Return the points that another one may be near to, by what they are along a few directions.
+
+    Points that are near each other are so along any direction; of points apart few are.
+    """
+    left = np.arange(len(points))
+    directions = np.random.default_rng(0).uniform(0.5, 1.0, (DIRECTIONS, points.shape[1]))
+    for direction in directions:
+        along = points[left] @ direction
+        order = np.argsort(along)
+        close = np.diff(along[order]) <= NEAR * direction.sum() * (1 + ROUNDING)
+        kept = np.zeros(len(left), dtype=bool)
+        kept[order[1:][close]] = True
+        kept[order[:-1][close]] = True
+        left = left[kept]
+    return left
 
 
 def _put_mean(into: Rows, place: int, merged: Rows) -> None:

@@ -170,14 +170,12 @@ class Rows:
 
     def __add__(self, other: Rows) -> Rows:
         """Return the rows of both, in this order."""
-        return Rows(
-            *(np.concatenate((getattr(self, name), getattr(other, name))) for name in _COLUMNS)
-        )
+        return Rows(*(_joined(getattr(self, name), getattr(other, name)) for name in _COLUMNS))
 
     def take(self, which: ArrayLike) -> Rows:
         """Return the rows that an index array or a mask of shape (n,) picks."""
         index = np.asarray(which)
-        return Rows(*(getattr(self, name)[index] for name in _COLUMNS))
+        return Rows(*(_picked(getattr(self, name), index) for name in _COLUMNS))
 
     @classmethod
     def empty(cls) -> Rows:
@@ -194,15 +192,17 @@ class Rows:
         n = len(wrenches)
         unknown: dict[str, tuple[Any, Any]] = {
             "seq": (np.arange(1, n + 1), np.int64),
-            "compliance": (np.full((n, 6, 6), np.nan), float),
-            "uncertainty": (np.full((n, 6), np.nan), float),
+            "compliance": (unknown_column(n, 6, 6), float),
+            "uncertainty": (unknown_column(n, 6), float),
             "source": (np.full(n, "", dtype=object), str),
             "fingerprint": (np.full(n, "", dtype=object), str),
         }
         rest = {
-            name: np.array(columns.get(name, blank)).astype(kind)
+            name: np.array(columns[name]).astype(kind, copy=False) if name in columns else blank
             for name, (blank, kind) in unknown.items()
         }
+        for name in ("source", "fingerprint"):
+            rest[name] = rest[name].astype(str)
         moved = np.array(displacement, dtype=float).reshape(-1, 6)
         return cls(wrench=wrenches, displacement=moved, **rest)
 
@@ -244,8 +244,35 @@ _COLUMNS = (
 )
 
 
+def unknown_column(count: int, *shape: int) -> Floats:
+    """Return a column of NaN, read-only, that takes no memory however many rows there are."""
+    return np.broadcast_to(np.nan, (count, *shape))
+
+
+def _is_unknown(column: NDArray[Any]) -> bool:
+    return column.ndim > 1 and not any(column.strides) and column.size > 0
+
+
+def _picked(column: NDArray[Any], index: NDArray[Any]) -> NDArray[Any]:
+    """Return the entries that an index array or a mask picks; of an unknown column another."""
+    if not _is_unknown(column):
+        return column[index]
+    count = int(index.sum()) if index.dtype == bool else len(index)
+    return unknown_column(count, *column.shape[1:])
+
+
+def _joined(first: NDArray[Any], second: NDArray[Any]) -> NDArray[Any]:
+    if not len(first) or not len(second):
+        return second if not len(first) else first
+    if _is_unknown(first) and _is_unknown(second):
+        return unknown_column(len(first) + len(second), *first.shape[1:])
+    return np.concatenate((first, second))
+
+
 def _column(records: list[Mapping[str, Any]], name: str, shape: tuple[int, ...]) -> Floats:
     """Return one optional column, NaN where a record leaves it out."""
+    if all(record.get(name) is None for record in records):
+        return unknown_column(len(records), *shape)
     column = np.full((len(records), *shape), np.nan)
     for place, record in enumerate(records):
         if record.get(name) is not None:

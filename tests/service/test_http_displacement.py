@@ -9,6 +9,7 @@ from service.answering.refusals import SolveFailedError
 from service.http.app import create_app
 from service.workspace import Settings
 from surrogate.surrogate import Surrogate
+from tests.service.following import wait_for_version
 
 CALL = "/v1/components/plate_thin/displacement"
 WRENCH = {"force": [10.0, 0.0, -20.0], "moment": [0.0, 3.0, 0.0]}
@@ -42,6 +43,7 @@ def load_plane_table(http, name="plane"):
         rows.append({"wrench": wrench.tolist(), "displacement": (1e-6 * wrench).tolist()})
     reply = http.post(f"/v1/components/{name}/table", json={"rows": rows})
     assert reply.status_code == 200, reply.text
+    wait_for_version(http, name, reply.json()["table_version"])
     return rows
 
 
@@ -305,7 +307,8 @@ def test_a_solve_that_failed_is_the_same_problem_whichever_call_asks(http, stand
 def test_a_row_that_answers_names_its_own_source(http):
     load_plane_table(http)
     row = {"wrench": [50, 0, 10, 0, 0, 3], "displacement": [1e-5] * 6, "source": "measured"}
-    assert http.post("/v1/components/plane/table", json={"rows": [row]}).status_code == 200
+    loaded = http.post("/v1/components/plane/table", json={"rows": [row]}).json()
+    wait_for_version(http, "plane", loaded["table_version"])
     body = http.post(
         "/v1/components/plane/displacement",
         json={

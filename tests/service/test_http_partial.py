@@ -5,6 +5,8 @@ import io
 import numpy as np
 import pytest
 
+from tests.service.following import wait_for_version
+
 RANGE = {"force": [100] * 3, "moment": [10] * 3}
 CALL = "/v1/components/rig"
 
@@ -24,6 +26,7 @@ def rig(http):
     )
     assert reply.status_code == 200, reply.text
     assert reply.json()["inserted"] == 30
+    wait_for_version(http, "rig", reply.json()["table_version"])
     return http
 
 

@@ -362,3 +362,26 @@ def test_a_ledger_that_cannot_be_written_is_read_and_later_written(tmp_path, mon
     assert patient.insert_rows("plate", "f1", ROWS) == (7, 3)
     assert (len(patient.rows("plate")), patient.trouble()) == (10, None)
     patient.close()
+
+
+def test_news_told_in_parts_are_the_news_told_at_once(ledger):
+    rows = [NewRow((i, 0, 0, 0, 0, 0), (1e-6 * i, 0, 0, 0, 0, 0)) for i in range(1, 31)]
+    ledger.insert_rows("plate", "", rows)
+    seqs = [row.seq for row in ledger.rows("plate")]
+    for seq in seqs[3:12:2]:
+        ledger.withdraw("plate", seq)
+    ledger.restore("plate", seqs[5])
+    held, after, parts = {}, 0, 0
+    while True:
+        news = ledger.news("plate", after, most=4)
+        held = {seq: row for seq, row in held.items() if seq not in news.gone}
+        held |= {row.seq: row for row in news.rows}
+        after, parts = news.last_seq, parts + 1
+        if parts == 2:  # what happens meanwhile is told as well
+            ledger.withdraw("plate", seqs[0])
+            ledger.restore("plate", seqs[7])
+        if news.whole:
+            break
+    assert parts > 5
+    assert after == ledger.last_seq("plate")
+    assert sorted(held) == [row.seq for row in ledger.rows("plate")]

@@ -19,7 +19,7 @@ async def live() -> dict[str, str]:
 
 @router.get(
     "/ready",
-    summary="Whether jobs are accepted and solved; which components are broken, and why",
+    summary="Whether jobs are accepted and solved; which components are broken or still built",
 )
 def ready(request: Request) -> JSONResponse:
     workspace: Workspace = request.app.state.workspace
@@ -30,5 +30,6 @@ def ready(request: Request) -> JSONResponse:
         "solvers": workspace.settings.solvers,
         "faults": faults,
         "broken": workspace.broken(),
+        "building": workspace.tables.building(),
     }
     return JSONResponse(body, 200 if not faults else 503)

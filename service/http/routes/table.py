@@ -37,7 +37,6 @@ router = APIRouter(prefix="/v1/components/{name}/table", tags=["table"])
 Format = Literal["csv", "json", "hdf5"]
 Reader = Callable[[bytes], ParsedTable]
 MAX_TABLE_BYTES = 256 * 1024 * 1024
-CATCH_UP_S = 10.0
 _FORMATS = {kind: name for name, kind in MEDIA_TYPES.items()} | {"application/csv": "csv"}
 
 
@@ -166,7 +165,10 @@ async def _limited_body(request: Request) -> bytes:
 def _import(
     workspace: Workspace, component: Component, reader: Reader, body: bytes, dry_run: bool
 ) -> dict[str, Any]:
-    """Read, check and, unless something is wrong or it is a dry run, insert in one transaction."""
+    """Read, check and, unless something is wrong or it is a dry run, insert: all rows or none.
+
+    The reply leaves when they are durable; they answer once the table's version is the reply's.
+    """
     table = reader(body)
     errors = [error.as_dict() for error in (*table.errors, *misplaced_rows(component, table))]
     inserted = existing = 0
@@ -178,8 +180,8 @@ def _import(
         "existing": existing,
         "errors": errors,
         "dry_run": dry_run,
-        "in_use": loaded and workspace.tables.catch_up(component.name, CATCH_UP_S),
-        "table_version": workspace.tables.surrogate(component.name).version,
+        "in_use": loaded and workspace.tables.catch_up(component.name, 0.0),
+        "table_version": workspace.ledger.last_seq(component.name),
     }
 
 

@@ -73,7 +73,7 @@ _REPLY: Final = {
         "existing": {"type": "integer", "description": "rows that were there already"},
         "errors": {"type": "array", "items": _ROW_ERROR, "description": "with dry_run only"},
         "dry_run": {"type": "boolean"},
-        "table_version": {"type": "integer", "description": "the version that answers now"},
+        "table_version": {"type": "integer", "description": "the version that holds these rows"},
         "in_use": {"type": "boolean", "description": "whether the rows answer already"},
     },
 }
