@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.interpolation.walk import (
+from ..interpolation.walk import (
     DIMENSION,
     SCALE,
     STATE,
@@ -16,7 +16,7 @@ from surrogate.interpolation.walk import (
     place,
     read,
 )
-from surrogate.jit import compiled
+from ..jit import compiled
 
 UNSOUND = 2  # from where on a state says that there is no answer here
 UNKNOWN = 99  # the state of a wrench that the array version must answer

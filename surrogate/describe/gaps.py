@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from surrogate.composition.axis_table import SOUND, AxisTable
-from surrogate.composition.composition import Composition
-from surrogate.table.axes import AXES, Axis, axis_box
-from surrogate.table.rows import LOADS, OUTPUTS, Floats, LoadRange
+from ..composition.axis_table import SOUND, AxisTable
+from ..composition.composition import Composition
+from ..table.axes import AXES, Axis, axis_box
+from ..table.rows import LOADS, OUTPUTS, Floats, LoadRange
 
 MOST_SPOTS = 5
 MOST_VERTICES = 200

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.table.rows import CLEAN, Floats, LoadRange
+from ..table.rows import CLEAN, Floats, LoadRange
 
 FIRST = 15  # two for each load and three more: with those `plate_thin` is at 0.7 % of its range
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.bars.conformal import conformal_factor
-from surrogate.interpolation.delaunay import Indices, Triangulation
-from surrogate.table.rows import Floats
+from ..bars.conformal import conformal_factor
+from ..table.rows import Floats
+from .delaunay import Indices, Triangulation
 
 ROUNDING = 1e-12  # of an output's size: no bar is smaller, since no number is righter
 

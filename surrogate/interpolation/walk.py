@@ -12,7 +12,7 @@ and the array version (`composition`) answers, with the same numbers to 1e-12.
 
 from __future__ import annotations
 
-from surrogate.jit import compiled
+from ..jit import compiled
 
 # Columns of a vertex: place (3, in the triangulation's own coordinates), the four outputs of its
 # axis, their slopes along those coordinates (3 x 4), and the rest of their error bars (4).

@@ -7,15 +7,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.answer import COVERED, OUTSIDE, THIN
-from surrogate.composition.composition import OFF_HULL, Composition
-from surrogate.composition.fast import UNKNOWN, compose, judge
-from surrogate.composition.packed import Packed, pack
-from surrogate.composition.reasons import why_not
-from surrogate.jit import ready
-from surrogate.methods.method import Estimates
-from surrogate.methods.reference import BENDS, MISSED, Reference
-from surrogate.table.rows import Floats
+from ..answer import COVERED, OUTSIDE, THIN
+from ..composition.composition import OFF_HULL, Composition
+from ..composition.fast import UNKNOWN, compose, judge
+from ..composition.packed import Packed, pack
+from ..composition.reasons import why_not
+from ..jit import ready
+from ..table.rows import Floats
+from .method import Estimates
+from .reference import BENDS, MISSED, Reference
 
 
 class Griddata:
