@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.table.rows import OUTPUT_UNITS, OUTPUTS, Floats, Tolerance
+from .table.rows import OUTPUT_UNITS, OUTPUTS, Floats, Tolerance
 
 COVERED, THIN, OUTSIDE = 0, 1, 2
 NAMES = ("covered", "thin", "outside")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from surrogate.missing_outputs import MissingOutputs
-from surrogate.surrogate import Surrogate
-from surrogate.table.axes import OffAxis
-from surrogate.table.rows import LoadRange, Rows, Tolerance
+from .missing_outputs import MissingOutputs
+from .surrogate import Surrogate
+from .table.axes import OffAxis
+from .table.rows import LoadRange, Rows, Tolerance
 
 AnyTable = Surrogate | MissingOutputs
 

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surrogate.answer import NAMES, Answer, Batch
-from surrogate.composition.composition import Composition
-from surrogate.surrogate import Surrogate
-from surrogate.table.axes import OffAxis
-from surrogate.table.compliance import ComplianceFit
-from surrogate.table.conflicts import row_conflicts
-from surrogate.table.rows import OUTPUTS, LoadRange, Rows, Tolerance
+from .answer import NAMES, Answer, Batch
+from .composition.composition import Composition
+from .surrogate import Surrogate
+from .table.axes import OffAxis
+from .table.compliance import ComplianceFit
+from .table.conflicts import row_conflicts
+from .table.rows import OUTPUTS, LoadRange, Rows, Tolerance
 
 
 class MissingOutputs:

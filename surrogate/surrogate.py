@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surrogate.answer import (
+from .answer import (
     COVERED,
     NAMES,
     OUTSIDE,
@@ -20,29 +20,29 @@ from surrogate.answer import (
     allowed_by,
     over_tolerance,
 )
-from surrogate.composition.build import build_composition
-from surrogate.composition.composition import Composition
-from surrogate.describe.explain import explain_axes, explain_linear
-from surrogate.describe.summary import summarise
-from surrogate.kriging import Kriging, SingularCovarianceError, TooFewRowsError
-from surrogate.methods.gaussian import GaussianProcess
-from surrogate.methods.griddata import Griddata
-from surrogate.methods.linear import Linear
-from surrogate.methods.method import Method
-from surrogate.methods.nearest import Nearest
-from surrogate.methods.reference import BentReference, KrigingReference, Reference
-from surrogate.methods.registry import Registry
-from surrogate.methods.selection import (
+from .composition.build import build_composition
+from .composition.composition import Composition
+from .describe.explain import explain_axes, explain_linear
+from .describe.summary import summarise
+from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
+from .methods.gaussian import GaussianProcess
+from .methods.griddata import Griddata
+from .methods.linear import Linear
+from .methods.method import Method
+from .methods.nearest import Nearest
+from .methods.reference import BentReference, KrigingReference, Reference
+from .methods.registry import Registry
+from .methods.selection import (
     ENOUGH_FULL,
     REGROWN,
     Choice,
     choose,
     knows_interaction,
 )
-from surrogate.table.axes import OffAxis, clean_rows
-from surrogate.table.compliance import ComplianceFit, fit_compliance
-from surrogate.table.merging import merge
-from surrogate.table.rows import CLEAN, Floats, LoadRange, Rows, Tolerance
+from .table.axes import OffAxis, clean_rows
+from .table.compliance import ComplianceFit, fit_compliance
+from .table.merging import merge
+from .table.rows import CLEAN, Floats, LoadRange, Rows, Tolerance
 
 MOST_INTERACTION = 200  # full wrenches that tell what the axes miss: one quick factor
 WITHOUT_TOLERANCE = 0.01  # of an output's range: what a kriging's bar may be where nobody says

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from surrogate.table.rows import Floats
+from ..table.rows import Floats
 
 LEVEL = 0.95  # what bars are meant to hold; at least 0.9 is then held on rows not in the table
 # A quantile of h errors is uncertain by about 1 / h of itself; six times that keeps bars from 15

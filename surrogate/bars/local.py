@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.bars.conformal import conformal_factor
-from surrogate.interpolation.delaunay import Indices, Triangulation
-from surrogate.table.rows import Floats
+from ..interpolation.delaunay import Indices, Triangulation
+from ..table.rows import Floats
+from .conformal import conformal_factor
 
 ROUNDING = 1e-12  # of an output's size: no bar is smaller, since no number is righter
 

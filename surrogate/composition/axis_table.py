@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.bars.local import local_bars
-from surrogate.interpolation.delaunay import Indices, Triangulation
-from surrogate.interpolation.slope_recovery import fit_patches, mean_slopes
-from surrogate.interpolation.walk import DEGENERATE
-from surrogate.table.axes import AxisRows
-from surrogate.table.rows import Floats, LoadRange
+from ..bars.local import local_bars
+from ..interpolation.delaunay import Indices, Triangulation
+from ..interpolation.slope_recovery import fit_patches, mean_slopes
+from ..interpolation.walk import DEGENERATE
+from ..table.axes import AxisRows
+from ..table.rows import Floats, LoadRange
 
 # The largest fraction of the load range, by dimension, that one simplex may take before it is
 # `thin`: half a range along a line, a fifth of a rectangle, a tenth of a box is no table.

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from surrogate.composition.axis_table import SOUND, AxisTable
-from surrogate.composition.composition import AtRest, Composition
-from surrogate.table.axes import AXES, CLEAN, Axis, AxisRows, OffAxis, axis_rows
-from surrogate.table.compliance import ComplianceFit
-from surrogate.table.rows import LoadRange, Rows
+from ..table.axes import AXES, CLEAN, Axis, AxisRows, OffAxis, axis_rows
+from ..table.compliance import ComplianceFit
+from ..table.rows import LoadRange, Rows
+from .axis_table import SOUND, AxisTable
+from .composition import AtRest, Composition
 
 
 def build_composition(

@@ -24,12 +24,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.composition.axis_table import AxisTable
-from surrogate.composition.pure_moment import HOLE, PureMomentCut
-from surrogate.interpolation.delaunay import Indices
-from surrogate.table.axes import AXES, CLEAN, Axis
-from surrogate.table.compliance import ComplianceFit
-from surrogate.table.rows import Floats
+from ..interpolation.delaunay import Indices
+from ..table.axes import AXES, CLEAN, Axis
+from ..table.compliance import ComplianceFit
+from ..table.rows import Floats
+from .axis_table import AxisTable
+from .pure_moment import HOLE, PureMomentCut
 
 # What an axis' part of an answer rests on, from the best to the worst: see `axis_table`; then a
 # point off the hull, and an axis that has no rows at all.

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.interpolation.walk import (
+from ..interpolation.walk import (
     DIMENSION,
     SCALE,
     STATE,
     place,
     read,
 )
-from surrogate.jit import compiled
+from ..jit import compiled
 
 UNKNOWN = 99  # the state of a wrench that the array version must answer
 ON_HULL = 1e-9  # of the range: a moment that far beyond the last station counts as on it

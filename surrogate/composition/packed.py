@@ -11,10 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.composition.axis_table import AxisTable
-from surrogate.composition.composition import Composition
-from surrogate.composition.pure_moment import HOLE, PureMomentCut
-from surrogate.interpolation.walk import (
+from ..interpolation.walk import (
     AXIS_FLOATS,
     AXIS_INTS,
     DIMENSION,
@@ -29,8 +26,11 @@ from surrogate.interpolation.walk import (
     VALUE,
     VERTEX,
 )
-from surrogate.table.axes import CLEAN
-from surrogate.table.rows import Floats
+from ..table.axes import CLEAN
+from ..table.rows import Floats
+from .axis_table import AxisTable
+from .composition import Composition
+from .pure_moment import HOLE, PureMomentCut
 
 
 class Packed(NamedTuple):

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.composition.axis_table import AxisTable
-from surrogate.interpolation.delaunay import Triangulation
-from surrogate.table.rows import Floats
+from ..interpolation.delaunay import Triangulation
+from ..table.rows import Floats
+from .axis_table import AxisTable
 
 APART = 1e-12  # stations closer than this, in scaled units, are one
 ON_HULL = 1e-9  # of the range: a moment that far beyond the last station counts as on it

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from surrogate.composition.axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
-from surrogate.composition.composition import NO_ROWS, OFF_HULL, Composition
-from surrogate.composition.pure_moment import ON_HULL
-from surrogate.table.axes import AXES, Axis
-from surrogate.table.rows import LOAD_UNITS, LOADS, Floats
+from ..table.axes import AXES, Axis
+from ..table.rows import LOAD_UNITS, LOADS, Floats
+from .axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
+from .composition import NO_ROWS, OFF_HULL, Composition
+from .pure_moment import ON_HULL
 
 
 def why_not(composition: Composition, wrench: Floats) -> str:

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from surrogate.answer import COVERED, NAMES, OUTSIDE, THIN, Answer, allowed_by, over_tolerance
-from surrogate.composition.axis_table import SOUND
-from surrogate.composition.composition import OFF_HULL, Composition, Look
-from surrogate.composition.reasons import why_axis
-from surrogate.table.axes import AXES, Axis
-from surrogate.table.compliance import ComplianceFit
-from surrogate.table.rows import LOADS, OUTPUTS, Floats, Rows, Tolerance
+from ..answer import COVERED, NAMES, OUTSIDE, THIN, Answer, allowed_by, over_tolerance
+from ..composition.axis_table import SOUND
+from ..composition.composition import OFF_HULL, Composition, Look
+from ..composition.reasons import why_axis
+from ..table.axes import AXES, Axis
+from ..table.compliance import ComplianceFit
+from ..table.rows import LOADS, OUTPUTS, Floats, Rows, Tolerance
 
 
 def explain_axes(

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from surrogate.build import AnyTable
-from surrogate.composition.axis_table import SOUND, AxisTable
-from surrogate.design.initial import axis_box
-from surrogate.table.axes import AXES, Axis
-from surrogate.table.rows import LOADS, OUTPUTS, Floats, LoadRange
+from ..build import AnyTable
+from ..composition.axis_table import SOUND, AxisTable
+from ..design.initial import axis_box
+from ..table.axes import AXES, Axis
+from ..table.rows import LOADS, OUTPUTS, Floats, LoadRange
 
 MOST_SPOTS = 5
 MOST_VERTICES = 200

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from surrogate.composition.axis_table import SOUND, AxisTable
-from surrogate.composition.composition import Composition
-from surrogate.table.axes import AXES
-from surrogate.table.compliance import ComplianceFit
-from surrogate.table.conflicts import row_conflicts
-from surrogate.table.rows import LOADS, OUTPUTS, LoadRange, Rows
+from ..composition.axis_table import SOUND, AxisTable
+from ..composition.composition import Composition
+from ..table.axes import AXES
+from ..table.compliance import ComplianceFit
+from ..table.conflicts import row_conflicts
+from ..table.rows import LOADS, OUTPUTS, LoadRange, Rows
 
 
 def summarise(

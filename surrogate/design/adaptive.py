@@ -14,11 +14,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surrogate.answer import allowed_by
-from surrogate.design.initial import FIRST, Known, first_design, spread_wrenches
-from surrogate.surrogate import Surrogate
-from surrogate.table.axes import AXES
-from surrogate.table.rows import Floats, LoadRange, Tolerance
+from ..answer import allowed_by
+from ..surrogate import Surrogate
+from ..table.axes import AXES
+from ..table.rows import Floats, LoadRange, Tolerance
+from .initial import FIRST, Known, first_design, spread_wrenches
 
 SAMPLE = 256  # wrenches at which bars are held against the tolerance: 95 % of them are 243
 ENOUGH = 0.95  # of the sample within the tolerance ends a fill, as bars hold 95 % of errors

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.table.axes import CLEAN, Axis
-from surrogate.table.rows import Floats, LoadRange
+from ..table.axes import CLEAN, Axis
+from ..table.rows import Floats, LoadRange
 
 FIRST = 15  # two for each load and three more: with those `plate_thin` is at 0.7 % of its range
 

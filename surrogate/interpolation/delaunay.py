@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay, KDTree, QhullError
 
-from surrogate.interpolation.hull import nearest_points
-from surrogate.interpolation.morton import curve_order
-from surrogate.interpolation.numbering import Numbered, number
-from surrogate.interpolation.walk import LOST, ON_HULL, locate_many
-from surrogate.jit import COMPILED
-from surrogate.table.rows import Floats
+from ..jit import COMPILED
+from ..table.rows import Floats
+from .hull import nearest_points
+from .morton import curve_order
+from .numbering import Numbered, number
+from .walk import LOST, ON_HULL, locate_many
 
 Indices = NDArray[np.intp]
 

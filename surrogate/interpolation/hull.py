@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.table.rows import Floats
+from ..table.rows import Floats
 
 CHUNK = 200_000  # pairs of points and facets looked at together: some 50 MB of numbers
 

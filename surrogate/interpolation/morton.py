@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.table.rows import Floats
+from ..table.rows import Floats
 
 CELLS = 32  # a side: three times five bits fit 16, which numpy sorts by radix
 FEWEST = 64  # points below which sorting costs more than it saves

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.interpolation.morton import curve_order
-from surrogate.interpolation.walk import (
+from ..table.rows import Floats
+from .morton import curve_order
+from .walk import (
     AXIS_FLOATS,
     AXIS_INTS,
     BASIS,
@@ -23,7 +24,6 @@ from surrogate.interpolation.walk import (
     SLACK,
     STATE,
 )
-from surrogate.table.rows import Floats
 
 Indices = NDArray[np.intp]
 

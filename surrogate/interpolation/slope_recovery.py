@@ -22,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from surrogate.interpolation.delaunay import Triangulation
-from surrogate.table.rows import Floats
+from ..table.rows import Floats
+from .delaunay import Triangulation
 
 NEIGHBOURS = {1: 5, 2: 10, 3: 18}  # of a patch, by dimension: not quite two for each unknown
 RIDGE = 1e-10  # of the patch's own size: keeps points on one quadric from a singular fit

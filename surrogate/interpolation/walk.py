@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.jit import compiled
+from ..jit import compiled
 
 # Columns of a vertex: place (3, in the triangulation's own coordinates), the four outputs of its
 # axis, their slopes along those coordinates (4 x 3), and the rest of their error bars (4).

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.kriging.correlation import GROUPS, LOADS, PLACES
-from surrogate.kriging.dense import Dense
-from surrogate.kriging.equations import OUTPUTS, Scaling
-from surrogate.table.rows import Floats
+from ..table.rows import Floats
+from .correlation import GROUPS, LOADS, PLACES
+from .dense import Dense
+from .equations import OUTPUTS, Scaling
 
 TERMS = len(GROUPS)
 

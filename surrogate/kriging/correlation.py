@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.table.axes import AXES
-from surrogate.table.rows import Floats
+from ..table.axes import AXES
+from ..table.rows import Floats
 
 Mask = NDArray[np.bool_]
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.kriging.correlation import (
+from ..table.rows import Floats
+from .correlation import (
     PLACES,
     Hyperparameters,
     Mask,
@@ -16,13 +17,12 @@ from surrogate.kriging.correlation import (
     mean_terms,
     numbers,
 )
-from surrogate.kriging.equations import OUTPUTS, Equations
-from surrogate.kriging.factor import Factor, border, factorise
-from surrogate.kriging.left_out import left_out
-from surrogate.kriging.neighbourhood import Finder, LocalFactor, local_factor
-from surrogate.kriging.settings import DEFAULTS, KrigingSettings
-from surrogate.kriging.shares import Share
-from surrogate.table.rows import Floats
+from .equations import OUTPUTS, Equations
+from .factor import Factor, border, factorise
+from .left_out import left_out
+from .neighbourhood import Finder, LocalFactor, local_factor
+from .settings import DEFAULTS, KrigingSettings
+from .shares import Share
 
 
 @dataclass(frozen=True)

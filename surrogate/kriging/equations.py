@@ -10,9 +10,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from surrogate.kriging.correlation import PLACES, Mask
-from surrogate.kriging.settings import DEFAULTS, KrigingSettings
-from surrogate.table.rows import Floats, LoadRange, RowError, Rows
+from ..table.rows import Floats, LoadRange, RowError, Rows
+from .correlation import PLACES, Mask
+from .settings import DEFAULTS, KrigingSettings
 
 OUTPUTS = 6
 

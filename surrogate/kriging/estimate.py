@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.kriging.correlation import Hyperparameters
-from surrogate.kriging.equations import OUTPUTS, Equations, Scaling
-from surrogate.kriging.factor import factorise
-from surrogate.kriging.likelihood import maximise
-from surrogate.kriging.settings import KrigingSettings
-from surrogate.kriging.shares import Share, shares_of
-from surrogate.kriging.spread_rows import spread_rows
-from surrogate.table.rows import Floats
+from ..table.rows import Floats
+from .correlation import Hyperparameters
+from .equations import OUTPUTS, Equations, Scaling
+from .factor import factorise
+from .likelihood import maximise
+from .settings import KrigingSettings
+from .shares import Share, shares_of
+from .spread_rows import spread_rows
 
 
 def estimated(

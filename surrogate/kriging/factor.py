@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import get_lapack_funcs
 
-from surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms, numbers
-from surrogate.kriging.equations import Equations
-from surrogate.kriging.settings import DEFAULTS, KrigingSettings
-from surrogate.table.rows import Floats
-
+from ..table.rows import Floats
+from .correlation import Hyperparameters, covariance, mean_terms, numbers
+from .equations import Equations
+from .settings import DEFAULTS, KrigingSettings
 
 ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of values that are one
 

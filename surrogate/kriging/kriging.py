@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.kriging import compiled
-from surrogate.kriging.correlation import LOADS, Hyperparameters
-from surrogate.kriging.dense import Dense, dense
-from surrogate.kriging.equations import (
+from ..table.axes import AXES, CLEAN
+from ..table.rows import Floats, LoadRange, Rows
+from . import compiled
+from .correlation import LOADS, Hyperparameters
+from .dense import Dense, dense
+from .equations import (
     OUTPUTS,
     Equations,
     Scaling,
@@ -22,14 +24,12 @@ from surrogate.kriging.equations import (
     scaling_of,
     within,
 )
-from surrogate.kriging.estimate import estimated
-from surrogate.kriging.left_out import conformal_factors
-from surrogate.kriging.nearest import Nearest, nearest
-from surrogate.kriging.settings import DEFAULTS, KrigingSettings
-from surrogate.kriging.shares import Share, shares_of
-from surrogate.kriging.threads import one_thread
-from surrogate.table.axes import AXES, CLEAN
-from surrogate.table.rows import Floats, LoadRange, Rows
+from .estimate import estimated
+from .left_out import conformal_factors
+from .nearest import Nearest, nearest
+from .settings import DEFAULTS, KrigingSettings
+from .shares import Share, shares_of
+from .threads import one_thread
 
 
 @dataclass(frozen=True, eq=False)

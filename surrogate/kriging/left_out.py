@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.kriging.equations import Equations
-from surrogate.kriging.factor import Factor
-from surrogate.kriging.settings import DEFAULTS, KrigingSettings
-from surrogate.table.rows import Floats
+from ..table.rows import Floats
+from .equations import Equations
+from .factor import Factor
+from .settings import DEFAULTS, KrigingSettings
 
 
 class LeftOut(NamedTuple):

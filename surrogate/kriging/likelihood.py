@@ -10,18 +10,18 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize
 
-from surrogate.kriging.correlation import (
+from ..table.rows import Floats
+from .correlation import (
     GROUPS,
     LOADS,
     PLACES,
     Hyperparameters,
     matern,
 )
-from surrogate.kriging.equations import Equations
-from surrogate.kriging.factor import SingularCovarianceError, factorise
-from surrogate.kriging.settings import DEFAULTS, KrigingSettings
-from surrogate.kriging.shares import Share
-from surrogate.table.rows import Floats
+from .equations import Equations
+from .factor import SingularCovarianceError, factorise
+from .settings import DEFAULTS, KrigingSettings
+from .shares import Share
 
 REFUSED = 1e10  # of a covariance that cannot be factorised: more than any likelihood's logarithm
 

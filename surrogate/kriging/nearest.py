@@ -11,18 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.kriging.correlation import (
+from ..table.rows import Floats
+from .correlation import (
     PLACES,
     Hyperparameters,
     block,
 )
-from surrogate.kriging.equations import OUTPUTS, Equations
-from surrogate.kriging.factor import Factor, factorise
-from surrogate.kriging.neighbourhood import Finder, LocalFactor, local_factor
-from surrogate.kriging.settings import DEFAULTS, KrigingSettings
-from surrogate.kriging.shares import Share
-from surrogate.kriging.spread_rows import spread_rows
-from surrogate.table.rows import Floats
+from .equations import OUTPUTS, Equations
+from .factor import Factor, factorise
+from .neighbourhood import Finder, LocalFactor, local_factor
+from .settings import DEFAULTS, KrigingSettings
+from .shares import Share
+from .spread_rows import spread_rows
 
 
 @dataclass(frozen=True)

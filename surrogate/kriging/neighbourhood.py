@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from surrogate.kriging.correlation import (
+from ..table.rows import Floats
+from .correlation import (
     GROUPS,
     PLACES,
     Hyperparameters,
@@ -22,10 +23,9 @@ from surrogate.kriging.correlation import (
     mean_terms,
     numbers,
 )
-from surrogate.kriging.equations import Equations
-from surrogate.kriging.factor import diagonal_added, inverse_factor
-from surrogate.kriging.settings import DEFAULTS, KrigingSettings
-from surrogate.table.rows import Floats
+from .equations import Equations
+from .factor import diagonal_added, inverse_factor
+from .settings import DEFAULTS, KrigingSettings
 
 Places = NDArray[np.intp]
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.kriging.equations import OUTPUTS, Equations
-from surrogate.kriging.settings import DEFAULTS, KrigingSettings
-from surrogate.table.rows import Floats
+from ..table.rows import Floats
+from .equations import OUTPUTS, Equations
+from .settings import DEFAULTS, KrigingSettings
 
 
 class Share(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.kriging.equations import Equations
+from .equations import Equations
 
 DECIMALS = 9  # to which two distances are a tie, settled by the rows' own order
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.answer import COVERED, OUTSIDE
-from surrogate.kriging import Kriging
-from surrogate.methods.method import Estimates, why_beyond
-from surrogate.table.rows import Floats, LoadRange
+from ..answer import COVERED, OUTSIDE
+from ..kriging import Kriging
+from ..table.rows import Floats, LoadRange
+from .method import Estimates, why_beyond
 
 
 class GaussianProcess:

@@ -6,16 +6,16 @@ from functools import cached_property
 
 import numpy as np
 
-from surrogate.answer import COVERED, OUTSIDE, THIN
-from surrogate.composition.axis_table import SOUND
-from surrogate.composition.composition import OFF_HULL, Composed, Composition
-from surrogate.composition.fast import UNKNOWN, compose
-from surrogate.composition.packed import Packed, pack
-from surrogate.composition.reasons import why_not
-from surrogate.jit import COMPILED
-from surrogate.methods.method import Estimates
-from surrogate.methods.reference import Reference
-from surrogate.table.rows import Floats
+from ..answer import COVERED, OUTSIDE, THIN
+from ..composition.axis_table import SOUND
+from ..composition.composition import OFF_HULL, Composed, Composition
+from ..composition.fast import UNKNOWN, compose
+from ..composition.packed import Packed, pack
+from ..composition.reasons import why_not
+from ..jit import COMPILED
+from ..table.rows import Floats
+from .method import Estimates
+from .reference import Reference
 
 
 class Griddata:

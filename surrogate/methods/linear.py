@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrogate.answer import COVERED, OUTSIDE
-from surrogate.methods.method import Estimates, why_beyond
-from surrogate.methods.reference import Reference
-from surrogate.table.axes import CLEAN
-from surrogate.table.compliance import ComplianceFit
-from surrogate.table.rows import LOADS, Floats, LoadRange
+from ..answer import COVERED, OUTSIDE
+from ..table.axes import CLEAN
+from ..table.compliance import ComplianceFit
+from ..table.rows import LOADS, Floats, LoadRange
+from .method import Estimates, why_beyond
+from .reference import Reference
 
 ROUNDING = 1e-12  # of the answer's size: what the solver's own arithmetic leaves
 

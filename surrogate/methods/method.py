@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.table.rows import LOAD_UNITS, LOADS, Floats, LoadRange
+from ..table.rows import LOAD_UNITS, LOADS, Floats, LoadRange
 
 
 class Estimates(NamedTuple):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from surrogate.answer import COVERED, OUTSIDE
-from surrogate.methods.method import Estimates, why_beyond
-from surrogate.methods.reference import Reference
-from surrogate.table.rows import Floats, LoadRange, Rows
+from ..answer import COVERED, OUTSIDE
+from ..table.rows import Floats, LoadRange, Rows
+from .method import Estimates, why_beyond
+from .reference import Reference
 
 
 class Nearest:

@@ -10,9 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
-from surrogate.composition.composition import Composed, Composition
-from surrogate.kriging import Kriging
-from surrogate.table.rows import Floats
+from ..composition.composition import Composed, Composition
+from ..kriging import Kriging
+from ..table.rows import Floats
 
 
 class Reference(Protocol):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from surrogate.answer import METHODS, UnknownMethodError
-from surrogate.methods.method import Method
+from ..answer import METHODS, UnknownMethodError
+from .method import Method
 
 
 class Registry:

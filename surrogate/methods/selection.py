@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surrogate.composition.composition import Composition
-from surrogate.kriging import Kriging
-from surrogate.table.axes import clean_rows
-from surrogate.table.rows import Floats, LoadRange, Rows
+from ..composition.composition import Composition
+from ..kriging import Kriging
+from ..table.axes import clean_rows
+from ..table.rows import Floats, LoadRange, Rows
 
 CLEARLY = 0.8  # of griddata's error: a kriging that is no better than that is not worth its cost
 ENOUGH_FULL = 20  # full wrenches that show what loads of several axes do together: measured on

@@ -11,9 +11,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.table.compliance import ComplianceFit
-from surrogate.table.merging import close_groups
-from surrogate.table.rows import CLEAN, Floats, LoadRange, Rows
+from .compliance import ComplianceFit
+from .merging import close_groups
+from .rows import CLEAN, Floats, LoadRange, Rows
 
 OffAxis = Literal["correct", "ignore", "exclude"]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.bars.conformal import conformal_factor
-from surrogate.table.rows import Floats, LoadRange, Rows
+from ..bars.conformal import conformal_factor
+from .rows import Floats, LoadRange, Rows
 
 RANK = 1e-9  # relative singular value below which the rows do not tell a load
 LONE = 1e-6  # of a row's own weight in its prediction: with less to spare the others do not tell it

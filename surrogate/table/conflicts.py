@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from surrogate.table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
+from .rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
 
 SAME = 9  # decimals, in scaled loads, to which two wrenches are one
 AGREE = 1e-6  # of an output's range: what rounding in a file may do

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 import h5py
 import numpy as np
 
-from surrogate.table.rows import LOAD_UNITS, OUTPUT_UNITS, LoadRange, Rows
+from .rows import LOAD_UNITS, OUTPUT_UNITS, LoadRange, Rows
 
 SCHEMA_VERSION = 2  # 1 had no digest
 FORMAT = "wrenchbook table"

@@ -16,7 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from surrogate.table.rows import CLEAN, Floats, LoadRange, Rows
+from .rows import CLEAN, Floats, LoadRange, Rows
 
 NEAR = 1e-6  # of the range: rows closer than this, in each load, are one
 EQUAL = 12  # decimals of scaled loads to which rows are one before any distance is measured

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from surrogate.table.axes import CLEAN
-from surrogate.table.compliance import ComplianceFit
-from surrogate.table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
+from .axes import CLEAN
+from .compliance import ComplianceFit
+from .rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
 
 # Shares of an output's largest value: what passes for zero, for equal, for linear.
 ZERO, LINEAR = 1e-3, 1e-2
