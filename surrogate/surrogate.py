@@ -324,7 +324,8 @@ class Surrogate:
         if limit is not None:
             return allowed_by(limit)
         if method == "kriging":
-            return (WITHOUT_TOLERANCE * self.ranges).tolist()
+            # An output that no row moves has no range to take a share of.
+            return np.where(self.ranges > 0, WITHOUT_TOLERANCE * self.ranges, np.inf).tolist()
         return (np.inf,) * 6
 
     def _doubtful(self, asked: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
