@@ -62,6 +62,10 @@ class Connection:
         self._idle: list[http.client.HTTPConnection] = []
         self._process_id = os.getpid()
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: connections stay behind."""
+        return vars(self) | {"_idle": []}
+
     def __enter__(self) -> Self:
         return self
 
@@ -81,6 +85,7 @@ class Connection:
         *,
         kind: str | None = None,
         query: dict[str, Any] | None = None,
+        headers: dict[str, str] | None = None,
         wait_s: float | None = None,
         repeatable: bool = True,
     ) -> Reply:
@@ -94,6 +99,8 @@ class Connection:
             Body; JSON unless `kind` names another content type.
         query : dict, optional
             Query parameters; those that are None are left out.
+        headers : dict, optional
+            Further header fields.
         wait_s : float, optional
             Seconds the server was asked to hold the answer back.
         repeatable : bool
@@ -110,8 +117,10 @@ class Connection:
             If the answer does not come in time.
         """
         target = self._path + path + _query(query)
-        headers = _JSON if kind is None else {"Content-Type": kind}
-        request = (method, target, content, headers, self.timeout + (wait_s or 0.0))
+        fields = _JSON if kind is None else {"Content-Type": kind}
+        if headers:
+            fields = fields | headers
+        request = (method, target, content, fields, self.timeout + (wait_s or 0.0))
         return self._send(request, self._take() if repeatable else None)
 
     def call_json(self, method: str, path: str, body: Any = None, **options: Any) -> Any:
