@@ -39,7 +39,7 @@ from .methods.selection import (
     choose,
     knows_interaction,
 )
-from .table.axes import OffAxis, clean_rows
+from .table.axes import OffAxis, clean_rows, clean_wrenches
 from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import merge
 from .table.rows import CLEAN, Floats, LoadRange, Rows, Tolerance
@@ -336,8 +336,7 @@ class Surrogate:
         none = np.zeros(len(asked), dtype=bool)
         together = at_rest = none
         if not self.knows_interaction:
-            clean = clean_rows(Rows.of(asked, np.zeros_like(asked)), self.load_range)
-            together = ~clean.any(axis=1)
+            together = ~clean_wrenches(asked, self.load_range).any(axis=1)
         if self._rest_unknown:
             at_rest = ~(np.abs(asked) > self._small).any(axis=1)
         return together, at_rest

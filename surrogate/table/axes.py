@@ -75,10 +75,19 @@ class AxisRows:
         )
 
 
+# Which loads (6) are not an axis' own (3): a product with it tells whether any of them is there.
+_FOREIGN = np.array([[load in axis.others for axis in AXES] for load in range(6)])
+
+
 def clean_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
     """Return, shape (n, 3), which rows are clean for which axis: no load but the axis' own."""
-    loaded = np.abs(rows.wrench) > CLEAN * load_range.scale
-    return np.stack([~loaded[:, axis.others].any(axis=1) for axis in AXES], axis=1)
+    return clean_wrenches(rows.wrench, load_range)
+
+
+def clean_wrenches(wrenches: Floats, load_range: LoadRange) -> NDArray[np.bool_]:
+    """Return, shape (n, 3), which wrenches (n, 6), N and N·m, load but one axis, and which."""
+    loaded = np.abs(wrenches) > CLEAN * load_range.scale
+    return ~(loaded @ _FOREIGN)
 
 
 def axis_rows(
