@@ -78,35 +78,18 @@ class Table:
             If a number is not finite, a shape is wrong, or there is no such method.
         """
         wrench = one_wrench(force, moment)
-        built, limit = self._built, _tolerance(tolerance)
         asked = tuple((wrench + 0.0).tolist())  # no negative zeros, as in the server
+        surrogate, limit = self._built.surrogate, _tolerance(tolerance)
         started = perf_counter_ns()
-        answer = built.surrogate.answer(asked, limit, method)
+        answer = surrogate.answer(asked, limit, method)
         elapsed_us = (perf_counter_ns() - started) / 1e3
-        moved, bars, by_row = answer.displacement, answer.error, answer.method == "row"
-        source, reason, derivative = "table" if moved else None, answer.reason, None
-        if by_row:
-            source = built.surrogate.source_of(asked)
-            reason = f"{EXACT} {reason}".rstrip()
-        if derivatives and moved:
-            tell = room("derivative").derivative_at
-            derivative = tell(built.surrogate, asked, method, by_row=by_row)
-        return Displacement.read(
-            self.name,
-            wrench,
-            {
-                "translation": moved and moved[:3],
-                "rotation": moved and moved[3:],
-                "error": bars and {"translation": bars[:3], "rotation": bars[3:]},
-                "coverage": answer.coverage,
-                "source": source,
-                "method": answer.method,
-                "table_version": built.surrogate.version,
-                "elapsed_us": elapsed_us,
-                "reason": reason,
-                "derivative": _known(derivative),
-            },
-        )
+        derivative = None
+        if derivatives and answer.displacement:
+            tell, by_row = room("derivative").derivative_at, answer.method == "row"
+            derivative = tell(surrogate, asked, method, by_row=by_row)
+        body = _reply(surrogate, asked, answer)
+        body |= {"elapsed_us": elapsed_us, "derivative": _known(derivative)}
+        return Displacement.read(self.name, wrench, body)
 
     def batch(
         self,
@@ -222,6 +205,24 @@ def _tolerance(tolerance: Any) -> Any:
     if tolerance is None:
         return None
     return room("table.rows").Tolerance(**tolerance_body(tolerance))
+
+
+def _reply(surrogate: Any, asked: tuple[float, ...], answer: Any) -> dict[str, Any]:
+    """Return what the server's reply to ``estimate`` says, of an answer to a wrench (6,)."""
+    moved, bars = answer.displacement, answer.error
+    source, reason = "table" if moved else None, answer.reason
+    if answer.method == "row":
+        source, reason = surrogate.source_of(asked), f"{EXACT} {reason}".rstrip()
+    return {
+        "translation": moved and moved[:3],
+        "rotation": moved and moved[3:],
+        "error": bars and {"translation": bars[:3], "rotation": bars[3:]},
+        "coverage": answer.coverage,
+        "source": source,
+        "method": answer.method,
+        "table_version": surrogate.version,
+        "reason": reason,
+    }
 
 
 def _known(derivative: Any) -> Any:
