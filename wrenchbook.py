@@ -6,8 +6,8 @@
 ...     R, p = answer.apply(R0, p0)
 
 Each public name is loaded when it is first used, so that a simulator pays for what it uses. The
-client is found beside this file and not by the name ``service``: a project may have a package of
-that name of its own.
+client and the surrogate are found beside this file and not by the names ``service`` and
+``surrogate``: a project may have packages of those names of its own.
 
 Run as a program, this file is the command ``wrenchbook``, and with ``-m`` any other program of the
 rooms beside it: ``python wrenchbook.py -m fea.check FOLDER``.
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         Round,
         ServerTimeout,
         ServerUnreachable,
+        Table,
         conventions,
     )
 
@@ -50,6 +51,7 @@ _HOME = {
     "Round": "client",
     "ServerTimeout": "client",
     "ServerUnreachable": "client",
+    "Table": "client",
     "conventions": "client.conventions",
 }
 __all__ = [
@@ -61,6 +63,7 @@ __all__ = [
     "Round",
     "ServerTimeout",
     "ServerUnreachable",
+    "Table",
     "conventions",
 ]
 
@@ -112,8 +115,7 @@ def claim_rooms() -> None:
         If another package of such a name has been imported already.
     """
     for name in _ROOMS:
-        start = _HERE / name / "__init__.py"
-        there = sys.modules.get(name)
+        there, start = sys.modules.get(name), _HERE / name / "__init__.py"
         if there is not None:
             if there.__file__ and Path(there.__file__).resolve() == start:
                 continue
@@ -121,14 +123,20 @@ def claim_rooms() -> None:
                 f"this process has imported the package {name!r} of {there.__file__}, so it cannot "
                 "run wrenchbook's own; start wrenchbook in a process of its own"
             )
-        spec = importlib.util.spec_from_file_location(
-            name, start, submodule_search_locations=[str(start.parent)]
-        )
-        assert spec is not None
-        assert spec.loader is not None
-        room = importlib.util.module_from_spec(spec)
-        sys.modules[name] = room
-        spec.loader.exec_module(room)
+        _load_room(name, name)
+
+
+def _load_room(name: str, folder: str) -> None:
+    """Load the package of a folder beside this file under a name."""
+    start = _HERE / folder / "__init__.py"
+    spec = importlib.util.spec_from_file_location(
+        name, start, submodule_search_locations=[str(start.parent)]
+    )
+    assert spec is not None
+    assert spec.loader is not None
+    room = importlib.util.module_from_spec(spec)
+    sys.modules[name] = room
+    spec.loader.exec_module(room)
 
 
 def _run() -> None:
@@ -141,6 +149,10 @@ def _run() -> None:
     del sys.argv[1:3]
     runpy.run_module(module, run_name="__main__", alter_sys=True)
 
+
+# What a table in this process is made of, under a name that no other package has. It is a line of
+# text until something of it is used.
+_load_room(f"{__name__}.surrogate", "surrogate")
 
 if __name__ == "__main__":
     _run()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +24,9 @@ from service.report.queue import Reports
 from service.tables.live import TableBehindError, Tables
 from surrogate.build import AnyTable
 from surrogate.design.adaptive import Design, next_wrenches
-from surrogate.table.rows import Tolerance
+from surrogate.missing_outputs import MissingOutputs
+from surrogate.surrogate import Surrogate
+from surrogate.table.rows import LoadRange, Tolerance
 
 log = logging.getLogger(__name__)
 
@@ -135,8 +138,24 @@ class Workspace:
         await loop.run_in_executor(None, self.tables.catch_up, name, seconds)
         return self.tables.surrogate(name)
 
-    def fill(self, name: str, budget: int, tolerance: Tolerance | None) -> tuple[Design, list[Job]]:
+    def fill(
+        self,
+        name: str,
+        budget: int,
+        tolerance: Tolerance | None,
+        span: LoadRange | None = None,
+        outputs: Sequence[int] = range(6),
+    ) -> tuple[Design, list[Job]]:
         """Design one round of solves on all rows there are, and accept them.
+
+        Parameters
+        ----------
+        tolerance : Tolerance or None, m and rad
+            The component's own if None.
+        span : LoadRange, optional, N and N·m
+            The part of the load range that the table is wanted for; all of it by default.
+        outputs : sequence of int
+            The outputs that are wanted.
 
         Raises
         ------
@@ -151,7 +170,14 @@ class Workspace:
         # The other way round it would be in neither, and be asked for again.
         asked = self.orders.asked_wrenches(name)
         surrogate = self.tables.caught_up(name, CATCH_UP_S)
-        design = next_wrenches(surrogate, budget, pending=asked, tolerance=tolerance)
+        design = next_wrenches(
+            _designed_on(surrogate),
+            budget,
+            pending=asked,
+            tolerance=tolerance,
+            span=span,
+            outputs=outputs,
+        )
         return design, self.orders.fill(name, design.wrenches)
 
     async def wait(self, job_id: int, seconds: float) -> Job:
@@ -219,7 +245,7 @@ class Workspace:
             return
         try:
             asked = self.orders.asked_wrenches(name)
-            design = next_wrenches(surrogate, 6, pending=asked)
+            design = next_wrenches(_designed_on(surrogate), 6, pending=asked)
             self.orders.fill(name, design.wrenches, urgent=True)
         except LedgerUnavailableError:
             del self._unit_solves_asked[name]  # asked again by the next question
@@ -237,6 +263,11 @@ class Workspace:
             waiting = list(self._changed)
         for event in waiting:
             loop.call_soon_threadsafe(event.set)
+
+
+def _designed_on(surrogate: AnyTable) -> Surrogate:
+    """Return the surrogate that tells what to solve: of several that of the fewest rows."""
+    return surrogate.thinnest if isinstance(surrogate, MissingOutputs) else surrogate
 
 
 async def _wait_for(event: asyncio.Event, seconds: float) -> None:

@@ -20,7 +20,7 @@ from .surrogate import Surrogate
 from .table.axes import OffAxis
 from .table.compliance import ComplianceFit
 from .table.conflicts import row_conflicts
-from .table.rows import OUTPUTS, LoadRange, Rows, Tolerance
+from .table.rows import OUTPUTS, Floats, LoadRange, Rows, Tolerance
 
 
 class MissingOutputs:
@@ -170,6 +170,22 @@ class MissingOutputs:
             bars[:, chosen] = found.error[:, chosen]
             coverage = np.maximum(coverage, found.coverage)
         return Batch(moved, bars, coverage)
+
+    def derivatives(self, wrenches: ArrayLike, method: str | None = None) -> Floats:
+        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
+
+        NaN for an output that no row holds.
+
+        Raises
+        ------
+        UnknownMethodError
+            If the method is none of `METHODS`.
+        """
+        asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
+        found = np.full((len(asked), 6, 6), np.nan)
+        for outputs, part in self.groups:
+            found[:, list(outputs)] = part.derivatives(asked, method)[:, list(outputs)]
+        return found
 
     def explain(
         self,

@@ -327,7 +327,7 @@ class Surrogate:
         if limit is not None:
             return allowed_by(limit)
         if method == "kriging":
-            return (WITHOUT_TOLERANCE * self.ranges).tolist()
+            return self._hundredths
         return (np.inf,) * 6
 
     def _doubtful(self, asked: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -349,6 +349,11 @@ class Surrogate:
         if at_rest[0]:
             return UNKNOWN_AT_REST
         return UNKNOWN_TOGETHER.format(full=self.full_wrenches) if together[0] else ""
+
+    @cached_property
+    def _hundredths(self) -> list[float]:
+        """A hundredth of each output's range; what no row moves has none to take a share of."""
+        return np.where(self.ranges > 0, WITHOUT_TOLERANCE * self.ranges, np.inf).tolist()
 
     @cached_property
     def _sure(self) -> bool:

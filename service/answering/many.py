@@ -15,6 +15,7 @@ from service.answering.solved import read_row
 from service.ordering import Placed
 from service.workspace import Workspace
 from surrogate.answer import COVERED
+from surrogate.derivative import derivatives_at
 
 Places = NDArray[np.intp]
 
@@ -49,9 +50,13 @@ def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcom
     """Answer from the table, and place what it does not cover."""
     surrogate = workspace.surrogate(name)
     started = perf_counter_ns()
-    answers = surrogate.batch(batch.wrenches, batch.tolerance, batch.method)
+    how = batch.tolerance, batch.method
+    answers = surrogate.batch(batch.wrenches, *how)
     elapsed_us = (perf_counter_ns() - started) / 1e3
-    outcome = BatchOutcome(name, *answers, surrogate.version, elapsed_us, [])
+    method = batch.method or surrogate.default
+    outcome = BatchOutcome(name, *answers, surrogate.version, elapsed_us, [], method)
+    if batch.derivatives:
+        outcome.derivatives = derivatives_at(surrogate, batch.wrenches, *how)
     thin = np.flatnonzero(answers.coverage)
     if not len(thin) or batch.on_thin == "estimate":
         return outcome
@@ -112,3 +117,6 @@ def _take_rows(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) -
         asked = batch.wrenches[one.index]
         outcome.displacements[one.index], outcome.errors[one.index] = read_row(row, asked, scale)
         outcome.coverage[one.index] = COVERED
+        if outcome.derivatives is not None:
+            known = row.compliance is not None
+            outcome.derivatives[one.index] = row.compliance if known else np.nan

@@ -8,13 +8,16 @@ import numpy as np
 from starlette.concurrency import run_in_threadpool
 
 from service.answering.load_range import why_beyond
+from service.answering.method_detail import detail_of
 from service.answering.queries import Outcome, Query
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
-from service.answering.solved import EXACT, ROUNDED, read_row
+from service.answering.solved import ROUNDED, read_row
+from service.client.replies import EXACT
 from service.ledger import Job
 from service.ordering import Placed
 from service.workspace import Workspace
 from surrogate.build import AnyTable
+from surrogate.derivative import derivative_at
 
 
 async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Outcome:
@@ -75,8 +78,14 @@ async def _answered(name: str, surrogate: AnyTable, query: Query) -> Outcome:
         outcome.source = surrogate.source_of(query.wrench)
         outcome.reason = f"{EXACT} {reason}".rstrip()
     outcome.missing = missing
+    if query.derivatives and displacement:
+        outcome.derivative = derivative_at(
+            surrogate, query.wrench, query.method, by_row=method == "row"
+        )
     if query.detail:
-        outcome.axes = surrogate.explain(query.wrench, query.tolerance, query.method)
+        asked = query.wrench, query.tolerance, query.method
+        outcome.axes = await run_in_threadpool(surrogate.explain, *asked)
+        outcome.method_detail = detail_of(surrogate, method)
     return outcome
 
 
@@ -142,9 +151,12 @@ def _take_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) ->
     row = workspace.ledger.row(seq)
     scale = workspace.library[outcome.component].load_range.scale
     displacement, error = read_row(row, np.array(query.wrench), scale)
+    if query.derivatives:
+        outcome.derivative = None if row.compliance is None else np.array(row.compliance)
     outcome.displacement, outcome.error = tuple(displacement.tolist()), tuple(error.tolist())
     outcome.coverage, outcome.method, outcome.source = "covered", "row", row.source
     outcome.reason = EXACT if row.wrench == query.wrench else ROUNDED
+    outcome.method_detail = detail_of(None, "row") if query.detail else None
     outcome.row, outcome.unsolved = seq, False
 
 

@@ -34,6 +34,8 @@ class Query:
         Whether the axes are to be explained.
     beyond_range : bool
         Whether a wrench outside the load range may be solved.
+    derivatives : bool
+        Whether du/dw is to be told.
     """
 
     wrench: tuple[float, ...]
@@ -43,6 +45,7 @@ class Query:
     method: str | None = None
     detail: bool = False
     beyond_range: bool = False
+    derivatives: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +58,7 @@ class BatchQuery:
     tolerance: Tolerance | None = None
     method: str | None = None
     beyond_range: bool = False
+    derivatives: bool = False
 
 
 @dataclass(slots=True)
@@ -87,6 +91,10 @@ class Outcome:
         `Surrogate.explain`, if asked for.
     missing : tuple of str
         The outputs that no row of the table holds.
+    derivative : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None
+        du/dw if asked for; NaN, or None as a whole, where it is not known.
+    method_detail : str
+        How the method answers, in words, if asked for.
     """
 
     component: str
@@ -104,6 +112,8 @@ class Outcome:
     notes: list[str] = field(default_factory=list)
     axes: list[dict[str, Any]] | None = None
     missing: tuple[str, ...] = ()
+    derivative: Floats | None = None
+    method_detail: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +151,10 @@ class BatchOutcome:
     table_version : int
     elapsed_us : float
         Time the table took to answer, µs.
+    method : str
+        How the table answers.
+    derivatives : ndarray, shape (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None
+        du/dw if asked for; NaN where it is not known.
     """
 
     component: str
@@ -150,6 +164,8 @@ class BatchOutcome:
     table_version: int
     elapsed_us: float
     jobs: list[WrenchJob]
+    method: str
+    derivatives: Floats | None = None
 
     @property
     def unsolved(self) -> bool:

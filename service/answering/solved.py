@@ -9,7 +9,6 @@ from service.ledger import LedgerRow
 
 Floats = NDArray[np.float64]
 
-EXACT = "One row of the table has exactly this wrench."
 ROUNDED = "One row of the table has this wrench, rounded to 1e-6 of the load range."
 
 

@@ -27,6 +27,7 @@ for command in LOCAL_COMMANDS:
     app.command()(command)
 
 Three = tuple[float, float, float]
+Six = tuple[float, float, float, float, float, float]
 ZERO: Three = (0.0, 0.0, 0.0)
 
 Name = Annotated[str, typer.Argument(help="the component")]
@@ -46,6 +47,15 @@ AsJson = Annotated[bool, typer.Option("--json", help="print the server's reply a
 Budget = Annotated[int, typer.Option(min=1, help="most solves to spend")]
 Micro = Annotated[float | None, typer.Option(help="error bar to reach, translations, m")]
 MicroRad = Annotated[float | None, typer.Option(help="error bar to reach, rotations, rad")]
+
+ForceRange = Annotated[
+    Six | None,
+    typer.Option(help="only within, N", metavar="FX FX FY FY FZ FZ", show_default=False),
+]
+MomentRange = Annotated[
+    Six | None,
+    typer.Option(help="only within, N·m", metavar="MX MX MY MY MZ MZ", show_default=False),
+]
 
 DEFAULT_SERVER = "http://127.0.0.1:8000"
 
@@ -74,6 +84,9 @@ def query(
         str | None, typer.Option(help="such as griddata; the component's own choice otherwise")
     ] = None,
     detail: Annotated[bool, typer.Option(help="what each axis contributes")] = False,
+    derivatives: Annotated[
+        bool, typer.Option("--derivatives", help="add du/dw, 6 x 6, to what --json prints")
+    ] = False,
     beyond_range: BeyondRange = False,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
@@ -89,6 +102,7 @@ def query(
             wait_s=wait_s,
             method=method,
             detail=detail,
+            derivatives=derivatives,
             beyond_range=beyond_range,
         )
         _print_answer(answer, as_json)
@@ -120,6 +134,11 @@ def fill(
     budget: Budget = 100,
     translation: Micro = None,
     rotation: MicroRad = None,
+    force_range: ForceRange = None,
+    moment_range: MomentRange = None,
+    output: Annotated[
+        list[str] | None, typer.Option(help="an output that is wanted, such as uz; repeatable")
+    ] = None,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
@@ -129,8 +148,14 @@ def fill(
     tolerance = (
         {"translation": translation, "rotation": rotation} if translation and rotation else None
     )
+    if (force_range is None) != (moment_range is None):
+        raise typer.BadParameter("give --force-range and --moment-range together")
+    span = None
+    if force_range and moment_range:
+        span = {"force": _pairs(force_range), "moment": _pairs(moment_range)}
+    wanted = {"tolerance": tolerance, "range": span, "outputs": output or None}
     with connected(server, data) as client:
-        render.fill(out, client, name, budget, tolerance)
+        render.fill(out, client, name, budget, wanted)
 
 
 @app.command("import")
@@ -241,6 +266,11 @@ def main() -> None:
     except (ServerUnreachable, OSError, RuntimeError, ValueError) as error:
         render.plain(Console(stderr=True), str(error), style="red")
         sys.exit(1)
+
+
+def _pairs(ends: Six) -> list[list[float]]:
+    """Return three spans [low, high] from their six ends."""
+    return [list(ends[place : place + 2]) for place in (0, 2, 4)]
 
 
 def _print_answer(answer: Displacement, as_json: bool) -> None:

@@ -170,11 +170,13 @@ def fill(
     client: Client,
     name: str,
     budget: int,
-    tolerance: dict[str, float] | None,
+    wanted: dict[str, Any],
     round_size: int = 24,
     seconds: float = 3600.0,
 ) -> int:
     """Fill a table round by round, with a bar each; return how many solves were spent.
+
+    `wanted` is what `Client.fill` takes beside the budget.
 
     Raises
     ------
@@ -183,7 +185,7 @@ def fill(
     """
     spent = 0
     while spent < budget:
-        order = client.fill(name, tolerance=tolerance, budget=min(round_size, budget - spent))
+        order = client.fill(name, budget=min(round_size, budget - spent), **wanted)
         plain(out, f"{order.stage}: {order.reason}")
         if not order.jobs:
             break

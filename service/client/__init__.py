@@ -15,9 +15,10 @@ from .job_calls import JobCalls
 from .library import Library
 from .questions import Questions
 from .replies import Displacement, Displacements
+from .table import Downloads, Table
 
 
-class Client(Questions, JobCalls, Library):
+class Client(Questions, JobCalls, Library, Downloads):
     """A client of one server, for any number of threads.
 
     Parameters
@@ -45,4 +46,5 @@ __all__ = [
     "Round",
     "ServerTimeout",
     "ServerUnreachable",
+    "Table",
 ]

@@ -14,24 +14,60 @@ from .errors import ProblemError, ServerTimeout, ServerUnreachable
 _JSON = {"Content-Type": "application/json", "Accept": "application/json"}
 # What an http.client call raises when the other side has closed a kept connection.
 _CLOSED = (http.client.RemoteDisconnected, ConnectionError, http.client.BadStatusLine)
+_ONE_WRITE = 65_536  # bytes that are worth copying to be sent at once: any question but a batch
 # Method, target, body, headers, and the seconds it may take.
 _Request = tuple[str, str, bytes | None, dict[str, str], float]
 
 
 class Reply:
-    """Status, content type, body and headers of an answer that is no problem."""
+    """Status, body and headers of an answer that is no problem."""
 
-    __slots__ = ("content", "headers", "kind", "status")
+    __slots__ = ("content", "headers", "status")
 
-    def __init__(self, status: int, kind: str, content: bytes, headers: Message) -> None:
+    def __init__(self, status: int, content: bytes, headers: Message) -> None:
         self.status = status
-        self.kind = kind
         self.content = content
         self.headers = headers
 
     def json(self) -> Any:
         """Return the body as JSON."""
         return json.loads(self.content)
+
+
+class _OneWrite:
+    """A connection that sends a small request whole: one packet, one waking of the server.
+
+    http.client sends head and body apart, and the server starts on a head that it cannot use yet.
+    """
+
+    _held: list[Any] | None = None
+
+    def request(self, *request: Any, **more: Any) -> None:
+        """Send a request, as http.client does."""
+        self._held = held = []
+        try:
+            super().request(*request, **more)  # pyright: ignore[reportAttributeAccessIssue]
+        finally:
+            self._held = None
+        if all(isinstance(piece, bytes) for piece in held) and sum(map(len, held)) <= _ONE_WRITE:
+            held = [b"".join(held)]
+        for piece in held:
+            self.send(piece)
+
+    def send(self, data: Any) -> None:
+        """Send a piece, or hold it while its request is put together."""
+        if self._held is None:
+            super().send(data)  # pyright: ignore[reportAttributeAccessIssue]
+        else:
+            self._held.append(data)
+
+
+class _Plain(_OneWrite, http.client.HTTPConnection):
+    pass
+
+
+class _Secure(_OneWrite, http.client.HTTPSConnection):
+    pass
 
 
 class Connection:
@@ -58,9 +94,13 @@ class Connection:
         self._path = parts.path.rstrip("/")
         self._host, self._port = parts.hostname, parts.port
         https = parts.scheme == "https"
-        self._kind = http.client.HTTPSConnection if https else http.client.HTTPConnection
+        self._kind = _Secure if https else _Plain
         self._idle: list[http.client.HTTPConnection] = []
         self._process_id = os.getpid()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: connections stay behind."""
+        return vars(self) | {"_idle": []}
 
     def __enter__(self) -> Self:
         return self
@@ -81,6 +121,7 @@ class Connection:
         *,
         kind: str | None = None,
         query: dict[str, Any] | None = None,
+        headers: dict[str, str] | None = None,
         wait_s: float | None = None,
         repeatable: bool = True,
     ) -> Reply:
@@ -94,6 +135,8 @@ class Connection:
             Body; JSON unless `kind` names another content type.
         query : dict, optional
             Query parameters; those that are None are left out.
+        headers : dict, optional
+            Further header fields.
         wait_s : float, optional
             Seconds the server was asked to hold the answer back.
         repeatable : bool
@@ -110,8 +153,10 @@ class Connection:
             If the answer does not come in time.
         """
         target = self._path + path + _query(query)
-        headers = _JSON if kind is None else {"Content-Type": kind}
-        request = (method, target, content, headers, self.timeout + (wait_s or 0.0))
+        fields = _JSON if kind is None else {"Content-Type": kind}
+        if headers:
+            fields = fields | headers
+        request = (method, target, content, fields, self.timeout + (wait_s or 0.0))
         return self._send(request, self._take() if repeatable else None)
 
     def call_json(self, method: str, path: str, body: Any = None, **options: Any) -> Any:
@@ -167,10 +212,10 @@ class Connection:
             raise
         if not response.will_close:
             self._idle.append(connection)
-        kind = response.headers.get_content_type()
         if response.status >= 400:
+            kind = response.headers.get_content_type()
             raise _problem(response.status, response.reason, kind, received)
-        return Reply(response.status, kind, received, response.headers)
+        return Reply(response.status, received, response.headers)
 
 
 def _query(query: dict[str, Any] | None) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from .connection import Connection
@@ -100,7 +100,15 @@ class JobCalls(Connection):
         """Queue a failed or cancelled job again, and return it."""
         return Job.read(self.call_json("POST", f"{_path(job)}/retry", {}, repeatable=False))
 
-    def fill(self, name: str, tolerance: Any = None, budget: int | None = None) -> Round:
+    def fill(
+        self,
+        name: str,
+        tolerance: Any = None,
+        budget: int | None = None,
+        *,
+        range: Mapping[str, Any] | None = None,  # noqa: A002 (the contract's word)
+        outputs: Sequence[str] | None = None,
+    ) -> Round:
         """Queue one round of the solves that lower a table's error most.
 
         Parameters
@@ -111,13 +119,20 @@ class JobCalls(Connection):
             ``{"translation": m, "rotation": rad}`` to reach; the component's own otherwise.
         budget : int, optional
             Solves to queue at most.
+        range : mapping, optional
+            ``{"force": [[low, high], ...], "moment": [...]}``, three of each, N and N·m: the part
+            of the load range that the table is wanted for; all of it otherwise.
+        outputs : sequence of str, optional
+            Which of ux uy uz rx ry rz are wanted; all otherwise.
 
         Raises
         ------
         ProblemError
-            If the component is a table only and cannot be solved (409).
+            If the component is a table only and cannot be solved (409), or `range` is not within
+            its load range (422).
         """
-        body = options(tolerance=tolerance, budget=budget)
+        wanted = {"range": dict(range) if range else None, "outputs": outputs and list(outputs)}
+        body = options(tolerance=tolerance, budget=budget, **wanted)
         reply = self.call_json("POST", component_path(name, "fill"), body, repeatable=False)
         return Round.read(reply)
 
@@ -129,12 +144,14 @@ class JobCalls(Connection):
         *,
         round_size: int = ROUND,
         timeout: float = 3600.0,
+        range: Mapping[str, Any] | None = None,  # noqa: A002 (the contract's word)
+        outputs: Sequence[str] | None = None,
     ) -> Iterator[Round]:
         """Fill a table round by round, each designed on what the one before has found.
 
         Parameters
         ----------
-        name, tolerance
+        name, tolerance, range, outputs
             As in `fill`.
         budget : int
             Solves to spend at most, over all rounds.
@@ -155,7 +172,8 @@ class JobCalls(Connection):
             If a round does not end in time; its jobs go on in the server.
         """
         while budget > 0:
-            order = self.fill(name, tolerance, min(round_size, budget))
+            count = min(round_size, budget)
+            order = self.fill(name, tolerance, count, range=range, outputs=outputs)
             deadline = time.monotonic() + timeout
             ended = tuple(self.wait(job, deadline - time.monotonic()) for job in order.jobs)
             yield Round(ended, order.stage, order.reason)

@@ -38,6 +38,8 @@ class Questions(Connection):
         ``{"translation": m, "rotation": rad}``; the component's own otherwise.
     method : str, optional
         How the table shall answer, such as ``griddata``; the component's own choice otherwise.
+    derivatives : bool
+        Whether the answer shall have du/dw, 6 x 6 a wrench: ``derivative``, ``derivatives``.
     beyond_range : bool
         Whether a wrench outside the component's load range may be solved. If not, ``queue`` answers
         it flagged and without a job, and ``wait`` and `solve` refuse it.
@@ -54,6 +56,7 @@ class Questions(Connection):
         tolerance: Any = None,
         method: str | None = None,
         detail: bool = False,
+        derivatives: bool = False,
         beyond_range: bool = False,
     ) -> Displacement:
         """Return the displacement of a component's interface under one wrench, N and N·m.
@@ -83,6 +86,7 @@ class Questions(Connection):
             tolerance=tolerance,
             method=method,
             detail=detail or None,
+            derivatives=derivatives or None,
             beyond_range=beyond_range or None,
         )
         return self._ask(name, "displacement", wrench, asked)
@@ -96,6 +100,7 @@ class Questions(Connection):
         wait_s: float | None = None,
         tolerance: Any = None,
         method: str | None = None,
+        derivatives: bool = False,
         beyond_range: bool = False,
         binary: bool | None = None,
     ) -> Displacements:
@@ -116,6 +121,7 @@ class Questions(Connection):
             wait_s=wait_s,
             tolerance=tolerance,
             method=method,
+            derivatives=derivatives or None,
             beyond_range=beyond_range or None,
         )
         if len(block) >= BINARY_FROM if binary is None else binary:

@@ -15,6 +15,7 @@ from .rotation import rotation_matrix
 
 Vector = NDArray[np.float64]
 
+EXACT = "One row of the table has exactly this wrench."
 COVERAGE = ("covered", "thin", "outside")
 
 
@@ -47,6 +48,9 @@ class Displacement:
         beyond the load range, or with a full queue.
     reason : str
         Why it is not covered, or has no job; may be empty.
+    derivative : numpy.ndarray or None
+        du/dw, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), a line an output, if it was asked for
+        and is known; NaN where an output is not.
     raw : dict
         The reply as it came; with ``detail`` it has ``axes``.
     """
@@ -64,6 +68,7 @@ class Displacement:
     elapsed_us: float | None
     job: Job | None
     reason: str
+    derivative: Vector | None = None
     raw: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -85,6 +90,7 @@ class Displacement:
             elapsed_us=body.get("elapsed_us"),
             job=Job.read(job) if job else None,
             reason=body.get("reason") or "",
+            derivative=_array(body.get("derivative")),
             raw=dict(body),
         )
 
@@ -177,6 +183,11 @@ class Displacements:
         Version of the table that answered.
     elapsed_us : float or None
         Time all answers took in the server, µs.
+    method : str or None
+        How the table answered.
+    derivatives : numpy.ndarray or None
+        du/dw, shape (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), a line an output, if asked for; NaN
+        where it is not known.
     """
 
     component: str
@@ -188,6 +199,8 @@ class Displacements:
     no_job: dict[int, str]
     table_version: int | None
     elapsed_us: float | None
+    method: str | None = None
+    derivatives: Vector | None = None
     raw: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -204,6 +217,8 @@ class Displacements:
             no_job={job["index"]: job.get("reason") or "" for job in jobs if job.get("id") is None},
             table_version=body.get("table_version"),
             elapsed_us=body.get("elapsed_us"),
+            method=body.get("method"),
+            derivatives=_tangents(body.get("derivatives")),
             raw=dict(body),
         )
 
@@ -212,9 +227,10 @@ class Displacements:
         """Make one from the binary reply to `wrenches`, shape (n, 6), N and N·m.
 
         The reply is float64, shape (n, 13): displacement and error bars, m and rad, then coverage
-        as 0, 1 or 2 for `COVERAGE`.
+        as 0, 1 or 2 for `COVERAGE`; with derivatives shape (n, 36) follows, du/dw.
         """
-        block = np.frombuffer(reply.content, dtype="<f8").reshape(len(wrenches), 13).astype(float)
+        numbers, count = np.frombuffer(reply.content, dtype="<f8").astype(float), len(wrenches)
+        block, rest = numbers[: 13 * count].reshape(count, 13), numbers[13 * count :]
         version, elapsed, jobs = (
             reply.headers.get(f"Wrenchbook-{name}")
             for name in ("Table-Version", "Elapsed-Us", "Jobs")
@@ -229,6 +245,8 @@ class Displacements:
             no_job={},
             table_version=None if version is None else int(version),
             elapsed_us=None if elapsed is None else float(elapsed),
+            method=reply.headers.get("Wrenchbook-Method"),
+            derivatives=rest.reshape(count, 6, 6) if len(rest) else None,
             raw={"jobs_queued": int(jobs or 0)},
         )
 
@@ -242,12 +260,21 @@ class Displacements:
 
 
 def _array(values: Any) -> Vector | None:
-    """Return three floats as an array that is not written to by mistake, or None."""
+    """Return floats, NaN for null, as an array that is not written to by mistake, or None."""
     if values is None:
         return None
     array = np.array(values, dtype=float)
     array.flags.writeable = False
     return array
+
+
+def _tangents(found: Any) -> Vector | None:
+    """Return shape (n, 6, 6) of a batch's derivatives, NaN for null, or None if there are none."""
+    if found is None:
+        return None
+    unknown = np.full((6, 6), np.nan)
+    blocks = [unknown if one is None else np.array(one, dtype=float) for one in found]
+    return np.array(blocks).reshape(len(blocks), 6, 6)
 
 
 def _block(rows: Any, count: int) -> Vector:

@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.contract import CONTRACT_TEXT
 from service.http import openapi, problems
+from service.http.application import Application
 from service.http.routes import (
     components,
     coverage,
@@ -30,7 +31,7 @@ _SUMMARY = (
 )
 
 
-def create_app(settings: Settings) -> FastAPI:
+def create_app(settings: Settings) -> Application:
     """Return the application; its workspace is open while the server runs."""
 
     @asynccontextmanager
@@ -44,7 +45,7 @@ def create_app(settings: Settings) -> FastAPI:
         finally:
             await run_in_threadpool(workspace.close)
 
-    app = FastAPI(
+    app = Application(
         title="wrenchbook",
         version=version("wrenchbook"),
         summary=_SUMMARY,

@@ -9,7 +9,7 @@ from fastapi import Request
 from pydantic import Field, ValidationError
 
 from service.answering.queries import BatchQuery
-from service.http.bodies import MAX_BATCH, Body, Flag, OnThin, Seconds
+from service.http.bodies import MAX_BATCH, Body, Derivatives, Flag, OnThin, Seconds
 from service.http.parsing import known_method
 from service.http.problems import bad_body, plain_errors
 from surrogate.table.rows import LOADS, Tolerance
@@ -27,6 +27,7 @@ PARAMETERS: Final[tuple[dict[str, Any], ...]] = tuple(
         ("translation", {"type": "number"}, "binary form: tolerance, m"),
         ("rotation", {"type": "number"}, "binary form: tolerance, rad"),
         ("beyond_range", {"type": "boolean"}, "binary form: as in JSON"),
+        ("derivatives", {"type": "boolean"}, "binary form: add (n, 36) behind the (n, 13)"),
     )
 )
 BODY: Final[dict[str, Any]] = {
@@ -38,7 +39,8 @@ REPLY: Final[dict[str, Any]] = {
     "type": "string",
     "format": "binary",
     "description": "little-endian float64 (n, 13): displacement and error bar, m and rad; coverage "
-    "0 covered, 1 thin, 2 outside; NaN where nothing can be said",
+    "0 covered, 1 thin, 2 outside; NaN where nothing can be said. With derivatives=true then "
+    "(n, 36): du/dw of each wrench, 6 x 6, an output a line",
 }
 
 
@@ -51,6 +53,7 @@ class BinaryOptions(Body):
     translation: _Bar | None = None
     rotation: _Bar | None = None
     beyond_range: Flag = False
+    derivatives: Derivatives = False
 
 
 def is_binary(request: Request) -> bool:
@@ -84,6 +87,7 @@ def read_binary(body: bytes, options: dict[str, str]) -> BatchQuery:
         limit,
         known_method(full.method),
         full.beyond_range,
+        full.derivatives,
     )
 
 

@@ -10,10 +10,12 @@ Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Wrench = Annotated[list[Finite], Field(min_length=6, max_length=6)]
+Output = Literal["ux", "uy", "uz", "rx", "ry", "rz"]
 OnThin = Literal["queue", "wait", "estimate", "reject"]
 Flag = Annotated[
     bool, Field(description="whether a wrench outside the load range may be solved as well")
 ]
+Derivatives = Annotated[bool, Field(description="whether to add du/dw, 6 x 6, to the answer")]
 Seconds = Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)]
 
 MAX_BATCH = 1_000_000
@@ -59,6 +61,7 @@ class DisplacementBody(WrenchBody):
     method: str | None = None
     detail: bool = False
     beyond_range: Flag = False
+    derivatives: Derivatives = False
 
 
 class BatchBody(Body):
@@ -70,6 +73,7 @@ class BatchBody(Body):
     tolerance: ToleranceBody | None = None
     method: str | None = None
     beyond_range: Flag = False
+    derivatives: Derivatives = False
 
 
 class SolveBody(WrenchBody):
@@ -77,13 +81,6 @@ class SolveBody(WrenchBody):
 
     wait_s: Seconds = 0.0
     beyond_range: Flag = False
-
-
-class FillBody(Body):
-    """How thick the table shall become, and how many solves that may cost in this round."""
-
-    tolerance: ToleranceBody | None = None
-    budget: Annotated[int, Field(ge=1, le=10_000)] = 24
 
 
 Span = Annotated[list[Finite], Field(min_length=2, max_length=2)] | Positive
@@ -94,6 +91,20 @@ class RangeBody(Body):
 
     force: Annotated[list[Span], Field(min_length=3, max_length=3)]
     moment: Annotated[list[Span], Field(min_length=3, max_length=3)]
+
+    def bounds(self) -> list[list[float]]:
+        """Return the low and the high end of each of the six loads, N and N·m."""
+        spans = [*self.force, *self.moment]
+        return [[-one, one] if isinstance(one, int | float) else list(one) for one in spans]
+
+
+class FillBody(Body):
+    """How thick the table shall become, where and in what, and how many solves that may cost."""
+
+    tolerance: ToleranceBody | None = None
+    budget: Annotated[int, Field(ge=1, le=10_000)] = 24
+    range: RangeBody | None = None
+    outputs: Annotated[list[Output], Field(min_length=1, max_length=6)] | None = None
 
 
 class TableOnlyComponent(Body):

@@ -78,31 +78,31 @@ _BUNDLE: Final[Schema] = {
 
 CALLS: Final[dict[tuple[str, str], Call]] = {
     ("post", "/v1/components/{name}/displacement"): Call(
-        _SOLVED, (404, 409, 422, 424), {JSON: DISPLACEMENT}, {JSON: body_of(DisplacementBody)}
+        _SOLVED, (404, 409, 413, 422, 424), {JSON: DISPLACEMENT}, {JSON: body_of(DisplacementBody)}
     ),
     ("post", "/v1/components/{name}/displacements"): Call(
         _SOLVED,
-        (404, 409, 422),
+        (404, 409, 413, 422),
         {JSON: DISPLACEMENTS, binary.MEDIA_TYPE: binary.REPLY},
         {JSON: body_of(BatchBody), binary.MEDIA_TYPE: binary.BODY},
         binary.PARAMETERS,
     ),
     ("post", "/v1/components/{name}/solve"): Call(
         {200: "solved", 202: "not solved yet: job tells"},
-        (404, 409, 422, 424),
+        (404, 409, 413, 422, 424),
         {JSON: DISPLACEMENT},
         {JSON: body_of(SolveBody)},
     ),
     ("post", "/v1/components/{name}/fill"): Call(
         {200: "the table is as thick as asked", 202: "solves are queued"},
-        (404, 409, 422),
+        (404, 409, 413, 422),
         {JSON: JOBS},
         {JSON: body_of(FillBody)},
     ),
     ("get", "/v1/components"): Call({200: "the library"}),
     ("post", "/v1/components"): Call(
         {201: "added"},
-        (409, 415, 422),
+        (409, 413, 415, 422),
         {JSON: OBJECT},
         {"multipart/form-data": _BUNDLE, JSON: body_of(TableOnlyComponent)},
     ),

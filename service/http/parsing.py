@@ -46,6 +46,7 @@ def read_query(body: bytes) -> Query:
         known_method(full.method),
         full.detail,
         full.beyond_range,
+        full.derivatives,
     )
 
 
@@ -83,6 +84,7 @@ def read_batch(body: bytes) -> BatchQuery:
         _tolerance(full.tolerance),
         known_method(full.method),
         full.beyond_range,
+        full.derivatives,
     )
 
 

@@ -127,6 +127,12 @@ def problem_of(error: Exception) -> ProblemError:
     raise error
 
 
+def crash_of(method: str, path: str) -> ProblemError:
+    """Return what a call answers that came to a mistake of ours."""
+    detail = f"{method} {path} failed; the server's log has the traceback."
+    return ProblemError(500, "internal", "The server made a mistake", detail)
+
+
 def install(app: FastAPI) -> None:
     """Make every error of ``app`` answer as a problem."""
 
@@ -146,12 +152,7 @@ def install(app: FastAPI) -> None:
         return response
 
     def crash(request: Request, _: Exception) -> Response:
-        return ProblemError(
-            500,
-            "internal",
-            "The server made a mistake",
-            f"{request.method} {request.url.path} failed; the server's log has the traceback.",
-        ).response()
+        return crash_of(request.method, request.url.path).response()
 
     named = (BundleError, ValidationError, RequestValidationError, SolveFailedError, *_NAMED)
     for kind in (ProblemError, *named):

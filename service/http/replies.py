@@ -6,11 +6,14 @@ from typing import Any
 
 import numpy as np
 import orjson
+from numpy.typing import NDArray
 from starlette.responses import Response
 
 from service.answering.queries import BatchOutcome, Outcome, WrenchJob
 from service.http.binary import MEDIA_TYPE
 from service.http.links import job_link
+
+Floats = NDArray[np.float64]
 
 COVERAGE = ("covered", "thin", "outside")
 
@@ -23,8 +26,8 @@ def json_reply(
     return Response(content, status, headers, "application/json")
 
 
-def write_outcome(outcome: Outcome) -> Response:
-    """Answer one query: 200, or 202 while its solve has not answered."""
+def write_outcome(outcome: Outcome, *, derivatives: bool = False) -> Response:
+    """Answer one query, with du/dw if asked for: 200, or 202 while its solve has not answered."""
     value, error = outcome.displacement, outcome.error
     fields: dict[str, Any] = {
         "component": outcome.component,
@@ -45,8 +48,12 @@ def write_outcome(outcome: Outcome) -> Response:
         fields["row"] = outcome.row
     if outcome.notes:
         fields["notes"] = outcome.notes
+    if derivatives:
+        fields["derivative"] = _known(outcome.derivative)
     if outcome.axes is not None:
         fields["axes"] = outcome.axes
+    if outcome.method_detail is not None:
+        fields["method_detail"] = outcome.method_detail
     if outcome.job is not None:
         fields["job"] = job_link(outcome.job)
     if not outcome.unsolved:
@@ -63,23 +70,30 @@ def write_batch(outcome: BatchOutcome) -> Response:
         "errors": outcome.errors,
         "coverage": [COVERAGE[code] for code in outcome.coverage.tolist()],
         "jobs": [_wrench_job(one) for one in outcome.jobs],
+        "method": outcome.method,
         "table_version": outcome.table_version,
         "elapsed_us": outcome.elapsed_us,
     }
+    if outcome.derivatives is not None:
+        fields["derivatives"] = [_known(one) for one in outcome.derivatives]
     return json_reply(fields, _status(outcome))
 
 
 def write_binary(outcome: BatchOutcome) -> Response:
-    """Answer a batch as little-endian float64 (n, 13)."""
+    """Answer a batch as little-endian float64 (n, 13), and (n, 36) if derivatives are asked for."""
     block = np.empty((len(outcome.coverage), 13), dtype="<f8")
     block[:, :6], block[:, 6:12] = outcome.displacements, outcome.errors
     block[:, 12] = outcome.coverage
     headers = {
         "Wrenchbook-Table-Version": str(outcome.table_version),
+        "Wrenchbook-Method": outcome.method,
         "Wrenchbook-Elapsed-Us": f"{outcome.elapsed_us:.1f}",
         "Wrenchbook-Jobs": str(len({one.job.id for one in outcome.jobs if one.job})),
     }
-    return Response(block.tobytes(), _status(outcome), headers, MEDIA_TYPE)
+    content = block.tobytes()
+    if outcome.derivatives is not None:
+        content += outcome.derivatives.astype("<f8").tobytes()
+    return Response(content, _status(outcome), headers, MEDIA_TYPE)
 
 
 def _wrench_job(one: WrenchJob) -> dict[str, Any]:
@@ -87,6 +101,13 @@ def _wrench_job(one: WrenchJob) -> dict[str, Any]:
         none = {"id": None, "status": None, "url": None, "reason": one.reason}
         return {"index": one.index, **none}
     return {"index": one.index, **job_link(one.job)}
+
+
+def _known(derivative: Floats | None) -> Floats | None:
+    """Return du/dw (6, 6), or None where none of it is known."""
+    if derivative is None or np.isnan(derivative).all():
+        return None
+    return np.ascontiguousarray(derivative)  # all that orjson takes
 
 
 def _status(outcome: BatchOutcome) -> int:

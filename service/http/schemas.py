@@ -12,6 +12,14 @@ Schema = dict[str, Any]
 _NUMBER: Final[Schema] = {"type": ["number", "null"]}
 _THREE: Final[Schema] = {"type": "array", "items": _NUMBER, "minItems": 3, "maxItems": 3}
 _SIX: Final[Schema] = {"type": "array", "items": _NUMBER, "minItems": 6, "maxItems": 6}
+_DERIVATIVE: Final[Schema] = {
+    "type": ["array", "null"],
+    "items": _SIX,
+    "minItems": 6,
+    "maxItems": 6,
+    "description": "with derivatives: du/dw, a line an output, m and rad over N and N·m; null "
+    "where it is not known",
+}
 _COVERAGE: Final[Schema] = {"enum": ["covered", "thin", "outside"]}
 _STATUS: Final = ["waiting", "running", "done", "failed", "cancelled"]
 _LINK: Final[dict[str, Schema]] = {
@@ -92,6 +100,8 @@ DISPLACEMENT: Final[Schema] = _with_contract(
         },
         "job": {**_JOB, "type": ["object", "null"]},
         "axes": {"type": "array", "items": OBJECT, "description": "with detail"},
+        "method_detail": {"type": "string", "description": "with detail: how the method answers"},
+        "derivative": _DERIVATIVE,
     }
 )
 DISPLACEMENTS: Final[Schema] = _with_contract(
@@ -100,6 +110,8 @@ DISPLACEMENTS: Final[Schema] = _with_contract(
         "displacements": {"type": "array", "items": _SIX, "description": "m and rad"},
         "errors": {"type": "array", "items": _SIX, "description": "95 % error bars, m and rad"},
         "coverage": {"type": "array", "items": _COVERAGE},
+        "derivatives": {"type": "array", "items": _DERIVATIVE},
+        "method": {"type": "string"},
         "jobs": {
             "type": "array",
             "items": _WRENCH_JOB,

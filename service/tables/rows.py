@@ -30,6 +30,8 @@ class ExportRows:
     compliance : ndarray, shape (n, 6, 6), m and rad over N and N·m
         NaN where not known.
     source, note, fingerprint : list of str
+    version : int
+        The table's version: the number of the ledger's newest change of it.
     """
 
     seq: list[int]
@@ -40,18 +42,13 @@ class ExportRows:
     source: list[str]
     note: list[str]
     fingerprint: list[str]
-
-    @property
-    def version(self) -> int:
-        """The table's version: the number of its newest row, 0 without any."""
-        return max(self.seq, default=0)
+    version: int
 
 
 def usable_rows(ledger: Ledger, component: Component) -> ExportRows:
     """Return a component's rows: those of its present setup and the measured ones."""
-    rows = [
-        row for row in ledger.rows(component.name) if row.fingerprint in ("", component.fingerprint)
-    ]
+    news = ledger.news(component.name, 0)  # rows and version as one committed state
+    rows = [row for row in news.rows if row.fingerprint in ("", component.fingerprint)]
     unknown, no_tangent = (np.nan,) * 6, ((np.nan,) * 6,) * 6
     return ExportRows(
         seq=[row.seq for row in rows],
@@ -62,6 +59,7 @@ def usable_rows(ledger: Ledger, component: Component) -> ExportRows:
         source=[row.source for row in rows],
         note=[row.origin for row in rows],
         fingerprint=[row.fingerprint for row in rows],
+        version=news.last_seq,
     )
 
 
@@ -73,6 +71,8 @@ def table_meta(component: Component, rows: ExportRows) -> TableMeta:
         load_range=component.load_range,
         fingerprint=component.fingerprint,
         title=component.title,
+        tolerance=component.tolerance,
+        linear=component.linear,
         contract=" ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items()),
     )
 

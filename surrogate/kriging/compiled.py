@@ -8,13 +8,13 @@ processor's vectors run along them, and meet the weights in one product of matri
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..jit import COMPILED, compiled
 from ..table.rows import Floats
 from .correlation import GROUPS, LOADS, PLACES
 from .dense import Dense
@@ -263,16 +263,11 @@ KERNELS = (
 
 def _compile() -> tuple[Callable[..., Any] | None, Callable[..., Any] | None]:
     """Return `_answers` and `_values` compiled, or None twice without numba."""
-    if importlib.util.find_spec("numba") is None:
+    if not COMPILED:
         return None, None
-    import numba
-
     module = globals()
     for name in KERNELS:
-        try:
-            module[name] = numba.njit(cache=True, nogil=True, error_model="numpy")(module[name])
-        except RuntimeError:  # no folder for the compiled code can be written
-            module[name] = numba.njit(nogil=True, error_model="numpy")(module[name])
+        module[name] = compiled(module[name])
     return module["_answers"], module["_values"]
 
 

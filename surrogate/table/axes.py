@@ -81,10 +81,14 @@ def axis_box(load_range: LoadRange, axis: Axis) -> tuple[Floats, Floats]:
     return np.minimum(load_range.low[inputs], 0.0), np.maximum(load_range.high[inputs], 0.0)
 
 
+# Which loads (6) are not an axis' own (3): a product with it tells whether any of them is there.
+_FOREIGN = np.array([[load in axis.others for axis in AXES] for load in range(6)])
+
+
 def clean_wrenches(wrenches: Floats, load_range: LoadRange) -> NDArray[np.bool_]:
     """Return, shape (n, 3), which wrenches (n, 6), N and N·m, load no axis but which one."""
     loaded = np.abs(wrenches) > CLEAN * load_range.scale
-    return np.stack([~loaded[:, axis.others].any(axis=1) for axis in AXES], axis=1)
+    return ~(loaded @ _FOREIGN)
 
 
 def clean_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:

@@ -15,12 +15,13 @@ import tempfile
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, get_args
 
 import h5py
 import numpy as np
 
-from .rows import LOAD_UNITS, OUTPUT_UNITS, LoadRange, Rows, unknown_column
+from .axes import OffAxis
+from .rows import LOAD_UNITS, OUTPUT_UNITS, LoadRange, Rows, Tolerance, unknown_column
 
 SCHEMA_VERSION = 2  # 1 had no digest
 FORMAT = "wrenchbook table"
@@ -69,6 +70,12 @@ class TableMeta:
     schema_version : int
     contract : str
         Order, units, frame and sign in words.
+    tolerance : Tolerance or None, m and rad
+        The component's own; with `linear` and `off_axis` what a surrogate is built with.
+    linear : bool
+        Whether the component is linear.
+    off_axis : {"correct", "ignore", "exclude"}
+        What becomes of rows that are clean for no axis.
     ledger : str
         Digest of the ledger's rows up to `last_seq`: a file that another ledger wrote, or this
         one before it lost rows, is told by it.
@@ -81,6 +88,9 @@ class TableMeta:
     title: str = ""
     schema_version: int = SCHEMA_VERSION
     contract: str = CONTRACT
+    tolerance: Tolerance | None = None
+    linear: bool = False
+    off_axis: OffAxis = "correct"
     ledger: str = ""
 
 
@@ -186,6 +196,10 @@ def _write_meta(file: h5py.File, meta: TableMeta) -> None:
     file.attrs["last_seq"] = meta.last_seq
     file.attrs["contract"] = meta.contract
     file.attrs["ledger"] = meta.ledger
+    file.attrs["linear"] = meta.linear
+    file.attrs["off_axis"] = meta.off_axis
+    if meta.tolerance is not None:
+        file.attrs["tolerance"] = (meta.tolerance.translation, meta.tolerance.rotation)
     for name in ("low", "high"):
         bound = file.create_dataset(f"load_range/{name}", data=getattr(meta.load_range, name))
         bound.attrs["units"] = _UNITS["wrench"]
@@ -229,6 +243,7 @@ def _attribute(file: h5py.File, name: str) -> Any:
 
 def _read_meta(file: h5py.File) -> TableMeta:
     low, high = (_numbers(file, f"load_range/{name}") for name in ("low", "high"))
+    tolerance: Any = file.attrs.get("tolerance")  # files of 0.1 say nothing of these three
     return TableMeta(
         component=str(_attribute(file, "component")),
         last_seq=int(_attribute(file, "last_seq")),
@@ -238,7 +253,15 @@ def _read_meta(file: h5py.File) -> TableMeta:
         schema_version=int(_attribute(file, "schema_version")),
         contract=str(_attribute(file, "contract")),
         ledger=str(file.attrs.get("ledger", "")),
+        tolerance=Tolerance(*map(float, tolerance)) if tolerance is not None else None,
+        linear=bool(file.attrs.get("linear", False)),
+        off_axis=_off_axis(str(file.attrs.get("off_axis", "correct"))),
     )
+
+
+def _off_axis(word: str) -> OffAxis:
+    words: dict[str, OffAxis] = {one: one for one in get_args(OffAxis)}
+    return words[word]
 
 
 def _dataset(file: h5py.File, name: str) -> h5py.Dataset:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -57,7 +58,7 @@ class LoadRange:
             load = LOADS[int(np.argmax(self.low > self.high))]
             raise RowError(f"load range: the low end of {load} is above its high end")
 
-    @property
+    @cached_property
     def scale(self) -> Floats:
         """Half the width of each load's range, shape (6,), N and N·m.
 
@@ -66,7 +67,13 @@ class LoadRange:
         """
         half = (self.high - self.low) / 2
         size = np.maximum(np.abs(self.low), np.abs(self.high))
-        return np.where(half > 0, half, np.where(size > 0, size, 1.0))
+        return _frozen(np.where(half > 0, half, np.where(size > 0, size, 1.0)))
+
+    @cached_property
+    def _ends(self) -> tuple[Floats, Floats]:
+        """The range stretched to hold zero, and by what rounding may add, (6,) each, N and N·m."""
+        slack = ON_END * self.scale
+        return np.minimum(self.low, 0.0) - slack, np.maximum(self.high, 0.0) + slack
 
     def exceeded(self, wrenches: ArrayLike) -> NDArray[np.bool_]:
         """Return which loads of wrenches, shape (n, 6), N and N·m, are out of range, (n, 6).
@@ -74,8 +81,7 @@ class LoadRange:
         It is stretched to hold zero, from where every answer is counted. A load within 1e-9 of
         the range beyond an end counts as on it.
         """
-        loads, slack = np.asarray(wrenches, dtype=float), ON_END * self.scale
-        low, high = np.minimum(self.low, 0.0) - slack, np.maximum(self.high, 0.0) + slack
+        loads, (low, high) = np.asarray(wrenches, dtype=float), self._ends
         return (loads < low) | (loads > high)
 
     def holds(self, wrenches: ArrayLike) -> NDArray[np.bool_]:
@@ -267,6 +273,12 @@ def _joined(first: NDArray[Any], second: NDArray[Any]) -> NDArray[Any]:
     if _is_unknown(first) and _is_unknown(second):
         return unknown_column(len(first) + len(second), *first.shape[1:])
     return np.concatenate((first, second))
+
+
+def _frozen(array: Floats) -> Floats:
+    """Return an array that nobody changes by mistake: it is kept and handed out again."""
+    array.flags.writeable = False
+    return array
 
 
 def _column(records: list[Mapping[str, Any]], name: str, shape: tuple[int, ...]) -> Floats:

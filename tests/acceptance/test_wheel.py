@@ -20,7 +20,7 @@ ROOMS = ("fea", "surrogate", "service", "data")
 
 SIMULATOR = """
 import json, pickle, sys
-import service, data
+import service, data, surrogate
 from wrenchbook import Client, ServerUnreachable, conventions
 import wrenchbook
 
@@ -31,11 +31,23 @@ with Client(sys.argv[1], timeout=120) as client:
     loaded = client.import_table("rig", "Fz [N],ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]\\n"
                                  "0,0,0,0,0,0,0\\n2,0,0,2e-3,0,0,0\\n")
     measured = client.displacement("rig", [0, 0, 1], on_thin="estimate")
+    table = client.download("rig")
+    here = table.answer([0, 0, 1])
+    batch = pickle.loads(pickle.dumps(table)).batch([[0, 0, 1, 0, 0, 0], [0, 0, 2, 0, 0, 0]])
+    bar = client.download("bar").answer([0, 0, -4], derivatives=True)
+    there = client.displacement("bar", [0, 0, -4], on_thin="estimate", derivatives=True)
 again = pickle.loads(pickle.dumps(solved))
 print(json.dumps({
     "face": wrenchbook.__file__,
     "client": type(solved).__module__,
-    "owners": [service.OWNER, data.OWNER],
+    "owners": [service.OWNER, data.OWNER, surrogate.OWNER],
+    "same": [here.vector.tolist() == measured.vector.tolist(), here.coverage == measured.coverage,
+             (bar.vector == there.vector).all().item(), bar.method == there.method,
+             (bar.derivative == there.derivative).all().item()],
+    "table": [type(table).__module__, type(table._built.surrogate).__module__],
+    "batch_uz": batch.displacements[:, 2].tolist(),
+    "server_stack": sorted({"fastapi", "starlette", "pydantic", "uvicorn", "sqlite3"}
+                           & set(sys.modules)),
     "source": solved.source,
     "uz": again.translation[2],
     "inserted": loaded["inserted"],
@@ -161,7 +173,11 @@ def test_client_and_server_work_beside_a_project_with_a_package_named_service(
     told = json.loads(run.stdout)
     assert Path(told["face"]) == with_server.packages / "wrenchbook.py"
     assert told["client"] == "wrenchbook.client.replies"
-    assert told["owners"] == ["the project", "the project"]
+    assert told["owners"] == ["the project"] * 3
+    assert told["same"] == [True] * 5
+    assert told["table"] == ["wrenchbook.client.table", "wrenchbook.surrogate.surrogate"]
+    assert told["batch_uz"] == pytest.approx([1e-3, 2e-3], rel=1e-9)
+    assert told["server_stack"] == []
     assert told["source"] == "fea"
     assert told["uz"] < 0.0
     assert told["inserted"] == 2
@@ -193,12 +209,17 @@ def test_with_numpy_alone_the_client_and_the_conventions_work(with_numpy: Enviro
         "    Client('http://127.0.0.1:9').components()\n"
         "except ServerUnreachable as error:\n"
         "    print(error)\n"
+        "try:\n"
+        "    Client('http://127.0.0.1:9').download('plate')\n"
+        "except ImportError as error:\n"
+        "    print(error)\n"
     )
     run = with_numpy.run("python", "-c", code)
     assert run.returncode == 0, run.stderr
     lines = run.stdout.splitlines()
     assert lines[0] == "[4.0, 5.0, 6.0, 1.0, 2.0, 3.0]"
     assert "start a server with: wrenchbook serve" in lines[1]
+    assert lines[2].endswith("pip install 'wrenchbook[local]'")
 
 
 def test_the_command_without_the_servers_packages_says_what_to_install(with_numpy: Environment):

@@ -114,3 +114,37 @@ def test_a_unit_in_brackets_is_printed_and_not_taken_for_a_colour(stub: Stub, ru
     status, _, err = run("query", "plate", "--force", "1", "2", "3")
     assert status == 1
     assert err.count("Fz [lbx]: the unit [lbx] is not known") == 2
+
+
+def test_fill_sends_the_range_and_the_outputs_that_are_wanted(stub: Stub, run: Run):
+    stub.answers(
+        Answer({"component": "plate", "jobs": [], "stage": "met", "reason": "thick enough"}),
+        Answer({"name": "plate", "rows": 7}),
+    )
+    force = ("--force-range", "-1", "1", "0", "0", "-50", "-20")
+    moment = ("--moment-range", "0", "0", "-3", "3", "0", "0")
+    status, out, _ = run("fill", "plate", *force, *moment, "--output", "uz", "--output", "rx")
+    assert status == 0
+    sent = stub.seen[0].body
+    assert sent["range"] == {
+        "force": [[-1, 1], [0, 0], [-50, -20]],
+        "moment": [[0, 0], [-3, 3], [0, 0]],
+    }
+    assert sent["outputs"] == ["uz", "rx"]
+    assert "thick enough" in out
+
+
+def test_fill_wants_both_ranges_or_none(stub: Stub, run: Run):
+    status, _, says = run("fill", "plate", "--force-range", "-1", "1", "0", "0", "-50", "-20")
+    assert status == 2
+    assert "--force-range and --moment-range together" in says
+    assert stub.seen == []
+
+
+def test_query_with_derivatives_asks_for_them_and_prints_them(stub: Stub, run: Run):
+    told = [[1e-9 * (6 * row + column) for column in range(6)] for row in range(6)]
+    stub.answers(Answer({**COVERED, "derivative": told}))
+    status, out, _ = run("query", "plate", "--force", "1", "2", "3", "--derivatives", "--json")
+    assert status == 0
+    assert stub.seen[0].body["derivatives"] is True
+    assert json.loads(out)["derivative"] == told

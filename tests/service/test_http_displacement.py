@@ -8,6 +8,7 @@ from starlette.testclient import TestClient
 from service.answering.refusals import SolveFailedError
 from service.http.app import create_app
 from service.workspace import Settings
+from surrogate.answer import METHODS
 from surrogate.surrogate import Surrogate
 from tests.service.following import wait_for_version
 
@@ -163,7 +164,7 @@ def test_a_covered_wrench_is_answered_from_the_table_with_an_error_bar(http):
     assert reply.status_code == 200
     assert body["coverage"] == "covered"
     assert body["source"] == "table"
-    assert body["method"] == "griddata"
+    assert body["method"] == "kriging"
     assert body["translation"] == pytest.approx([30e-6, -20e-6, 10e-6], rel=1e-9)
     assert body["rotation"] == pytest.approx([1e-6, 2e-6, -3e-6], rel=1e-9)
     assert all(bar >= 0 for bar in body["error"]["translation"] + body["error"]["rotation"])
@@ -260,7 +261,7 @@ def test_an_empty_batch_is_answered_with_nothing(http):
     assert body["jobs"] == []
 
 
-@pytest.mark.parametrize("method", ["tangent", "rbf", "corrected", "auto", "nearest", "linear"])
+@pytest.mark.parametrize("method", METHODS)
 def test_every_method_answers_a_linear_table_rightly(http, method):
     load_plane_table(http)
     body = http.post(
@@ -270,10 +271,12 @@ def test_every_method_answers_a_linear_table_rightly(http, method):
             "moment": [1, 2, -3],
             "method": method,
             "on_thin": "estimate",
+            "derivatives": True,
         },
     ).json()
     if method != "nearest":
         assert body["translation"] == pytest.approx([30e-6, -20e-6, 10e-6], rel=1e-6)
+        assert np.array(body["derivative"]) == pytest.approx(1e-6 * np.eye(6), abs=1e-11)
     assert body["method"] == method
 
 

@@ -12,14 +12,15 @@ from starlette.datastructures import UploadFile
 from starlette.responses import Response
 
 from service.contract import CONTRACT
-from service.http.bodies import FillBody, TableOnlyComponent
+from service.http.bodies import FillBody, RangeBody, TableOnlyComponent
+from service.http.limited import read_limited
 from service.http.links import job_link
 from service.http.parsing import read_body
 from service.http.problems import ProblemError, bad_body
 from service.library.checked import interface_of, warnings_of
 from service.library.component import Component
 from service.workspace import Workspace
-from surrogate.table.rows import Tolerance
+from surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUTS, LoadRange, Tolerance
 
 router = APIRouter(prefix="/v1/components", tags=["components"])
 CATCH_UP_S = 25.0
@@ -51,7 +52,7 @@ async def add_component(request: Request) -> Response:
     if kind == "multipart/form-data":
         component = await _add_bundle(workspace, request)
     elif kind == "application/json":
-        body = read_body(TableOnlyComponent, await request.body())
+        body = read_body(TableOnlyComponent, await read_limited(request.receive))
         component = await run_in_threadpool(_add_table_only, workspace, body)
     else:
         raise ProblemError(
@@ -75,12 +76,11 @@ async def _add_bundle(workspace: Workspace, request: Request) -> Component:
 
 
 def _add_table_only(workspace: Workspace, body: TableOnlyComponent) -> Component:
-    spans = [
-        [[-one, one] if isinstance(one, int | float) else list(one) for one in three]
-        for three in (body.range.force, body.range.moment)
-    ]
+    bounds = body.range.bounds()
     tolerance = body.tolerance.model_dump() if body.tolerance else None
-    return workspace.library.add_table_only(body.name, body.title, spans[0], spans[1], tolerance)
+    return workspace.library.add_table_only(
+        body.name, body.title, bounds[:3], bounds[3:], tolerance
+    )
 
 
 @router.post(
@@ -88,7 +88,7 @@ def _add_table_only(workspace: Workspace, body: TableOnlyComponent) -> Component
     summary="Queue the solves that lower the table's error most",
 )
 async def fill(name: str, request: Request) -> Response:
-    order = read_body(FillBody, await request.body())
+    order = read_body(FillBody, await read_limited(request.receive))
     workspace: Workspace = request.app.state.workspace
     reply = await run_in_threadpool(_fill, workspace, name, order)
     return Response(orjson.dumps(reply), 202 if reply["jobs"] else 200, None, "application/json")
@@ -97,13 +97,41 @@ async def fill(name: str, request: Request) -> Response:
 def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
     """Design one round of solves on the newest table and accept them."""
     limit = Tolerance(**order.tolerance.model_dump()) if order.tolerance else None
-    design, jobs = workspace.fill(name, order.budget, limit)
+    span = _span_of(order.range, workspace.library[name].load_range) if order.range else None
+    outputs = range(6) if order.outputs is None else sorted(map(OUTPUTS.index, set(order.outputs)))
+    design, jobs = workspace.fill(name, order.budget, limit, span, outputs)
     return {
         "component": name,
         "jobs": [job_link(job) for job in jobs],
         "stage": design.stage,
         "reason": design.reason,
     }
+
+
+def _span_of(wanted: RangeBody, whole: LoadRange) -> LoadRange:
+    """Return a fill's range, N and N·m.
+
+    Raises
+    ------
+    ProblemError
+        422, if an end is beyond the component's load range or the two ends are the wrong way round.
+    """
+    bounds = np.array(wanted.bounds())
+    errors = []
+    for load, (low, high) in enumerate(bounds.tolist()):
+        where, place = ("force", load) if load < 3 else ("moment", load - 3)
+        least, most = min(whole.low[load], 0.0), max(whole.high[load], 0.0)
+        unit = LOAD_UNITS[load]
+        if low > high:
+            message = f"the low end of {LOADS[load]}, {low:g}, is above the high end, {high:g}"
+        elif low < least or high > most:
+            message = f"{LOADS[load]} must lie within {least:g} to {most:g} {unit}, the load range"
+        else:
+            continue
+        errors.append({"loc": f"range.{where}.{place}", "msg": message})
+    if errors:
+        raise bad_body(errors)
+    return LoadRange(bounds[:, 0], bounds[:, 1])
 
 
 def component_body(workspace: Workspace, component: Component) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from service.answering.many import answer_or_submit_many
 from service.answering.one import answer_or_submit
 from service.contract import CONTRACT_TEXT
 from service.http.binary import is_binary, read_binary
+from service.http.limited import MOST_BATCH_BYTES, read_limited
 from service.http.parsing import read_batch, read_query, read_solve
 from service.http.replies import write_batch, write_binary, write_outcome
 from service.workspace import Workspace
@@ -29,20 +30,27 @@ class DirectRoute(APIRoute):
 router = APIRouter(prefix="/v1/components/{name}", tags=["displacement"], route_class=DirectRoute)
 
 
+async def reply_to(workspace: Workspace, name: str, body: bytes) -> Response:
+    """Answer the main call of a component from the call's body."""
+    query = read_query(body)
+    outcome = await answer_or_submit(workspace, name, query)
+    return write_outcome(outcome, derivatives=query.derivatives)
+
+
 @router.post(
     "/displacement", summary="The displacement under one wrench", description=CONTRACT_TEXT
 )
 async def displacement(request: Request) -> Response:
-    query = read_query(await request.body())
     workspace: Workspace = request.app.state.workspace
-    return write_outcome(await answer_or_submit(workspace, request.path_params["name"], query))
+    body = await read_limited(request.receive)
+    return await reply_to(workspace, request.path_params["name"], body)
 
 
 @router.post(
     "/displacements", summary="The displacements under many wrenches", description=CONTRACT_TEXT
 )
 async def displacements(request: Request) -> Response:
-    binary, body = is_binary(request), await request.body()
+    binary, body = is_binary(request), await read_limited(request.receive, MOST_BATCH_BYTES)
     batch = read_binary(body, dict(request.query_params)) if binary else read_batch(body)
     workspace: Workspace = request.app.state.workspace
     outcome = await answer_or_submit_many(workspace, request.path_params["name"], batch)
@@ -55,6 +63,6 @@ async def displacements(request: Request) -> Response:
     description=CONTRACT_TEXT,
 )
 async def solve(request: Request) -> Response:
-    query = read_solve(await request.body())
+    query = read_solve(await read_limited(request.receive))
     workspace: Workspace = request.app.state.workspace
     return write_outcome(await answer_or_submit(workspace, request.path_params["name"], query))

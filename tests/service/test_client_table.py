@@ -1,0 +1,148 @@
+"""Tables in the client's process: the server's answers to the last bit."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from service.client import Client, Displacement, Table
+from tests.service.live import (
+    FULL,
+    add_rows,
+    add_table,
+    as_rows,
+    clean_wrenches,
+    full_wrenches,
+    moved,
+    served,
+    tangents,
+)
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    with served(tmp_path_factory.mktemp("workspace")) as client:
+        solved, clean = full_wrenches(40), clean_wrenches()
+        add_table(client, "solved", as_rows(solved, moved(solved), tangents(solved)))
+        add_table(client, "measured", as_rows(clean, moved(clean)))
+        measured = np.concatenate([clean, full_wrenches(24)])
+        partial = moved(measured)
+        partial[:, 4] = np.nan
+        partial[::3, 0] = np.nan
+        add_table(client, "partial", as_rows(measured, partial))
+        offset = moved(measured) + 3e-5
+        limit = {"translation": 1e-4, "rotation": 1e-4}
+        add_table(client, "offset", as_rows(measured, offset), tolerance=limit)
+        spans = client.component("bar")["range"]  # shipped, and linear
+        loads = np.array([high for _, high in spans["force"] + spans["moment"]])
+        wrench = 0.5 * loads[None]
+        compliance = np.diag(1e-4 / loads)[None]
+        add_rows(client, "bar", as_rows(wrench, (compliance @ wrench[0]), compliance))
+        yield client
+
+
+def same(here: Displacement, there: Displacement) -> None:
+    """All that an answer says is the same, to the last bit."""
+    for name in ("translation", "rotation", "error_translation", "error_rotation", "derivative"):
+        ours, theirs = getattr(here, name), getattr(there, name)
+        assert (ours is None) == (theirs is None), name
+        if ours is not None:
+            np.testing.assert_array_equal(ours, theirs, err_msg=name)
+    for name in ("component", "coverage", "source", "method", "table_version"):
+        assert getattr(here, name) == getattr(there, name), name
+    assert here.reason == there.reason
+    assert here.job is None
+
+
+def compare(client: Client, table: Table, name: str, **how: object) -> None:
+    """The table and the server say the same of wrenches on rows, between and beyond them."""
+    asked = np.concatenate([full_wrenches(12, 5), clean_wrenches()[:6], 3.0 * full_wrenches(2, 6)])
+    for wrench in asked:
+        here = table.answer(wrench, derivatives=True, **how)
+        there = client.displacement(
+            name, wrench[:3], wrench[3:], on_thin="estimate", derivatives=True, **how
+        )
+        same(here, there)
+    here = table.batch(asked, derivatives=True, **how)
+    for binary in (False, True):
+        there = client.displacements(
+            name, asked, on_thin="estimate", derivatives=True, binary=binary, **how
+        )
+        for part in ("displacements", "errors", "coverage", "derivatives"):
+            np.testing.assert_array_equal(getattr(here, part), getattr(there, part), err_msg=part)
+        assert (here.method, here.table_version) == (there.method, there.table_version)
+
+
+@pytest.mark.parametrize("name", ["solved", "measured", "partial", "offset", "bar"])
+def test_a_table_answers_what_the_server_does_to_the_last_bit(client: Client, name: str) -> None:
+    table = client.download(name)
+    compare(client, table, name)
+    told = client.component(name)["coverage"]["method"]
+    assert told == {"solved": "kriging", "bar": "linear"}.get(name, told)
+
+
+@pytest.mark.parametrize("method", ["griddata", "nearest", "tangent", "kriging"])
+def test_by_every_method_too(client: Client, method: str) -> None:
+    compare(client, client.download("offset"), "offset", method=method, tolerance=(1e-3, 1e-3))
+
+
+def test_refresh_takes_new_rows_and_withdrawals_and_tells_whether_there_were_any(
+    client: Client,
+) -> None:
+    more = full_wrenches(30, 8)
+    add_table(client, "growing", as_rows(more[:20], moved(more[:20]), tangents(more[:20])))
+    table = client.download("growing")
+    before = table.version
+    assert not table.refresh()
+    add_rows(client, "growing", as_rows(more[20:], moved(more[20:]), tangents(more[20:])))
+    assert table.refresh()
+    assert table.version == client.component("growing")["table_version"] > before
+    compare(client, table, "growing")
+    client.invalidate_row("growing", table.version)
+    assert table.refresh()
+    assert table.version == client.component("growing")["table_version"]
+    assert not table.refresh()
+    compare(client, table, "growing")
+
+
+def test_a_pickled_table_answers_the_same_and_can_be_refreshed(client: Client) -> None:
+    table = client.download("solved")
+    again = pickle.loads(pickle.dumps(table))
+    wrench = full_wrenches(1, 9)[0]
+    same(again.answer(wrench), table.answer(wrench))
+    assert again.version == table.version
+    assert not again.refresh()
+    again.close()
+
+
+def test_a_table_without_rows_says_so_as_the_server_does(client: Client) -> None:
+    load_range = {"force": [1.0] * 3, "moment": [1.0] * 3}
+    client.add_component({"name": "empty", "title": "empty", "range": load_range})
+    table = client.download("empty")
+    same(table.answer([1, 2, 3]), client.displacement("empty", [1, 2, 3], on_thin="estimate"))
+    assert table.answer([1, 2, 3], derivatives=True).derivative is None
+
+
+def test_the_derivative_is_the_slope_of_the_answers(client: Client) -> None:
+    table = client.download("solved")
+    for wrench in full_wrenches(4, 11) * 0.9:
+        told = table.answer(wrench, derivatives=True).derivative
+        for load, step in enumerate(FULL * 1e-2):
+            steps = np.zeros((4, 6))
+            steps[:, load] = [-2 * step, -step, step, 2 * step]
+            # Of fourth order: steps can be large enough for the values' rounding not to matter.
+            slope = [1, -8, 8, -1] @ table.batch(wrench + steps).displacements / (12 * step)
+            np.testing.assert_allclose(told[:, load], slope, atol=1e-4 * np.abs(slope).max())
+
+
+def test_wrong_input_is_refused_before_anything_is_answered(client: Client) -> None:
+    table = client.download("solved")
+    with pytest.raises(ValueError, match="not finite"):
+        table.answer([0, 0, np.nan])
+    with pytest.raises(ValueError, match="unknown method"):
+        table.answer([0, 0, 1], method="magic")
+    with pytest.raises(ValueError, match="a tolerance is"):
+        table.answer([0, 0, 1], tolerance={"translation": -1, "rotation": 1})

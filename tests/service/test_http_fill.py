@@ -1,0 +1,48 @@
+"""Filling a table only within a scene's range and for its outputs."""
+
+import numpy as np
+import pytest
+
+CALL = "/v1/components/plate_thin/fill"
+NONE = [[0.0, 0.0]] * 3
+
+
+def test_the_solves_of_a_fill_lie_within_its_range(http, stand_in):
+    stand_in("endless")
+    force = [[-10.0, 10.0], [0.0, 0.0], [-50.0, -20.0]]
+    reply = http.post(CALL, json={"budget": 6, "range": {"force": force, "moment": NONE}})
+    assert reply.status_code == 202
+    jobs = [http.get(one["url"]).json() for one in reply.json()["jobs"]]
+    wrenches = np.array([job["force"] + job["moment"] for job in jobs])
+    assert len(wrenches) == 6
+    low, high = np.array(force + NONE).T
+    assert (wrenches >= low).all()
+    assert (wrenches <= high).all()
+    assert len(np.unique(wrenches, axis=0)) == 6
+
+
+def test_a_fill_of_some_outputs_is_taken(http, stand_in):
+    stand_in("endless")
+    reply = http.post(CALL, json={"budget": 2, "outputs": ["uz", "rx"]})
+    assert reply.status_code == 202
+    assert len(reply.json()["jobs"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("more", "place"),
+    [
+        ({"outputs": ["u_z"]}, "outputs.0"),
+        ({"outputs": []}, "outputs"),
+        ({"range": {"force": [[1, -1], [0, 0], [0, 0]], "moment": NONE}}, "range.force.0"),
+        ({"range": {"force": [[0, 1e9], [0, 0], [0, 0]], "moment": NONE}}, "range.force.0"),
+        ({"range": {"force": NONE, "moment": [[0, 0], [0, 0], [-1e9, 0]]}}, "range.moment.2"),
+        ({"range": {"force": NONE}}, "range.moment"),
+        ({"range": {"force": NONE, "moment": NONE, "torque": NONE}}, "range.torque"),
+        ({"ranges": 1}, "ranges"),
+    ],
+)
+def test_a_range_or_outputs_that_cannot_be_are_422_and_nothing_is_queued(http, more, place):
+    reply = http.post(CALL, json=more)
+    assert reply.status_code == 422
+    assert place in [error["loc"] for error in reply.json()["errors"]]
+    assert http.get("/v1/jobs").json()["jobs"] == []
