@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
@@ -35,6 +36,7 @@ CONTRACT = (
     "frame; the rotation is a rotation vector, applied as R0 exp(r)."
 )
 
+KEY_DIGITS = 32  # of a row's content key, 16 bytes
 USER_BLOCK = 512  # the smallest HDF5 takes
 _DIGEST_MARK = b"wrenchbook table, blake2b of what follows byte 512: "
 _HDF5_MARK = b"\x89HDF\r\n\x1a\n"
@@ -71,6 +73,11 @@ class TableMeta:
     ledger : str
         Digest of the ledger's rows up to `last_seq`: a file that another ledger wrote, or this
         one before it lost rows, is told by it.
+    edits : tuple of (str, bool, float), or None
+        The newest withdrawal or restoring of each row that had one: the row's content key in
+        hexadecimal, whether it is withdrawn, when (seconds since the epoch). Withdrawn rows are
+        not among the file's rows, so nothing else tells a ledger that was put back from an older
+        copy. None if they were not known.
     """
 
     component: str
@@ -81,6 +88,7 @@ class TableMeta:
     schema_version: int = SCHEMA_VERSION
     contract: str = CONTRACT
     ledger: str = ""
+    edits: tuple[tuple[str, bool, float], ...] | None = None
 
 
 def write_table(path: str | os.PathLike[str], rows: Rows, meta: TableMeta) -> None:
@@ -186,6 +194,15 @@ def _write_meta(file: h5py.File, meta: TableMeta) -> None:
     for name in ("low", "high"):
         bound = file.create_dataset(f"load_range/{name}", data=getattr(meta.load_range, name))
         bound.attrs["units"] = _UNITS["wrench"]
+    if meta.edits is not None:
+        _write_edits(file.create_group("edits"), meta.edits)
+
+
+def _write_edits(group: h5py.Group, edits: Sequence[tuple[str, bool, float]]) -> None:
+    kind = h5py.string_dtype("utf-8", KEY_DIGITS)
+    _write_column(group, "key", np.array([key.encode() for key, _, _ in edits], dtype=kind))
+    _write_column(group, "withdrawn", np.array([gone for _, gone, _ in edits], dtype=bool))
+    _write_column(group, "seconds", np.array([when for _, _, when in edits], dtype=float))
 
 
 def _write_rows(file: h5py.File, rows: Rows) -> None:
@@ -235,7 +252,16 @@ def _read_meta(file: h5py.File) -> TableMeta:
         schema_version=int(_attribute(file, "schema_version")),
         contract=str(_attribute(file, "contract")),
         ledger=str(file.attrs.get("ledger", "")),
+        edits=_read_edits(file),
     )
+
+
+def _read_edits(file: h5py.File) -> tuple[tuple[str, bool, float], ...] | None:
+    if "edits" not in file:
+        return None
+    keys = _dataset(file, "edits/key").asstr()[...].tolist()
+    gone = _numbers(file, "edits/withdrawn").astype(bool).tolist()
+    return tuple(zip(keys, gone, _numbers(file, "edits/seconds").tolist(), strict=True))
 
 
 def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
@@ -278,7 +304,7 @@ def read_foreign_table(path: str | os.PathLike[str]) -> Rows:
 def _check_contained(file: h5py.File) -> None:
     """Refuse data outside of the file, and datasets that unpack to more than memory should hold."""
     room = MOST_FOREIGN_BYTES
-    for folder in ("rows", "load_range"):
+    for folder in ("rows", "load_range", *(("edits",) if "edits" in file.keys() else ())):  # noqa: SIM118
         group = file[folder] if isinstance(file.get(folder, getlink=True), h5py.HardLink) else None
         if not isinstance(group, h5py.Group):
             raise TableFileError(f"has no group {folder}: it is no wrenchbook table")

@@ -90,7 +90,7 @@ class Tables:
 
     def faults(self) -> dict[str, str]:
         """Return why a component's table is not what the ledger says, by its name."""
-        return {**self._unwritten, **self._faults}
+        return {**self._files.doubts, **self._unwritten, **self._faults}
 
     def notify(self) -> None:
         """Look at the ledger now rather than at the next poll."""
