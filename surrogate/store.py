@@ -259,7 +259,7 @@ def _read_meta(file: h5py.File) -> TableMeta:
 def _read_edits(file: h5py.File) -> tuple[tuple[str, bool, float], ...] | None:
     if "edits" not in file:
         return None
-    keys = _dataset(file, "edits/key").asstr()[...].tolist()
+    keys = _words(file, "edits/key").tolist()
     gone = _numbers(file, "edits/withdrawn").astype(bool).tolist()
     return tuple(zip(keys, gone, _numbers(file, "edits/seconds").tolist(), strict=True))
 
@@ -275,11 +275,12 @@ def _numbers(file: h5py.File, name: str) -> np.ndarray:
     return np.asarray(_dataset(file, name)[...])
 
 
+def _words(file: h5py.File, name: str) -> np.ndarray:
+    return np.array(_dataset(file, name).asstr()[...], dtype=str)
+
+
 def _read_rows(file: h5py.File) -> Rows:
-    words = {
-        name: np.array(_dataset(file, f"rows/{name}").asstr()[...], dtype=str)
-        for name in ("source", "fingerprint")
-    }
+    words = {name: _words(file, f"rows/{name}") for name in ("source", "fingerprint")}
     numbers = {name: _numbers(file, f"rows/{name}") for name in ("seq", *_UNITS)}
     return Rows(**numbers, **words)
 
