@@ -81,7 +81,7 @@ class Workspace:
         self._changed: set[asyncio.Event] = set()
         self._changed_lock = threading.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._unit_solves_asked: dict[str, int] = {}
+        self._unit_solves_asked: dict[str, tuple[str, int]] = {}
 
     def start(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
         """Load the tables, recover the jobs that were running, and start solving."""
@@ -209,11 +209,11 @@ class Workspace:
 
     def _ask_compliance(self, name: str, surrogate: AnyTable) -> None:
         """Queue what tells a linear component's compliance, once a version of its table."""
-        if self._unit_solves_asked.get(name) == surrogate.version:
+        component = self.library[name]
+        asked_for = component.fingerprint, surrogate.version
+        if not component.has_fea or self._unit_solves_asked.get(name) == asked_for:
             return
-        self._unit_solves_asked[name] = surrogate.version
-        if not self.library[name].has_fea:
-            return
+        self._unit_solves_asked[name] = asked_for
         try:
             asked = self.orders.asked_wrenches(name)
             design = next_wrenches(surrogate, 6, pending=asked)

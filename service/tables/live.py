@@ -52,6 +52,7 @@ class Tables:
         self._files = TableFiles(folder, ledger)
         self._surrogates: dict[str, AnyTable] = {}
         self._seen: dict[str, int] = {}
+        self._built_for: dict[str, Component] = {}
         self._unsaved: dict[str, float] = {}
         self._faults: dict[str, str] = {}
         self._unwritten: dict[str, str] = {}
@@ -102,16 +103,19 @@ class Tables:
         Returns False if time ran out, or if the table cannot be built: see `faults`.
         """
         goal, before = self._ledger.last_seq(name), self._failures
+        component = self._library[name]
         self._again = True  # what failed is tried once more, now that somebody waits for it
         self.notify()
 
         def settled() -> bool:
-            failed = name in self._faults and self._failures > before
-            return self._seen.get(name, 0) >= goal or failed
+            return holds() or (name in self._faults and self._failures > before)
+
+        def holds() -> bool:
+            return self._seen.get(name, 0) >= goal and self._built_for.get(name) is component
 
         with self._grown:
             self._grown.wait_for(settled, timeout)
-            return self._seen.get(name, 0) >= goal
+            return holds()
 
     def caught_up(self, name: str, timeout: float) -> AnyTable:
         """Return a surrogate that holds all rows committed when this is called.
@@ -139,12 +143,12 @@ class Tables:
         return found
 
     def _follow(self) -> None:
-        seen = -1
+        seen = None
         while not self._stopping:
             self._wake.wait(POLL_S)
             self._wake.clear()
             try:
-                now = self._ledger.version()
+                now = self._ledger.version(), self._library.version()
                 if (now != seen or self._is_due()) and time.monotonic() >= self._rest_until:
                     self._again = False
                     for name in self._library.names():
@@ -184,6 +188,8 @@ class Tables:
     def _bring_up(self, name: str) -> None:
         """Bring one component's surrogate to what the ledger has now."""
         component = self._library[name]
+        if self._built_for.get(name) is not component:
+            self._seen.pop(name, None)  # its files were edited: not all rows there are its own
         seen = self._seen.get(name)
         if seen is not None and self._ledger.last_seq(name) == seen:
             return
@@ -194,7 +200,7 @@ class Tables:
                 rows, after = self._surrogates[name].rows, seen
             news = self._ledger.news(name, after)
         except LedgerUnavailableError:
-            if name not in self._surrogates:
+            if self._built_for.get(name) is not component:
                 self._build(component, *self._unchecked(component))
             raise
         self._build(component, _with_news(component, rows, news), news.last_seq)
@@ -216,6 +222,7 @@ class Tables:
         surrogate = _surrogate(component, rows, version)
         with self._grown:
             self._surrogates[component.name] = surrogate
+            self._built_for[component.name] = component
         seconds = time.monotonic() - started
         self._rest_until = time.monotonic() + REST * seconds
         log.debug("%s: version %d, %.3f s", component.name, surrogate.version, seconds)
