@@ -152,7 +152,9 @@ class Workspace:
         asked = self.orders.asked_wrenches(name)
         surrogate = self.tables.caught_up(name, CATCH_UP_S)
         design = next_wrenches(surrogate, budget, pending=asked, tolerance=tolerance)
-        return design, self.orders.fill(name, design.wrenches)
+        jobs = self.orders.fill(name, design.wrenches)
+        # A design knows no locked freedoms: what it tells apart may be one wrench, and known.
+        return design, [job for job in jobs if job.status != "done"]
 
     async def wait(self, job_id: int, seconds: float) -> Job:
         """Return the job once it has ended, or as it is after ``seconds``."""

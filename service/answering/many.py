@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter_ns
 
 import numpy as np
@@ -36,6 +37,8 @@ async def answer_or_submit_many(workspace: Workspace, name: str, batch: BatchQue
     NoSetupError
         If a solve is needed and the component has no finite-element setup.
     """
+    acting = workspace.library.as_read(name).acting(batch.wrenches)
+    batch = replace(batch, wrenches=acting)
     outcome = await run_in_threadpool(_answered, workspace, name, batch)
     if batch.on_thin == "wait":
         waited = {one.job.id for one in outcome.jobs if one.job and not one.job.is_final}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter_ns
 
 import numpy as np
@@ -34,6 +35,7 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
         If the solve of this wrench failed.
     """
     surrogate = workspace.surrogate(name)
+    query = _acting(workspace, name, query)
     if query.on_thin == "solve":
         outcome = _unanswered(name, surrogate)
     else:
@@ -47,6 +49,14 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
                 coverage=outcome.coverage,
             )
     return await _submitted(workspace, query, outcome)
+
+
+def _acting(workspace: Workspace, name: str, query: Query) -> Query:
+    """Leave out the loads on locked freedoms: the rest has the same answer."""
+    component = workspace.library.as_read(name)
+    if not component.idle:
+        return query
+    return replace(query, wrench=tuple(component.acting(np.array(query.wrench)).tolist()))
 
 
 async def _answered(name: str, surrogate: AnyTable, query: Query) -> Outcome:

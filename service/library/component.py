@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fea.bundle.read import FILE_NAME, Bundle
+from fea.spec.schema import FREEDOMS
 from surrogate.rows import LoadRange, Tolerance
 
 FileStamp = tuple[tuple[int, int] | None, ...]
@@ -25,6 +27,8 @@ class Component:
         What its fingerprint was read from.
     stamp : tuple
         How these files were when they were read: see `file_stamp`.
+    idle : tuple of int
+        Which of the six loads act on a freedom of the interface that is locked.
     """
 
     name: str
@@ -38,6 +42,21 @@ class Component:
     shipped: bool
     files: tuple[Path, ...] = ()
     stamp: FileStamp = ()
+    idle: tuple[int, ...] = ()
+
+    def acting(self, wrenches: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return wrenches, shape (..., 6), N and N·m, without the loads on locked freedoms.
+
+        The guide takes these: no answer depends on them, the compliance's columns for them are
+        zero. Two wrenches whose answers cannot differ are one wrench; that is why a loop's are
+        rounded to 1e-6 of the load range, and here it is exact. So such loads are in no job's key,
+        no reach, no row and no question to a table, and lie beyond no range.
+        """
+        if not self.idle:
+            return wrenches
+        kept = np.array(wrenches, dtype=float)
+        kept[..., list(self.idle)] = 0.0
+        return kept
 
     def is_as_read(self) -> bool:
         """Return whether no file has changed since; takes microseconds."""
@@ -94,7 +113,7 @@ class LibraryUnavailableError(OSError):
 
 def component_of(bundle: Bundle, *, shipped: bool) -> Component:
     """Return the component that a checked bundle describes."""
-    limit = bundle.tolerance
+    limit, locked = bundle.tolerance, bundle.interface.locked if bundle.interface else ()
     named = [bundle.mesh.file] if bundle.mesh else []
     named += [bundle.deck.file, *bundle.deck.files] if bundle.deck else []
     files = (bundle.folder / FILE_NAME, *(path for path in named if path))
@@ -112,4 +131,5 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
         shipped=shipped,
         files=files,
         stamp=file_stamp(files),
+        idle=tuple(load for load, freedom in enumerate(FREEDOMS) if freedom in locked),
     )

@@ -113,6 +113,17 @@ class Library:
             raise UnknownComponentError(name, self.names())
         return found
 
+    def as_read(self, name: str) -> Component:
+        """Return a component as it was when its files were last looked at: no file is now.
+
+        Raises
+        ------
+        UnknownComponentError
+            If the library has no such component.
+        """
+        found = self._components.get(name)
+        return self[name] if found is None else found
+
     def _find(self, name: str) -> Component | None:
         """Return a component as its files are now."""
         found = self._components.get(name)
