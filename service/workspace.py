@@ -15,7 +15,7 @@ from service.jobs.attempt import Progress, attempt_folder, read_progress
 from service.jobs.dispatcher import Dispatcher
 from service.jobs.engines.registry import open_engine
 from service.jobs.record_outcome import notes_of
-from service.ledger import Change, Job, Ledger, LedgerUnavailableError
+from service.ledger import Change, Job, Ledger, LedgerUnavailableError, OpenJob
 from service.library.component import Component
 from service.library.library import Library
 from service.ordering import QUEUE_LIMIT, Orders
@@ -118,6 +118,16 @@ class Workspace:
         if surrogate.linear and not surrogate.fit.complete:
             self._ask_compliance(name, surrogate)
         return surrogate
+
+    def compliance_job(self, name: str, surrogate: AnyTable) -> OpenJob | None:
+        """Return the open job that will tell a linear component's compliance; None if known."""
+        if not surrogate.linear or surrogate.fit.complete:
+            return None
+        try:
+            found = self.ledger.open_jobs(name, self.library[name].fingerprint)
+        except LedgerUnavailableError:
+            return None  # an estimate needs no ledger
+        return found[0] if found else None
 
     async def newest(self, name: str, seconds: float) -> AnyTable:
         """Return the surrogate once it holds all rows there are now, or after `seconds` as it is.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
+from service.answering.estimates import drop_estimates
 from service.answering.load_range import why_beyond
 from service.answering.queries import BatchOutcome, BatchQuery, WrenchJob
 from service.answering.refusals import BeyondRangeError, NotCoveredError
@@ -55,6 +56,7 @@ def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcom
     answers = surrogate.batch(batch.wrenches, batch.tolerance, batch.method)
     elapsed_us = (perf_counter_ns() - started) / 1e3
     outcome = BatchOutcome(name, *answers, surrogate.version, elapsed_us, [])
+    drop_estimates(outcome)
     thin = np.flatnonzero(answers.coverage)
     if not len(thin) or batch.on_thin == "estimate":
         return outcome

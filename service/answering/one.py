@@ -8,11 +8,12 @@ from time import perf_counter_ns
 import numpy as np
 from starlette.concurrency import run_in_threadpool
 
+from service.answering.estimates import also, explain_estimate
 from service.answering.load_range import why_beyond
 from service.answering.queries import Outcome, Query
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
 from service.answering.solved import EXACT, ROUNDED, read_row
-from service.ledger import Job
+from service.ledger import Job, OpenJob
 from service.ordering import Placed
 from service.workspace import Workspace
 from surrogate.build import AnyTable
@@ -40,6 +41,11 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
         outcome = _unanswered(name, surrogate)
     else:
         outcome = await _answered(name, surrogate, query)
+        if outcome.coverage != "covered":
+            explain_estimate(surrogate, query.wrench, outcome)
+            if query.on_thin in ("estimate", "reject"):  # the others are given a job themselves
+                solving = await run_in_threadpool(workspace.compliance_job, name, surrogate)
+                outcome.reason = also(outcome.reason, _awaited(solving))
         if outcome.coverage == "covered" or query.on_thin == "estimate":
             return outcome
         if query.on_thin == "reject":
@@ -119,15 +125,13 @@ def _queued(workspace: Workspace, query: Query, outcome: Outcome) -> Placed:
     component = workspace.orders.solvable(outcome.component)
     wrench = np.array([query.wrench])
     if not query.beyond_range and not component.load_range.holds(wrench)[0]:
-        why = why_beyond(component.load_range, wrench[0])
-        outcome.reason = _also(
-            outcome.reason, f"no solve is queued beyond the load range unless beyond_range: {why}"
-        )
+        why = "no solve is queued beyond the load range unless beyond_range"
+        outcome.reason = also(outcome.reason, why)
         return Placed(None, own=False)
     placed = workspace.orders.queue(outcome.component, wrench)[0]
     if placed.job is None:
         limit = workspace.orders.queue_limit
-        outcome.reason = _also(
+        outcome.reason = also(
             outcome.reason,
             f"no solve is queued: {limit} jobs of queries are open already (serve --queue-limit)",
         )
@@ -158,5 +162,7 @@ def _take_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) ->
     outcome.row, outcome.unsolved = seq, False
 
 
-def _also(reason: str, more: str) -> str:
-    return f"{reason}; {more}" if reason else more
+def _awaited(job: OpenJob | None) -> str:
+    return (
+        f"job {job.id} solves the component's compliance: ask again once it is done" if job else ""
+    )

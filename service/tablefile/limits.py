@@ -67,11 +67,25 @@ def largest_loads(load_range: LoadRange) -> Array:
     return np.where(size > 0.0, LOAD_LIMIT * size, np.inf).ravel()
 
 
-def _turned(displacement: Array) -> Iterator[Excess]:
+def beyond_limits(displacement: Array) -> Array:
+    """Tell which displacements, shape (n, 6), m and rad, no table may hold; NaN exceeds nothing."""
+    moved = np.abs(displacement[:, :3]) > TRANSLATION_LIMIT
+    return moved.any(axis=1) | _turns_too_far(_angle(displacement))
+
+
+def _angle(displacement: Array) -> Array:
     with np.errstate(over="ignore"):
-        angle = np.sqrt(np.nansum(displacement[:, 3:] ** 2, axis=1))
+        return np.sqrt(np.nansum(displacement[:, 3:] ** 2, axis=1))
+
+
+def _turns_too_far(angle: Array) -> Array:
     # The last bits of a conversion from degrees must not refuse exactly 20 degrees.
-    for at in np.flatnonzero(angle > ROTATION_LIMIT * (1.0 + 1e-12)).tolist():
+    return angle > ROTATION_LIMIT * (1.0 + 1e-12)
+
+
+def _turned(displacement: Array) -> Iterator[Excess]:
+    angle = _angle(displacement)
+    for at in np.flatnonzero(_turns_too_far(angle)).tolist():
         name = DISPLACEMENT[3 + int(np.nanargmax(np.abs(displacement[at, 3:])))]
         message = (
             f"the rotation is {math.degrees(angle[at]):.4g} degrees; a table ends at 20 "
