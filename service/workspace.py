@@ -119,10 +119,8 @@ class Workspace:
             self._ask_compliance(name, surrogate)
         return surrogate
 
-    def compliance_job(self, name: str, surrogate: AnyTable) -> OpenJob | None:
-        """Return the open job that will tell a linear component's compliance; None if known."""
-        if not surrogate.linear or surrogate.fit.complete:
-            return None
+    def first_open_job(self, name: str) -> OpenJob | None:
+        """Return the oldest job of a component that waits or runs; None if there is none."""
         try:
             found = self.ledger.open_jobs(name, self.library[name].fingerprint)
         except LedgerUnavailableError:

@@ -13,7 +13,7 @@ from service.answering.load_range import why_beyond
 from service.answering.queries import Outcome, Query
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
 from service.answering.solved import EXACT, ROUNDED, read_row
-from service.ledger import Job, OpenJob
+from service.ledger import Job
 from service.ordering import Placed
 from service.workspace import Workspace
 from surrogate.build import AnyTable
@@ -43,9 +43,8 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
         outcome = await _answered(name, surrogate, query)
         if outcome.coverage != "covered":
             explain_estimate(surrogate, query.wrench, outcome)
-            if query.on_thin in ("estimate", "reject"):  # the others are given a job themselves
-                solving = await run_in_threadpool(workspace.compliance_job, name, surrogate)
-                outcome.reason = also(outcome.reason, _awaited(solving))
+            if surrogate.linear and not surrogate.fit.complete:
+                await _name_awaited(workspace, query, outcome)
         if outcome.coverage == "covered" or query.on_thin == "estimate":
             return outcome
         if query.on_thin == "reject":
@@ -162,7 +161,11 @@ def _take_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) ->
     outcome.row, outcome.unsolved = seq, False
 
 
-def _awaited(job: OpenJob | None) -> str:
-    return (
-        f"job {job.id} solves the component's compliance: ask again once it is done" if job else ""
-    )
+async def _name_awaited(workspace: Workspace, query: Query, outcome: Outcome) -> None:
+    """Name the job whose answer will be the whole truth of a linear component."""
+    if query.on_thin not in ("estimate", "reject"):
+        return  # the others are given a job themselves
+    job = await run_in_threadpool(workspace.first_open_job, outcome.component)
+    if job is not None:
+        told = f"job {job.id} solves the component's compliance: ask again once it is done"
+        outcome.reason = also(outcome.reason, told)
