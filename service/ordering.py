@@ -2,7 +2,7 @@
 
 A simulator in a loop of 1 kHz asks for wrenches that hardly differ. Its solves are keyed after
 rounding, join open jobs near by, and are limited in number, so that the loop can ask on without
-flooding the queue.
+flooding the queue. Loads on locked freedoms are in no job: see `Component.acting`.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Orders:
         self._lock = threading.Lock()
 
     def own(self, name: str, wrench: tuple[float, ...], *, urgent: bool, asked_by: str) -> Job:
-        """Accept the job of exactly this wrench, N and N·m, whatever else is queued.
+        """Accept the job of exactly this wrench's acting loads, N and N·m, whatever is queued.
 
         An urgent one, somebody waits for it, starts before those of a fill.
 
@@ -103,12 +103,13 @@ class Orders:
             If the component has no finite-element setup.
         """
         component, priority = self.solvable(name), 1 if urgent else 0
+        acting = component.acting(np.array(wrench)).tolist()
         return self._ledger.accept(
-            name, component.fingerprint, wrench, priority=priority, asked_by=asked_by
+            name, component.fingerprint, acting, priority=priority, asked_by=asked_by
         )[0]
 
     def fill(self, name: str, wrenches: Floats, *, urgent: bool = False) -> list[Job]:
-        """Accept a job for each wrench, shape (n, 6), N and N·m, in one transaction.
+        """Accept a job for each different wrench, shape (n, 6), N and N·m, in one transaction.
 
         Urgent ones start before those of a fill.
 
@@ -121,7 +122,7 @@ class Orders:
         return self._ledger.accept_many(
             name,
             component.fingerprint,
-            wrenches.tolist(),
+            dict.fromkeys(map(tuple, component.acting(wrenches).tolist())),
             priority=1 if urgent else 0,
             asked_by="fill",
         )
@@ -139,6 +140,7 @@ class Orders:
             If the component has no finite-element setup.
         """
         component = self.solvable(name)
+        wrenches = component.acting(wrenches)
         # Divided at the end, not multiplied: a decimal wrench then stays the decimal it is.
         per_unit = GRAINS / component.load_range.scale
         reach = np.inf if component.linear else REACH
@@ -152,7 +154,8 @@ class Orders:
         NoSetupError
             If the component has no finite-element setup.
         """
-        return self._place(self.solvable(name), wrenches, 0.0)
+        component = self.solvable(name)
+        return self._place(component, component.acting(wrenches), 0.0)
 
     def asked_wrenches(self, name: str) -> Floats:
         """Return the wrenches of a component's open and failed jobs, shape (n, 6), N and N·m.

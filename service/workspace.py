@@ -16,7 +16,7 @@ from service.jobs.attempt import Progress, attempt_folder, read_progress
 from service.jobs.dispatcher import Dispatcher
 from service.jobs.engines.registry import open_engine
 from service.jobs.record_outcome import notes_of
-from service.ledger import Change, Job, Ledger, LedgerUnavailableError
+from service.ledger import Change, Job, Ledger, LedgerUnavailableError, OpenJob
 from service.library.component import Component
 from service.library.library import Library
 from service.ordering import QUEUE_LIMIT, Orders
@@ -84,7 +84,7 @@ class Workspace:
         self._changed: set[asyncio.Event] = set()
         self._changed_lock = threading.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._unit_solves_asked: dict[str, int] = {}
+        self._unit_solves_asked: dict[str, tuple[str, int]] = {}
 
     def start(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
         """Load the tables, recover the jobs that were running, and start solving."""
@@ -121,6 +121,14 @@ class Workspace:
         if surrogate.linear and not surrogate.fit.complete:
             self._ask_compliance(name, surrogate)
         return surrogate
+
+    def first_open_job(self, name: str) -> OpenJob | None:
+        """Return the oldest job of a component that waits or runs; None if there is none."""
+        try:
+            found = self.ledger.open_jobs(name, self.library[name].fingerprint)
+        except LedgerUnavailableError:
+            return None  # an estimate needs no ledger
+        return found[0] if found else None
 
     async def newest(self, name: str, seconds: float) -> AnyTable:
         """Return the surrogate once it holds all rows there are now, or after `seconds` as it is.
@@ -178,7 +186,9 @@ class Workspace:
             span=span,
             outputs=outputs,
         )
-        return design, self.orders.fill(name, design.wrenches)
+        jobs = self.orders.fill(name, design.wrenches)
+        # A design knows no locked freedoms: what it tells apart may be one wrench, and known.
+        return design, [job for job in jobs if job.status != "done"]
 
     async def wait(self, job_id: int, seconds: float) -> Job:
         """Return the job once it has ended, or as it is after ``seconds``."""
@@ -238,11 +248,11 @@ class Workspace:
 
     def _ask_compliance(self, name: str, surrogate: AnyTable) -> None:
         """Queue what tells a linear component's compliance, once a version of its table."""
-        if self._unit_solves_asked.get(name) == surrogate.version:
+        component = self.library[name]
+        asked_for = component.fingerprint, surrogate.version
+        if not component.has_fea or self._unit_solves_asked.get(name) == asked_for:
             return
-        self._unit_solves_asked[name] = surrogate.version
-        if not self.library[name].has_fea:
-            return
+        self._unit_solves_asked[name] = asked_for
         try:
             asked = self.orders.asked_wrenches(name)
             design = next_wrenches(_designed_on(surrogate), 6, pending=asked)

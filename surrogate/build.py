@@ -18,7 +18,6 @@ def build(
     linear: bool = False,
     off_axis: OffAxis = "correct",
     version: int = 0,
-    previous: AnyTable | None = None,
 ) -> AnyTable:
     """Build what answers from valid rows of one fingerprint.
 
@@ -30,13 +29,10 @@ def build(
     tolerance : Tolerance or None, m and rad
     linear : bool
         Whether the component is linear, so that its 6x6 compliance is the whole truth.
-    previous : Surrogate or MissingOutputs, optional
-        Of an earlier version of the table; what can be kept of it is not made anew.
     off_axis : {"correct", "ignore", "exclude"}
         What becomes of rows that are clean for no axis.
     """
-    how = {"tolerance": tolerance, "linear": linear, "off_axis": off_axis, "version": version}
-    if rows.partial:
-        return MissingOutputs(rows, load_range, **how)
-    before = previous if isinstance(previous, Surrogate) else None
-    return Surrogate(rows, load_range, previous=before, **how)
+    made = MissingOutputs if rows.partial else Surrogate
+    return made(
+        rows, load_range, tolerance=tolerance, linear=linear, off_axis=off_axis, version=version
+    )

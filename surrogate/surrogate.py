@@ -35,7 +35,6 @@ from .methods.reference import BentReference, KrigingReference, Reference
 from .methods.registry import Registry
 from .methods.selection import (
     ENOUGH_FULL,
-    REGROWN,
     Choice,
     choose,
     knows_interaction,
@@ -94,7 +93,6 @@ class Surrogate:
         linear: bool = False,
         off_axis: OffAxis = "correct",
         version: int = 0,
-        previous: Surrogate | None = None,
     ) -> None:
         if (np.diff(rows.seq) < 0).any():  # so that the order they come in changes nothing
             rows = rows.take(np.argsort(rows.seq, kind="stable"))
@@ -107,7 +105,7 @@ class Surrogate:
         self.members = tuple(merged.members[place] for place in np.flatnonzero(merged.within))
         self.full_wrenches = int((~clean_rows(self.used, load_range).any(axis=1)).sum())
         self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
-        self.kriging = None if linear else self._kriging(previous)
+        self.kriging = None if linear else self._kriging()
         self.knows_interaction = linear or knows_interaction(self.used, load_range)
         self._small = CLEAN * load_range.scale
         self._place = {tuple(w): p for p, w in reversed(list(enumerate(rows.wrench.tolist())))}
@@ -120,7 +118,7 @@ class Surrogate:
                 "nearest": lambda: Nearest(self.used, load_range, self.reference),
             }
         )
-        self.choice = self._choice(previous)
+        self.choice = self._choice()
         if len(self.used):
             _ = self._methods.get(self.default)
 
@@ -275,22 +273,18 @@ class Surrogate:
     def _compose(self, rows: Rows) -> Composition:
         return build_composition(rows, self.load_range, self.fit, self.off_axis)
 
-    def _kriging(self, previous: Surrogate | None) -> Kriging | None:
-        before = previous.kriging if isinstance(previous, Surrogate) else None
+    def _kriging(self) -> Kriging | None:
         try:
-            return Kriging.build(self.used, self.load_range, before)
+            return Kriging.build(self.used, self.load_range)
         except (TooFewRowsError, SingularCovarianceError):
             return None
 
-    def _choice(self, previous: Surrogate | None) -> Choice:
+    def _choice(self) -> Choice:
         if self.linear and self.fit.complete:
-            return Choice("linear", "the component is linear: its compliance is exact", {}, 0)
+            return Choice("linear", "the component is linear: its compliance is exact", {})
         if self.linear:
             reason = "the component is linear, but its compliance is not known in all loads yet"
-            return Choice("griddata", reason, {}, 0)
-        before = previous.choice if isinstance(previous, Surrogate) else None
-        if before is not None and before.errors and len(self.used) < REGROWN * before.rows:
-            return before
+            return Choice("griddata", reason, {})
         return choose(self.used, self.load_range, self.kriging, self._compose)
 
     def _gaussian(self) -> Method:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter_ns
 
 import numpy as np
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
+from service.answering.estimates import drop_estimates
 from service.answering.load_range import why_beyond
 from service.answering.queries import BatchOutcome, BatchQuery, WrenchJob
 from service.answering.refusals import BeyondRangeError, NotCoveredError
@@ -37,6 +39,8 @@ async def answer_or_submit_many(workspace: Workspace, name: str, batch: BatchQue
     NoSetupError
         If a solve is needed and the component has no finite-element setup.
     """
+    acting = workspace.library.as_read(name).acting(batch.wrenches)
+    batch = replace(batch, wrenches=acting)
     outcome = await run_in_threadpool(_answered, workspace, name, batch)
     if batch.on_thin == "wait":
         waited = {one.job.id for one in outcome.jobs if one.job and not one.job.is_final}
@@ -55,6 +59,7 @@ def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcom
     elapsed_us = (perf_counter_ns() - started) / 1e3
     method = batch.method or surrogate.default
     outcome = BatchOutcome(name, *answers, surrogate.version, elapsed_us, [], method)
+    drop_estimates(outcome)
     if batch.derivatives:
         outcome.derivatives = derivatives_at(surrogate, batch.wrenches, *how)
     thin = np.flatnonzero(answers.coverage)

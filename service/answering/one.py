@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter_ns
 
 import numpy as np
 from starlette.concurrency import run_in_threadpool
 
+from service.answering.estimates import also, explain_estimate
 from service.answering.load_range import why_beyond
 from service.answering.method_detail import detail_of
 from service.answering.queries import Outcome, Query
@@ -37,10 +39,15 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
         If the solve of this wrench failed.
     """
     surrogate = workspace.surrogate(name)
+    query = _acting(workspace, name, query)
     if query.on_thin == "solve":
         outcome = _unanswered(name, surrogate)
     else:
         outcome = await _answered(name, surrogate, query)
+        if outcome.coverage != "covered":
+            explain_estimate(surrogate, query.wrench, outcome)
+            if surrogate.linear and not surrogate.fit.complete:
+                await _name_awaited(workspace, query, outcome)
         if outcome.coverage == "covered" or query.on_thin == "estimate":
             return outcome
         if query.on_thin == "reject":
@@ -50,6 +57,14 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
                 coverage=outcome.coverage,
             )
     return await _submitted(workspace, query, outcome)
+
+
+def _acting(workspace: Workspace, name: str, query: Query) -> Query:
+    """Leave out the loads on locked freedoms: the rest has the same answer."""
+    component = workspace.library.as_read(name)
+    if not component.idle:
+        return query
+    return replace(query, wrench=tuple(component.acting(np.array(query.wrench)).tolist()))
 
 
 async def _answered(name: str, surrogate: AnyTable, query: Query) -> Outcome:
@@ -118,15 +133,13 @@ def _queued(workspace: Workspace, query: Query, outcome: Outcome) -> Placed:
     component = workspace.orders.solvable(outcome.component)
     wrench = np.array([query.wrench])
     if not query.beyond_range and not component.load_range.holds(wrench)[0]:
-        why = why_beyond(component.load_range, wrench[0])
-        outcome.reason = _also(
-            outcome.reason, f"no solve is queued beyond the load range unless beyond_range: {why}"
-        )
+        why = "no solve is queued beyond the load range unless beyond_range"
+        outcome.reason = also(outcome.reason, why)
         return Placed(None, own=False)
     placed = workspace.orders.queue(outcome.component, wrench)[0]
     if placed.job is None:
         limit = workspace.orders.queue_limit
-        outcome.reason = _also(
+        outcome.reason = also(
             outcome.reason,
             f"no solve is queued: {limit} jobs of queries are open already (serve --queue-limit)",
         )
@@ -160,5 +173,11 @@ def _take_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) ->
     outcome.row, outcome.unsolved = seq, False
 
 
-def _also(reason: str, more: str) -> str:
-    return f"{reason}; {more}" if reason else more
+async def _name_awaited(workspace: Workspace, query: Query, outcome: Outcome) -> None:
+    """Name the job whose answer will be the whole truth of a linear component."""
+    if query.on_thin not in ("estimate", "reject"):
+        return  # the others are given a job themselves
+    job = await run_in_threadpool(workspace.first_open_job, outcome.component)
+    if job is not None:
+        told = f"job {job.id} solves the component's compliance: ask again once it is done"
+        outcome.reason = also(outcome.reason, told)

@@ -19,7 +19,8 @@ POLL_S = 0.2
 
 def answer_table(answer: Displacement) -> Table:
     """Lay out one answer with its error bar."""
-    table = Table(title=_headline(answer), title_justify="left", caption=answer.reason or None)
+    said = "\n".join([answer.reason, *answer.raw.get("notes", ())]).strip()
+    table = Table(title=_headline(answer), title_justify="left", caption=escape(said) or None)
     for heading in ("", "value", "error bar", "unit"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
     for place, name in enumerate(DISPLACEMENT_NAMES):

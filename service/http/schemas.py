@@ -22,6 +22,11 @@ _DERIVATIVE: Final[Schema] = {
 }
 _COVERAGE: Final[Schema] = {"enum": ["covered", "thin", "outside"]}
 _STATUS: Final = ["waiting", "running", "done", "failed", "cancelled"]
+_VERSION: Final = (
+    "the version of the table that was asked; where source is fea the answer is that of row, which "
+    "may be newer than this version"
+)
+_ROW: Final = "the number of the row that the solve gave, in the ledger and in the table's exports"
 _LINK: Final[dict[str, Schema]] = {
     "id": {"type": "integer"},
     "status": {"enum": _STATUS},
@@ -84,10 +89,10 @@ DISPLACEMENT: Final[Schema] = _with_contract(
             "description": "table, or where the row that answers came from: fea, measured",
         },
         "method": {"type": ["string", "null"]},
-        "table_version": {"type": "integer"},
+        "table_version": {"type": "integer", "description": _VERSION},
         "elapsed_us": {"type": "number", "description": "time spent on the answer, µs"},
         "reason": {"type": "string", "description": "why not covered, why no solve is queued"},
-        "row": {"type": "integer", "description": "the row that the solve gave"},
+        "row": {"type": "integer", "description": _ROW},
         "notes": {
             "type": "array",
             "items": {"type": "string"},

@@ -21,6 +21,7 @@ from service.ledger.records import (
     NewRow,
     News,
     OpenJob,
+    RowEdit,
     Status,
 )
 
@@ -39,6 +40,7 @@ __all__ = [
     "NewRow",
     "News",
     "OpenJob",
+    "RowEdit",
     "RowStatusError",
     "StaleAttemptError",
     "Status",

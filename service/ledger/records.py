@@ -130,6 +130,14 @@ class LedgerRow:
     origin: str
 
 
+class RowEdit(NamedTuple):
+    """A withdrawal or restoring: the row's content key, whether it is withdrawn, and when, s."""
+
+    key: bytes
+    withdrawn: bool
+    created: float
+
+
 @dataclass(frozen=True)
 class News:
     """What happened to a component's rows after some seq, as one committed state.

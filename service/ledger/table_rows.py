@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from service.ledger import rows
 from service.ledger.listeners import Listeners
-from service.ledger.records import Change, LedgerRow, NewRow, News
+from service.ledger.records import Change, LedgerRow, NewRow, News, RowEdit
 from service.ledger.schema import Connections
 
 _log = logging.getLogger(__name__)
@@ -115,6 +115,22 @@ class TableRows:
         """Return a digest of which rows a component has up to a seq, and how they stand."""
         with self._db.reading() as db:
             return rows.digest(db, component, until)
+
+    def edits(self, component: str, until: int) -> list[RowEdit]:
+        """Return how each of a component's rows that was withdrawn or restored stands at a seq."""
+        with self._db.reading() as db:
+            return rows.newest_edits(db, component, until)
+
+    def replay(self, component: str, edits: Iterable[RowEdit]) -> int:
+        """Withdraw and restore rows as edits say that are newer than the ledger's own.
+
+        Returns how many rows changed; an edit of a row that is not there changes nothing.
+        """
+        with self._db.writing() as db:
+            changed = rows.replay(db, component, edits)
+        if changed:
+            self._listeners.tell(Change(component, rows=changed))
+        return changed
 
     def _edit(self, component: str, seq: int, *, withdrawn: bool) -> None:
         with self._db.writing() as db:

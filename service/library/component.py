@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fea.bundle.read import Bundle
+from fea.bundle.read import FILE_NAME, Bundle
+from fea.spec.schema import FREEDOMS
 from surrogate.table.rows import LoadRange, Tolerance
+
+FileStamp = tuple[tuple[int, int] | None, ...]
 
 
 @dataclass(frozen=True)
 class Component:
-    """One component as the service sees it; the mesh stays with the solver."""
+    """One component as the service sees it; the mesh stays with the solver.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        What its fingerprint was read from.
+    stamp : tuple
+        How these files were when they were read: see `file_stamp`.
+    idle : tuple of int
+        Which of the six loads act on a freedom of the interface that is locked.
+    """
 
     name: str
     title: str
@@ -24,6 +40,40 @@ class Component:
     load_range: LoadRange
     tolerance: Tolerance | None
     shipped: bool
+    files: tuple[Path, ...] = ()
+    stamp: FileStamp = ()
+    idle: tuple[int, ...] = ()
+
+    def acting(self, wrenches: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return wrenches, shape (..., 6), N and N·m, without the loads on locked freedoms.
+
+        The guide takes these: no answer depends on them, the compliance's columns for them are
+        zero. Two wrenches whose answers cannot differ are one wrench; that is why a loop's are
+        rounded to 1e-6 of the load range, and here it is exact. So such loads are in no job's key,
+        no reach, no row and no question to a table, and lie beyond no range.
+        """
+        if not self.idle:
+            return wrenches
+        kept = np.array(wrenches, dtype=float)
+        kept[..., list(self.idle)] = 0.0
+        return kept
+
+    def is_as_read(self) -> bool:
+        """Return whether no file has changed since; takes microseconds."""
+        return file_stamp(self.files) == self.stamp
+
+
+def file_stamp(files: Iterable[Path]) -> FileStamp:
+    """Return time of change (ns) and size (bytes) of each file, None for one that is missing."""
+    return tuple(map(_stamp, files))
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    try:
+        found = os.stat(path)  # noqa: PTH116 (half the time of Path.stat; asked for by each query)
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size
 
 
 class UnknownComponentError(KeyError):
@@ -63,7 +113,10 @@ class LibraryUnavailableError(OSError):
 
 def component_of(bundle: Bundle, *, shipped: bool) -> Component:
     """Return the component that a checked bundle describes."""
-    limit = bundle.tolerance
+    limit, locked = bundle.tolerance, bundle.interface.locked if bundle.interface else ()
+    named = [bundle.mesh.file] if bundle.mesh else []
+    named += [bundle.deck.file, *bundle.deck.files] if bundle.deck else []
+    files = (bundle.folder / FILE_NAME, *(path for path in named if path))
     return Component(
         name=bundle.name,
         title=bundle.title,
@@ -76,4 +129,7 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
         ),
         tolerance=Tolerance(limit.translation, limit.rotation) if limit else None,
         shipped=shipped,
+        files=files,
+        stamp=file_stamp(files),
+        idle=tuple(load for load, freedom in enumerate(FREEDOMS) if freedom in locked),
     )

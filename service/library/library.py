@@ -9,6 +9,7 @@ import logging
 import os
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -29,6 +30,7 @@ from service.library.component import (
 
 log = logging.getLogger(__name__)
 
+LOOK_SECONDS = 1.0  # between looks at files that were edited while nobody asks for them
 CHECK_FILE = "check.json"  # beside component.toml: what the check found at the upload
 _DECKS_REFUSED = (
     "A deck names a command that the server's solvers run, and this server takes none from "
@@ -68,10 +70,11 @@ class Library:
         allow_decks: bool = False,
         on_added: Callable[[Component], None] = lambda _: None,
     ) -> None:
-        self._own = own
+        self._own, self._shipped = own, shipped
         self._on_added = on_added
         self._allow_decks = allow_decks
         self._lock = threading.Lock()
+        self._version, self._next_look = 0, 0.0
         self._components: dict[str, Component] = {}
         self._broken: dict[str, str] = {}
         with contextlib.suppress(OSError):  # told when somebody adds a component
@@ -83,31 +86,62 @@ class Library:
 
     def names(self) -> list[str]:
         """Return the names of all components, sorted."""
-        return sorted(self._components)
+        return sorted(name for name in self._components if self._find(name))
+
+    def version(self) -> int:
+        """Return a number that differs after a component was added, changed or broken.
+
+        Files that nobody else asks for are looked at once in `LOOK_SECONDS`.
+        """
+        if time.monotonic() >= self._next_look:
+            self._next_look = time.monotonic() + LOOK_SECONDS
+            self.names()
+        return self._version
 
     def broken(self) -> dict[str, str]:
         """Return why a folder of the library is no usable component, by the folder's name."""
         return dict(self._broken)
 
     def __contains__(self, name: str) -> bool:
-        return name in self._components or self._look_for(name)
+        return self._find(name) is not None
 
     def __getitem__(self, name: str) -> Component:
-        if name not in self:
+        found = self._find(name)
+        if found is None:
             if name in self._broken:
                 raise BrokenComponentError(name, self.names(), self._broken[name])
             raise UnknownComponentError(name, self.names())
-        return self._components[name]
+        return found
 
-    def _look_for(self, name: str) -> bool:
-        """Take up a component that another process has added to the same data directory."""
-        folder = self._own / name
-        if not is_slug(name) or not (folder / "component.toml").is_file():
-            return False
-        with self._lock:
-            if name not in self._components:
-                self._try(folder, shipped=False)
-        return name in self._components
+    def as_read(self, name: str) -> Component:
+        """Return a component as it was when its files were last looked at: no file is now.
+
+        Raises
+        ------
+        UnknownComponentError
+            If the library has no such component.
+        """
+        found = self._components.get(name)
+        return self[name] if found is None else found
+
+    def _find(self, name: str) -> Component | None:
+        """Return a component as its files are now."""
+        found = self._components.get(name)
+        return found if found is not None and found.is_as_read() else self._look_for(name)
+
+    def _look_for(self, name: str) -> Component | None:
+        """Take up a component that was edited, or added by another process, on the disk."""
+        before = self._components.get(name)
+        folder = before.folder if before else self._folder_of(name)
+        if folder is not None:
+            with self._lock:
+                if self._components.get(name) is before:
+                    self._try(folder, shipped=folder.parent == self._shipped)
+        return self._components.get(name)
+
+    def _folder_of(self, name: str) -> Path | None:
+        folders = (parent / name for parent in (self._shipped, self._own) if is_slug(name))
+        return next((one for one in folders if (one / "component.toml").is_file()), None)
 
     def add_zip(self, archive: BinaryIO) -> Component:
         """Add a component from a zip of its bundle folder.
@@ -205,6 +239,8 @@ class Library:
             if self._broken.get(folder.name) != reason:
                 log.error("the component in %s cannot be used: %s", folder, reason)
             self._broken[folder.name] = reason
+            if folder.name in self._components and not self._components[folder.name].is_as_read():
+                self._put({k: v for k, v in self._components.items() if k != folder.name})
         else:
             self._broken.pop(folder.name, None)
 
@@ -212,8 +248,12 @@ class Library:
         component = component_of(read_bundle(folder), shipped=shipped)
         if not shipped:
             self._refuse_other_name(folder, component.name)
-        self._components = {**self._components, component.name: component}
+        self._put({**self._components, component.name: component})
         return component
+
+    def _put(self, components: dict[str, Component]) -> None:
+        self._components = components
+        self._version += 1
 
     def _refuse_other_name(self, folder: Path, name: str) -> None:
         """Refuse a folder that says it is another's component: it would answer in its place.

@@ -63,7 +63,7 @@ class Columns:
         compliance = self._block(head.COMPLIANCE, missing=np.nan)
         self._check_measured(displacement)
         self._check_tangents(compliance)
-        for excess in excesses(wrench, displacement, load_range):
+        for excess in excesses(wrench, displacement, load_range, uncertainty):
             self._spoil(excess.at, self._header.columns[excess.name].label, excess.message)
         for name in head.TEXTS:
             self._check_texts(name)
@@ -169,7 +169,7 @@ class Columns:
 def _all_at_once(cells: tuple[str, ...], comma: bool, factor: Decimal) -> Array | None:
     """Convert a column of plain finite numbers, or return None if a field is anything else."""
     joined = "".join(cells)
-    if "_" in joined or (comma and "." in joined):
+    if "_" in joined or not joined.isascii() or (comma and "." in joined):
         return None
     texts = [cell.replace(",", ".") for cell in cells] if comma else cells
     try:

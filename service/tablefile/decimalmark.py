@@ -16,8 +16,9 @@ def plain(cell: str, comma: bool) -> str | None:
 
     What it returns is what ``float`` reads: nan and inf as well, which are no number of a table.
     """
-    # Python's 1_000 is nobody's number; 1.234 beside decimal commas may mean 1234.
-    if "_" in cell or (comma and "." in cell):
+    # Python reads 1_000 and the digits of other scripts, nobody else does; 1.234 beside decimal
+    # commas may mean 1234.
+    if "_" in cell or not cell.strip().isascii() or (comma and "." in cell):
         return None
     text = cell.replace(",", ".") if comma else cell
     try:
@@ -59,6 +60,8 @@ def why(cell: str, comma: bool) -> str:
         return f"{shown(cell)} is not finite; leave the row out"
     if cell.startswith("#"):
         return f"{shown(cell)} is a spreadsheet's error; correct the formula or leave the row out"
+    if not cell.isascii() and any(map(str.isdecimal, cell)):
+        return f"{shown(cell)} is not a number; write it with the digits 0 to 9, and - for minus"
     if plain(cell, comma) is not None:
         return f"{shown(cell)} is too large a number"
     if "," in cell or (comma and "." in cell):

@@ -82,7 +82,7 @@ def read_hdf5(content: bytes, *, load_range: LoadRange | None = None) -> ParsedT
         return refused([RowError(0, "file", "there is no row")])
     beyond = [
         RowError(excess.at + 1, place_of(excess.name), excess.message)
-        for excess in excesses(rows.wrench, rows.displacement, load_range)
+        for excess in excesses(rows.wrench, rows.displacement, load_range, rows.uncertainty)
     ]
     return _table(rows, [*_numbers(rows), *_texts(rows), *beyond])
 

@@ -3,7 +3,8 @@
 A displacement that was not measured is null, but not all six. A row may have ``uncertainty`` (six
 numbers, null where unknown), ``compliance`` (the tangent, six lists of six numbers: a line for each
 of ux uy uz rx ry rz, over fx fy fz mx my mz), ``source``, ``note`` and ``fingerprint``. Always SI.
-An export also names its ``component`` and its ``table_version``; both may stand in an import.
+An export also names its ``component`` and its ``table_version``, and each row's number in the
+ledger, ``row``; they may stand in an import, which does not look at them.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from service.tablefile.exact import vanished
-from service.tablefile.header import DISPLACEMENT, TEXTS, WRENCH
+from service.tablefile.header import DISPLACEMENT, TEXTS, UNCERTAINTY, WRENCH
 from service.tablefile.limits import excesses
 from service.tablefile.parsed import (
     Array,
@@ -32,7 +33,7 @@ from service.tablefile.parsed import (
 from surrogate.table.rows import LoadRange
 
 _AROUND = ("units", "rows", "component", "table_version")
-_KEYS = ("wrench", "displacement", "uncertainty", "compliance", *TEXTS)
+_KEYS = ("wrench", "displacement", "uncertainty", "compliance", *TEXTS, "row")
 _UNKNOWN = (math.nan,) * 6
 _NO_TANGENT = (math.nan,) * 36
 _WIDTH = 18 + 36  # wrench, displacement, uncertainty; compliance
@@ -53,10 +54,10 @@ class _Vanished(float):
 
 
 def place_of(name: str) -> str:
-    """Return where the load or displacement `name` stands in a row: ``wrench[2]`` for fz."""
-    if name in WRENCH:
-        return f"wrench[{WRENCH.index(name)}]"
-    return f"displacement[{DISPLACEMENT.index(name)}]"
+    """Return where a column of a CSV stands in a row: ``wrench[2]`` for fz."""
+    columns = {"wrench": WRENCH, "displacement": DISPLACEMENT, "uncertainty": UNCERTAINTY}
+    key = next(key for key, names in columns.items() if name in names)
+    return f"{key}[{columns[key].index(name)}]"
 
 
 def read_json(text: str | bytes, *, load_range: LoadRange | None = None) -> ParsedTable:
@@ -95,7 +96,8 @@ def write_json(table: TableRows, about: Mapping[str, str | int] | None = None) -
     ----------
     table : TableRows
         Rows in SI. What was not measured and an unknown uncertainty (NaN) become null; six unknown
-        uncertainties, an unknown tangent and an empty text are left out.
+        uncertainties, an unknown tangent and an empty text are left out. ``seq``, if it has that,
+        is the number of each row.
     about : mapping, optional
         ``component`` and ``table_version``, to stand beside the rows.
     """
@@ -104,6 +106,8 @@ def write_json(table: TableRows, about: Mapping[str, str | int] | None = None) -
         {"wrench": load, "displacement": _nulls(motion)}
         for load, motion in zip(loads, motions, strict=True)
     ]
+    for row, seq in zip(rows, getattr(table, "seq", ()), strict=False):
+        row["row"] = int(seq)
     for row, bounds in zip(rows, table.uncertainty.tolist(), strict=True):
         if not all(map(math.isnan, bounds)):
             row["uncertainty"] = _nulls(bounds)
@@ -271,7 +275,7 @@ def _table(rows: _Rows, load_range: LoadRange | None) -> ParsedTable:
     """Make the arrays and check what concerns a row as a whole."""
     block: Array = np.array(rows.numbers, dtype=float).reshape(-1, _WIDTH)
     good = np.ones(len(block), dtype=bool)
-    for excess in excesses(block[:, :6], block[:, 6:12], load_range):
+    for excess in excesses(block[:, :6], block[:, 6:12], load_range, block[:, 12:18]):
         good[excess.at] = False
         place = rows.place[excess.at]
         rows.errors.append(RowError(place, place_of(excess.name), excess.message))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.tablefile.header import DISPLACEMENT, WRENCH
+from service.tablefile.header import DISPLACEMENT, UNCERTAINTY, WRENCH
 from surrogate.table.rows import LoadRange
 
 Array = np.ndarray
@@ -38,7 +38,12 @@ class Excess:
     message: str
 
 
-def excesses(wrench: Array, displacement: Array, load_range: LoadRange | None) -> Iterator[Excess]:
+def excesses(
+    wrench: Array,
+    displacement: Array,
+    load_range: LoadRange | None,
+    uncertainty: Array | None = None,
+) -> Iterator[Excess]:
     """Yield what is beyond a limit.
 
     Parameters
@@ -49,9 +54,13 @@ def excesses(wrench: Array, displacement: Array, load_range: LoadRange | None) -
         Shape (n, 6), m and rad; NaN where not measured.
     load_range : LoadRange or None
         The component's, N and N·m; None checks no load.
+    uncertainty : numpy.ndarray, optional
+        Shape (n, 6), m and rad; NaN where unknown.
     """
     yield from _turned(displacement)
     yield from _moved(displacement)
+    if uncertainty is not None:
+        yield from _unsure(uncertainty)
     if load_range is not None:
         yield from _loaded(wrench, load_range)
 
@@ -67,11 +76,25 @@ def largest_loads(load_range: LoadRange) -> Array:
     return np.where(size > 0.0, LOAD_LIMIT * size, np.inf).ravel()
 
 
-def _turned(displacement: Array) -> Iterator[Excess]:
+def beyond_limits(displacement: Array) -> Array:
+    """Tell which displacements, shape (n, 6), m and rad, no table may hold; NaN exceeds nothing."""
+    moved = np.abs(displacement[:, :3]) > TRANSLATION_LIMIT
+    return moved.any(axis=1) | _turns_too_far(_angle(displacement))
+
+
+def _angle(displacement: Array) -> Array:
     with np.errstate(over="ignore"):
-        angle = np.sqrt(np.nansum(displacement[:, 3:] ** 2, axis=1))
+        return np.sqrt(np.nansum(displacement[:, 3:] ** 2, axis=1))
+
+
+def _turns_too_far(angle: Array) -> Array:
     # The last bits of a conversion from degrees must not refuse exactly 20 degrees.
-    for at in np.flatnonzero(angle > ROTATION_LIMIT * (1.0 + 1e-12)).tolist():
+    return angle > ROTATION_LIMIT * (1.0 + 1e-12)
+
+
+def _turned(displacement: Array) -> Iterator[Excess]:
+    angle = _angle(displacement)
+    for at in np.flatnonzero(_turns_too_far(angle)).tolist():
         name = DISPLACEMENT[3 + int(np.nanargmax(np.abs(displacement[at, 3:])))]
         message = (
             f"the rotation is {math.degrees(angle[at]):.4g} degrees; a table ends at 20 "
@@ -88,6 +111,18 @@ def _moved(displacement: Array) -> Iterator[Excess]:
             "moves so far (check the unit: m or mm?)"
         )
         yield Excess(at, DISPLACEMENT[axis], message)
+
+
+def _unsure(uncertainty: Array) -> Iterator[Excess]:
+    limit = np.repeat([TRANSLATION_LIMIT, ROTATION_LIMIT * (1.0 + 1e-12)], 3)
+    beyond = np.isfinite(uncertainty) & (uncertainty > limit)  # infinite ones are told as such
+    for at, output in np.argwhere(beyond).tolist():
+        unit, end = ("m", TRANSLATION_LIMIT) if output < 3 else ("rad", ROTATION_LIMIT)
+        message = (
+            f"the uncertainty is {uncertainty[at, output]:.4g} {unit}; no displacement of a table "
+            f"is beyond {end:.4g} {unit} (check the unit, or leave it out if it is not known)"
+        )
+        yield Excess(at, UNCERTAINTY[output], message)
 
 
 def _loaded(wrench: Array, load_range: LoadRange) -> Iterator[Excess]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from service.contract import CONTRACT
-from service.ledger import Ledger, LedgerUnavailableError, NewRow
+from service.ledger import Ledger, LedgerUnavailableError, NewRow, RowEdit
 from service.library.component import Component
 from surrogate.table.hdf5 import TableFileError, TableMeta, read_table, write_table
 from surrogate.table.rows import Rows
@@ -16,6 +17,11 @@ from surrogate.table.rows import Rows
 log = logging.getLogger(__name__)
 
 ROW_BYTES = 450  # of a row in a file, about
+_DOUBT = (
+    "the ledger is another one than its table file was written beside, and the file does not tell "
+    "which rows were withdrawn: those may be in the table again. Look through its rows, or put "
+    "back the newer ledger"
+)
 
 
 class TableFiles:
@@ -32,6 +38,8 @@ class TableFiles:
     def __init__(self, folder: Path, ledger: Ledger) -> None:
         self._folder = folder
         self._ledger = ledger
+        self.doubts: dict[str, str] = {}
+        """What is not known of a component's table, by its name, and what to do about it."""
 
     def size(self, name: str) -> int:
         """Return about how many rows a component's file holds; 0 if there is none."""
@@ -59,7 +67,8 @@ class TableFiles:
         """Return the rows of a component's file and the seq they go up to.
 
         No rows, and 0, if they are not exactly what the ledger has up to there. Rows that the
-        ledger has lost, being a new one or an older copy, are put back into it first.
+        ledger has lost, being a new one or an older copy, are put back into it first, and so are
+        withdrawals; where the file does not tell those, `doubts` does.
 
         Raises
         ------
@@ -75,7 +84,7 @@ class TableFiles:
                 return rows, meta.last_seq
             log.info("table %s is of another setup; reading the ledger", component.name)
         else:
-            self._put_back(component.name, rows, meta.last_seq)
+            self._put_back(component.name, rows, meta)
         return Rows.empty(), 0
 
     def save(self, component: Component, rows: Rows, last_seq: int) -> None:
@@ -93,26 +102,37 @@ class TableFiles:
             load_range=component.load_range,
             fingerprint=component.fingerprint,
             contract=" ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items()),
-            ledger=self._digest(component.name, last_seq),
+            **self._ledger_words(component.name, last_seq),
         )
         write_table(self._path(component.name), rows, meta)
 
-    def _digest(self, name: str, last_seq: int) -> str:
+    def _ledger_words(self, name: str, last_seq: int) -> dict[str, Any]:
         try:
-            return self._ledger.digest(name, last_seq)
+            edits = self._ledger.edits(name, last_seq)
+            return {
+                "ledger": self._ledger.digest(name, last_seq),
+                "edits": tuple((key.hex(), gone, when) for key, gone, when in edits),
+            }
         except LedgerUnavailableError:
-            return ""  # the file may be all there is left of the rows: they are put back from it
+            return {}  # the file may be all there is left of the rows: they are put back from it
 
-    def _put_back(self, name: str, rows: Rows, last_seq: int) -> None:
-        """Insert a file's rows; the ledger knows those it has by their content."""
+    def _put_back(self, name: str, rows: Rows, meta: TableMeta) -> None:
+        """Insert a file's rows and repeat its edits; the ledger knows what it has by content."""
         lost = (_new_row(rows, place) for place in range(len(rows)))
-        inserted, _ = self._ledger.insert_rows(name, "", lost, above=last_seq)
+        inserted, _ = self._ledger.insert_rows(name, "", lost, above=meta.last_seq)
         if inserted:
             log.warning(
                 "%s: %d rows of the table file were missing in the ledger and are there again",
                 name,
                 inserted,
             )
+        if meta.edits is None:
+            self.doubts[name] = _DOUBT
+            log.warning("%s: %s", name, _DOUBT)
+            return
+        edits = [RowEdit(bytes.fromhex(key), gone, when) for key, gone, when in meta.edits]
+        if changed := self._ledger.replay(name, edits):
+            log.warning("%s: %d rows were withdrawn or restored as its file says", name, changed)
 
     def _path(self, name: str) -> Path:
         return self._folder / f"{name}.h5"

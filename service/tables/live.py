@@ -59,7 +59,8 @@ class Tables:
         self._files = TableFiles(folder, ledger)
         self._surrogates: dict[str, AnyTable] = {}
         self._seen: dict[str, int] = {}
-        self._asked: dict[str, int] = {}
+        self._asked: dict[str, tuple[int, Component]] = {}
+        self._built_for: dict[str, Component] = {}
         self._unsaved: dict[str, float] = {}
         self._faults: dict[str, str] = {}
         self._unwritten: dict[str, str] = {}
@@ -116,7 +117,7 @@ class Tables:
 
     def faults(self) -> dict[str, str]:
         """Return why a component's table is not what the ledger says, by its name."""
-        return {**self._unwritten, **self._faults}
+        return {**self._files.doubts, **self._unwritten, **self._faults}
 
     def building(self) -> list[str]:
         """Return the components that have no surrogate yet since the start: they answer 503."""
@@ -163,7 +164,9 @@ class Tables:
         )
 
     def _holds(self, name: str, goal: int) -> bool:
-        return self._seen.get(name, 0) >= goal
+        """Tell whether a surrogate is of the component as it is now and has all rows up to goal."""
+        present = self._built_for.get(name) is self._library[name]
+        return self._seen.get(name, 0) >= goal and present
 
     def _first(self, name: str) -> AnyTable:
         """Make the empty surrogate of a component without rows that was added after the start."""
@@ -190,26 +193,30 @@ class Tables:
     def _look(self, name: str, goal: int | None = None) -> None:
         """Have a table built if the ledger has what nobody has asked to be built."""
         goal = self._ledger.last_seq(name) if goal is None else goal
+        component = self._library[name]
         with self._grown:
-            if self._asked.get(name) == goal or (name in self._seen and self._seen[name] == goal):
+            asked_goal, asked_for = self._asked.get(name, (None, None))
+            if asked_goal == goal and asked_for is component:
                 return
-            self._asked[name] = goal
+            if self._seen.get(name) == goal and self._built_for.get(name) is component:
+                return
+            self._asked[name] = goal, component
         known = self._surrogates.get(name)
         self._builders.ask(name, len(known.rows) if known is not None else self._size(name))
 
     def _follow(self) -> None:
-        seen = -1
+        seen = None
         while not self._stopping.is_set():
             self._wake.wait(POLL_S)
             self._wake.clear()
             try:
-                now = self._ledger.version()
+                now = self._ledger.version(), self._library.version()
                 if now != seen:
                     for name in self._library.names():
                         self._look(name)
                     seen = now
             except LedgerUnavailableError:
-                seen = -1  # the ledger itself tells of it
+                seen = None  # the ledger itself tells of it
                 self._stopping.wait(TROUBLE_S)
             except Exception:
                 log.exception("following the ledger failed; trying again")
@@ -243,6 +250,8 @@ class Tables:
     def _bring_up(self, name: str) -> None:
         """Bring one component's surrogate to what the ledger has now."""
         component = self._library[name]
+        if self._built_for.get(name) is not component:
+            self._seen.pop(name, None)  # its files were edited: not all rows there are its own
         seen = self._seen.get(name)
         if seen is not None and self._ledger.last_seq(name) == seen:
             return
@@ -253,7 +262,7 @@ class Tables:
                 rows, after = self._surrogates[name].rows, seen
             rows, version = self._followed(component, rows, after)
         except LedgerUnavailableError:
-            if name not in self._surrogates:
+            if self._built_for.get(name) is not component:
                 self._build(component, *self._unchecked(component))
             raise
         if len(rows) > LARGE:
@@ -283,11 +292,11 @@ class Tables:
 
     def _build(self, component: Component, rows: Rows, version: int) -> None:
         started = time.monotonic()
-        previous = self._surrogates.get(component.name)
-        surrogate = _surrogate(component, rows, version, previous)
+        surrogate = _surrogate(component, rows, version)
         _ask(surrogate)
         with self._grown:
             self._surrogates[component.name] = surrogate
+            self._built_for[component.name] = component
         seconds = time.monotonic() - started
         log.debug("%s: version %d, %.3f s", component.name, surrogate.version, seconds)
 
@@ -304,17 +313,18 @@ class Tables:
         del self._unsaved[name]
 
 
-def _surrogate(
-    component: Component, rows: Rows, version: int, previous: AnyTable | None = None
-) -> AnyTable:
-    """Build the surrogate; its version is the number of the ledger's newest change in it."""
+def _surrogate(component: Component, rows: Rows, version: int) -> AnyTable:
+    """Build the surrogate; its version is the number of the ledger's newest change in it.
+
+    It is made of the rows alone, not of the surrogate before: whoever has the same rows, a
+    simulator that has downloaded them or this server after a restart, has the same digits.
+    """
     return build(
         rows,
         component.load_range,
         tolerance=component.tolerance,
         linear=component.linear,
         version=version,
-        previous=previous,
     )
 
 

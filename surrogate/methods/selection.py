@@ -16,7 +16,6 @@ CLEARLY = 0.8  # of griddata's error: a kriging that is no better than that is n
 ENOUGH_FULL = 20  # full wrenches that show what loads of several axes do together: measured on
 # `plate_thin`, with fewer and no tangents 3 to 26 % of the errors lie inside the bars (DESIGN 3)
 FOLDS = 4  # griddata predicts a quarter of the rows from the others: as many as it can be made from
-REGROWN = 1.25  # a choice holds until the table has grown by a quarter, as hyperparameters do
 
 
 @dataclass(frozen=True)
@@ -30,14 +29,11 @@ class Choice:
     errors : dict of str to float
         Root mean square at rows left out, over the outputs' ranges, dimensionless, by method;
         empty where none were compared.
-    rows : int
-        Of the table when the choice was made.
     """
 
     method: str
     reason: str
     errors: dict[str, float]
-    rows: int
 
 
 def knows_interaction(rows: Rows, load_range: LoadRange) -> bool:
@@ -64,15 +60,14 @@ def choose(
     compose
         Makes a composition of some of the rows.
     """
-    count = len(rows)
     if kriging is None:
-        return Choice("griddata", "there are too few rows for kriging", {}, count)
+        return Choice("griddata", "there are too few rows for kriging", {})
     if not knows_interaction(rows, load_range):
         reason = f"no tangents and fewer than {ENOUGH_FULL} full wrenches: kriging would not know"
-        return Choice("griddata", f"{reason} what loads of several axes do together", {}, count)
+        return Choice("griddata", f"{reason} what loads of several axes do together", {})
     if not kriging.is_dense:
         reason = "kriging by nearest rows takes milliseconds an answer; ask for it by name"
-        return Choice("griddata", f"{kriging.detail}: {reason}", {}, count)
+        return Choice("griddata", f"{kriging.detail}: {reason}", {})
     size = np.maximum(np.ptp(rows.displacement, axis=0), np.finfo(float).tiny)
     errors, _ = kriging.left_out()
     ours = _score(errors, size)
@@ -80,8 +75,8 @@ def choose(
     scores = {"kriging": ours, "griddata": theirs}
     told = f"{ours:.2g} of the range against griddata's {theirs:.2g}"
     if not ours < CLEARLY * theirs:
-        return Choice("griddata", f"kriging errs at left-out rows by {told}", scores, count)
-    return Choice("kriging", f"its error at left-out rows is {told}", scores, count)
+        return Choice("griddata", f"kriging errs at left-out rows by {told}", scores)
+    return Choice("kriging", f"its error at left-out rows is {told}", scores)
 
 
 def _griddata_errors(rows: Rows, compose: Callable[[Rows], Composition]) -> Floats:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
@@ -37,6 +38,7 @@ CONTRACT = (
 )
 
 PIECE = 1 << 20  # bytes of a file in memory at once for its digest
+KEY_DIGITS = 32  # of a row's content key, 16 bytes
 USER_BLOCK = 512  # the smallest HDF5 takes
 _DIGEST_MARK = b"wrenchbook table, blake2b of what follows byte 512: "
 _HDF5_MARK = b"\x89HDF\r\n\x1a\n"
@@ -79,6 +81,11 @@ class TableMeta:
     ledger : str
         Digest of the ledger's rows up to `last_seq`: a file that another ledger wrote, or this
         one before it lost rows, is told by it.
+    edits : tuple of (str, bool, float), or None
+        The newest withdrawal or restoring of each row that had one: the row's content key in
+        hexadecimal, whether it is withdrawn, when (seconds since the epoch). Withdrawn rows are
+        not among the file's rows, so nothing else tells a ledger that was put back from an older
+        copy. None if they were not known.
     """
 
     component: str
@@ -92,6 +99,7 @@ class TableMeta:
     linear: bool = False
     off_axis: OffAxis = "correct"
     ledger: str = ""
+    edits: tuple[tuple[str, bool, float], ...] | None = None
 
 
 def write_table(path: str | os.PathLike[str], rows: Rows, meta: TableMeta) -> None:
@@ -203,6 +211,15 @@ def _write_meta(file: h5py.File, meta: TableMeta) -> None:
     for name in ("low", "high"):
         bound = file.create_dataset(f"load_range/{name}", data=getattr(meta.load_range, name))
         bound.attrs["units"] = _UNITS["wrench"]
+    if meta.edits is not None:
+        _write_edits(file.create_group("edits"), meta.edits)
+
+
+def _write_edits(group: h5py.Group, edits: Sequence[tuple[str, bool, float]]) -> None:
+    kind = h5py.string_dtype("utf-8", KEY_DIGITS)
+    _write_column(group, "key", np.array([key.encode() for key, _, _ in edits], dtype=kind))
+    _write_column(group, "withdrawn", np.array([gone for _, gone, _ in edits], dtype=bool))
+    _write_column(group, "seconds", np.array([when for _, _, when in edits], dtype=float))
 
 
 def _write_rows(file: h5py.File, rows: Rows) -> None:
@@ -256,12 +273,21 @@ def _read_meta(file: h5py.File) -> TableMeta:
         tolerance=Tolerance(*map(float, tolerance)) if tolerance is not None else None,
         linear=bool(file.attrs.get("linear", False)),
         off_axis=_off_axis(str(file.attrs.get("off_axis", "correct"))),
+        edits=_read_edits(file),
     )
 
 
 def _off_axis(word: str) -> OffAxis:
     words: dict[str, OffAxis] = {one: one for one in get_args(OffAxis)}
     return words[word]
+
+
+def _read_edits(file: h5py.File) -> tuple[tuple[str, bool, float], ...] | None:
+    if "edits" not in file:
+        return None
+    keys = _words(file, "edits/key").tolist()
+    gone = _numbers(file, "edits/withdrawn").astype(bool).tolist()
+    return tuple(zip(keys, gone, _numbers(file, "edits/seconds").tolist(), strict=True))
 
 
 def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
@@ -275,11 +301,12 @@ def _numbers(file: h5py.File, name: str) -> np.ndarray:
     return np.asarray(_dataset(file, name)[...])
 
 
+def _words(file: h5py.File, name: str) -> np.ndarray:
+    return np.array(_dataset(file, name).asstr()[...], dtype=str)
+
+
 def _read_rows(file: h5py.File) -> Rows:
-    words = {
-        name: np.array(_dataset(file, f"rows/{name}").asstr()[...], dtype=str)
-        for name in ("source", "fingerprint")
-    }
+    words = {name: _words(file, f"rows/{name}") for name in ("source", "fingerprint")}
     numbers = {name: _numbers(file, f"rows/{name}") for name in ("seq", *_UNITS)}
     for name in ("uncertainty", "compliance"):
         if np.isnan(numbers[name]).all():
@@ -307,7 +334,7 @@ def read_foreign_table(path: str | os.PathLike[str]) -> Rows:
 def _check_contained(file: h5py.File) -> None:
     """Refuse data outside of the file, and datasets that unpack to more than memory should hold."""
     room = MOST_FOREIGN_BYTES
-    for folder in ("rows", "load_range"):
+    for folder in ("rows", "load_range", *(("edits",) if "edits" in file.keys() else ())):  # noqa: SIM118
         group = file[folder] if isinstance(file.get(folder, getlink=True), h5py.HardLink) else None
         if not isinstance(group, h5py.Group):
             raise TableFileError(f"has no group {folder}: it is no wrenchbook table")

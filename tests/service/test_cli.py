@@ -55,6 +55,14 @@ def test_query_prints_why_there_is_no_job(stub: Stub, run: Run):
     assert "the queue is full" in out
 
 
+def test_query_and_solve_print_what_the_solver_says_of_its_answer(stub: Stub, run: Run):
+    for command in ("query", "solve"):
+        stub.answers(Answer({**COVERED, "notes": ["mesh: 3 cells are [strongly] distorted"]}))
+        status, out, _ = run(command, "plate")
+        assert status == 0
+        assert "3 cells are [strongly] distorted" in " ".join(out.split())
+
+
 def test_a_refusal_is_one_message_with_each_mistake_and_status_1(stub: Stub, run: Run):
     problem = {
         "title": "The request is not of this call's form",

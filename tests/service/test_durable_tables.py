@@ -5,6 +5,7 @@ import random
 import shutil
 import sqlite3
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from service.library.component import BrokenComponentError
 from service.library.library import Library
 from service.tables import live
 from service.tables.live import TableBehindError, Tables
+from surrogate.table.hdf5 import read_table, write_table
 
 RANGE = [[-10.0, 10.0]] * 3
 
@@ -116,6 +118,51 @@ def test_rows_of_a_ledger_put_back_from_a_copy_are_all_there(site):
     older.close()
     site.open()
     assert site.wrenches() == expected(35)
+
+
+def put_back(site, copy):
+    for path in site.folder.glob("ledger.sqlite*"):
+        path.unlink()
+    shutil.copy(copy, site.folder / "ledger.sqlite")
+
+
+@pytest.mark.parametrize("gone_in_copy", [False, True])
+def test_a_withdrawn_row_does_not_come_back_with_an_older_copy_of_the_ledger(site, gone_in_copy):
+    """Nor does a restored one go: the newest word on a row holds, whoever has it."""
+    site.insert(10)
+    row = site.ledger.rows("rig")[4]
+    if gone_in_copy:
+        site.ledger.withdraw("rig", row.seq)
+    site.close()
+    copy = shutil.copy(site.folder / "ledger.sqlite", site.folder / "copy")
+    site.open()
+    edit = site.ledger.restore if gone_in_copy else site.ledger.withdraw
+    edit("rig", row.seq)
+    site.insert(2, first=10)
+    site.close()
+    put_back(site, copy)
+    for _ in range(2):
+        site.open()
+        assert (row.wrench in site.wrenches()) == gone_in_copy
+        assert len(site.wrenches()) == 12 - (not gone_in_copy)
+        assert site.tables.faults() == {}
+        site.close()
+    site.open()
+
+
+def test_a_table_file_that_cannot_tell_withdrawn_rows_is_told_of(site):
+    site.insert(10)
+    site.close()
+    copy = shutil.copy(site.folder / "ledger.sqlite", site.folder / "copy")
+    site.open()
+    site.ledger.withdraw("rig", site.ledger.rows("rig")[4].seq)
+    assert site.tables.catch_up("rig", 20)
+    site.close()
+    rows, meta = read_table(site.file())
+    write_table(site.file(), rows, replace(meta, edits=None))
+    put_back(site, copy)
+    site.open()
+    assert "withdrawn" in site.tables.faults()["rig"]
 
 
 def test_a_table_file_copied_over_anothers_brings_no_row_of_the_other_component(site, caplog):

@@ -1,4 +1,5 @@
 import io
+import shutil
 import zipfile
 
 import pytest
@@ -191,6 +192,24 @@ def test_what_is_not_there_is_a_404_problem(http, path):
     assert reply.status_code == 404
     assert reply.headers["content-type"] == "application/problem+json"
     assert reply.json()["detail"]
+
+
+def test_the_jobs_of_a_misspelt_component_are_404_not_none(http):
+    reply = http.get("/v1/jobs", params={"component": "typo"})
+    assert reply.status_code == 404
+    assert "typo" in reply.json()["detail"]
+
+
+def test_the_files_of_a_done_job_that_were_deleted_are_not_called_not_started(http, folder):
+    """The answer was: Job 2 has not started."""
+    body = {"force": [1, 0, 0], "moment": [0, 0, 0], "wait_s": 20}
+    job = http.post("/v1/components/plate_thin/solve", json=body).json()["job"]["id"]
+    shutil.rmtree(folder / "jobs" / str(job))
+    reply = http.get(f"/v1/jobs/{job}/files")
+    assert reply.status_code == 404
+    assert f"Job {job} is done" in reply.json()["detail"]
+    assert "deleted" in reply.json()["detail"]
+    assert "not started" not in reply.json()["detail"]
 
 
 @pytest.mark.parametrize("method", ["GET", "DELETE"])

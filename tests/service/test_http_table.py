@@ -225,6 +225,37 @@ def test_an_uncertainty_partly_null_does_not_come_back_as_zero(rig):
     assert rig.post(CALL, json={"rows": [row]}).json()["existing"] == 1
 
 
+def test_an_uncertainty_beyond_what_tables_may_hold_is_refused_in_every_form(rig):
+    """1e308 was taken for a bar."""
+    bounds = [1e308, None, None, None, None, 0.5]
+    row = {"wrench": [1, 0, 0, 0, 0, 0], "displacement": [0.0] * 6, "uncertainty": bounds}
+    errors = rig.post(CALL, json={"rows": [row]}).json()["errors"]
+    assert [error["field"] for error in errors] == ["uncertainty[0]", "uncertainty[5]"]
+    text = "fx [N],ux [mm],ux_err [mm],rz [deg],rz_err [deg]\n1,0,2e4,0,30\n1,0,1,0,1\n"
+    errors = load(rig, text).json()["errors"]
+    assert [(one["row"], one["field"]) for one in errors] == [
+        (2, "ux_err [mm]"),
+        (2, "rz_err [deg]"),
+    ]
+
+
+def test_digits_of_another_script_are_no_numbers_of_a_csv(rig):
+    text = "fx [N],ux [mm]\n1,0.1\n\u0662,0.2\n3,\u0967.5\n"
+    errors = load(rig, text).json()["errors"]
+    assert [(one["row"], one["field"]) for one in errors] == [(3, "fx [N]"), (4, "ux [mm]")]
+    assert "digits 0 to 9" in errors[0]["message"]
+
+
+def test_a_json_export_numbers_its_rows_as_the_ledger_does_and_comes_back(rig):
+    text = "fx [N],ux [mm]\n1,0.1\n2,0.2\n3,0.3\n"
+    assert load(rig, text).status_code == 200
+    assert rig.delete(f"{CALL}/2").is_success
+    held = rig.get(CALL).json()
+    assert [row["row"] for row in held["rows"]] == [1, 3]
+    assert rig.delete(f"{CALL}/{held['rows'][1]['row']}").is_success
+    assert rig.post(CALL, json=held).json()["existing"] == 2
+
+
 def test_a_load_beyond_10_times_the_range_is_refused_in_every_form(rig):
     row = {"wrench": [9001, 0, 0, 0, 0, 0], "displacement": [0] * 6}
     by_json = rig.post(CALL, json={"rows": [row]})

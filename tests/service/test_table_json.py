@@ -20,7 +20,7 @@ def read(*rows: Any, **around: Any):
 def test_rows_become_si_arrays():
     table = read(
         ROW,
-        {**ROW, "uncertainty": [1e-6, None, 0, 0, 0, 1], "source": "measured", "note": " rig 2 "},
+        {**ROW, "uncertainty": [1e-6, None, 0, 0, 0, 0.1], "source": "measured", "note": " rig 2 "},
         units="SI",
     )
     assert table.errors == ()

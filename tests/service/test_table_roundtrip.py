@@ -33,7 +33,7 @@ numbers = st.floats(allow_nan=False, allow_infinity=False)
 moves = st.floats(-10, 10)  # m, what a table may hold
 # A rotation vector of these components is never longer than 20 degrees.
 angles = st.floats(-0.2, 0.2)
-bounds = st.one_of(st.just(math.nan), st.floats(0, 1e300))
+unsure = [st.one_of(st.just(math.nan), st.floats(0, limit)) for limit in [10] * 3 + [0.2] * 3]
 texts = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])).map(str.strip)
 
 
@@ -58,7 +58,7 @@ def tables(draw: st.DrawFn) -> ParsedTable:
     return ParsedTable(
         wrench=block(*[numbers] * 6),
         displacement=block(*[moves] * 3, *[angles] * 3),
-        uncertainty=block(*[bounds] * 6),
+        uncertainty=block(*unsure),
         compliance=tangents(),
         source=words(),
         note=words(),

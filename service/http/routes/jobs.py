@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import pathlib
 import zipfile
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -62,6 +63,7 @@ def list_jobs(
     limit: Annotated[int, Query(ge=1, le=100_000)] = 1000,
 ) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
+    _check_known(workspace, component)
     jobs = workspace.ledger.jobs(component, status, limit)
     return {"jobs": [job_body(workspace, job) for job in jobs]}
 
@@ -81,8 +83,7 @@ def cancel_many(
     status: Literal["waiting", "running"] = "waiting",
 ) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
-    if component is not None:
-        _ = workspace.library[component]
+    _check_known(workspace, component)
     return {"cancelled": workspace.ledger.cancel_many(component, status)}
 
 
@@ -101,11 +102,10 @@ def retry(job_id: JobId, request: Request) -> dict[str, Any]:
 @router.get("/{job_id}/files", summary="Everything the last attempt left, as a zip")
 def attempt_files(job_id: JobId, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
-    folder = workspace.attempt_folder(workspace.ledger.job(job_id))
+    job = workspace.ledger.job(job_id)
+    folder = workspace.attempt_folder(job)
     if not folder.is_dir():
-        raise ProblemError(
-            404, "no-files", "No files yet", f"Job {job_id} has not started: it has no files yet."
-        )
+        raise _no_files(job, folder)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(folder.rglob("*")):
@@ -114,6 +114,25 @@ def attempt_files(job_id: JobId, request: Request) -> Response:
     name = f"job-{job_id}.zip"
     disposition = {"Content-Disposition": f'attachment; filename="{name}"'}
     return Response(buffer.getvalue(), 200, disposition, "application/zip")
+
+
+def _no_files(job: Job, folder: pathlib.Path) -> ProblemError:
+    if not (job.attempt and job.is_final):
+        why = f"Job {job.id} is {job.status} and has no files yet."
+        return ProblemError(404, "no-files", "No files yet", why)
+    where = f"jobs/{folder.parent.name}/{folder.name}"
+    why = (
+        f"Job {job.id} is {job.status} and the folder of its attempt {job.attempt}, {where} in the "
+        "data directory, is not there: it was deleted or not copied with the ledger. The job's row "
+        "needs no files."
+    )
+    return ProblemError(404, "no-files", "The files are gone", why)
+
+
+def _check_known(workspace: Workspace, component: str | None) -> None:
+    """Refuse the name of a component that there is not: none of its jobs would look like none."""
+    if component is not None:
+        _ = workspace.library[component]
 
 
 def _time(seconds: float | None) -> str | None:

@@ -55,11 +55,11 @@ def export_table(
     component = workspace.library[name]
     # Only a table that is behind the ledger has to be read before its version is known.
     if workspace.tables.catch_up(name, 0.0):
-        version = workspace.tables.surrogate(name).version
-        if _holds(if_none_match, version):
-            return Response(status_code=304, headers=_naming(version))
+        tag = _tag(component, workspace.tables.surrogate(name).version)
+        if _holds(if_none_match, tag):
+            return Response(status_code=304, headers=_naming(tag))
     rows = usable_rows(workspace.ledger, component)
-    headers = _naming(rows.version)
+    headers = _naming(_tag(component, rows.version))
     if format != "json":
         filename = f"{name}-v{rows.version}.{'csv' if format == 'csv' else 'h5'}"
         headers["Content-Disposition"] = f'attachment; filename="{filename}"'
@@ -95,15 +95,20 @@ async def import_table(
     return Response(orjson.dumps(reply), 200, None, "application/json")
 
 
-def _naming(version: int) -> dict[str, str]:
+def _tag(component: Component, version: int) -> str:
+    """Return what differs with a table's rows; an edited setup has others at the same version."""
+    return f'"{version}-{component.fingerprint}"' if component.has_fea else f'"{version}"'
+
+
+def _naming(tag: str) -> dict[str, str]:
     """Return the headers that name a table's version; no cache may serve it unasked."""
-    return {"ETag": f'"{version}"', "Cache-Control": "no-cache"}
+    return {"ETag": tag, "Cache-Control": "no-cache"}
 
 
-def _holds(if_none_match: str | None, version: int) -> bool:
+def _holds(if_none_match: str | None, tag: str) -> bool:
     """Tell whether the sender has this version (RFC 9110, section 13.1.2)."""
     tags = [tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")]
-    return f'"{version}"' in tags or "*" in tags
+    return tag in tags or "*" in tags
 
 
 def _written(

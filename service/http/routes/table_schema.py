@@ -79,7 +79,9 @@ _REPLY: Final = {
 }
 
 
-_ETAG: Final = {"ETag": {"schema": {"type": "string"}, "description": "the table version"}}
+_ETAG: Final = {
+    "ETag": {"schema": {"type": "string"}, "description": "names the table version and setup"}
+}
 
 EXPORT_REPLIES: Final[dict[int | str, dict[str, Any]]] = {
     200: {"description": "the table", "content": _FILES, "headers": _ETAG},
