@@ -10,7 +10,6 @@ from scipy.spatial import ConvexHull, QhullError
 
 from surrogate.build import AnyTable
 from surrogate.composition.axis_table import SOUND, AxisTable
-from surrogate.design.initial import axis_box
 from surrogate.table.axes import AXES, Axis
 from surrogate.table.rows import LOADS, OUTPUTS, Floats, LoadRange
 
@@ -27,7 +26,7 @@ def axis_gaps(surrogate: AnyTable) -> list[dict[str, Any]]:
 
 
 def _gaps(axis: Axis, table: AxisTable | None, load_range: LoadRange) -> dict[str, Any]:
-    low, high = axis_box(load_range, axis)
+    low, high = _box(load_range, axis)
     ends = [sorted({float(a), float(b)}) for a, b in zip(low, high, strict=True)]
     corners = np.array(list(product(*ends)))
     if table is None:
@@ -40,6 +39,12 @@ def _gaps(axis: Axis, table: AxisTable | None, load_range: LoadRange) -> dict[st
         "outside": _loads(axis, corners[outside]),
         "worst": _worst(axis, table),
     }
+
+
+def _box(load_range: LoadRange, axis: Axis) -> tuple[Floats, Floats]:
+    """Return the low and high ends, (3,) each, of an axis' loads, stretched to hold zero."""
+    inputs = list(axis.inputs)
+    return np.minimum(load_range.low[inputs], 0.0), np.maximum(load_range.high[inputs], 0.0)
 
 
 def _loads(axis: Axis, points: Floats) -> list[dict[str, float]]:
