@@ -114,7 +114,7 @@ class Workspace:
         once a version of its table.
         """
         surrogate = self.tables.surrogate(name)
-        if surrogate.methods.linear and not surrogate.fit.complete:
+        if surrogate.linear and not surrogate.fit.complete:
             self._ask_compliance(name, surrogate)
         return surrogate
 
