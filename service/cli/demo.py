@@ -67,7 +67,7 @@ def _solve_it(out: Console, client: Client) -> str | None:
 
 
 def _fill(out: Console, client: Client) -> str | None:
-    """Fill the table where its error bar is largest, until 95 % are within the tolerance."""
+    """Fill the table where its error bar is largest."""
     spent = render.fill(out, client, COMPONENT, BUDGET, tolerance=None)
     if not spent:
         return "no solve was spent"

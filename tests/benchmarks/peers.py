@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import io
+import warnings
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
@@ -45,7 +46,8 @@ def smt_kriging(
         else:
             one = KRG(theta0=[1e-2], corr="matern52", poly="linear", print_global=False)
         one.set_training_values(x, rows.displacement[:, output : output + 1] / size[output])
-        with contextlib.redirect_stdout(io.StringIO()):
+        with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what it warns of while it searches is its own affair
             one.train()
             out[:, output] = one.predict_values(asked / scale)[:, 0] * size[output]
     return out
