@@ -10,7 +10,8 @@ whole criterion: on `plate_thin`, with 30 / 54 / 120 solves, the worst output's 
     bar, less the nearer to a face    0.032  0.015  0.0057 %
     evenly spread                     0.050  0.019  0.0063 %
 
-and its bars hold best of all (93 to 97 % of the errors; 82 to 100 % with the others).
+and its bars hold best of all (93 to 97 % of the errors; 82 to 100 % with the others). Each fourth
+wrench is evenly spread, for the bars' sake.
 """
 
 from __future__ import annotations
@@ -34,6 +35,12 @@ SAMPLE = 256  # wrenches at which bars are held against the tolerance: 95 % of t
 ENOUGH = 0.95  # of the sample within the tolerance ends a fill, as bars hold 95 % of errors
 CANDIDATES = 384  # wrenches to choose from: more differ by less than a row changes the bars
 AXIS_CANDIDATES = 32  # of each axis by itself, where a table brings no tangents
+# Each fourth wrench is one of an even spread, as those are that will be asked: where the bar is
+# largest is at the ends of the range, and rows left out there say little of the rest. Over five
+# made-up responses, 39 solves, the worst output's part inside its bar rises from 89 to 93 % by it,
+# and errors stay the same.
+EVENLY = 4
+FAR = 10_000  # into the sequence, so that the even ones are none of the sample's
 LOOKED_AT = 16  # candidates told anew at once: the largest is nearly always among the first few
 
 
@@ -152,13 +159,17 @@ class _Refinement:
         candidates = self.known.new(_candidates(self.surrogate, self.span))
         losses, asked = self._losses(candidates), self.known.pending
         left = losses * self._left(asked, candidates)
-        chosen: list[int] = []
-        while len(chosen) < min(budget, len(candidates)):
-            best = self._largest(candidates, losses, left, asked)
-            chosen.append(best)
-            asked = np.concatenate((asked, candidates[best : best + 1]))
-            losses[best] = left[best] = -1.0
-        return candidates[chosen].reshape(-1, 6)
+        before, start = len(self.surrogate.used) + len(asked), len(asked)
+        while len(asked) - start < min(budget, len(candidates)):
+            number = before + len(asked) - start
+            even = spread_wrenches(self.span, 1, FAR + number // EVENLY)
+            fresh = self.known.new(even) if number % EVENLY == 0 else even[:0]
+            if not len(fresh):
+                best = self._largest(candidates, losses, left, asked)
+                losses[best] = left[best] = -1.0
+                fresh = candidates[best : best + 1]
+            asked = np.concatenate((asked, fresh))
+        return asked[start:]
 
     def _largest(self, candidates: Floats, losses: Floats, left: Floats, asked: Floats) -> int:
         """Return the place of the largest loss once `asked` is solved; `left` is brought up to it.

@@ -8,6 +8,7 @@ from surrogate.build import build
 from surrogate.design.adaptive import ENOUGH, next_wrenches
 from surrogate.design.initial import CORNERS, Known, first_design, spread_wrenches
 from surrogate.missing_outputs import MissingOutputs
+from surrogate.surrogate import Surrogate
 from surrogate.table.axes import clean_rows
 from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.kriging.responses import solved
@@ -15,7 +16,7 @@ from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, smoot
 
 EMPTY = build(Rows.empty(), RANGE)
 FIRST = next_wrenches(EMPTY, 100).wrenches
-FILLED = build(solved(coupled, FIRST / HIGH), RANGE)
+FILLED = Surrogate(solved(coupled, FIRST / HIGH), RANGE)
 
 
 def test_the_first_design_is_no_load_then_corners_then_an_even_spread() -> None:
@@ -87,6 +88,13 @@ def test_a_pending_wrench_counts_as_solved() -> None:
     after = next_wrenches(FILLED, 5, pending=one).wrenches
     np.testing.assert_array_equal(after, next_wrenches(FILLED, 6).wrenches[1:])
     assert (np.abs(after - one) / HIGH).max(axis=1).min() > 0.1
+
+
+def test_each_fourth_wrench_is_of_an_even_spread_away_from_the_ends() -> None:
+    many = np.abs(next_wrenches(FILLED, 24).wrenches / HIGH)
+    even = (np.arange(15, 39) % 4) == 0
+    assert many[even].mean() < 0.6
+    assert many[~even].mean() > 0.65
 
 
 def test_only_the_outputs_of_a_scene_count() -> None:
