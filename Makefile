@@ -70,13 +70,13 @@ bench-stability: $(VENV)/.installed-dev  ## extreme parts and loads: each right 
 bench-surrogate: $(VENV)/.installed-dev  ## single answers, batches and builds beside scipy's own calls
 	$(BIN)/python -m pytest tests/benchmarks/test_surrogate_speed.py -s -p no:cacheprovider
 
-bench-fill: $(VENV)/.installed-dev  ## solves needed for 1 % RMS: a random design, and fill with each method
+bench-fill: $(VENV)/.installed-dev  ## error by the number of solves: fill, griddata and SMT's kriging
 	$(BIN)/python -m pytest tests/benchmarks/test_fill.py -s -p no:cacheprovider
 
-bench-calibration: $(VENV)/.installed-dev  ## error bars against true errors, per response, size and method
+bench-calibration: $(VENV)/.installed-dev  ## error bars against true errors, fresh seeds; what each setting does
 	$(BIN)/python -m pytest tests/benchmarks/test_calibration.py -s -p no:cacheprovider
 
-bench-methods: $(VENV)/.installed-dev  ## RMS of each method on the thin plate at equal numbers of solves
+bench-methods: $(VENV)/.installed-dev  ## RMS of each method, SMT's kriging and scipy's RBF at equal numbers of solves
 	$(BIN)/python -m pytest tests/benchmarks/test_methods.py -s -p no:cacheprovider
 
 kills: $(VENV)/.installed-dev  ## 200 times kill -9 of server, solver or both: no job lost, no row twice

@@ -24,8 +24,6 @@ from service.report.queue import Reports
 from service.tables.live import TableBehindError, Tables
 from surrogate.build import AnyTable
 from surrogate.design.adaptive import Design, next_wrenches
-from surrogate.missing_outputs import MissingOutputs
-from surrogate.surrogate import Surrogate
 from surrogate.table.rows import LoadRange, Tolerance
 
 log = logging.getLogger(__name__)
@@ -179,7 +177,7 @@ class Workspace:
         asked = self.orders.asked_wrenches(name)
         surrogate = self.tables.caught_up(name, CATCH_UP_S)
         design = next_wrenches(
-            _designed_on(surrogate),
+            surrogate,
             budget,
             pending=asked,
             tolerance=tolerance,
@@ -255,7 +253,7 @@ class Workspace:
         self._unit_solves_asked[name] = asked_for
         try:
             asked = self.orders.asked_wrenches(name)
-            design = next_wrenches(_designed_on(surrogate), 6, pending=asked)
+            design = next_wrenches(surrogate, 6, pending=asked)
             self.orders.fill(name, design.wrenches, urgent=True)
         except LedgerUnavailableError:
             del self._unit_solves_asked[name]  # asked again by the next question
@@ -273,11 +271,6 @@ class Workspace:
             waiting = list(self._changed)
         for event in waiting:
             loop.call_soon_threadsafe(event.set)
-
-
-def _designed_on(surrogate: AnyTable) -> Surrogate:
-    """Return the surrogate that tells what to solve: of several that of the fewest rows."""
-    return surrogate.thinnest if isinstance(surrogate, MissingOutputs) else surrogate
 
 
 async def _wait_for(event: asyncio.Event, seconds: float) -> None:

@@ -50,6 +50,12 @@ def _number(values: Any, place: int) -> str:
     return "-" if values is None else f"{values[place]:.6e}"
 
 
+def method_line(component: dict[str, Any]) -> str:
+    """Say which method answers a component's table, and why."""
+    coverage = component["coverage"]
+    return f"{coverage['method']} answers: {coverage['method_reason']}."
+
+
 def component_table(components: Sequence[dict[str, Any]]) -> Table:
     """Lay out the library."""
     table = Table("name", "title", "rows", "analysis", "largest force, N", "largest moment, N·m")
@@ -210,5 +216,6 @@ __all__ = [
     "fill",
     "follow",
     "job_table",
+    "method_line",
     "row_errors",
 ]

@@ -17,6 +17,7 @@ from fea.failure import SolveFailed
 from fea.mesh.refine import refined
 from fea.solve import Solver
 from fea.spec.schema import Bundle
+from service.report.timing import Times, answer_times, times_without_fast
 from surrogate.answer import METHODS
 from surrogate.build import AnyTable, build
 from surrogate.table.rows import LoadRange, Rows
@@ -26,7 +27,6 @@ Report = Callable[[float, str], None]
 
 LEVELS = (("coarse", 0.67), ("own", 1.0), ("fine", 1.5))
 PARTS = (0.25, 0.5, 1.0)
-TIMED_QUERIES, TIMED_SECONDS = 2000, 0.5
 NEAR_ZERO = 1e-3  # of the largest output of its kind: below it an output counts as near zero
 
 
@@ -40,6 +40,7 @@ def measure(
     count
         Wrenches to compare.
     """
+    linear = not bundle.analysis.nonlinear
     wrenches = random_wrenches(load_range, count, seed)
     levels = _solve_levels(bundle, wrenches, report)
     finest, own = levels[-1], next(level for level in levels if level["level"] == "own")
@@ -47,19 +48,18 @@ def measure(
     reference = finest["displacement"][solved]
     scale = _scale(reference)
     report(0.85, "measuring tables")
-    tables = [
-        entry
-        for part in PARTS
-        for entry in _tables(
-            rows.take(np.arange(max(1, round(part * len(rows))))),
-            load_range,
-            wrenches[solved],
-            {"finest": reference, "own": own["displacement"][solved]},
-            scale,
-            own["seconds_p50"],
+    compared = wrenches[solved]
+    references = {"finest": reference, "own": own["displacement"][solved]}
+    tables = []
+    for part in PARTS:
+        some = rows.take(np.arange(max(1, round(part * len(rows)))))
+        plain = times_without_fast(some, load_range, compared) if part == 1.0 else {}
+        tables += _tables(
+            some, load_range, compared, references, scale, own["seconds_p50"], linear, plain
         )
-    ]
     meshes = [_mesh_entry(level, solved, reference, scale) for level in levels]
+    limit = bundle.tolerance
+    summary = build(rows, load_range, linear=linear).coverage_summary()
     return {
         "component": bundle.name,
         "title": bundle.title,
@@ -67,10 +67,16 @@ def measure(
         "wrenches": {"asked": count, "compared": int(solved.sum()), "seed": seed},
         "range": np.ptp(reference, axis=0).tolist(),
         "floor": scale.tolist(),
+        "tolerance": [limit.translation] * 3 + [limit.rotation] * 3 if limit else None,
+        "default": {
+            "method": summary["method"],
+            "reason": summary["method_reason"],
+            "errors_left_out": summary["errors_left_out"],
+            "full_wrench_rows": summary["full_wrench_rows"],
+        },
         "fea": meshes,
         "tables": tables,
         "pareto": pareto(meshes, tables),
-        "left_out": build(rows, load_range).coverage_summary().get("left_out"),
     }
 
 
@@ -151,15 +157,17 @@ def _tables(
     references: dict[str, Array],
     scale: Array,
     solve_seconds: float,
+    linear: bool,
+    plain: Times,
 ) -> list[dict[str, Any]]:
-    """Measure one size of the table with every method."""
+    """Measure one size of the table with every method; `plain` is what it costs without `fast`."""
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
-    surrogate = build(rows, load_range)
+    surrogate = build(rows, load_range, linear=linear)
     memory = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     started = time.perf_counter()
-    build(rows, load_range)
+    build(rows, load_range, linear=linear)
     build_s = time.perf_counter() - started
     size = {
         "rows": len(rows),
@@ -168,7 +176,12 @@ def _tables(
         "fea_s": float(np.sum(rows.source == "fea") * solve_seconds),
     }
     return [
-        {"method": method, **size, **_method(surrogate, method, wrenches, references, scale)}
+        {
+            "method": method,
+            **size,
+            "plain_us": list(plain.get(method, (None, None))),
+            **_method(surrogate, method, wrenches, references, scale),
+        }
         for method in METHODS
     ]
 
@@ -184,11 +197,11 @@ def _method(
     error = np.abs(answers.displacement - references["own"])
     told = np.isfinite(answers.error)
     inside = [_share(error[told[:, k], k] <= answers.error[told[:, k], k]) for k in range(6)]
-    times = _query_times(surrogate, method, wrenches)
+    middle, late = answer_times(surrogate, method, wrenches)
     return {
         "covered": float(np.mean(answers.coverage == 0)),
-        "query_us_p50": float(np.median(times)),
-        "query_us_p99": float(np.quantile(times, 0.99)),
+        "query_us_p50": middle,
+        "query_us_p99": late,
         "error": errors(np.abs(answers.displacement - references["finest"]), scale),
         "lookup_error": errors(error, scale),
         "inside_error_bar": inside,
@@ -196,19 +209,6 @@ def _method(
             _ratio(answers.error[told[:, k], k], error[told[:, k], k]) for k in range(6)
         ],
     }
-
-
-def _query_times(surrogate: AnyTable, method: str, wrenches: Array) -> Array:
-    """Return the time of single answers, shape (n,), µs."""
-    asked = wrenches.tolist()
-    times: list[float] = []
-    deadline = time.perf_counter() + TIMED_SECONDS
-    while len(times) < TIMED_QUERIES and time.perf_counter() < deadline:
-        wrench = asked[len(times) % len(asked)]
-        started = time.perf_counter_ns()
-        surrogate.answer(wrench, None, method)
-        times.append((time.perf_counter_ns() - started) / 1e3)
-    return np.array(times)
 
 
 def errors(error: Array, scale: Array) -> dict[str, list[float | None]]:
@@ -237,9 +237,19 @@ def _scale(reference: Array) -> Array:
 
 
 def worst(entry: dict[str, Any]) -> float:
-    """Return the largest relative RMS error of an entry; infinite if nothing was answered."""
-    found = entry["error"]["rms_relative"]
+    """Return the largest relative RMS error of an entry; infinite if nothing was answered.
+
+    A table's is against solves on its own mesh, which is what it looks up; a mesh's against the
+    finest.
+    """
+    found = entry.get("lookup_error", entry["error"])["rms_relative"]
     return float("inf") if None in found else max(found)
+
+
+def mesh_error(report: dict[str, Any]) -> float | None:
+    """Return the largest relative RMS error of the component's own mesh; None if unknown."""
+    own = [entry for entry in report["fea"][:-1] if entry["level"] == "own"]
+    return worst(own[0]) if own else None
 
 
 def seconds_of(entry: dict[str, Any]) -> float:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from service.report.measure import name_of, worst
+from service.report.measure import mesh_error, name_of, worst
 
-OUTPUTS = ("u_x", "u_y", "u_z", "r_x", "r_y", "r_z")
+OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 
 
 @dataclass(frozen=True)
@@ -30,25 +30,63 @@ def summary_of(report: dict[str, Any]) -> str:
     wrenches = report["wrenches"]
     return (
         f"{wrenches['compared']} of {wrenches['asked']} random full wrenches (seed "
-        f"{wrenches['seed']}), none of them in the table. Errors are RMS over the range of each "
-        f"output, against finite elements on the finest mesh; the table has {report['rows']} rows."
+        f"{wrenches['seed']}), none of them in the table, which has {report['rows']} rows. Errors "
+        "are RMS over the range of each output: a table's against solves on its own mesh, a mesh's "
+        "against the finest one."
     )
+
+
+def advice_of(report: dict[str, Any]) -> str:
+    """Say in one sentence what to do about the table."""
+    table = default_entry(report)
+    error, mesh, name = worst(table), mesh_error(report), report["component"]
+    told = f"the table ({name_of(table)}) errs by {100 * error:.2g} % of the range"
+    if mesh is not None and error <= mesh:
+        return (
+            f"The mesh decides: {told}, its mesh by {100 * mesh:.2g} %, so that more rows change "
+            "nothing; if that is too much, refine the mesh."
+        )
+    over = _over_tolerance(report, table)
+    if over:
+        return f"More rows help: {told}, and {over} exceeds the tolerance; wrenchbook fill {name}."
+    beside = f", its mesh by {100 * mesh:.2g} %" if mesh is not None else ""
+    within = " and is within the tolerance, so that it needs no more rows" * bool(
+        report["tolerance"]
+    )
+    return f"The table decides: {told}{beside}{within}."
+
+
+def default_entry(report: dict[str, Any]) -> dict[str, Any]:
+    """Return the figures of the whole table by the method that answers where none is asked for."""
+    name, rows = report["default"]["method"], report["rows"]
+    return next(e for e in report["tables"] if e["method"] == name and e["rows"] == rows)
+
+
+def _over_tolerance(report: dict[str, Any], entry: dict[str, Any]) -> str:
+    """Return the first output whose 95 % error is over the tolerance, or an empty text."""
+    if report["tolerance"] is None:
+        return ""
+    errors = entry["lookup_error"]["p95"]
+    for name, error, limit in zip(OUTPUTS, errors, report["tolerance"], strict=True):
+        if error is None or error > limit:
+            return name
+    return ""
 
 
 def sections(report: dict[str, Any]) -> list[Section]:
     """Return a report's figures."""
     return [
+        _default(report),
         _meshes(report),
         _tables(report),
         _absolute(report),
         _bars(report),
-        _left_out(report),
     ]
 
 
 def as_markdown(report: dict[str, Any]) -> str:
     """Lay out a report's figures as Markdown tables."""
-    parts = [f"# {title_of(report)}", summary_of(report)]
+    parts = [f"# {title_of(report)}", summary_of(report), f"**{advice_of(report)}**"]
     for section in sections(report):
         parts += [f"## {section.title}", section.note]
         if section.lines:
@@ -83,30 +121,39 @@ def _tables(report: dict[str, Any]) -> Section:
             f"{entry['build_s']:.2f}",
             f"{entry['query_us_p50']:.0f}",
             f"{entry['query_us_p99']:.0f}",
+            *("-" if value is None else f"{value:.0f}" for value in entry["plain_us"]),
             f"{entry['memory_bytes'] / 1e6:.1f}",
-            *_percents(entry["error"]["rms_relative"]),
+            *_percents(entry["lookup_error"]["rms_relative"]),
             f"{entry['covered']:.0%}",
         )
         for entry in sorted(report["tables"], key=lambda entry: (entry["rows"], worst(entry)))
     )
-    head = ("method", "rows", "FEA spent, s", "build, s", "p50, µs", "p99, µs", "MB", *OUTPUTS)
-    front = f"Neither beaten in error nor in run time: {'; '.join(report['pareto'])}."
-    return Section("Tables", front, (*head, "covered"), lines)
+    times = ("p50, µs", "p99, µs", "p50 without fast", "p99")
+    head = ("method", "rows", "FEA spent, s", "build, s", *times, "MB", *OUTPUTS)
+    note = (
+        "Errors against solves on the table's own mesh. `fast` is the extra that compiles the "
+        f"answer. Neither beaten in error nor in run time: {'; '.join(report['pareto'])}."
+    )
+    return Section("Tables", note, (*head, "covered"), lines)
 
 
 def _absolute(report: dict[str, Any]) -> Section:
     whole = [entry for entry in report["tables"] if entry["rows"] == report["rows"]]
+    measured = [(entry, entry["lookup_error"]) for entry in whole]
+    measured += [(entry, entry["error"]) for entry in report["fea"][:-1]]
     lines = tuple(
-        (f"{name_of(entry)}, {word}", *_numbers(entry["error"][key]))
-        for entry in (*whole, *report["fea"][:-1])
+        (f"{name_of(entry)}, {word}", *_numbers(errors[key]))
+        for entry, errors in measured
         for key, word in (("rms", "RMS"), ("p95", "95 %"), ("max", "largest"))
     )
+    if report["tolerance"] is not None:
+        lines = (("tolerance", *_numbers(report["tolerance"])), *lines)
     note = (
-        "Absolute errors against the finest mesh, m and rad. An output whose range is below a "
-        "thousandth of the largest of its kind counts as near zero: its relative error is taken "
-        "over that floor."
+        "m and rad; a table's against its own mesh, a mesh's against the finest. An output whose "
+        "range is below a thousandth of the largest of its kind counts as near zero: its relative "
+        "error is taken over that floor."
     )
-    return Section("Absolute errors", note, ("", *OUTPUTS), lines)
+    return Section("Absolute errors beside the tolerance", note, ("", *OUTPUTS), lines)
 
 
 def _bars(report: dict[str, Any]) -> Section:
@@ -128,19 +175,16 @@ def _inside(share: float | None, ratio: float | None) -> str:
     return f"{share:.0%}" + (f", {ratio:.1f}x" if ratio is not None else "")
 
 
-def _left_out(report: dict[str, Any]) -> Section:
-    title, left_out = "What straight direction influence leaves out", report["left_out"]
-    if not left_out:
-        return Section(
-            title, "Nothing: the component is linear, its 6x6 compliance is the whole truth."
-        )
-    if not left_out.get("full_wrench_rows"):
-        note = "Unknown: the table has no row with a full wrench. A fill asks for some."
-        return Section(title, note)
-    together = left_out.get("acting_together", {})
-    lines = tuple((name, f"{bound:.2e}") for name, bound in together.items())
-    note = f"Seen on {left_out['full_wrench_rows']} rows with full wrenches, m and rad."
-    return Section(title, note, ("output", "left out"), lines)
+def _default(report: dict[str, Any]) -> Section:
+    told = report["default"]
+    note = (
+        f"Where no method is asked for, {told['method']} answers: {told['reason']}. "
+        f"{told['full_wrench_rows']} rows load more than one axis."
+    )
+    errors = told["errors_left_out"]
+    lines = tuple((name, f"{error:.2e}") for name, error in errors.items())
+    head = ("at rows left out", "RMS error / range") if lines else ()
+    return Section("Which method answers, and why", note, head, lines)
 
 
 def _numbers(values: list[float | None]) -> tuple[str, ...]:

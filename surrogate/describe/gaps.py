@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from ..composition.axis_table import SOUND, AxisTable
 from ..composition.composition import Composition
-from ..table.axes import AXES, Axis, axis_box
+from ..table.axes import AXES, Axis
 from ..table.rows import LOADS, OUTPUTS, Floats, LoadRange
 
 MOST_SPOTS = 5
@@ -24,7 +24,7 @@ def axis_gaps(composition: Composition, load_range: LoadRange) -> list[dict[str,
 
 
 def _gaps(axis: Axis, table: AxisTable | None, load_range: LoadRange) -> dict[str, Any]:
-    low, high = axis_box(load_range, axis)
+    low, high = _box(load_range, axis)
     ends = [sorted({float(a), float(b)}) for a, b in zip(low, high, strict=True)]
     corners = np.array(list(product(*ends)))
     if table is None:
@@ -37,6 +37,12 @@ def _gaps(axis: Axis, table: AxisTable | None, load_range: LoadRange) -> dict[st
         "outside": _loads(axis, corners[outside]),
         "worst": _worst(axis, table),
     }
+
+
+def _box(load_range: LoadRange, axis: Axis) -> tuple[Floats, Floats]:
+    """Return the low and high ends, (3,) each, of an axis' loads, stretched to hold zero."""
+    inputs = list(axis.inputs)
+    return np.minimum(load_range.low[inputs], 0.0), np.maximum(load_range.high[inputs], 0.0)
 
 
 def _loads(axis: Axis, points: Floats) -> list[dict[str, float]]:

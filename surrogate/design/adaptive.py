@@ -2,7 +2,16 @@
 
 The kriging tells a bar without a solve, also the one that will be left once pending wrenches are
 solved (Sacks, Welch, Mitchell and Wynn 1989: sequential design by the posterior deviation). So a
-round is chosen one after another, each counted as solved for those after it.
+round is chosen one after another, each counted as solved for those after it. The largest bar is the
+whole criterion: on `plate_thin`, with 30 / 54 / 120 solves, the worst output's error is
+
+    largest bar                       0.037  0.014  0.0034 % of its range
+    largest mean reduction of bars    0.033  0.014  0.0042 %
+    bar, less the nearer to a face    0.032  0.015  0.0057 %
+    evenly spread                     0.050  0.019  0.0063 %
+
+and its bars hold best of all (93 to 97 % of the errors; 82 to 100 % with the others). Each fourth
+wrench is evenly spread, for the bars' sake.
 """
 
 from __future__ import annotations
@@ -15,15 +24,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..answer import allowed_by
+from ..build import AnyTable
+from ..missing_outputs import MissingOutputs
 from ..surrogate import Surrogate
 from ..table.axes import AXES
 from ..table.rows import Floats, LoadRange, Tolerance
-from .initial import FIRST, Known, first_design, spread_wrenches
+from .initial import Known, first_count, first_design, spread_wrenches
 
 SAMPLE = 256  # wrenches at which bars are held against the tolerance: 95 % of them are 243
 ENOUGH = 0.95  # of the sample within the tolerance ends a fill, as bars hold 95 % of errors
 CANDIDATES = 384  # wrenches to choose from: more differ by less than a row changes the bars
 AXIS_CANDIDATES = 32  # of each axis by itself, where a table brings no tangents
+# Each fourth wrench is one of an even spread, as those are that will be asked: where the bar is
+# largest is at the ends of the range, and rows left out there say little of the rest. Over five
+# made-up responses, 39 solves, the worst output's part inside its bar rises from 89 to 93 % by it,
+# and errors stay the same.
+EVENLY = 4
+FAR = 10_000  # into the sequence, so that the even ones are none of the sample's
+LOOKED_AT = 16  # candidates told anew at once: the largest is nearly always among the first few
 
 
 @dataclass(frozen=True)
@@ -43,7 +61,7 @@ class Design:
 
 
 def next_wrenches(
-    surrogate: Surrogate,
+    table: AnyTable,
     budget: int,
     *,
     pending: ArrayLike | None = None,
@@ -54,7 +72,7 @@ def next_wrenches(
     """Return at most `budget` wrenches that lower the error most, none of them known or pending.
 
     A linear component needs but one solve, which brings its compliance. Without a tolerance (the
-    surrogate's own if None) the refinement goes on as long as it is asked.
+    table's own if None) the refinement goes on as long as it is asked.
 
     Parameters
     ----------
@@ -66,16 +84,21 @@ def next_wrenches(
         The outputs whose bars count.
     """
     waiting = np.empty((0, 6)) if pending is None else np.asarray(pending, dtype=float)
-    span = span or surrogate.load_range
-    known = Known(surrogate.load_range, surrogate.rows.wrench, waiting.reshape(-1, 6))
+    span = span or table.load_range
+    known = Known(table.load_range, table.rows.wrench, waiting.reshape(-1, 6))
+    # Of outputs that some rows lack, those that the fewest rows hold are the worst known.
+    surrogate = table.thinnest if isinstance(table, MissingOutputs) else table
     if surrogate.linear:
         return _linear_design(surrogate, known, budget)
-    asked = np.concatenate((surrogate.used.wrench, known.pending))
-    there = int(span.holds(asked).sum())
-    if there < FIRST or surrogate.kriging is None:
-        more = first_design(span, known, min(budget, max(FIRST - there, 1)))
-        return Design(more, "first", f"{FIRST - there} wrenches of the first design to go")
-    return _refine(surrogate, known, budget, tolerance or surrogate.tolerance, span, list(outputs))
+    left = first_count(span) - len(surrogate.used) - len(known.pending)
+    if left > 0:
+        more = first_design(span, known, min(budget, left))
+        return Design(more, "first", f"{left} wrenches of the first design to go")
+    if surrogate.kriging is None:
+        more = first_design(span, known, budget)
+        return Design(more, "first", "too few rows to tell where the error bar is largest")
+    limit = tolerance or surrogate.tolerance
+    return _Refinement(surrogate, known, limit, span, list(outputs)).design(budget)
 
 
 def _linear_design(surrogate: Surrogate, known: Known, budget: int) -> Design:
@@ -96,54 +119,84 @@ def _linear_design(surrogate: Surrogate, known: Known, budget: int) -> Design:
     return Design(fresh[:budget], "first", "a solve that tells the 6x6 compliance is needed")
 
 
-def _refine(
-    surrogate: Surrogate,
-    known: Known,
-    budget: int,
-    tolerance: Tolerance | None,
-    span: LoadRange,
-    outputs: list[int],
-) -> Design:
-    """Pick, one after another, the candidate whose bar over what is allowed is largest."""
-    allowed = np.array(allowed_by(tolerance)) if tolerance else np.maximum(surrogate.ranges, 1e-300)
-    sample = _losses(surrogate, spread_wrenches(span, SAMPLE), known.pending, allowed, outputs)
-    within = float((sample <= 1.0).mean())
-    worst = float(np.quantile(sample, ENOUGH))
-    unit = "the tolerance" if tolerance is not None else "the outputs' range"
-    if tolerance is not None and within >= ENOUGH:
-        reason = f"the error bars of {within:.0%} of a sample of the range are within the tolerance"
-        return Design(np.empty((0, 6)), "met", reason)
-    candidates = _candidates(surrogate, span)
-    chosen: list[Floats] = []
-    while len(chosen) < budget:
-        asked = np.concatenate((known.pending, np.array(chosen).reshape(-1, 6)))
-        losses = _losses(surrogate, candidates, asked, allowed, outputs)
-        for best in np.argsort(-losses):
-            fresh = known.new(candidates[best : best + 1])
-            if len(fresh):
-                chosen.extend(fresh)
-                break
-        else:
-            break
-    reason = f"95 % of the error bars are at most {worst:.3g} times {unit}"
-    return Design(np.array(chosen).reshape(-1, 6), "refine", reason)
+class _Refinement:
+    """Picks, one after another, the candidate whose bar over what is allowed is largest."""
 
+    def __init__(
+        self,
+        surrogate: Surrogate,
+        known: Known,
+        tolerance: Tolerance | None,
+        span: LoadRange,
+        outputs: list[int],
+    ) -> None:
+        assert surrogate.kriging is not None
+        self.surrogate, self.kriging, self.known = surrogate, surrogate.kriging, known
+        self.tolerance, self.span, self.outputs = tolerance, span, outputs
+        spread = np.maximum(surrogate.ranges, np.finfo(float).tiny)
+        self.allowed = np.array(allowed_by(tolerance)) if tolerance else spread
 
-def _losses(
-    surrogate: Surrogate,
-    wrenches: Floats,
-    pending: Floats,
-    allowed: Floats,
-    outputs: list[int],
-) -> Floats:
-    """Return the largest bar over what is allowed (6,) at wrenches (n, 6), pending ones solved."""
-    assert surrogate.kriging is not None
-    bars = surrogate.batch(wrenches).error
-    if len(pending):
-        own = surrogate.kriging.answer_many(wrenches)[1]
-        later = surrogate.kriging.sigma_with(pending, wrenches)
-        bars = bars * np.divide(later, own, out=np.ones_like(own), where=own > 0)
-    return np.nan_to_num((bars / allowed)[:, outputs], nan=np.inf).max(axis=1)
+    def design(self, budget: int) -> Design:
+        """Return the next round, or none where the tolerance is met once all pending is solved."""
+        sample = spread_wrenches(self.span, SAMPLE)
+        losses = self._losses(sample) * self._left(self.known.pending, sample)
+        within, worst = float((losses <= 1.0).mean()), float(np.quantile(losses, ENOUGH))
+        if self.tolerance is not None and within >= ENOUGH:
+            reason = (
+                f"the error bars of {within:.0%} of a sample of the range are within the tolerance"
+            )
+            return Design(np.empty((0, 6)), "met", reason)
+        unit = "the tolerance" if self.tolerance is not None else "the outputs' range"
+        reason = f"95 % of the error bars are at most {worst:.3g} times {unit}"
+        return Design(self._chosen(budget), "refine", reason)
+
+    def _chosen(self, budget: int) -> Floats:
+        """Return at most `budget` candidates, shape (k, 6), N and N·m.
+
+        Solved wrenches only ever lower a bar, so a candidate told before some were chosen is at
+        most what it was: only those that may still be the largest are told anew (Minoux 1978).
+        """
+        candidates = self.known.new(_candidates(self.surrogate, self.span))
+        losses, asked = self._losses(candidates), self.known.pending
+        left = losses * self._left(asked, candidates)
+        before, start = len(self.surrogate.used) + len(asked), len(asked)
+        while len(asked) - start < min(budget, len(candidates)):
+            number = before + len(asked) - start
+            even = spread_wrenches(self.span, 1, FAR + number // EVENLY)
+            fresh = self.known.new(even) if number % EVENLY == 0 else even[:0]
+            if not len(fresh):
+                best = self._largest(candidates, losses, left, asked)
+                losses[best] = left[best] = -1.0
+                fresh = candidates[best : best + 1]
+            asked = np.concatenate((asked, fresh))
+        return asked[start:]
+
+    def _largest(self, candidates: Floats, losses: Floats, left: Floats, asked: Floats) -> int:
+        """Return the place of the largest loss once `asked` is solved; `left` is brought up to it.
+
+        `losses` (n,) are without them.
+        """
+        known = np.full(len(left), -np.inf)
+        while True:
+            best = int(np.argmax(left))
+            if known[best] > -np.inf:
+                return best
+            top = np.argsort(-left)[:LOOKED_AT]
+            top = top[known[top] == -np.inf]
+            left[top] = known[top] = losses[top] * self._left(asked, candidates[top])
+
+    def _losses(self, wrenches: Floats) -> Floats:
+        """Return the largest bar over what is allowed (n,) at wrenches (n, 6), as of now."""
+        over = (self.surrogate.batch(wrenches).error / self.allowed)[:, self.outputs]
+        return np.nan_to_num(over, nan=np.finfo(float).max).max(axis=1)
+
+    def _left(self, solved: Floats, wrenches: Floats) -> Floats:
+        """Return the part of their bars (n,) that is left at wrenches (n, 6) once others are."""
+        if not len(solved):
+            return np.ones(len(wrenches))
+        now = self.kriging.answer_many(wrenches)[1].sum(axis=1)
+        later = self.kriging.sigma_with(solved, wrenches).sum(axis=1)
+        return np.divide(later, now, out=np.ones_like(now), where=now > 0)
 
 
 def _candidates(surrogate: Surrogate, span: LoadRange) -> Floats:
@@ -151,7 +204,7 @@ def _candidates(surrogate: Surrogate, span: LoadRange) -> Floats:
 
     Where rows bring no tangents, wrenches of one axis are worth as much as full ones.
     """
-    start = 1 + FIRST + len(surrogate.rows)
+    start = 1 + CANDIDATES + len(surrogate.rows)
     full = spread_wrenches(span, CANDIDATES, start)
     if np.isfinite(surrogate.used.compliance).all(axis=(1, 2)).any():
         return full

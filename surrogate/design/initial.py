@@ -2,17 +2,25 @@
 
 A solve brings its tangent compliance, so each wrench tells seven numbers of every output, and one
 that loads all axes tells of all of them and of what they do together. So the first wrenches are no
-load at all and then full ones, along an additive recurrence (Roberts 2018, the R sequence), which
-spreads any number of points evenly.
+load at all, then corners of the load box in a fraction that keeps the loads' effects apart, then an
+additive recurrence (Roberts 2018, the R sequence), which spreads any number of points evenly.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..table.rows import CLEAN, Floats, LoadRange
+from ..table.rows import CLEAN, LOADS, Floats, LoadRange
 
-FIRST = 15  # two for each load and three more: with those `plate_thin` is at 0.7 % of its range
+# Signs of eight corners: the third of the 2^(6-3) fractions, in which no load's effect is another's
+# (Box and Hunter 1961): the last three are the products of two of the first three.
+_SIGNS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, 8).T
+CORNERS = np.concatenate((_SIGNS, _SIGNS[:, [0, 0, 1]] * _SIGNS[:, [1, 2, 2]]), axis=1)
+# How far out they are: with 15 solves of `plate_thin` the worst output's error is 0.13 to 0.16 % of
+# its range at 0.8, 0.22 to 0.25 % at 1, and 0.18 to 0.30 % without corners; at 54 all are alike.
+OUT = 0.8
+# Wrenches of the first design: two for each load and three more, 15 of six loads.
+A_LOAD, FURTHER = 2, 3
 
 
 class Known:
@@ -36,18 +44,25 @@ class Known:
         return np.array(fresh).reshape(-1, 6)
 
 
+def first_count(span: LoadRange) -> int:
+    """Return how many wrenches the first design of a span has."""
+    return A_LOAD * int((span.high > span.low).sum()) + FURTHER
+
+
 def first_design(span: LoadRange, known: Known, count: int) -> Floats:
     """Return new wrenches of the first design within a span, shape (count, 6), N and N·m.
 
     A load that the span holds at one value keeps it.
     """
-    at_rest = np.clip(np.zeros(6), span.low, span.high)
-    chosen = list(known.new(at_rest[None]))
+    middle, half = (span.low + span.high) / 2, (span.high - span.low) / 2
+    at_rest = np.clip(np.zeros(len(LOADS)), span.low, span.high)
+    corners = middle + OUT * CORNERS * half
+    chosen = list(known.new(np.concatenate((at_rest[None], corners))))
     place = 0
-    while len(chosen) < count and (span.high > span.low).any():
+    while len(chosen) < count and half.any():
         place += 1
         chosen.extend(known.new(spread_wrenches(span, 1, place)))
-    return np.array(chosen[:count]).reshape(-1, 6)
+    return np.array(chosen[:count]).reshape(-1, len(LOADS))
 
 
 def spread_wrenches(span: LoadRange, count: int, start: int = 1) -> Floats:

@@ -63,7 +63,7 @@ def _on_triangles(facets: Floats, x: Floats) -> Floats:
     pe, pf = np.einsum("kfi,fi->kf", apart, e), np.einsum("kfi,fi->kf", apart, f)
     with np.errstate(divide="ignore", invalid="ignore"):
         s, t = (ff * pe - ef * pf) / area, (ee * pf - ef * pe) / area
-    inside = (s >= 0) & (t >= 0) & (s + t <= 1)
+        inside = (s >= 0) & (t >= 0) & (s + t <= 1)  # of no area, s and t may be of both infinities
     foot = a + np.where(inside, s, 0.0)[..., None] * e + np.where(inside, t, 0.0)[..., None] * f
     edges = np.stack(
         [_on_stretch(facets[:, i], facets[:, j], x) for i, j in ((0, 1), (1, 2), (2, 0))]

@@ -80,8 +80,8 @@ class KrigingSettings:
     level: float = 0.95
     # Left-out rows had their say in the hyperparameters, and few of them tell a tail badly: factors
     # widen by this over their number (a third at 30 rows). Of 45 tables of 15, 30 and 60 solves of
-    # nine made-up responses, 96, 84 and 87 % then have 90 % of fresh errors inside in every output;
-    # with half of it 87, 80 and 73 %, for bars that are a tenth narrower (`make bench-calibration`).
+    # nine made-up responses 96, 84 and 87 % then hold 90 % of fresh errors in every output;
+    # with half of it 87, 80 and 73 %, with bars a tenth narrower (`make bench-calibration`).
     widening: float = 10.0
     # What the sums over the rows lose to rounding, of an output's spread and of the value itself:
     # weights are up to 1e5 times what they sum to.

@@ -42,10 +42,10 @@ def per_call(call: Callable[[int], object], count: int = 2000) -> float:
 def built(per_axis: int) -> tuple[Surrogate, list[LinearNDInterpolator], float]:
     rows = table(smooth, clean_wrenches(per_axis, 1))
     start = time.perf_counter()
-    surrogate = build(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
+    surrogate = Surrogate(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
     took = time.perf_counter() - start
     bare = [
-        LinearNDInterpolator(axis.interpolant.delaunay, axis.values)
+        LinearNDInterpolator(axis.triangulation.delaunay, axis.values)
         for axis in surrogate.composition.tables
         if axis is not None
     ]
@@ -59,7 +59,8 @@ def inputs(scaled: np.ndarray) -> list[np.ndarray]:
 def test_a_full_answer_costs_at_most_four_times_its_three_bare_interpolations() -> None:
     surrogate, bare, _ = built(1000)
     points, wrenches = inputs(ASKED), (ASKED * HIGH).tolist()
-    assert all(surrogate.answer(wrench).coverage == "covered" for wrench in wrenches[:100])
+    # Clean rows alone do not tell what axes do together: full wrenches are thin, in the hull.
+    assert all(surrogate.answer(wrench).coverage == "thin" for wrench in wrenches[:100])
 
     def three(place: int) -> None:
         for interpolator, asked in zip(bare, points, strict=True):
@@ -98,7 +99,7 @@ def test_a_batch_is_faster_than_three_bare_calls_in_random_order(rows: int, fast
         lambda: [one(asked) for one, asked in zip(bare, points, strict=True)], repeats=2
     )
     ours = seconds(lambda: surrogate.batch(wrenches), repeats=5)
-    assert (surrogate.batch(wrenches).coverage == 0).all()
+    assert (surrogate.batch(wrenches).coverage == 1).all()
     far = seconds(lambda: surrogate.batch(wrenches * 1.5), repeats=2)
     print(
         f"\n{rows:,} rows an axis: build {took:.1f} s; 100,000 wrenches {ours:.2f} s, three bare "

@@ -1,148 +1,166 @@
-"""The methods besides griddata: what they are exact for, where they are better, what they say."""
+"""The methods: what they are exact for, which is better where, which answers, and what they say."""
 
 import numpy as np
 import pytest
-from surrogate.spline import Spline
 
-from surrogate.answer import COMPOSED
+from surrogate.answer import METHODS, UnknownMethodError
 from surrogate.build import build
-from surrogate.interpolation.delaunay import Triangulation
-from surrogate.interpolation.slope_recovery import bend_of
-from surrogate.table.rows import LoadRange, Rows
-from tests.surrogate.calibrating import calibration, noisy, shipped, with_slopes
+from surrogate.kriging import Kriging
+from surrogate.methods.selection import CLEARLY, ENOUGH_FULL
+from surrogate.surrogate import Surrogate
+from surrogate.table.rows import Rows
+from tests.surrogate.calibrating import calibration, shipped
+from tests.surrogate.kriging.responses import LINEAR, solved, spread_wrenches
 from tests.surrogate.responses import (
     HIGH,
     RANGE,
     clean_wrenches,
     full_wrenches,
     smooth,
+    table,
 )
 
-PLATE = shipped("plate_thin", 80)
-PLATE_TABLE = build(PLATE.rows, PLATE.load_range)
+PLATE = shipped("plate_thin", 40, 60)
+PLATE_TABLE = Surrogate(PLATE.rows, PLATE.load_range)
 
 
-def test_half_the_vertices_first_order_expansions_reproduce_a_quadratic() -> None:
-    rng = np.random.default_rng(1)
-    points, bowl = rng.uniform(-1, 1, (40, 3)), rng.normal(size=(3, 3))
-    bowl += bowl.T
-    values = np.einsum("ni,ij,nj->n", points, bowl, points)[:, None]
-    slopes = 2 * (points @ bowl)[:, None]
-    shape = Triangulation(points)
-    x = rng.dirichlet(np.ones(40), 100) @ points
-    found = shape.locate(x)
-    shares = shape.barycentric(found, x)
-    plain = np.einsum("ki,kiq->kq", shares, values[shape.simplices[found]])
-    bend = bend_of(shape, values, slopes, found, shares)
-    true = np.einsum("ni,ij,nj->n", x, bowl, x)[:, None]
+def test_the_tangent_method_is_exact_of_a_quadratic() -> None:
+    bowl = np.random.default_rng(1).normal(size=(3, 3))
+    own = [0, 4, 5]
+
+    def quadratic(x: np.ndarray) -> np.ndarray:
+        part = x[:, own]
+        return np.outer(np.einsum("ni,ij,nj->n", part, bowl, part), [1.0, 0, 0, 0, 0, 0])
+
+    surrogate = Surrogate(solved(quadratic, clean_wrenches(60, 3)), RANGE)
+    asked = np.zeros((100, 6))
+    asked[:, own] = full_wrenches(100, 4)[:, :3] * 0.8
+    plain, bent = (
+        surrogate.batch(asked * HIGH, None, name).displacement for name in ("griddata", "tangent")
+    )
+    true = quadratic(asked)
     assert np.abs(plain - true).max() > 0.05
-    np.testing.assert_allclose(plain + bend, true, atol=1e-12)
+    np.testing.assert_allclose(bent, true, atol=1e-7)
 
 
 def test_the_tangent_method_is_of_third_order() -> None:
     errors = []
     for per_axis in (250, 2000):  # half the distance between rows
         scaled = np.concatenate((clean_wrenches(per_axis, 3), np.zeros((1, 6))))
-        rows = with_slopes(smooth, scaled)
         asked = full_wrenches(400, 4) * 0.7
-        found = build(rows, RANGE).batch(asked * HIGH, None, "tangent")
+        found = build(solved(smooth, scaled), RANGE).batch(asked * HIGH, None, "tangent")
         errors.append(np.median(np.abs(found.displacement - smooth(asked)), axis=0))
     assert (errors[0] / errors[1] > 5.5).all()  # 8 for third order, 4 for second
 
 
-@pytest.mark.parametrize("order", [3, 5])
-def test_a_spline_goes_through_its_values_and_slopes(order: int) -> None:
-    rng = np.random.default_rng(2)
-    points, values = rng.uniform(-1, 1, (30, 3)), rng.normal(size=(30, 2))
-    slopes = rng.normal(size=(30, 2, 3))
-    slopes[::3] = np.nan
-    spline = Spline(points, values, slopes, order)
-    np.testing.assert_allclose(spline.at(points), values, atol=1e-8)
-    step = 1e-6 * np.array([0.0, 1.0, 0.0])
-    slope = (spline.at(points + step) - spline.at(points - step)) / 2e-6
-    known = np.isfinite(slopes[:, 0, 0])
-    np.testing.assert_allclose(slope[known], slopes[known, :, 1], atol=1e-4)
-
-
-def test_a_spline_knows_what_it_would_say_without_a_row() -> None:
-    rng = np.random.default_rng(3)
-    points, values = rng.uniform(-1, 1, (25, 3)), rng.normal(size=(25, 1))
-    slopes = rng.normal(size=(25, 1, 3))
-    whole = Spline(points, values, slopes, 5)
-    for row in (0, 7, 24):
-        rest = np.arange(25) != row
-        without = Spline(points[rest], values[rest], slopes[rest], 5)
-        left = values[row] - without.at(points[row : row + 1])[0]
-        np.testing.assert_allclose(whole.left_out[row], left, rtol=1e-5)
-
-
-@pytest.mark.parametrize("method", COMPOSED)
+@pytest.mark.parametrize("method", METHODS)
 def test_a_batch_gives_the_numbers_of_single_answers(method: str) -> None:
     asked = PLATE.asked[:12]
     batch = PLATE_TABLE.batch(asked, None, method)
     for place, wrench in enumerate(asked.tolist()):
         one = PLATE_TABLE.answer(wrench, None, method)
-        assert (one.coverage, one.method) == ("covered", method)
+        assert one.method == method
+        assert one.coverage == ("covered", "thin", "outside")[batch.coverage[place]]
         np.testing.assert_allclose(batch.displacement[place], one.displacement, rtol=1e-9)
         np.testing.assert_allclose(batch.error[place], one.error, rtol=1e-9)
 
 
-@pytest.mark.parametrize("method", COMPOSED)
-def test_what_griddata_does_not_cover_no_method_covers(method: str) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_beyond_the_load_range_no_method_covers(method: str) -> None:
     answer = PLATE_TABLE.answer([1200.0, 0, 0, 0, 0, 0], None, method)
     assert answer.coverage == "outside"
-    assert answer.method == "estimate"
+    assert answer.reason
+    assert answer.displacement is not None
 
 
-def test_full_wrenches_of_the_thin_plate_are_answered_far_better_with_the_correction() -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_has_the_derivative_of_its_own_answer(method: str) -> None:
+    if method == "nearest":
+        assert not PLATE_TABLE.derivatives(PLATE.asked[:3], method).any()
+        return
+    wrench, step = 0.3 * PLATE.asked[:1], 1e-6 * PLATE.load_range.scale
+    slope = PLATE_TABLE.derivatives(wrench, method)[0]
+    ends = [
+        PLATE_TABLE.batch(wrench + sign * np.diag(step), None, method).displacement
+        for sign in (1, -1)
+    ]
+    told = ((ends[0] - ends[1]) / (2 * step[:, None])).T
+    np.testing.assert_allclose(
+        slope * step, told * step, rtol=1e-3, atol=1e-3 * np.abs(slope * step).max(axis=1).min()
+    )
+
+
+def test_kriging_answers_full_wrenches_of_the_thin_plate_fifteen_times_better_than_griddata() -> (
+    None
+):
     rms = {
         method: calibration(PLATE_TABLE, PLATE.asked, PLATE.true, method).rms
-        for method in ("griddata", "rbf", "corrected", "auto")
+        for method in ("griddata", "tangent", "kriging")
     }
-    assert (rms["corrected"] < 0.25 * rms["griddata"]).all()
-    assert (rms["corrected"][:2] < 0.25 * rms["rbf"][:2]).all()  # u_x, u_y: load products
-    assert rms["auto"].max() < 0.01
+    assert (15 * rms["kriging"] < rms["griddata"]).all()
+    assert (rms["kriging"] < rms["tangent"]).all()
+    assert rms["kriging"].max() < 0.001
 
 
-@pytest.mark.parametrize("method", ["tangent", "rbf", "corrected", "auto"])
+@pytest.mark.parametrize("method", METHODS)
 def test_the_bars_of_the_methods_hold_on_the_thin_plate(method: str) -> None:
     assert calibration(PLATE_TABLE, PLATE.asked, PLATE.true, method).inside.min() >= 0.9
 
 
-def test_auto_says_which_method_it_takes_and_why() -> None:
-    choices = {choice.output: choice for choice in PLATE_TABLE.methods.choices}
-    assert choices["ux"].method == "corrected"
-    assert "by griddata on 80 full-wrench rows" in choices["ux"].why
-    assert PLATE_TABLE.default == "griddata"
+def test_the_default_is_kriging_where_solves_bring_tangents_and_says_why() -> None:
+    assert PLATE_TABLE.default == "kriging"
+    errors = PLATE_TABLE.choice.errors
+    assert errors["kriging"] < CLEARLY * errors["griddata"]
+    assert "left-out rows" in PLATE_TABLE.choice.reason
+    assert PLATE_TABLE.answer(PLATE.asked[0].tolist()).method == "kriging"
 
 
-def test_auto_stays_with_griddata_where_nothing_is_clearly_better() -> None:
-    choices = build(noisy(100, 1), RANGE).methods.choices
-    assert {choice.method for choice in choices} == {"griddata"}
-    assert "no method is clearly better" in choices[0].why
+def test_without_tangents_and_with_few_full_wrenches_griddata_answers() -> None:
+    scaled = spread_wrenches(30, ENOUGH_FULL - 1, 1)
+    few = Surrogate(table(smooth, scaled), RANGE)
+    assert few.default == "griddata"
+    assert "full wrenches" in few.choice.reason
+    one_more = spread_wrenches(30, ENOUGH_FULL, 1)
+    assert Surrogate(table(smooth, one_more), RANGE).default == "kriging"
 
 
-def test_full_wrenches_that_clean_rows_know_better_do_not_join_the_axes() -> None:
-    """Their own nonlinear part would be counted by all three axes."""
-    excluded = build(PLATE.rows, PLATE.load_range, off_axis="exclude")
-    one, other = (s.batch(PLATE.asked) for s in (PLATE_TABLE, excluded))
-    np.testing.assert_array_equal(one.displacement, other.displacement)
+def test_with_too_few_rows_griddata_answers_and_kriging_does_on_request() -> None:
+    few = Surrogate(table(smooth, full_wrenches(3, 1)), RANGE)
+    assert (few.default, few.kriging) == ("griddata", None)
+    asked = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    assert few.answer(asked, None, "kriging").displacement is not None
 
 
-def test_full_wrenches_join_the_axes_where_the_response_is_linear() -> None:
-    slope = np.diag([1e-8, 2e-8, 3e-8, 1e-7, 2e-7, 3e-7])
-    scaled = np.concatenate((clean_wrenches(20, 1), full_wrenches(40, 2)))
-    rows = Rows.of(scaled * HIGH, scaled * HIGH @ slope)
-    surrogate = build(rows, LoadRange(-HIGH, HIGH))
-    assert surrogate.composition.tables[0] is not None
-    assert len(surrogate.composition.tables[0].rows.points) == 60
+def test_a_linear_component_is_answered_by_its_compliance() -> None:
+    rows = Rows.of(np.zeros((1, 6)), np.zeros((1, 6)), compliance=(LINEAR / HIGH)[None])
+    surrogate = Surrogate(rows, RANGE, linear=True)
+    asked = full_wrenches(20, 3)
+    told = surrogate.batch(asked * HIGH)
+    assert surrogate.default == "linear"
+    assert (told.coverage == 0).all()
+    np.testing.assert_allclose(told.displacement, asked @ LINEAR.T, atol=1e-15)
 
 
-def test_points_in_a_plane_are_splined_in_their_plane() -> None:
-    rng = np.random.default_rng(6)
-    points = rng.uniform(-1, 1, (40, 2)) @ np.array([[1.0, 0.0, 0.5], [0.0, 1.0, -0.3]])
-    values = (points @ np.array([1.0, -2.0, 3.0]))[:, None] + 0.5
-    spline = Spline(points, values, np.full((40, 1, 3), np.nan), 3)
-    np.testing.assert_allclose(
-        spline.at(points[:10] * 0.4)[:, 0], (values[:10, 0] - 0.5) * 0.4 + 0.5
-    )
+def test_another_method_takes_its_difference_from_kriging_into_its_bar() -> None:
+    best, plain = (PLATE_TABLE.batch(PLATE.asked, None, name) for name in ("kriging", "griddata"))
+    known = plain.coverage != 2
+    apart = np.abs(best.displacement - plain.displacement)
+    np.testing.assert_allclose(plain.error[known], (apart + best.error)[known], rtol=1e-6)
+
+
+def test_an_unknown_method_is_refused_by_name() -> None:
+    with pytest.raises(UnknownMethodError, match="'rbf'"):
+        PLATE_TABLE.answer([0.0] * 6, None, "rbf")
+
+
+def test_kriging_of_a_table_is_that_of_its_rows() -> None:
+    alone = Kriging.build(PLATE_TABLE.used, PLATE.load_range).answer_many(PLATE.asked)[0]
+    told = PLATE_TABLE.batch(PLATE.asked, None, "kriging").displacement
+    np.testing.assert_allclose(told, alone, rtol=1e-12)
+
+
+def test_a_large_table_of_clean_rows_alone_is_scored_on_rows_left_out() -> None:
+    """It was scored on its full wrenches, of which it has none: a mean of nothing."""
+    surrogate = Surrogate(solved(smooth, clean_wrenches(1001, 3)), RANGE)
+    assert np.isfinite(list(surrogate.choice.errors.values())).all()
+    assert surrogate.default == "kriging"

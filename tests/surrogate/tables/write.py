@@ -60,14 +60,14 @@ def write(name: str) -> None:
 
 
 def save(name: str, low: np.ndarray, high: np.ndarray, found: list[Solution], kept: int) -> None:
-    """Write what was found; compliances, of the kept ones, in single precision."""
+    """Write what was found; compliances, of the kept ones."""
     np.savez_compressed(
         HERE / f"{name}.npz",
         low=low,
         high=high,
         wrench=[one.wrench for one in found],
         displacement=[one.displacement for one in found],
-        compliance=np.array([one.compliance for one in found[:kept]], dtype=np.float32),
+        compliance=[one.compliance for one in found[:kept]],
         clean=COUNTS[name][0],
     )
 
