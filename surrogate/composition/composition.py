@@ -78,13 +78,10 @@ class Evaluated(Composed):
 
     Attributes
     ----------
-    slopes, bend_slopes : ndarray, shape (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
     states : ndarray of int, shape (n, 3)
         What each axis' part rests on.
     """
 
-    slopes: Floats
-    bend_slopes: Floats
     states: NDArray[np.int_]
 
 
@@ -133,19 +130,41 @@ class Composition:
             ):
                 times[single, load - 3] += 1.0
                 rows = np.flatnonzero(single)
-                total.put_translation(rows, axis, [load], alone[load - 3].take(rows))
+                total.put_translation(rows, axis, alone[load - 3].take(rows))
                 total.state[rows, index] = alone[load - 3].state[rows]
             rows = np.flatnonzero(force | (first & second))
             if len(rows):
                 part = self._read(axis, wrenches[rows])
-                total.put_translation(rows, axis, axis.inputs, part)
-                total.add_rotation(rows, axis.inputs, part, np.ones(len(rows)))
+                total.put_translation(rows, axis, part)
+                total.add_rotation(rows, part, np.ones(len(rows)))
                 total.state[rows, index] = part.state
         for moment, part in enumerate(alone):
             rows = np.flatnonzero(times[:, moment])
-            total.add_rotation(rows, [moment + 3], part.take(rows), times[rows, moment])
+            total.add_rotation(rows, part.take(rows), times[rows, moment])
             total.mark_base(rows, moment, part.state[rows])
         return total.evaluated()
+
+    def derivatives(self, wrenches: Floats, *, bent: bool) -> Floats:
+        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
+
+        Of the law with all axes and moments in it, so that a load that is zero has its slope too.
+
+        Parameters
+        ----------
+        bent : bool
+            Whether of the outputs with their bends.
+        """
+        found = np.zeros((len(wrenches), 6, 6))
+        for axis in AXES:
+            part, own, inputs = self._read(axis, wrenches), axis.outputs[0], list(axis.inputs)
+            slopes = part.slopes + part.bend_slopes if bent else part.slopes
+            found[:, own, inputs] = slopes[:, own]
+            found[:, 3:, inputs] += slopes[:, 3:]
+        for moment in range(3):
+            part = self._alone(moment, wrenches[:, moment + 3])
+            slopes = part.slopes + part.bend_slopes if bent else part.slopes
+            found[:, 3:, moment + 3] -= slopes[:, 3:, 0]
+        return found
 
     def look(self, index: int, wrench: Floats) -> Look:
         """Return what one axis answers to its three loads of a wrench (6,) by themselves."""
@@ -210,8 +229,6 @@ class Composition:
         That is the axis it comes first in, or the other one where that one's rows do not hold it.
         """
         part = self._guess(amounts[:, None], [moment + 3])
-        if not amounts.any():
-            return part
         for cut in self.cuts[moment]:
             reading = cut.read(amounts)
             better = np.flatnonzero((part.state >= OFF_HULL) & (reading.state < part.state))
@@ -253,28 +270,21 @@ class _Total:
         self.moved = np.tile(at_rest.displacement, (count, 1))
         self.bend = np.zeros((count, 6))
         self.squares = np.tile(at_rest.bar**2, (count, 1))
-        self.slopes, self.bend_slopes = np.zeros((count, 6, 6)), np.zeros((count, 6, 6))
         self.state = np.zeros((count, 3), dtype=int)
 
-    def put_translation(self, rows: Indices, axis: Axis, loads: Sequence[int], part: _Part) -> None:
+    def put_translation(self, rows: Indices, axis: Axis, part: _Part) -> None:
         """Take the axis' own translation from its part."""
         own = axis.outputs[0]
         self.moved[rows, own] = part.outputs[:, own]
         self.bend[rows, own] = part.bends[:, own]
         self.squares[rows, own] = part.rest[:, own] ** 2
-        for place, load in enumerate(loads):
-            self.slopes[rows, own, load] = part.slopes[:, own, place]
-            self.bend_slopes[rows, own, load] = part.bend_slopes[:, own, place]
 
-    def add_rotation(self, rows: Indices, loads: Sequence[int], part: _Part, times: Floats) -> None:
+    def add_rotation(self, rows: Indices, part: _Part, times: Floats) -> None:
         """Add a part's rotation, from that at no load, so many times, shape (k,)."""
         often = times[:, None]
         self.moved[rows, 3:] += often * (part.outputs[:, 3:] - self.zero[3:])
         self.bend[rows, 3:] += often * part.bends[:, 3:]
         self.squares[rows, 3:] += (often * part.rest[:, 3:]) ** 2
-        for place, load in enumerate(loads):
-            self.slopes[rows, 3:, load] += often * part.slopes[:, 3:, place]
-            self.bend_slopes[rows, 3:, load] += often * part.bend_slopes[:, 3:, place]
 
     def mark_base(self, rows: Indices, moment: int, state: NDArray[np.int_]) -> None:
         """Hold the axis a moment comes first in to what its own answer rests on."""
@@ -288,8 +298,6 @@ class _Total:
             bend=self.bend,
             rest=np.sqrt(self.squares),
             state=self.state.max(axis=1),
-            slopes=self.slopes,
-            bend_slopes=self.bend_slopes,
             states=self.state,
         )
 

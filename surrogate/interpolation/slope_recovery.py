@@ -89,11 +89,14 @@ def _quadratics(apart: Floats, far: Floats, rise: Floats) -> tuple[Floats, Float
 
 
 def mean_slopes(triangulation: Triangulation, values: Floats) -> Floats:
-    """Return slopes (n, q, 3) as the mean of the simplices that meet at each point."""
-    around = np.zeros((len(values), values.shape[1], 3))
-    count = np.zeros(len(values))
-    own = triangulation.gradients(values)
+    """Return slopes (n, q, 3) as the mean of the simplices that meet at each point, by volume.
+
+    A flat simplex has no slope and no say.
+    """
+    weight = np.where(triangulation.degenerate, 0.0, triangulation.volumes)
+    own = weight[:, None, None] * triangulation.gradients(values)
+    around, size = np.zeros((len(values), values.shape[1], 3)), np.zeros(len(values))
     for corner in triangulation.simplices.T:
         np.add.at(around, corner, own)
-        np.add.at(count, corner, 1.0)
-    return around / np.maximum(count, 1.0)[:, None, None]
+        np.add.at(size, corner, weight)
+    return around / np.maximum(size, np.finfo(float).tiny)[:, None, None]

@@ -72,8 +72,7 @@ class Griddata:
 
     def derivatives(self, wrenches: Floats) -> Floats:
         """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m): the slopes of the simplices."""
-        composed = self.composition.evaluate(wrenches)
-        return composed.slopes + (composed.bend_slopes if self.bent else 0.0)
+        return self.composition.derivatives(wrenches, bent=self.bent)
 
     def reason(self, wrench: Floats) -> str:
         """Return which axis does not hold a wrench (6,), and why."""
