@@ -35,7 +35,7 @@ serve: setup  ## the API and the embedded solver on 127.0.0.1:8000
 	$(BIN)/wrenchbook serve
 
 test: $(VENV)/.installed-dev  ## the test suite
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: lint types arch test  ## all that CI asks: lint, types, import rules, tests
 
