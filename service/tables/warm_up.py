@@ -24,3 +24,4 @@ def use_compiled_code() -> None:
     table = build(rows, LoadRange(-np.ones(6), np.ones(6)))
     for method in METHODS:
         table.answer([0.1, 0.2, 0.3, 0.2, 0.1, 0.3], method=method)
+        table.derivatives([[0.1, 0.2, 0.3, 0.2, 0.1, 0.3]], method=method)

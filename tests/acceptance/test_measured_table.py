@@ -29,6 +29,7 @@ def client(server):
 def test_five_hundred_rows_load_answer_and_come_back(client):
     lines, rows = lines_of()
     assert client.import_table("rig", "\n".join(lines))["inserted"] == 500
+    assert client.component("rig")["rows"] == 500  # it waits for the rows that are durable
     middle = client.displacement("rig", [10 * LBF, 0, 20 * LBF], on_thin="estimate")
     assert middle.translation / MM == pytest.approx([0.2, 0.0, 1.0], abs=2e-3)
     units = {"force": "lbf", "translation": "mm", "rotation": "deg"}

@@ -237,10 +237,10 @@ def test_an_exception_in_one_tables_build_starves_no_other(site, monkeypatch):
         site.tables.surrogate(name)
     build = live._surrogate
 
-    def fails(component, rows, version, previous):
+    def fails(component, rows, version):
         if component.name == "aaa" and len(rows):
             raise ZeroDivisionError("of this table")
-        return build(component, rows, version, previous)
+        return build(component, rows, version)
 
     monkeypatch.setattr(live, "_surrogate", fails)
     site.ledger.insert_rows("aaa", "", new_rows(5))

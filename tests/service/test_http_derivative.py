@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.service.following import wait_for_version
 from tests.service.live import FULL, as_rows, clean_wrenches, full_wrenches, moved, tangents
 
 LOADS = {"force": [10.0, 0.0, -20.0], "moment": [0.0, 3.0, 0.0]}
@@ -19,7 +20,7 @@ def load(http, name, wrenches, compliances=None):
     assert http.post("/v1/components", json=body).status_code == 201
     rows = as_rows(wrenches, moved(wrenches), compliances)
     reply = http.post(f"/v1/components/{name}/table", json={"rows": rows})
-    assert reply.json()["in_use"], reply.text
+    wait_for_version(http, name, reply.json()["table_version"])
 
 
 def ask(http, name, **more):

@@ -109,21 +109,6 @@ def test_rows_that_come_during_a_build_are_built_together_after_it(open_tables, 
     assert len(built) - before <= 3
 
 
-def test_a_new_build_is_given_the_surrogate_before_it(open_tables, monkeypatch):
-    given, build = [], live.build
-
-    def noted(rows, load_range, **how):
-        given.append(how["previous"])
-        return build(rows, load_range, **how)
-
-    monkeypatch.setattr(live, "build", noted)
-    tables, ledger = open_tables({"rig": 5})
-    first = tables.surrogate("rig")
-    ledger.insert_rows("rig", "", new_rows(1, first=5))
-    assert tables.catch_up("rig", 20)
-    assert given[-1] is first
-
-
 def test_two_large_tables_are_built_one_after_the_other_and_small_ones_beside_them():
     running, most, done = [], [], threading.Semaphore(0)
     may_end = threading.Event()

@@ -2,11 +2,11 @@
 
 import copy
 import json
-from importlib.resources import files
 
 import pytest
 
 from fea.bundle.read import bundle_of, read_bundle
+from fea.bundle.shipped import SHIPPED
 
 BAR = {
     "name": "b",
@@ -109,5 +109,5 @@ def test_rows_with_the_old_tangents_of_nonlinear_solves_are_not_taken_for_new_on
 def test_measured_tables_and_decks_keep_their_fingerprints_when_the_solver_changes():
     measured = {key: BAR[key] for key in ("name", "title", "range")}
     assert print_of(measured) == "767d9effa79f57b5"
-    deck = read_bundle(f"{files('data')}/components/plate_ccx")
+    deck = read_bundle(SHIPPED / "plate_ccx")
     assert deck.fingerprint == "a2013183cd681d25"
