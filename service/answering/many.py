@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
 from service.answering.estimates import drop_estimates
-from service.answering.load_range import why_beyond
 from service.answering.queries import BatchOutcome, BatchQuery, WrenchJob
 from service.answering.refusals import BeyondRangeError, NotCoveredError
 from service.answering.solved import read_row
@@ -18,6 +17,7 @@ from service.ordering import Placed
 from service.workspace import Workspace
 from surrogate.answer import COVERED
 from surrogate.derivative import derivatives_at
+from surrogate.methods.method import why_beyond
 
 Places = NDArray[np.intp]
 

@@ -8,8 +8,7 @@ from time import perf_counter_ns
 import numpy as np
 from starlette.concurrency import run_in_threadpool
 
-from service.answering.estimates import also, explain_estimate
-from service.answering.load_range import why_beyond
+from service.answering.estimates import also, drop_estimate
 from service.answering.method_detail import detail_of
 from service.answering.queries import Outcome, Query
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
@@ -20,6 +19,7 @@ from service.ordering import Placed
 from service.workspace import Workspace
 from surrogate.build import AnyTable
 from surrogate.derivative import derivative_at
+from surrogate.methods.method import why_beyond
 
 
 async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Outcome:
@@ -45,7 +45,7 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
     else:
         outcome = await _answered(name, surrogate, query)
         if outcome.coverage != "covered":
-            explain_estimate(surrogate, query.wrench, outcome)
+            drop_estimate(outcome)
             if surrogate.linear and not surrogate.fit.complete:
                 await _name_awaited(workspace, query, outcome)
         if outcome.coverage == "covered" or query.on_thin == "estimate":
@@ -133,8 +133,10 @@ def _queued(workspace: Workspace, query: Query, outcome: Outcome) -> Placed:
     component = workspace.orders.solvable(outcome.component)
     wrench = np.array([query.wrench])
     if not query.beyond_range and not component.load_range.holds(wrench)[0]:
-        why = "no solve is queued beyond the load range unless beyond_range"
-        outcome.reason = also(outcome.reason, why)
+        beyond = why_beyond(component.load_range, wrench[0])
+        own = "" if outcome.reason == beyond else outcome.reason
+        why = f"no solve is queued beyond the load range unless beyond_range: {beyond}"
+        outcome.reason = also(own, why)
         return Placed(None, own=False)
     placed = workspace.orders.queue(outcome.component, wrench)[0]
     if placed.job is None:

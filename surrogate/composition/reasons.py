@@ -61,11 +61,11 @@ def _amount(load: int, wrench: Floats) -> str:
 
 
 def _why_outside(axis: Axis, table: AxisTable | None, wrench: Floats) -> str:
-    """Say which load leaves the rows, and what the rows span."""
+    """Say which loads leave the rows, and what the rows span."""
     amounts = ", ".join(_amount(load, wrench) for load in axis.inputs if wrench[load])
     if table is None:
         return f"axis {axis.name}: no rows to answer {amounts}"
-    spans = table.rows.points * table.scale
+    spans, found = table.rows.points * table.scale, []
     for column, load in enumerate(axis.inputs):
         low, high = float(spans[:, column].min()), float(spans[:, column].max())
         slack, unit = ON_HULL * table.scale[column], LOAD_UNITS[load]
@@ -75,6 +75,8 @@ def _why_outside(axis: Axis, table: AxisTable | None, wrench: Floats) -> str:
             where = f": all rows hold {LOADS[load]} = {low:.6g} {unit}"
         else:
             where = f" lies outside the rows, which span {low:.6g}..{high:.6g} {unit}"
-        return f"axis {axis.name}: {_amount(load, wrench)}{where}"
+        found.append(f"{_amount(load, wrench)}{where}")
+    if found:
+        return f"axis {axis.name}: {', '.join(found)}"
     count = len(table.values)
     return f"axis {axis.name}: {amounts} together lie outside the hull of its {count} rows"

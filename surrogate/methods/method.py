@@ -45,11 +45,10 @@ class Method(Protocol):
 
 
 def why_beyond(load_range: LoadRange, wrench: Floats) -> str:
-    """Return which load of a wrench (6,) lies outside the load range, or an empty text."""
-    over = load_range.exceeded(wrench)
-    if not over.any():
-        return ""
-    load = int(np.argmax(over))
-    low, high, unit = load_range.low[load], load_range.high[load], LOAD_UNITS[load]
-    amount = f"{LOADS[load]} = {wrench[load]:.10g} {unit}"
-    return f"{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}"
+    """Return which loads of a wrench (6,), N and N·m, lie outside the load range, if any do."""
+    found = []
+    for load in np.flatnonzero(load_range.exceeded(wrench)).tolist():
+        low, high, unit = load_range.low[load], load_range.high[load], LOAD_UNITS[load]
+        amount = f"{LOADS[load]} = {wrench[load]:.10g} {unit}"
+        found.append(f"{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}")
+    return "; ".join(found)
