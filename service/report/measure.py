@@ -59,7 +59,6 @@ def measure(
         )
     meshes = [_mesh_entry(level, solved, reference, scale) for level in levels]
     limit = bundle.tolerance
-    summary = build(rows, load_range, linear=linear).coverage_summary()
     return {
         "component": bundle.name,
         "title": bundle.title,
@@ -68,16 +67,18 @@ def measure(
         "range": np.ptp(reference, axis=0).tolist(),
         "floor": scale.tolist(),
         "tolerance": [limit.translation] * 3 + [limit.rotation] * 3 if limit else None,
-        "default": {
-            "method": summary["method"],
-            "reason": summary["method_reason"],
-            "errors_left_out": summary["errors_left_out"],
-            "full_wrench_rows": summary["full_wrench_rows"],
-        },
+        "default": _default(build(rows, load_range, linear=linear).coverage_summary()),
         "fea": meshes,
         "tables": tables,
         "pareto": pareto(meshes, tables),
     }
+
+
+def _default(summary: dict[str, Any]) -> dict[str, Any]:
+    """Return which method answers and why, from a coverage summary."""
+    names = {"method": "method", "method_reason": "reason"}
+    same = ("errors_left_out", "full_wrench_rows")
+    return {own: summary[name] for name, own in (*names.items(), *zip(same, same, strict=True))}
 
 
 def _solved_in_both(finest: dict[str, Any], own: dict[str, Any]) -> Array:

@@ -24,108 +24,49 @@ ON_HULL = 1e-9  # of the range: a moment that far beyond the last station counts
 
 
 @compiled
-def compose(
-    wrenches,
-    vertex,
-    maps,
-    simplex,
-    grid,
-    floats,
-    ints,
-    stations,
-    pieces,
-    cut_state,
-    cut_ints,
-    rest_point,
-    small,
-    moved,
-    bend,
-    squares,
-    state,
-):
+def compose(wrenches, p, moved, bend, squares, state):
     """Fill outputs, bends and squared rests, (n, 6), and the worst state, (n,), of each wrench.
 
-    Axis after axis, so that one triangulation at a time is in the cache.
+    `p` is a `Packed`. Axis after axis, so that one triangulation at a time is in the cache; rows
+    are named by number, not cut out: a view for each would cost more than what is read.
     """
-    _start(
-        wrenches,
-        floats,
-        stations,
-        pieces,
-        cut_state,
-        cut_ints,
-        rest_point,
-        small,
-        moved,
-        bend,
-        squares,
-        state,
-    )
-    # Rows are named by number, not cut out: a view for each would cost more than what is read.
+    _start(wrenches, p, moved, bend, squares, state)
     for axis in range(3):
-        own_floats, own_ints = floats[axis], ints[axis]
+        floats, ints = p.floats[axis], p.ints[axis]
         for row in range(len(wrenches)):
             if state[row] < UNKNOWN:
-                found = _add_axis(
-                    wrenches,
-                    row,
-                    axis,
-                    vertex,
-                    maps,
-                    simplex,
-                    grid,
-                    own_floats,
-                    own_ints,
-                    rest_point,
-                    small,
-                    moved,
-                    bend,
-                    squares,
-                )
+                found = _add_axis(wrenches, row, axis, p, floats, ints, moved, bend, squares)
                 if found > state[row]:
                     state[row] = found
 
 
 @compiled
-def _start(
-    wrenches,
-    floats,
-    stations,
-    pieces,
-    cut_state,
-    cut_ints,
-    rest_point,
-    small,
-    moved,
-    bend,
-    squares,
-    state,
-):
+def _start(wrenches, p, moved, bend, squares, state):
     """Fill what no load and single moments answer, and how sound that is."""
     for row in range(len(wrenches)):
         for load in range(6):
-            moved[row, load] = rest_point[0, load]
+            moved[row, load] = p.rest_point[0, load]
             bend[row, load] = 0.0
-            squares[row, load] = rest_point[1, load] ** 2
+            squares[row, load] = p.rest_point[1, load] ** 2
         worst = 0
         for moment in range(3):
-            if abs(wrenches[row, 3 + moment]) <= small[3 + moment]:
+            if abs(wrenches[row, 3 + moment]) <= p.small[3 + moment]:
                 continue
-            along = wrenches[row, 3 + moment] / floats[(moment + 2) % 3, SCALE + 1]
-            first, count = cut_ints[moment, 0], cut_ints[moment, 1]
-            stretch = _stretch(along, first, count, stations)
-            if stretch < 0 or cut_state[stretch] >= UNSOUND:
+            along = wrenches[row, 3 + moment] / p.floats[(moment + 2) % 3, SCALE + 1]
+            first, count = p.cut_ints[moment, 0], p.cut_ints[moment, 1]
+            stretch = _stretch(along, first, count, p.stations)
+            if stretch < 0 or p.cut_state[stretch] >= UNSOUND:
                 worst = UNKNOWN
                 break
-            worst = max(worst, cut_state[stretch])
-            y, times = along - stations[stretch], -1.0
+            worst = max(worst, p.cut_state[stretch])
+            y, times = along - p.stations[stretch], -1.0
             # The two axes that this moment loads: the one it comes first in, then the other.
             for axis in ((moment + 2) % 3, (moment + 1) % 3):
-                if _is_alone(wrenches, row, axis, small):
+                if _is_alone(wrenches, row, axis, p.small):
                     times += 1.0
-                    _put_alone(row, axis, y, pieces, stretch, moved, bend, squares)
+                    _put_alone(row, axis, y, p.pieces, stretch, moved, bend, squares)
             if times != 0.0:
-                _add_turns(row, y, pieces, stretch, times, rest_point, moved, bend, squares)
+                _add_turns(row, y, stretch, times, p, moved, bend, squares)
         state[row] = worst
 
 
@@ -138,49 +79,34 @@ def _is_alone(wrenches, row, axis, small):
 
 
 @compiled
-def _add_axis(
-    wrenches,
-    row,
-    axis,
-    vertex,
-    maps,
-    simplex,
-    grid,
-    floats,
-    ints,
-    zero,
-    small,
-    moved,
-    bend,
-    squares,
-):
+def _add_axis(wrenches, row, axis, p, floats, ints, moved, bend, squares):
     """Add what an axis answers to its loads; return how sound that is."""
     j, k = 3 + (axis + 1) % 3, 3 + (axis + 2) % 3
     force, first, second = wrenches[row, axis], wrenches[row, j], wrenches[row, k]
-    if abs(force) <= small[axis] and (abs(first) <= small[j] or abs(second) <= small[k]):
+    if abs(force) <= p.small[axis] and (abs(first) <= p.small[j] or abs(second) <= p.small[k]):
         return 0  # no load, or a moment alone: added already
     x, y, z, held = place(
         force / floats[SCALE], first / floats[SCALE + 1], second / floats[SCALE + 2], floats, ints
     )
     if not held:
         return UNKNOWN
-    here, a, b, c, last = find(x, y, z, maps, simplex, grid, floats, ints)
+    here, a, b, c, last = find(x, y, z, p.maps, p.simplex, p.grid, floats, ints)
     if here < 0:
         return UNKNOWN
     u, rx, ry, rz, bu, bx, by, bz, du, dx, dy, dz = read(
-        x, y, z, here, ints[DIMENSION], a, b, c, last, vertex, simplex
+        x, y, z, here, ints[DIMENSION], a, b, c, last, p.vertex, p.simplex
     )
     moved[row, axis], bend[row, axis], squares[row, axis] = u, bu, du * du
-    moved[row, 3] += rx - zero[0, 3]
-    moved[row, 4] += ry - zero[0, 4]
-    moved[row, 5] += rz - zero[0, 5]
+    moved[row, 3] += rx - p.rest_point[0, 3]
+    moved[row, 4] += ry - p.rest_point[0, 4]
+    moved[row, 5] += rz - p.rest_point[0, 5]
     bend[row, 3] += bx
     bend[row, 4] += by
     bend[row, 5] += bz
     squares[row, 3] += dx * dx
     squares[row, 4] += dy * dy
     squares[row, 5] += dz * dz
-    return simplex[here, STATE]
+    return p.simplex[here, STATE]
 
 
 @compiled
@@ -210,14 +136,14 @@ def _put_alone(row, axis, y, pieces, stretch, moved, bend, squares):
 
 
 @compiled
-def _add_turns(row, y, pieces, stretch, times, zero, moved, bend, squares):
+def _add_turns(row, y, stretch, times, p, moved, bend, squares):
     """Add the rotation under one moment alone, so many times."""
     for turn in range(3, 6):
-        told = pieces[stretch, 0, turn] + y * pieces[stretch, 1, turn]
-        moved[row, turn] += times * (told - zero[0, turn])
-        curved = pieces[stretch, 3, turn] + y * pieces[stretch, 4, turn]
-        bend[row, turn] += times * (pieces[stretch, 2, turn] + y * curved)
-        rest = times * (pieces[stretch, 5, turn] + y * pieces[stretch, 6, turn])
+        told = p.pieces[stretch, 0, turn] + y * p.pieces[stretch, 1, turn]
+        moved[row, turn] += times * (told - p.rest_point[0, turn])
+        curved = p.pieces[stretch, 3, turn] + y * p.pieces[stretch, 4, turn]
+        bend[row, turn] += times * (p.pieces[stretch, 2, turn] + y * curved)
+        rest = times * (p.pieces[stretch, 5, turn] + y * p.pieces[stretch, 6, turn])
         squares[row, turn] += rest * rest
 
 

@@ -87,7 +87,7 @@ class Griddata:
         moved, bend, squares = np.empty((count, 6)), np.empty((count, 6)), np.empty((count, 6))
         state = np.full(count, UNKNOWN)
         if ready():
-            compose(asked, *self._packed, moved, bend, squares, state)
+            compose(asked, self._packed, moved, bend, squares, state)
         if count == 1 and state[0] != UNKNOWN:
             return moved, bend, squares, state
         lost = np.flatnonzero(state == UNKNOWN)
