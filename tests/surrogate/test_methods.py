@@ -78,7 +78,7 @@ def test_every_method_has_the_derivative_of_its_own_answer(method: str) -> None:
     if method == "nearest":
         assert not PLATE_TABLE.derivatives(PLATE.asked[:3], method).any()
         return
-    wrench, step = 0.3 * PLATE.asked[:1], 1e-6 * PLATE.load_range.scale
+    wrench, step = 0.3 * PLATE.asked[:1], 1e-5 * PLATE.load_range.scale
     slope = PLATE_TABLE.derivatives(wrench, method)[0]
     ends = [
         PLATE_TABLE.batch(wrench + sign * np.diag(step), None, method).displacement
@@ -159,8 +159,8 @@ def test_kriging_of_a_table_is_that_of_its_rows() -> None:
     np.testing.assert_allclose(told, alone, rtol=1e-12)
 
 
-def test_a_large_table_of_clean_rows_alone_is_scored_on_rows_left_out() -> None:
-    """It was scored on its full wrenches, of which it has none: a mean of nothing."""
+def test_a_table_too_large_for_one_factor_answers_by_griddata_and_says_so() -> None:
+    """Kriging by the nearest rows takes milliseconds an answer, which nobody expects unasked."""
     surrogate = Surrogate(solved(smooth, clean_wrenches(1001, 3)), RANGE)
-    assert np.isfinite(list(surrogate.choice.errors.values())).all()
-    assert surrogate.default == "kriging"
+    assert surrogate.default == "griddata"
+    assert "nearest rows takes milliseconds" in surrogate.choice.reason
