@@ -243,7 +243,7 @@ def spread(scaled: Floats, reach: float, most: int) -> list[int]:
 
     Parameters
     ----------
-    scaled : ndarray, shape (n, 6)
+    scaled : ndarray, shape (n, 6), dimensionless
         Loads by their scale.
     reach : float
         Largest difference of a load, of its scale.
@@ -272,7 +272,10 @@ def spread(scaled: Floats, reach: float, most: int) -> list[int]:
 
 
 def packed(wrenches: Floats) -> list[bytes]:
-    """Return each wrench, shape (n, 6), as the ledger packs it: little-endian, no minus zero."""
+    """Return each wrench as the ledger packs it: little-endian, no minus zero.
+
+    The wrenches have shape (n, 6), N and N·m.
+    """
     block = (np.asarray(wrenches, dtype="<f8") + 0.0).tobytes()
     return [block[at : at + WRENCH_BYTES] for at in range(0, len(block), WRENCH_BYTES)]
 

@@ -35,7 +35,7 @@ class ToleranceBody(Body):
 
 
 class WrenchBody(Body):
-    """One wrench: force in N and moment in N·m, each three numbers; at least one of them."""
+    """One wrench: force in N and moment in N·m, shape (3,) each; at least one of them."""
 
     force: Vector | None = None
     moment: Vector | None = None

@@ -45,7 +45,8 @@ def answer_times(surrogate: AnyTable, method: str, wrenches: np.ndarray) -> tupl
 def times_without_fast(rows: Rows, load_range: LoadRange, wrenches: np.ndarray) -> Times:
     """Return the times of `answer_times` by method, as without the extra ``fast``.
 
-    In a process of its own, which does not find numba; empty if that fails.
+    In a process of its own, which does not find numba; empty if that fails. The wrenches have
+    shape (n, 6), N and N·m.
     """
     told = subprocess.run(
         child_command("service.report.without_fast"),

@@ -21,7 +21,8 @@ def conformal_factor(errors: Floats, deviations: Floats, level: float = LEVEL) -
     Split conformal prediction (Vovk, Gammerman and Shafer 2005; Lei et al. 2018): the quantile of
     their ratios at ceil(level (h + 1)) of h, the largest if h is too small for that, enlarged the
     more, the fewer there are. It is infinite if too many deviations are zero where errors are not,
-    and zero without errors.
+    and zero without errors. Shape (q,), dimensionless where both are in one unit, such as m and
+    rad.
     """
     ratios = np.full(errors.shape, np.inf)
     np.divide(errors, deviations, out=ratios, where=deviations > 0)

@@ -97,7 +97,10 @@ class AxisTable:
         return self.triangulation.volumes / 2.0**dimension
 
     def read(self, x: Floats) -> AxisReading:
-        """Return what the axis answers at scaled inputs, shape (k, 3), inside its hull or not."""
+        """Return what the axis answers at scaled inputs, inside its hull or not.
+
+        The inputs have shape (k, 3), dimensionless.
+        """
         found = self.triangulation.locate(x)
         inside = found >= 0
         if inside.all():
@@ -114,7 +117,10 @@ class AxisTable:
         return replace(reading, inside=inside)
 
     def read_in(self, simplices: Indices, x: Floats) -> AxisReading:
-        """Return the same at points (k, 3) of the simplices (k,) that they lie in."""
+        """Return the same at points of the simplices that they lie in.
+
+        Shapes (k, 3), dimensionless, and (k,).
+        """
         shape, vertices = self.triangulation, self.triangulation.simplices[simplices]
         shares = shape.barycentric(simplices, x)
         outputs = np.einsum("kv,kvq->kq", shares, self.values[vertices])

@@ -78,7 +78,7 @@ class Evaluated(Composed):
 
     Attributes
     ----------
-    states : ndarray of int, shape (n, 3)
+    states : ndarray of int, shape (n, 3), dimensionless
         What each axis' part rests on.
     """
 
@@ -167,7 +167,10 @@ class Composition:
         return found
 
     def look(self, index: int, wrench: Floats) -> Look:
-        """Return what one axis answers to its three loads of a wrench (6,) by themselves."""
+        """Return what one axis answers to its three loads of a wrench by themselves.
+
+        The wrench has shape (6,), N and N·m.
+        """
         axis = AXES[index]
         loads = np.where(np.isin(np.arange(6), axis.inputs), wrench, 0.0)[None]
         found = self.evaluate(loads)

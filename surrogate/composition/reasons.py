@@ -24,7 +24,7 @@ def why_not(composition: Composition, wrench: Floats) -> str:
 
 
 def why_axis(composition: Composition, index: int, wrench: Floats) -> str:
-    """Return why one axis does not cover its part of a wrench (6,); empty if it does."""
+    """Return why one axis does not cover its part of a wrench (6,), N and N·m; empty if it does."""
     axis, look = AXES[index], composition.look(index, wrench)
     state = int(look.found.states[0, index])
     if state in (OFF_HULL, NO_ROWS):

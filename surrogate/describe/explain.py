@@ -22,12 +22,13 @@ def explain_axes(
     wrench: Floats,
     tolerance: Tolerance | None,
 ) -> list[dict[str, Any]]:
-    """Return what each axis answers to its own loads of a wrench (6,), and from which rows.
+    """Return what each axis answers to its own loads of a wrench, and from which rows.
 
     Parameters
     ----------
     members : sequence of tuple of int
         The numbers of the rows behind each row that the composition was made from.
+    wrench : ndarray, shape (6,), N and N·m
     """
     found = composition.evaluate(wrench[None])
     return [
@@ -46,6 +47,7 @@ def explain_linear(
     """Return what each axis' three loads contribute to a linear answer.
 
     The rows are those the compliance comes from; the error bars are those of the whole answer.
+    The wrench has shape (6,), N and N·m.
     """
     stored = np.isfinite(rows.compliance).all(axis=(1, 2))
     places = range(len(rows))

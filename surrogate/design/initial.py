@@ -34,7 +34,10 @@ class Known:
         return tuple(np.round(wrench / self.scale / CLEAN).astype(np.int64).tolist())
 
     def new(self, wrenches: Floats) -> Floats:
-        """Return those of wrenches (k, 6) not known yet, each once, and know them from now on."""
+        """Return those of some wrenches not known yet, each once, and know them from now on.
+
+        Shape (k, 6), N and N·m, as those given.
+        """
         fresh = []
         for wrench in wrenches:
             key = self._key(wrench)

@@ -39,7 +39,7 @@ class ShearedDelaunay(Delaunay):
     def find_simplex(
         self, xi: ArrayLike, bruteforce: bool = False, tol: Any = None
     ) -> NDArray[np.int32]:
-        """Return the simplex of each point (k, d), not sheared, or -1."""
+        """Return the simplex of each point (k, d), dimensionless and not sheared, or -1."""
         sheared = np.asarray(xi, dtype=float) @ self._shear.T
         return super().find_simplex(sheared, bruteforce=bruteforce, tol=tol)
 
@@ -146,7 +146,7 @@ class Triangulation:
         """Return the simplex of each point, shape (k, 3) -> (k,), or -1 outside the hull.
 
         Points on the hull are inside: what rounding put just outside is looked up again a little
-        further in.
+        further in. Points are dimensionless.
         """
         points = np.asarray(x, dtype=float)
         if not ready() or self.dimension == 0:
@@ -194,7 +194,7 @@ class Triangulation:
         return np.where(off > self.slack, -1, self._find(flat))
 
     def nearest(self, x: ArrayLike) -> Indices:
-        """Return the point nearest to each of some others, shape (k, 3) -> (k,)."""
+        """Return the point nearest to each of some others, shape (k, 3), dimensionless, -> (k,)."""
         return np.asarray(self._tree.query(x)[1], dtype=np.intp)
 
     @cached_property
@@ -202,7 +202,10 @@ class Triangulation:
         return KDTree(self.points)
 
     def flattened(self, x: Floats) -> Floats:
-        """Return points (k, 3) in the coordinates of what the points span, (k, dimension)."""
+        """Return points in the coordinates of what the points span.
+
+        Shape (k, 3) -> (k, dimension), dimensionless.
+        """
         return x if self.dimension == 3 else (x - self.origin) @ self.basis.T
 
     def holds_direction(self, column: int) -> bool:
@@ -218,7 +221,7 @@ class Triangulation:
 
         Parameters
         ----------
-        x : ndarray, shape (k, 3)
+        x : ndarray, shape (k, 3), dimensionless
             Points outside the hull.
         """
         if self.dimension == 0:
@@ -236,7 +239,7 @@ class Triangulation:
 
     @cached_property
     def hull(self) -> Indices:
-        """The vertices of each facet of the hull, shape (f, dimension)."""
+        """The vertices of each facet of the hull: indices of points, shape (f, dimension)."""
         owner, across = np.nonzero(self.neighbours < 0)
         keep = np.ones((len(owner), self.dimension + 1), dtype=bool)
         keep[np.arange(len(owner)), across] = False
@@ -244,22 +247,28 @@ class Triangulation:
 
     @cached_property
     def behind_hull(self) -> Indices:
-        """The simplex behind each facet of the hull, shape (f,)."""
+        """The index of the simplex behind each facet of the hull, shape (f,)."""
         return np.nonzero(self.neighbours < 0)[0]
 
     def gradients_at(self, simplices: Indices, values: Floats) -> Floats:
-        """Return the gradients of vertex values (n, q) in some simplices, (k,) -> (k, q, 3)."""
+        """Return the gradients of vertex values (n, q) in some simplices, (k,) -> (k, q, 3).
+
+        They are by dimensionless points, so in the values' unit: m and rad.
+        """
         corners = values[self.simplices[simplices]]
         rise = corners[:, :-1] - corners[:, -1:]
         return np.einsum("kdq,kdi->kqi", rise, self.weights[simplices])
 
     def barycentric(self, simplices: Indices, x: Floats) -> Floats:
-        """Return the barycentric coordinates, shape (k, d + 1), of points (k, 3)."""
+        """Return the barycentric coordinates, shape (k, d + 1), of points (k, 3), dimensionless."""
         most = np.einsum("kij,kj->ki", self.weights[simplices], x - self.anchors[simplices])
         return np.concatenate((most, 1 - most.sum(axis=1, keepdims=True)), axis=1)
 
     def share_slopes(self, simplices: Indices) -> Floats:
-        """Return the slopes of the barycentric coordinates in simplices (k,), (k, d + 1, 3)."""
+        """Return the slopes of the barycentric coordinates in some simplices.
+
+        Shape (k,) -> (k, d + 1, 3), dimensionless.
+        """
         most = self.weights[simplices]
         return np.concatenate((most, -most.sum(axis=1, keepdims=True)), axis=1)
 

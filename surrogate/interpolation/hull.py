@@ -15,10 +15,9 @@ def nearest_points(facets: Floats, x: Floats) -> tuple[Floats, NDArray[np.intp]]
 
     Parameters
     ----------
-    facets : ndarray, shape (f, corners, 3)
+    facets : ndarray, shape (f, corners, 3), dimensionless
         One, two or three corners each.
-    x : ndarray, shape (k, 3)
-        In the facets' unit.
+    x : ndarray, shape (k, 3), dimensionless
     """
     place = np.empty_like(x)
     which = np.empty(len(x), dtype=np.intp)

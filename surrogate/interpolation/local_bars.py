@@ -22,7 +22,7 @@ def local_bars(triangulation: Triangulation, values: Floats, misses: Floats) -> 
 
     Parameters
     ----------
-    values, misses : ndarray, shape (n, q), in the outputs' units
+    values, misses : ndarray, shape (n, q), m and rad
         `misses` is NaN where there are too few points (`Patches`).
     """
     floor = ROUNDING * np.abs(values).max(axis=0, initial=0.0)

@@ -19,7 +19,7 @@ def curve_order(x: Floats) -> NDArray[np.intp]:
     """Return the order of points (k, d), d at most 3, along a Morton curve over their box.
 
     The order of Morton, "A computer oriented geodetic data base" (1966): the bits of the
-    coordinates, interleaved.
+    coordinates, interleaved. Points are dimensionless.
     """
     if len(x) < FEWEST or x.shape[1] == 0:
         return np.arange(len(x))

@@ -59,7 +59,7 @@ class Numbered(NamedTuple):
 
     @property
     def walked(self) -> tuple[NDArray, ...]:
-        """What `walk.locate_many` takes."""
+        """What `walk.locate_many` takes: the first six, with their shapes, dimensionless."""
         return self[:6]
 
 

@@ -36,9 +36,9 @@ class Patches(NamedTuple):
 
     Attributes
     ----------
-    slopes : ndarray, shape (n, q, 3)
+    slopes : ndarray, shape (n, q, 3), m and rad
         Their derivative at the point; NaN where there are too few points for a patch.
-    misses : ndarray, shape (n, q)
+    misses : ndarray, shape (n, q), m and rad
         Value at the point less the quadratic's; NaN likewise.
     """
 
@@ -91,7 +91,8 @@ def _quadratics(apart: Floats, far: Floats, rise: Floats) -> tuple[Floats, Float
 def mean_slopes(triangulation: Triangulation, values: Floats) -> Floats:
     """Return slopes (n, q, 3) as the mean of the simplices that meet at each point, by volume.
 
-    A flat simplex has no slope and no say.
+    A flat simplex has no slope and no say. Points are dimensionless, so that slopes are in the unit
+    of the values (n, q): m and rad.
     """
     weight = np.where(triangulation.degenerate, 0.0, triangulation.volumes)
     own = weight[:, None, None] * triangulation.gradients(values)

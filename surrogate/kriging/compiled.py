@@ -72,7 +72,10 @@ class Tables(NamedTuple):
 def tables_of(
     inside: Dense, scaling: Scaling, conformal: Floats, tangent: Floats, floor: float
 ) -> Tables | None:
-    """Return the tables of a dense kriging, or None where its outputs do not share one factor."""
+    """Return the tables of a dense kriging, or None where its outputs do not share one factor.
+
+    Shapes: `conformal` (6,), dimensionless; `tangent` (6, 6), SI.
+    """
     if len(inside.shares) != 1:
         return None
     share, n = inside.shares[0], len(inside.equations)

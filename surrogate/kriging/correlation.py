@@ -37,7 +37,7 @@ class Hyperparameters:
 
     Attributes
     ----------
-    inverse_squares : ndarray, shape (6,)
+    inverse_squares : ndarray, shape (6,), dimensionless
         One over the squared length of each load, in half ranges.
     weight : float
         Variance of the term of all loads over that of one axis.
@@ -48,29 +48,38 @@ class Hyperparameters:
 
     @classmethod
     def of_logarithms(cls, logarithms: Floats) -> Hyperparameters:
-        """Return the hyperparameters of their seven logarithms."""
+        """Return the hyperparameters of their seven logarithms, shape (7,), dimensionless."""
         values = np.exp(np.asarray(logarithms, dtype=float))
         return cls(values[:LOADS], float(values[LOADS]))
 
     @property
     def logarithms(self) -> Floats:
-        """The seven logarithms, shape (7,)."""
+        """The seven logarithms, shape (7,), dimensionless."""
         return np.log(np.append(self.inverse_squares, self.weight))
 
     @property
     def terms(self) -> tuple[Floats, Floats]:
-        """Each term's inverse squares (4, 6), zero for loads it does not see, and weights (4,)."""
+        """Each term's inverse squares (4, 6), zero for loads it does not see, and weights (4,).
+
+        Both are dimensionless.
+        """
         return GROUPS * self.inverse_squares, np.array([1.0, 1.0, 1.0, self.weight])
 
     @property
     def prior(self) -> Floats:
-        """Covariance of one row's value and slopes, shape (7,): its diagonal, it has no other."""
+        """Covariance of one row's value and slopes: its diagonal, it has no other.
+
+        Shape (7,), dimensionless.
+        """
         rates, weights = self.terms
         return np.append(weights.sum(), 1.4 * (weights @ rates))
 
 
 def matern(q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return Matern 7/2 of the squared scaled distance and its first three derivatives by it."""
+    """Return Matern 7/2 of the squared scaled distance and its first three derivatives by it.
+
+    All have the shape of `q`, dimensionless.
+    """
     a = np.sqrt(7.0 * q)
     decay = np.exp(-a)
     return (
@@ -131,12 +140,15 @@ def covariance(x: Floats, known_x: Mask, v: Floats, known_v: Mask, held: Hyperpa
 
 
 def numbers(known: Mask) -> NDArray[np.intp]:
-    """Return the number of each place's equation, shape (n, 7); no meaning where not known."""
+    """Return the index of each place's equation, shape (n, 7); no meaning where not known."""
     return (np.cumsum(known.ravel()) - 1).reshape(known.shape)
 
 
 def mean_terms(x: Floats, known: Mask) -> Floats:
-    """Return the mean's seven terms, constant and linear, at each equation, (e, 7)."""
+    """Return the mean's seven terms, constant and linear, at each equation, (e, 7).
+
+    The scaled loads (n, 6) and the terms are dimensionless.
+    """
     terms = np.zeros((len(x), PLACES, PLACES))
     terms[:, 0, 0] = 1.0
     terms[:, 0, 1:] = x

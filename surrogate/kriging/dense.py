@@ -46,6 +46,8 @@ class Spread:
 class Dense:
     """The kriging of scaled loads by one factor, or one for each kind of output.
 
+    All numbers are dimensionless: outputs are in spreads.
+
     Attributes
     ----------
     equations : Equations

@@ -54,7 +54,7 @@ DECIMALS = 12  # of scaled loads: a thousandth of what bars are told to
 
 @dataclass(frozen=True)
 class Equations:
-    """What the rows of a table say, in scaled numbers, row by row.
+    """What the rows of a table say, in scaled numbers, row by row: all are dimensionless.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Equations:
         return int(self.known.sum())
 
     def take(self, which: NDArray[np.intp]) -> Equations:
-        """Return the equations of some rows."""
+        """Return the equations of some rows, whose indices have shape (k,)."""
         return Equations(
             self.x[which],
             self.known[which],
@@ -190,7 +190,10 @@ def equations_of(rows: Rows, scaling: Scaling, settings: KrigingSettings = DEFAU
 
 
 def later_order(before: Equations, now: Equations) -> NDArray[np.intp] | None:
-    """Return the order of rows that begins with those before; None where one is gone or changed."""
+    """Return the order of rows that begins with those before; None where one is gone or changed.
+
+    Shape (len(now),): indices of the rows of `now`.
+    """
     places = {key: place for place, key in enumerate(now.records())}
     kept = [places.get(key, -1) for key in before.records()]
     if min(kept) < 0:

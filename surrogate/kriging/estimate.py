@@ -23,7 +23,8 @@ def estimated(
     """Return the hyperparameters, and the process variances (6,) that noise is held against.
 
     Noise counts relative to the process variance, which the hyperparameters decide: with noise the
-    likelihood is maximised a second time, with the variances that the first time found.
+    likelihood is maximised a second time, with the variances that the first time found. The
+    variances are in spreads squared, dimensionless.
     """
     limits = settings.likelihood_rows, settings.likelihood_equations
     chosen = equations.take(spread_rows(equations, *limits))

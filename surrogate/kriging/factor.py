@@ -30,9 +30,11 @@ class SingularCovarianceError(ArithmeticError):
 class Factor:
     """The factor of some rows' equations, for the outputs that these rows tell alike.
 
+    All numbers are dimensionless: loads are in half ranges, outputs in spreads.
+
     Attributes
     ----------
-    outputs : ndarray of int
+    outputs : ndarray of int, shape (k,)
         The outputs it answers.
     rows : ndarray of int, shape (r,)
         Which rows of the table take part.
@@ -69,7 +71,10 @@ class Factor:
 def diagonal_added(
     equations: Equations, noise: Floats, nugget: float, held: Hyperparameters
 ) -> Floats:
-    """Return what is added to the covariance's diagonal: nugget and noise, shape (equations,)."""
+    """Return what is added to the covariance's diagonal: nugget and noise.
+
+    Shape (equations,), dimensionless, of noise, shape (rows,), over the process variance.
+    """
     added = np.tile(nugget * held.prior, (len(equations), 1))
     added[:, 0] += noise
     return added[equations.known]
@@ -82,8 +87,9 @@ def inverse_factor(
 
     Parameters
     ----------
-    matrix : ndarray, shape (e, e)
+    matrix : ndarray, shape (e, e), dimensionless
         With a nugget of `nugget` times `prior` on its diagonal; raised by decades on failure.
+    prior : ndarray, shape (e,), dimensionless
 
     Raises
     ------
@@ -122,6 +128,9 @@ def factorise(
     """Return the factor of some rows of a table for some outputs.
 
     `table` is the covariance of all the table's equations, where it is at hand.
+
+    Shapes: `outputs` (k,) and `rows` (r,), indices; `noise` (r,), over the process variance, and
+    `table` (a, a), for a equations, dimensionless.
     """
     own = equations.take(rows)
     if table is None:
@@ -145,7 +154,10 @@ def finish(
     TF: Floats,
     settings: KrigingSettings,
 ) -> Factor:
-    """Return the factor with what follows from T: the mean, the weights, the variances."""
+    """Return the factor with what follows from T: the mean, the weights, the variances.
+
+    The arrays are those of `Factor`, dimensionless: `T` has shape (e, e), `TF` (e, 7).
+    """
     told = own.told[own.known][:, outputs]
     Ty = T @ told
     precision = TF.T @ TF + np.eye(TF.shape[1]) / settings.mean_variance
@@ -181,7 +193,7 @@ def border(
     ----------
     equations : Equations
         The whole table: the factor's rows and, at the places `added`, the new ones.
-    noise : ndarray, shape (len(added),)
+    noise : ndarray, shape (len(added),), dimensionless
         Variance of the new values over the process variance.
     """
     old, new = equations.take(factor.rows), equations.take(added)

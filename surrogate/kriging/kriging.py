@@ -176,7 +176,10 @@ class Kriging:
         return self.evaluate(wrenches)[2]
 
     def evaluate(self, wrenches: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return displacements (n, 6), 95 % error bars (n, 6) and du/dw (n, 6, 6) in one go."""
+        """Return displacements (n, 6), 95 % error bars (n, 6) and du/dw (n, 6, 6) in one go.
+
+        Wrenches are (n, 6), N and N·m, displacements and bars m and rad, du/dw SI.
+        """
         asked = np.require(wrenches, float, ("C", "W"))
         n = len(asked)
         out = np.empty((n, OUTPUTS)), np.empty((n, OUTPUTS)), np.empty((n, OUTPUTS, LOADS))

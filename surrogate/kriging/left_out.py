@@ -19,7 +19,7 @@ from .settings import DEFAULTS, KrigingSettings
 
 
 class LeftOut(NamedTuple):
-    """What rows left out tell.
+    """What rows left out tell, in dimensionless numbers.
 
     Attributes
     ----------
@@ -73,8 +73,8 @@ def conformal_factors(
 
     Parameters
     ----------
-    errors, deviations : ndarray, shape (k, 6)
-        NaN where a row does not bring the output.
+    errors, deviations : ndarray, shape (k, 6), dimensionless
+        In spreads; NaN where a row does not bring the output.
     """
     with np.errstate(invalid="ignore"):  # an output that nothing moves errs by nothing
         ratios = np.abs(errors) / deviations

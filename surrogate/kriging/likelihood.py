@@ -32,7 +32,10 @@ def negative_log_likelihood(
     shares: list[Share],
     settings: KrigingSettings = DEFAULTS,
 ) -> tuple[float, Floats]:
-    """Return half the negative log likelihood, mean over the outputs, and its gradient (7,)."""
+    """Return half the negative log likelihood, mean over the outputs, and its gradient (7,).
+
+    The gradient is by the hyperparameters' logarithms, shape (7,); all is dimensionless.
+    """
     held = Hyperparameters.of_logarithms(logarithms)
     outputs = sum(len(share.outputs) for share in shares)
     value, gradient = 0.0, np.zeros(PLACES)

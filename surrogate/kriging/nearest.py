@@ -34,7 +34,7 @@ class Region:
     mean : Factor
         Over rows spread widely: the mean and the process variances.
     finder : Finder
-    noise : ndarray, shape (n,)
+    noise : ndarray, shape (n,), dimensionless
         Of every row of the table, over the process variance.
     """
 
@@ -46,6 +46,8 @@ class Region:
 @dataclass(frozen=True)
 class Nearest:
     """The kriging of scaled loads by the nearest rows.
+
+    All numbers are dimensionless: outputs are in spreads.
 
     Attributes
     ----------

@@ -66,7 +66,8 @@ class Finder:
 
         Parameters
         ----------
-        x : ndarray, shape (n, 6)
+        rows : ndarray of int, shape (k,)
+        x : ndarray, shape (n, 6), dimensionless
             Of all rows of the table.
         """
         found = self.trees[0].query(x[rows] * self.roots[0], k=2)[1]
@@ -93,11 +94,11 @@ class Finder:
 
 @dataclass(frozen=True)
 class LocalFactor:
-    """The factor over one neighbourhood.
+    """The factor over one neighbourhood, in dimensionless numbers.
 
     Attributes
     ----------
-    members : ndarray of int
+    members : ndarray of int, shape (k,)
         Rows of the table.
     places : ndarray of int, shape (e,)
         Its equations: seven times the row, plus 0 for the value or 1 to 6 for a slope.
@@ -147,10 +148,11 @@ def local_factor(
 
     Parameters
     ----------
-    noise : ndarray, shape (n,)
+    noise : ndarray, shape (n,), dimensionless
         Of every row of the table, over the process variance.
-    table : ndarray, optional
-        The covariance of all the table's equations, where it is at hand.
+    members : ndarray of int, shape (k,)
+    table : ndarray, shape (a, a), dimensionless, optional
+        The covariance of all a equations of the table, where it is at hand.
     """
     own = equations.take(members)
     places = (members[:, None] * PLACES + np.arange(PLACES))[own.known]

@@ -17,8 +17,8 @@ class Share(NamedTuple):
 
     Attributes
     ----------
-    outputs, rows : ndarray of int
-    noise : ndarray, shape (len(rows),)
+    outputs, rows : ndarray of int, shape (k,) and (r,)
+    noise : ndarray, shape (r,), dimensionless
         Variance of the rows' values over the process variance.
     """
 
@@ -34,7 +34,7 @@ def shares_of(
 
     Parameters
     ----------
-    variance : ndarray, shape (6,)
+    variance : ndarray, shape (6,), dimensionless
         Process variance of each output, spreads squared: noise counts relative to it. Outputs whose
         relative noise differs by more than `like_noise` at some row get a factor each.
     """

@@ -11,7 +11,10 @@ DECIMALS = 9  # to which two distances are a tie, settled by the rows' own order
 
 
 def spread_rows(equations: Equations, most_rows: int, most_equations: int) -> NDArray[np.intp]:
-    """Return rows within the limits, each the farthest from those before it, in their own order."""
+    """Return rows within the limits, each the farthest from those before it, in their own order.
+
+    Shape (k,): indices of the rows.
+    """
     size = equations.known.sum(axis=1)
     chosen = [int(np.argmin(np.round((equations.x**2).sum(axis=1), DECIMALS)))]
     total = size[chosen[0]]

@@ -30,5 +30,5 @@ class GaussianProcess:
         return self.kriging.derivatives(wrenches)
 
     def reason(self, wrench: Floats) -> str:
-        """Return which load of a wrench (6,) lies outside the load range."""
+        """Return which load of a wrench (6,), N and N·m, lies outside the load range."""
         return why_beyond(self.load_range, wrench)

@@ -75,7 +75,7 @@ class Griddata:
         return self.composition.derivatives(wrenches, bent=self.bent)
 
     def reason(self, wrench: Floats) -> str:
-        """Return which axis does not hold a wrench (6,), and why."""
+        """Return which axis does not hold a wrench (6,), N and N·m, and why."""
         return why_not(self.composition, wrench)
 
     def _composed(self, asked: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.int64]]:

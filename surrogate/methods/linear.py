@@ -49,7 +49,10 @@ class Linear:
         return np.tile(self.fit.matrix, (len(wrenches), 1, 1))
 
     def reason(self, wrench: Floats) -> str:
-        """Return which load of a wrench (6,) no row tells, or lies outside the load range."""
+        """Return which load of a wrench no row tells, or lies outside the load range.
+
+        The wrench has shape (6,), N and N·m.
+        """
         unknown = self._unknown(wrench[None])[0]
         if unknown.any():
             return f"no row tells the influence of {LOADS[int(np.argmax(unknown))]}"

@@ -40,7 +40,10 @@ class Method(Protocol):
         ...
 
     def reason(self, wrench: Floats) -> str:
-        """Return why one wrench (6,) is not covered; empty if no reason is the method's own."""
+        """Return why one wrench is not covered; empty if no reason is the method's own.
+
+        The wrench has shape (6,), N and N·m.
+        """
         ...
 
 

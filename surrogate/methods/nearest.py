@@ -31,9 +31,9 @@ class Nearest:
         return Estimates(displacement, np.abs(displacement - best) + bars, state)
 
     def derivatives(self, wrenches: Floats) -> Floats:
-        """Return zeros, shape (n, 6, 6)."""
+        """Return zeros, shape (n, 6, 6), SI, for wrenches (n, 6)."""
         return np.zeros((len(wrenches), 6, 6))
 
     def reason(self, wrench: Floats) -> str:
-        """Return which load of a wrench (6,) lies outside the load range."""
+        """Return which load of a wrench (6,), N and N·m, lies outside the load range."""
         return why_beyond(self.load_range, wrench)

@@ -65,13 +65,16 @@ class BentReference:
         self._none = np.empty((0, 6))
 
     def told(self, wrenches: Floats) -> tuple[Floats, Floats]:
-        """See `Reference`; nothing, (0, 6), without an interaction."""
+        """See `Reference`; (n, 6) each, m and rad; nothing, (0, 6), without an interaction."""
         if self.interaction is None:
             return self._none, self._none
         return self.interaction.answer_many(wrenches)
 
     def estimate(self, wrenches: Floats) -> tuple[Floats, Floats]:
-        """See `Reference`; the bars of axes and interaction add up in quadrature."""
+        """See `Reference`; the bars of axes and interaction add up in quadrature.
+
+        Displacements and bars are (n, 6) each, m and rad, at wrenches (n, 6), N and N·m.
+        """
         composed = self.composition.evaluate(wrenches)
         displacement, bars = composed.displacement + composed.bend, composed.rest
         if self.interaction is None:

@@ -63,7 +63,7 @@ class AxisRows:
     tangent: Floats
 
     def take(self, which: NDArray[np.bool_]) -> AxisRows:
-        """Return the points that a mask of shape (n,) picks."""
+        """Return the points that a mask of shape (n,), dimensionless, picks."""
         return AxisRows(
             self.axis,
             self.points[which],
@@ -76,7 +76,10 @@ class AxisRows:
 
 
 def axis_box(load_range: LoadRange, axis: Axis) -> tuple[Floats, Floats]:
-    """Return the low and high ends, (3,) each, of an axis' loads, stretched to hold zero."""
+    """Return the low and high ends of an axis' loads, stretched to hold zero.
+
+    Shape (3,) each, N and N·m.
+    """
     inputs = list(axis.inputs)
     return np.minimum(load_range.low[inputs], 0.0), np.maximum(load_range.high[inputs], 0.0)
 
@@ -92,7 +95,10 @@ def clean_wrenches(wrenches: Floats, load_range: LoadRange) -> NDArray[np.bool_]
 
 
 def clean_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
-    """Return, shape (n, 3), which rows are clean for which axis: no load but the axis' own."""
+    """Return which rows are clean for which axis: no load but the axis' own.
+
+    Shape (n, 3), dimensionless.
+    """
     return clean_wrenches(rows.wrench, load_range)
 
 

@@ -24,7 +24,10 @@ def row_conflicts(rows: Rows, load_range: LoadRange) -> dict[str, Any]:
 
 
 def repeated(rows: Rows, load_range: LoadRange) -> list[np.ndarray]:
-    """Return the places of each set of rows that have one wrench, ascending."""
+    """Return the places of each set of rows that have one wrench, ascending.
+
+    Each has shape (k,): indices of its rows.
+    """
     keys = np.round(rows.wrench / load_range.scale, SAME) + 0.0
     _, group, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     group = group.reshape(-1)

@@ -39,7 +39,7 @@ class Merged(NamedTuple):
     within : ndarray of bool, shape (n,)
         Which lie within the load range.
     owner : ndarray of int, shape (given rows,)
-        The place, in these rows, of each row that was given.
+        The index, in these rows, of each row that was given.
     """
 
     rows: Rows
@@ -82,7 +82,7 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     """Return the group of each scaled point, shape (n, d) -> (n,): 0, 1, ... by first appearance.
 
     Points within 1e-6 of each other in every coordinate, by themselves or by others between them,
-    are one group.
+    are one group. Points are dimensionless.
     """
     if not len(points):
         return np.empty(0, dtype=np.intp)

@@ -192,6 +192,8 @@ class Rows:
     def of(cls, wrench: ArrayLike, displacement: ArrayLike, **columns: Any) -> Rows:
         """Return rows of wrenches (n, 6) and displacements (n, 6); other columns may be left out.
 
+        Wrenches are in N and N·m, displacements in m and rad.
+
         Without `seq` the rows are numbered from 1; unknown numbers are NaN, unknown words empty.
         """
         wrenches = np.array(wrench, dtype=float).reshape(-1, 6)
@@ -251,7 +253,10 @@ _COLUMNS = (
 
 
 def unknown_column(count: int, *shape: int) -> Floats:
-    """Return a column of NaN, read-only, that takes no memory however many rows there are."""
+    """Return a column of NaN, read-only, that takes no memory however many rows there are.
+
+    Shape (count, *shape), to stand for SI values.
+    """
     return np.broadcast_to(np.nan, (count, *shape))
 
 
