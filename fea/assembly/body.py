@@ -246,7 +246,10 @@ class Tangent:
         return total
 
     def solve(self, loads: Array) -> Array:
-        """Solve for nodal loads of shape (n, 3, k); what acts on nodes that are held is ignored."""
+        """Solve for nodal loads, shape (n, 3, k), N; what acts on nodes that are held is ignored.
+
+        The displacements have shape (n, 3, k), m, and are zero at nodes that are held.
+        """
         order = self._body.dissection.nodes
         found = np.zeros_like(loads)
         columns = loads[order].reshape(3 * order.size, loads.shape[2])
@@ -284,7 +287,10 @@ class _Scatter:
 
 
 def gather(fields: Array, nodes: Array) -> Array:
-    """Take the values of each cell's nodes: (n, 3, ...) -> (cells, 3, nodes, ...)."""
+    """Take the values of each cell's nodes: shapes (n, 3, ...) -> (cells, 3, nodes, ...).
+
+    The unit stays what it is, m for displacements; `nodes` are indices, shape (cells, nodes).
+    """
     return np.moveaxis(fields[nodes], 2, 1)
 
 

@@ -138,7 +138,7 @@ class Linearisation:
 
     @property
     def wrench_columns(self) -> Array:
-        """Change of the border's load per change of the wrench, shape (border, 6), no unit.
+        """Change of the border's load per change of the wrench, shape (border, 6), dimensionless.
 
         Columns of locked freedoms are zero.
         """
@@ -169,6 +169,9 @@ class Linearisation:
 
 
 def contract(first: Array, second: Array) -> Array:
-    """Sum over nodes and components: (n, 3, j), (n, 3, k) -> (j, k)."""
+    """Sum over nodes and components: shapes (n, 3, j), (n, 3, k) -> (j, k).
+
+    The unit is the product of the two, such as J of forces, N, and displacements, m.
+    """
     size = 3 * len(first)
     return first.reshape(size, first.shape[2]).T @ second.reshape(size, second.shape[2])

@@ -40,7 +40,8 @@ def motion_problems(component: Component, bodies: Bodies, pairs: Array) -> list[
     component, bodies
         What is looked at, and the bodies it falls into.
     pairs
-        Shape (k, 2), int64: nodes in one place (`fea.inspection.bodies.coincident_nodes`).
+        Shape (k, 2), int64: indices of nodes in one place
+        (`fea.inspection.bodies.coincident_nodes`).
     """
     if bodies.count > _MOST_BODIES:
         message = (

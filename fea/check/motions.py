@@ -32,8 +32,8 @@ def free_motions(component: Component, bodies: Bodies) -> list[Array]:
     Returns
     -------
     list of Array
-        Each of shape (k, 6): translation of the mesh's centre and rotation times the mesh's size,
-        orthonormal; k = 0 for a body that is held.
+        Each of shape (k, 6), m: translation of the mesh's centre and rotation times the mesh's
+        size, orthonormal; k = 0 for a body that is held.
     """
     equations = _Equations(component, bodies)
     equations.hold_supports()
@@ -48,7 +48,10 @@ def free_motions(component: Component, bodies: Bodies) -> list[Array]:
 
 
 def describe(motion: Array, centre: Array, extent: float) -> str:
-    """Say a motion (6,) of `free_motions` in words."""
+    """Say a motion of `free_motions` in words.
+
+    The motion has shape (6,), m, the mesh's centre (3,), m; the mesh's size is in m.
+    """
     shift, turn = motion[:3], motion[3:] / extent
     if np.linalg.norm(motion[3:]) < 1e-6:
         return f"slide along {_direction(shift)}"

@@ -23,7 +23,10 @@ __all__ = ["Border", "Coupling", "Distributed", "Rigid", "State"]
 
 
 class Coupling(Protocol):
-    """What the analyses ask of a coupling."""
+    """What the analyses ask of a coupling.
+
+    `active` holds indices, shape (k,).
+    """
 
     active: Array
     """Shape (k,), int64: indices of the interface freedoms that are not locked, ascending."""
@@ -32,7 +35,10 @@ class Coupling(Protocol):
 
     @property
     def tied(self) -> Array:
-        """Nodes that follow the interface and are no unknowns of their own, shape (k,), int64."""
+        """Nodes that follow the interface and are no unknowns of their own.
+
+        Shape (k,), int64, indices.
+        """
         ...
 
     def start(self) -> State:
@@ -91,7 +97,7 @@ class Coupling(Protocol):
     def wrench_columns(self, state: State) -> Array:
         """Return minus the derivative of the border's residual by the wrench.
 
-        Shape (border, 6), no unit; rows of constraints are zero.
+        Shape (border, 6), dimensionless; rows of constraints are zero.
         """
         ...
 

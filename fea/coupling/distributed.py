@@ -102,21 +102,27 @@ class Distributed:
         return Border(np.zeros_like(columns), columns, block[np.ix_(chosen, chosen)])
 
     def wrench_columns(self, state: State) -> Array:
-        """Return minus the derivative of the border's residual by the wrench, (border, 6)."""
+        """Return minus the derivative of the border's residual by the wrench.
+
+        Shape (border, 6), dimensionless; the rows of the six constraints are zero.
+        """
         columns = np.zeros((12, 6))
         columns[:3, :3] = np.eye(3)
         columns[3:6, 3:] = spin_per_vector(state.interface[3:]).T
         return columns[self._chosen]
 
     def displacement_rows(self, border: Array) -> Array:
-        """Pick the interface displacement out of border unknowns: (border, k) -> (6, k)."""
+        """Pick the interface displacement out of border unknowns: (border, k) -> (6, k).
+
+        In m and rad, or both over the unit of a load; locked freedoms are zero.
+        """
         rows = np.zeros((6, border.shape[1]))
         rows[self.active] = border[:-6]
         return rows
 
     @property
     def tied(self) -> Array:
-        """No node is, shape (0,), int64: the section's nodes stay free."""
+        """No node is, shape (0,), int64, indices: the section's nodes stay free."""
         return self._nodes[:0]
 
     @property

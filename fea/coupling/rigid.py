@@ -36,7 +36,7 @@ class Rigid:
 
     @property
     def tied(self) -> Array:
-        """The section's nodes, shape (k,), int64."""
+        """The section's nodes, shape (k,), int64, indices."""
         return self._nodes
 
     def start(self) -> State:
@@ -81,13 +81,19 @@ class Rigid:
         return Border(ties, np.zeros_like(ties), block[np.ix_(self.active, self.active)])
 
     def wrench_columns(self, state: State) -> Array:
-        """Return minus the derivative of the border's residual by the wrench, (border, 6)."""
+        """Return minus the derivative of the border's residual by the wrench.
+
+        Shape (border, 6), dimensionless.
+        """
         columns = np.eye(6)
         columns[3:, 3:] = spin_per_vector(state.interface[3:]).T
         return columns[self.active]
 
     def displacement_rows(self, border: Array) -> Array:
-        """Pick the interface displacement out of border unknowns: (border, k) -> (6, k)."""
+        """Pick the interface displacement out of border unknowns: (border, k) -> (6, k).
+
+        In m and rad, or both over the unit of a load; locked freedoms are zero.
+        """
         rows = np.zeros((6, border.shape[1]))
         rows[self.active] = border
         return rows

@@ -11,7 +11,10 @@ _SERIES_LIMIT = 1.0  # of the squared angle; the series is exact to roundoff bel
 
 
 def skew(vector: Array) -> Array:
-    """Return the matrices [v]x with [v]x a = v x a: shapes (..., 3) -> (..., 3, 3)."""
+    """Return the matrices [v]x with [v]x a = v x a: shapes (..., 3) -> (..., 3, 3).
+
+    They have the unit of the vectors, whichever that is: rad, m or N.
+    """
     vector = np.asarray(vector)
     matrix = np.zeros((*vector.shape[:-1], 3, 3), dtype=vector.dtype)
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
@@ -27,7 +30,10 @@ def rotation(vector: Array) -> Array:
 
 
 def rotation_less_identity(vector: Array) -> Array:
-    """Return exp([r]x) - I without the roundoff of subtracting it, shape (3, 3)."""
+    """Return exp([r]x) - I without the roundoff of subtracting it.
+
+    Shapes (3,), rad, to (3, 3), dimensionless.
+    """
     X = skew(vector)
     a, b, _ = _coefficients(vector)
     return a * X + b * (X @ X)

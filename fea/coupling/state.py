@@ -39,11 +39,13 @@ class Border(NamedTuple):
     Attributes
     ----------
     ties
-        Shape (n, 3, border): how nodes that are no unknowns move with the border.
+        Shape (n, 3, border): how nodes that are no unknowns move with the border; dimensionless for
+        translations, m/rad for rotations.
     columns
-        Shape (n, 3, border): the border's forces on free nodes.
+        Shape (n, 3, border): the border's forces on free nodes, N over the unit of each unknown.
     block
-        Shape (border, border).
+        Shape (border, border): J over the units of both unknowns, so N/m, N and N·m for interface
+        freedoms.
     """
 
     ties: Array

@@ -58,7 +58,7 @@ def locking(block: CellBlock, poisson: Array) -> str:
     block
         The cells.
     poisson
-        Shape (cells,): their Poisson's ratios.
+        Shape (cells,), dimensionless: their Poisson's ratios.
     """
     limit = LARGEST_RATIO[block.kind]
     bad = poisson > limit
@@ -71,7 +71,7 @@ def locking(block: CellBlock, poisson: Array) -> str:
 
 
 def require_no_locking(block: CellBlock, poisson: Array) -> None:
-    """Refuse cells that would lock, by their Poisson's ratios of shape (cells,), no unit.
+    """Refuse cells that would lock, by their Poisson's ratios, shape (cells,), dimensionless.
 
     Raises
     ------
@@ -84,7 +84,10 @@ def require_no_locking(block: CellBlock, poisson: Array) -> None:
 
 
 def projects(block: CellBlock, poisson: Array) -> Array:
-    """Return for each cell whether its volumetric strain is projected, shape (cells,), bool."""
+    """Return for each cell whether its volumetric strain is projected, shape (cells,), bool.
+
+    Poisson's ratios have shape (cells,) and are dimensionless.
+    """
     return (poisson > NEARLY_INCOMPRESSIBLE) & (block.kind in PRESSURES)
 
 

@@ -28,9 +28,9 @@ class Bodies:
     count
         How many bodies there are; numbered from the one with the most cells.
     cells
-        Number of cells of each, shape (count,).
+        Number of cells of each, shape (count,), int64, dimensionless.
     nodes
-        The nodes of each, shape (k,), int64, ascending.
+        The nodes of each, shape (k,), int64: indices, ascending.
     """
 
     count: int
@@ -80,7 +80,10 @@ def _nodes_of(mesh: Mesh, label: Array, count: int) -> list[Array]:
 
 
 def coincident_nodes(mesh: Mesh) -> Array:
-    """Return pairs of surface nodes in one place, shape (k, 2): joined to the eye only."""
+    """Return pairs of surface nodes in one place: joined to the eye only.
+
+    Shape (k, 2), int64: indices of nodes.
+    """
     surface = outer_surface(mesh.blocks).node_ids
     shortest = min(float(edge_lengths(mesh.points, b).min()) for b in mesh.blocks if len(b))
     tree = KDTree(mesh.points[surface])

@@ -46,7 +46,8 @@ def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Probl
     mesh, bodies
         A mesh, and what it falls into.
     pairs
-        Shape (k, 2), int64: nodes in one place (`fea.inspection.bodies.coincident_nodes`).
+        Shape (k, 2), int64: indices of nodes in one place
+        (`fea.inspection.bodies.coincident_nodes`).
     """
     owner = np.zeros(len(mesh.points), dtype=np.int64)
     for number, nodes in enumerate(bodies.nodes):

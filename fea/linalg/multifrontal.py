@@ -73,12 +73,12 @@ class Factor:
         Parameters
         ----------
         loads
-            Shape (unknowns, k), in the order of elimination.
+            Shape (unknowns, k), N, in the order of elimination.
 
         Returns
         -------
         Array
-            Shape (unknowns, k).
+            Shape (unknowns, k), m, in the same order.
         """
         x = np.array(loads, dtype=float, order="C")
         for part, front in zip(self._dissection.substructures, self._fronts, strict=True):

@@ -29,7 +29,7 @@ class Substructure:
     Attributes
     ----------
     cells
-        Shape (c,), int64: the cells of a leaf; empty for a branch.
+        Shape (c,), int64: indices of the cells of a leaf; empty for a branch.
     start, stop
         The unknowns eliminated here are the positions start .. stop - 1.
     boundary
@@ -54,7 +54,10 @@ class Substructure:
         return self.stop - self.start
 
     def find(self, positions: Array) -> Array:
-        """Return where positions lie among the unknowns of this substructure, in their shape."""
+        """Return where positions lie among the unknowns of this substructure.
+
+        Positions and what is returned are indices of one shape, whichever that is.
+        """
         inside = positions < self.stop
         return np.where(
             inside,
@@ -72,7 +75,7 @@ class Dissection:
     substructures
         All nodes of the tree.
     nodes
-        Shape (free nodes,): mesh nodes in the order of elimination.
+        Shape (free nodes,): indices of mesh nodes in the order of elimination.
     positions
         Shape (mesh nodes,): place of each mesh node in that order, -1 for nodes that are not free.
     """
@@ -166,7 +169,7 @@ class _Builder:
 
 
 def unknowns_of(nodes: Array) -> Array:
-    """Return the three unknowns of each node or position, shape (..., 3)."""
+    """Return the three unknowns of each node or position, indices of shapes (...) to (..., 3)."""
     return 3 * nodes[..., None] + np.arange(3)
 
 

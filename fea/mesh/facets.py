@@ -59,7 +59,7 @@ FACES: dict[str, tuple[tuple[int, ...], ...]] = {
 
 
 def faces_of(blocks: tuple[CellBlock, ...]) -> dict[str, Array]:
-    """Return every face of every cell by facet kind, each of shape (f, k), int64."""
+    """Return every face of every cell by facet kind, shape (f, k), int64: indices of its nodes."""
     found: dict[str, list[Array]] = {}
     for block in blocks:
         for face in FACES[block.kind]:
@@ -79,7 +79,10 @@ def outer_surface(blocks: tuple[CellBlock, ...]) -> FacetGroup:
 
 
 def facets_within(surface: FacetGroup, node_ids: Array) -> FacetGroup:
-    """Return the facets of `surface` all of whose nodes are among `node_ids`, shape (k,), int64."""
+    """Return the facets of `surface` all of whose nodes are among `node_ids`.
+
+    `node_ids` are indices, shape (k,), int64.
+    """
     kept = []
     for kind, nodes in surface.blocks:
         inside = np.isin(nodes, node_ids).all(axis=1)
@@ -113,7 +116,7 @@ class FaceFinder:
         kind
             Kind of the facets asked for.
         nodes
-            Shape (f, k), corners first.
+            Shape (f, k): indices of their nodes, corners first.
         """
         count = corners_of(kind)
         wanted = np.unique(np.sort(nodes[:, :count], axis=1), axis=0)

@@ -60,7 +60,7 @@ class FacetBlock(NamedTuple):
     kind
         A key of `NODES_PER_FACET`.
     nodes
-        Shape (f, k), int64: the nodes of each facet in VTK order.
+        Shape (f, k), int64: indices of the nodes of each facet in VTK order.
     """
 
     kind: str
@@ -79,7 +79,7 @@ class FacetGroup:
 
     @property
     def node_ids(self) -> Array:
-        """Sorted nodes of the group, each once, shape (k,), int64."""
+        """Sorted indices of the nodes of the group, each once, shape (k,), int64."""
         return np.unique(np.concatenate([nodes.ravel() for _, nodes in self.blocks]))
 
 

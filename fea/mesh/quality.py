@@ -42,10 +42,12 @@ def extreme_determinants(points: Array, block: CellBlock) -> tuple[Array, Array]
 def folded_cells(points: Array, block: CellBlock) -> Array:
     """Return the numbers of cells that are inside out or flat at a node or quadrature point.
 
+    Points have shape (n, 3), in m or any other unit.
+
     Returns
     -------
     Array
-        Shape (k,), int64, ascending.
+        Shape (k,), int64: indices of cells of the block, ascending.
     """
     least, largest = extreme_determinants(points, block)
     return np.flatnonzero(~(least > _FLAT * largest))
@@ -59,7 +61,7 @@ def volumes(points: Array, block: CellBlock) -> Array:
 def right_way_round(points: Array, block: CellBlock) -> CellBlock:
     """Return the block, renumbered if the file numbers all its cells as seen in a mirror.
 
-    Points have shape (n, 3), in any unit.
+    Points have shape (n, 3), in m or any other unit.
 
     Only a whole block is turned: a few cells inside out among others are a fault of the mesh.
     """

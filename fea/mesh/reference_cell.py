@@ -65,7 +65,7 @@ _WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (2, 3)}
 
 @dataclass(frozen=True, eq=False)
 class ReferenceElement:
-    """Shape functions tabulated at quadrature points.
+    """Shape functions tabulated at quadrature points, all dimensionless.
 
     Attributes
     ----------
@@ -107,7 +107,10 @@ def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
 
 
 def node_places(kind: str) -> Array:
-    """Return the reference coordinates of the nodes in VTK order, shape (nodes, dimension)."""
+    """Return the reference coordinates of the nodes in VTK order.
+
+    Shape (nodes, dimension), dimensionless.
+    """
     digits = [[int(digit) for digit in place] for place in _PLACES[kind].split()]
     places = np.array(digits, dtype=float)
     places[places == 5] = 0.5
@@ -115,7 +118,10 @@ def node_places(kind: str) -> Array:
 
 
 def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
-    """Return shape functions (points, nodes) and slopes (points, nodes, dimension) at points."""
+    """Return shape functions (points, nodes) and slopes (points, nodes, dimension) at points.
+
+    The points are reference coordinates, shape (points, dimension); all are dimensionless.
+    """
     if kind == "wedge15":
         return _wedge15(points)
     element = getattr(skfem, _SKFEM_NAMES[kind])()

@@ -26,12 +26,13 @@ class LinearResponse:
     Attributes
     ----------
     compliance
-        Shape (6, 6), symmetric: displacement = compliance @ wrench. Locked freedoms are zero.
+        Shape (6, 6), symmetric: displacement = compliance @ wrench; m/N, rad/N, m/(N·m) and
+        rad/(N·m). Locked freedoms are zero.
     energies
         Shape (6, 6): twice the strain energies of pairs of unit loads, from the strains: equal to
-        `compliance` but for roundoff.
+        `compliance` but for roundoff, and in its units.
     fields
-        Shape (n, 3, 6): nodal displacements per unit of each load.
+        Shape (n, 3, 6): nodal displacements per unit of each load, m/N and m/(N·m).
     condition
         Estimated condition of the scaled stiffness matrix.
     asymmetry, energy_gap

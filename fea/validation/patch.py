@@ -38,13 +38,16 @@ def distort(amount: float) -> Warp:
 
 
 def body_of(mesh: Mesh, held: Array, integration: str = "reduced") -> Body:
-    """Return the body of a mesh of `MATERIAL` whose `held` nodes, shape (n,), do not move."""
+    """Return the body of a mesh of `MATERIAL` whose `held` nodes do not move.
+
+    `held` has shape (n,), bool, dimensionless.
+    """
     young, poisson = ([np.full(len(b), value) for b in mesh.blocks] for value in MATERIAL)
     return Body(mesh, young, poisson, ~held, integration)
 
 
 def on_the_surface(mesh: Mesh) -> Array:
-    """Return which points lie on the surface of the unit cube, shape (n,), bool."""
+    """Return which points lie on the surface of the cube of 1 m, shape (n,), bool."""
     from_middle = np.abs(mesh.points - 0.5).max(axis=1)
     return np.asarray(from_middle > 0.5 - 1e-9)
 

@@ -45,7 +45,10 @@ def _energy(kind: str, divisions: int) -> float:
 
 
 def harmonic_gradient(points: Array) -> Array:
-    """Return grad exp(sqrt(2) x) sin(y) sin(z), (n, 3): harmonic, so in balance by itself."""
+    """Return grad exp(sqrt(2) x) sin(y) sin(z): harmonic, so in balance by itself.
+
+    Shapes (n, 3), m, to (n, 3), m.
+    """
     x, y, z = points.T
     a = np.sqrt(2.0)
     growth = np.exp(a * x)

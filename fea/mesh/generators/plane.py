@@ -33,7 +33,10 @@ class Section:
 
     @property
     def edges(self) -> Array:
-        """The edges of the outline, shape (e, 3): start, end, middle; the inside is on the left."""
+        """The edges of the outline: start, end, middle; the inside is on the left.
+
+        Shape (e, 3), indices of nodes.
+        """
         each = self.quads[:, [[0, 1, 4], [1, 2, 5], [2, 3, 6], [3, 0, 7]]].reshape(-1, 3)
         _, index, count = np.unique(each[:, 2], return_index=True, return_counts=True)
         return each[index[count == 1]]
@@ -86,7 +89,9 @@ def disc(radius: float, core: int) -> Section:
 
 
 def round_corners(radius: float, core: int) -> tuple[Array, Array]:
-    """Return the corner nodes and quadrilaterals of `disc`, shapes (c, 2) and (q, 4).
+    """Return the corner nodes and quadrilaterals of `disc`.
+
+    Shapes (c, 2), m, and (q, 4), indices of nodes; the radius is in m.
 
     The last 4 `core` nodes are those of the circle, counter-clockwise from -135 degrees, and the
     last 4 `core` quadrilaterals those along it, each with its second side there.
@@ -141,7 +146,7 @@ def _core_points(radius: float, core: int) -> Array:
 def grid_quads(nx: int, ny: int) -> Array:
     """Return the quadrilaterals of a grid of nx x ny nodes, numbered along y first.
 
-    Shape ((nx - 1) (ny - 1), 4), int64, counter-clockwise.
+    Shape ((nx - 1) (ny - 1), 4), int64: indices of nodes, counter-clockwise.
     """
     grid = np.arange(nx * ny).reshape(nx, ny)
     quads = [grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]]
@@ -151,7 +156,7 @@ def grid_quads(nx: int, ny: int) -> Array:
 def rim_of_grid(core: int) -> Array:
     """Return the outer nodes of a (core + 1)^2 grid, counter-clockwise from its lowest corner.
 
-    Shape (4 core,), int64.
+    Shape (4 core,), int64, indices.
     """
     grid = np.arange((core + 1) ** 2).reshape(core + 1, core + 1)
     sides = [grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1]]
@@ -161,7 +166,7 @@ def rim_of_grid(core: int) -> Array:
 def ring_quads(inner: Array, outer: Array) -> Array:
     """Return the quadrilaterals between two closed rows of nodes, counter-clockwise.
 
-    Shapes (k,) and (k,) to (k, 4), int64.
+    Shapes (k,) and (k,) to (k, 4), int64, all indices of nodes.
     """
     return np.stack([inner, outer, np.roll(outer, -1), np.roll(inner, -1)], axis=-1)
 

@@ -35,12 +35,18 @@ class Sweep:
     cells: CellBlock
 
     def start(self, quads: Array | slice = slice(None)) -> FacetGroup:
-        """Return the facets of the section's `quads`, shape (k,), at the start, outwards."""
+        """Return the facets of the section's `quads` at the start, outwards.
+
+        `quads` are indices of shape (k,), or a mask of shape (q,); all if not given.
+        """
         nodes = self.section.quads[quads][:, [0, 3, 2, 1, 7, 6, 5, 4]]
         return FacetGroup((FacetBlock("quad8", nodes),))
 
     def end(self, quads: Array | slice = slice(None)) -> FacetGroup:
-        """Return the facets of the section's `quads`, shape (k,), at the end, outwards."""
+        """Return the facets of the section's `quads` at the end, outwards.
+
+        `quads` are indices of shape (k,), or a mask of shape (q,); all if not given.
+        """
         nodes = self.section.quads[quads] + self.layers * _stride(self.section)
         return FacetGroup((FacetBlock("quad8", nodes),))
 
