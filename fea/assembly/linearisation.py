@@ -105,7 +105,7 @@ class Linearisation:
         nodes
             Shape (n, 3), m: of the free nodes; the others are zero.
         border
-            Shape (border,): of interface freedoms, m and rad, and of multipliers, N and N·m.
+            Shape (border,): of interface freedoms, m and rad, and of multipliers, N and N/m.
         """
         nodes, border = self.solve(balance.nodal[:, :, None], balance.border[:, None])
         return -nodes[:, :, 0], -border[:, 0]

@@ -55,7 +55,7 @@ class Coupling(Protocol):
         nodes
             Shape (n, 3), m: the correction of the free nodes.
         border
-            Shape (border,): that of the interface freedoms, m and rad, and multipliers, N and N·m.
+            Shape (border,): that of the interface freedoms, m and rad, and multipliers, N and N/m.
         """
         ...
 

@@ -50,7 +50,7 @@ class Distributed:
     def moved(self, state: State, nodes: Array, border: Array) -> State:
         """Return the state after a correction of nodes, shape (n, 3), m, and border.
 
-        The border's correction has shape (border,): m and rad, then the multipliers' N and N·m.
+        The border's correction has shape (border,): m and rad, then the multipliers' N and N/m.
         """
         interface = state.interface.copy()
         interface[self.active] += border[:-6]

@@ -21,8 +21,8 @@ class State:
     interface
         Shape (6,), m and rad: translation and rotation vector of the interface.
     multipliers
-        Shape (6,), N and N·m: what the section exerts in a distributed coupling; zero in a rigid
-        one.
+        Shape (6,), N and N/m: a distributed coupling's; node i feels w_i (l + m x b_i). Zero in a
+        rigid one.
     """
 
     nodes: Array
