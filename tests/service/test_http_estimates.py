@@ -49,8 +49,8 @@ def test_a_batch_has_no_estimate_either_where_none_could_be_true(bar):
 @pytest.mark.parametrize("on_thin", ["estimate", "queue"])
 def test_the_reason_names_every_load_beyond_the_range(bar, on_thin):
     reason = estimate(bar, [2000, 1, 300], on_thin=on_thin)["reason"]
-    assert "fx is 2000 N" in reason
-    assert "fz is 300 N" in reason
+    assert "fx = 2000 N" in reason
+    assert "fz = 300 N" in reason
     assert "fy" not in reason
     assert reason.count("fx") == 1
 
