@@ -65,6 +65,8 @@ class Solution:
         deck.
     notes
         What an engineer should know about how the answer was found.
+    tangents
+        Shape (n, 3, 6), m/N and m/(N·m): change of `nodes` with the wrench; None for a deck.
     state
         Where the equations were left, to start a nearby solve from; None for a linear solve and a
         deck.
@@ -80,6 +82,7 @@ class Solution:
     history: tuple[Iteration, ...]
     nodes: Array
     notes: tuple[str, ...] = ()
+    tangents: Array | None = None
     state: State | None = None
 
 

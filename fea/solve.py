@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from fea.assembly.balance import Balance
+from fea.assembly.blocks import filled_cells
 from fea.assembly.body import Body
 from fea.assembly.condition import ROUNDOFF
+from fea.assembly.mass import consistent_mass
 from fea.assembly.system import System
 from fea.component import Component, build
 from fea.coupling import Coupling, Distributed, Rigid, State
@@ -21,9 +23,13 @@ from fea.element.pressure_projection import pressure_notes
 from fea.export.failure_record import keep
 from fea.failure import SolveFailed, rotation_too_large
 from fea.inspection.warnings import warnings_of
+from fea.recovery.fields import SolveFields, fields_of
+from fea.recovery.stress import places_of, small_stress, stress_of
 from fea.solution import Progress, Solution, checked_wrench
+from fea.solver.buckling import buckling_factors
 from fea.solver.linear import LinearResponse, linear_response
 from fea.solver.load_steps import LoadPath
+from fea.solver.vibration import Riding, Vibration, first_vibration
 from fea.solver.warm_start import WarmFolder
 from fea.spec.schema import FREEDOMS, Bundle
 
@@ -38,18 +44,19 @@ MOST_DEGREES = 20.0
 
 
 def solve(
-    bundle: Bundle | Component,
+    bundle: Bundle | Component | Solver,
     wrench: Sequence[float] | Array,
     progress: Progress | None = None,
     folder: Path | None = None,
     warm: Path | None = None,
+    on_fields: Callable[[SolveFields], None] | None = None,
 ) -> Solution:
     """Build a component's solver and solve once; see `Solver`, or `solve_deck` if it has a deck.
 
     Parameters
     ----------
     bundle
-        A bundle, or the component built from it.
+        A bundle, the component built from it, or the solver made ready for that.
     wrench
         Shape (6,), N and N·m: at the interface point, in the undeformed interface frame.
     progress
@@ -59,6 +66,8 @@ def solve(
         (`fea.export.failure_record`); None keeps nothing.
     warm
         Where the states of solves are kept, to start nearby ones from (`fea.solver.warm_start`).
+    on_fields
+        Called with the solve's surface and stresses; a deck has none.
 
     Raises
     ------
@@ -67,22 +76,27 @@ def solve(
     """
     if isinstance(bundle, Bundle) and bundle.deck is not None:
         return solve_deck(bundle, wrench, progress, folder, _require_small_rotation)
-    component = bundle if isinstance(bundle, Component) else build(bundle)
+    ready = build(bundle) if isinstance(bundle, Bundle) else bundle
+    component = ready.component if isinstance(ready, Solver) else ready
     try:
-        return _solve_near(component, wrench, progress, warm)
+        solver = ready if isinstance(ready, Solver) else Solver(component)
+        solution = _solve_near(solver, wrench, progress, warm)
     except SolveFailed as failure:
         if folder is not None:
             keep(folder, failure, component)
         raise
+    if on_fields is not None:
+        on_fields(solver.fields(solution))
+    return solution
 
 
 def _solve_near(
-    component: Component,
+    solver: Solver,
     wrench: Sequence[float] | Array,
     progress: Progress | None,
     warm: Path | None,
 ) -> Solution:
-    solver = Solver(component)
+    component = solver.component
     if warm is None or component.bundle is None:
         return solver.solve(wrench, progress)
     loads = component.bundle.range
@@ -122,6 +136,22 @@ class Solver:
         """Degrees of freedom solved for."""
         return self._system.unknowns
 
+    @property
+    def body(self) -> Body:
+        """The cells and their materials, in the interface frame."""
+        return self._system.body
+
+    @property
+    def volumes(self) -> list[tuple[Array, Array]]:
+        """For each sort of cells their materials' numbers and volumes, (cells,) each, m^3."""
+        materials, first, found = places_of(self.component, self.body.points)[1], 0, []
+        for part in self.body.parts:
+            weights = part.gradients.weights
+            numbers = materials[first : first + weights.size : weights.shape[1]]
+            found.append((numbers, weights.sum(axis=1)))
+            first += weights.size
+        return found
+
     @cached_property
     def linear(self) -> LinearResponse:
         """The response to small loads, from one factorisation.
@@ -150,6 +180,53 @@ class Solver:
                 f"equations would be right to {lost:.0e}; it was corrected from its stresses.",
             )
         return told
+
+    def vibration(self, riding: Riding) -> Vibration:
+        """Return the first natural frequency with a rigid mass on the interface, unloaded.
+
+        Materials without a density weigh nothing.
+
+        Raises
+        ------
+        ValueError, SolveFailed
+            As `fea.solver.vibration.first_vibration` does.
+        """
+        densities = np.array([one.density or 0.0 for one in self.component.materials])
+        density = [densities[numbers] for numbers in self.component.material_of_cells]
+        mass = consistent_mass(self.component.mesh, density)
+        mass.eliminate_zeros()
+        return first_vibration(self._system, mass, riding)
+
+    def unit_stresses(self) -> Array:
+        """Return the small-strain stresses of the six unit loads, shape (p, 6, 6), Pa/N, Pa/(N·m).
+
+        Raises
+        ------
+        SolveFailed
+            As `linear` does.
+        """
+        return small_stress(self._system.body, self.linear.fields)
+
+    def stresses(self, solution: Solution) -> Array:
+        """Return a solution's stresses at the integration points, shape (p, 6), Pa."""
+        return stress_of(self.component, self._system.body, solution)
+
+    def buckling(self, wrench: Sequence[float] | Array) -> tuple[float, float]:
+        """Return how many times a wrench, and its opposite, the part carries before it buckles.
+
+        The wrench has shape (6,), N and N·m. As linear buckling has it (`fea.solver.buckling`);
+        infinite where it does not.
+
+        Raises
+        ------
+        ValueError, SolveFailed
+            If the wrench is not six finite numbers, or as `linear` does.
+        """
+        return buckling_factors(self._system, self.linear.fields @ checked_wrench(wrench))
+
+    def fields(self, solution: Solution) -> SolveFields:
+        """Return the surface and the stresses of a solution of this component."""
+        return fields_of(self.component, self._system.body, solution)
 
     def solve(
         self,
@@ -205,6 +282,7 @@ class Solver:
             history=(),
             nodes=linear.fields @ acting @ self.component.axes,
             notes=self.notes,
+            tangents=self._in_mesh_axes(linear.fields),
         )
 
     def _solve_nonlinear(
@@ -230,8 +308,12 @@ class Solver:
             history=tuple(path.history),
             nodes=balance.state.nodes @ self.component.axes,
             notes=self.notes,
+            tangents=self._in_mesh_axes(found.tangent.nodal_response),
             state=balance.state,
         )
+
+    def _in_mesh_axes(self, fields: Array) -> Array:
+        return np.einsum("ji,njk->nik", self.component.axes, fields)
 
 
 def _system(component: Component, active: Array) -> System:
@@ -247,17 +329,10 @@ def _system(component: Component, active: Array) -> System:
     free = np.ones(len(mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
     free[coupling.tied] = False
-    young = np.array([material.youngs_modulus for material in component.materials])
-    poisson = np.array([material.poisson_ratio for material in component.materials])
-    numbers = component.material_of_cells
-    body = Body(
-        mesh,
-        [young[n] for n in numbers],
-        [poisson[n] for n in numbers],
-        free,
-        component.analysis.integration,
-    )
-    return System(body, coupling, component.mesh.points)
+    materials, numbers = component.materials, component.material_of_cells
+    integration = component.analysis.integration
+    filled = filled_cells(mesh, materials, numbers, integration, component.axes)
+    return System(Body(mesh, filled, free), coupling, component.mesh.points)
 
 
 def _require_small_rotation(displacement: Array, share: float = 1.0) -> None:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from fea.assembly.blocks import filled_cells
+from fea.element.cell_stiffness import CellStiffness
 from fea.linalg.multifrontal import Factor
 from fea.linalg.nested_dissection import Dissection, dissect, unknowns_of
-from fea.mesh.mesh import Mesh
+from fea.mesh.mesh import CellBlock, Mesh
 
 Array = np.ndarray
+
+
+_AT_A_TIME = 256
+"""Cells whose matrices are there at once."""
 
 
 class Body:
@@ -22,30 +28,20 @@ class Body:
     ----------
     mesh
         Every point belongs to a cell.
-    young, poisson
-        For each block of the mesh, shape (cells,): Young's modulus (Pa) and Poisson's ratio.
+    filled
+        Its cells with their material, see `fea.assembly.blocks.filled_cells`.
     free
         Shape (n,), bool: the nodes whose displacement is unknown.
-    integration
-        ``"reduced"`` or ``"full"``, for hex20.
-
-    Raises
-    ------
-    SolveFailed
-        ``inverted_elements`` or ``locking_material``.
     """
 
     def __init__(
         self,
         mesh: Mesh,
-        young: Sequence[Array],
-        poisson: Sequence[Array],
+        filled: Sequence[tuple[CellBlock, CellStiffness]],
         free: Array,
-        integration: str = "reduced",
     ) -> None:
         self.points = mesh.points
         self.free = free
-        filled = filled_cells(mesh, young, poisson, integration)
         self.cells = [block.nodes for block, _ in filled]
         self.parts = [stiffness for _, stiffness in filled]
 
@@ -74,6 +70,21 @@ class Body:
             _Scatter(self.dissection, block, int(first))
             for block, first in zip(self.cells, bounds[:-1], strict=True)
         ]
+
+    def leaves_from(self, number: int) -> list[int]:
+        """Return the numbers of some leaves from one on, enough to be worth making at once."""
+        counts = self._leaf_cells
+        first = int(np.searchsorted(counts[0], number))
+        last = int(np.searchsorted(counts[1], counts[1][first] + _AT_A_TIME))
+        return counts[0][first : max(last, first + 1)].tolist()
+
+    @cached_property
+    def _leaf_cells(self) -> tuple[Array, Array]:
+        """The numbers of the leaves, and how many cells the leaves before each hold."""
+        parts = self.dissection.substructures
+        numbers = np.array([i for i, part in enumerate(parts) if not part.children], dtype=int)
+        held = np.cumsum([0, *(parts[i].cells.size for i in numbers)])
+        return numbers, held[:-1]
 
     def forces(
         self, displacement: Array, step: tuple[Array, Array] | None = None
@@ -110,7 +121,6 @@ class Body:
         self,
         displacement: Array | None,
         step: tuple[Array, Array] | None = None,
-        reuse: Tangent | None = None,
     ) -> Tangent:
         """Return the tangent stiffness.
 
@@ -125,14 +135,8 @@ class Body:
             Leonetti and Garcea ("mixed integration points", 2017). Slender parts need several
             times fewer iterations with it, as a large step's false membrane strain no longer
             stiffens the next one. The two tangents agree as the steps vanish.
-        reuse
-            Gives up its memory to the new one.
         """
-        matrices = reuse.matrices if reuse is not None else self._blank()
-        for part, nodes, out in zip(self.parts, self.cells, matrices, strict=True):
-            moved = None if displacement is None else gather(displacement, nodes)
-            part.tangent(moved, _gather_pair(step, nodes), out)
-        return Tangent(self, matrices)
+        return Tangent(self, displacement, step)
 
     def small_strain_forces(self, fields: Array) -> Array:
         """Return the nodal forces of small displacement fields by way of their stresses.
@@ -175,9 +179,6 @@ class Body:
             total += part.strain_energy_products(np.moveaxis(gather(fields, nodes), -1, 0))
         return total
 
-    def _blank(self) -> list[Array]:
-        return [np.empty((len(part), part.size, part.size)) for part in self.parts]
-
     def _sum(self, forces: Array, nodes: Array) -> Array:
         unknowns = np.moveaxis(unknowns_of(nodes), 2, 1)
         total = np.bincount(unknowns.ravel(), forces.ravel(), minlength=3 * self.size)
@@ -185,36 +186,66 @@ class Body:
 
 
 class Tangent:
-    """The cells' tangent matrices at one state, and their factor once it is asked for.
+    """The tangent at one state, and its factor once it is asked for.
 
-    Attributes
-    ----------
-    matrices
-        For each block, shape (cells, size, size), N/m.
+    The cells' matrices are made when they are due and are gone after that: all at once they take
+    nearly as much memory as the factor.
     """
 
-    def __init__(self, body: Body, matrices: list[Array]) -> None:
+    def __init__(
+        self, body: Body, displacement: Array | None, step: tuple[Array, Array] | None
+    ) -> None:
         self._body = body
-        self.matrices = matrices
+        self._displacement, self._step = displacement, step
+        self._ready: dict[int, Array] = {}
+
+    @property
+    def matrices(self) -> list[Array]:
+        """All cells' matrices, for each block shape (cells, size, size), N/m."""
+        return [self._cells(i, np.arange(len(part))) for i, part in enumerate(self._body.parts)]
 
     @cached_property
     def factor(self) -> Factor:
         """The factor over the free nodes."""
-        leaves: dict[int, Array] = {}
-        diagonal = np.zeros(self._body.dissection.unknowns + 1)
-        for scatter, matrices in zip(self._body.scatter, self.matrices, strict=True):
-            scatter.add(matrices, leaves, diagonal)
-        return Factor(self._body.dissection, leaves, diagonal[:-1])
+        return Factor(self._body.dissection, self._leaf)
 
     @property
     def scaled_norm(self) -> float:
         """Bound of the 1-norm of the matrix scaled to a unit diagonal."""
         scale = np.append(1.0 / np.sqrt(self.factor.diagonal), 0.0)
         sums = np.zeros_like(scale)
-        for scatter, matrices in zip(self._body.scatter, self.matrices, strict=True):
-            own = (np.abs(matrices) @ scale[scatter.diagonal][..., None])[..., 0]
-            sums += np.bincount(scatter.diagonal.ravel(), own.ravel(), minlength=sums.size)
+        for number, scatter in enumerate(self._body.scatter):
+            for cells in _batches(np.arange(len(scatter.diagonal))):
+                places = scatter.diagonal[cells]
+                own = (np.abs(self._cells(number, cells)) @ scale[places][..., None])[..., 0]
+                sums += np.bincount(places.ravel(), own.ravel(), minlength=sums.size)
         return float((scale * sums).max(initial=1.0))
+
+    def _cells(self, number: int, cells: Array) -> Array:
+        """Return the matrices of some cells of a block, shape (k, size, size), N/m."""
+        nodes = self._body.cells[number][cells]
+        moved = None if self._displacement is None else gather(self._displacement, nodes)
+        return self._body.parts[number].tangent(moved, _gather_pair(self._step, nodes), cells)
+
+    def _leaf(self, number: int) -> Array:
+        """Return the matrix of one leaf; a few leaves are made at once."""
+        if number not in self._ready:
+            self._ready.clear()  # what a factorisation that was given up has left
+            self._make_ready(self._body.leaves_from(number))
+        return self._ready.pop(number)
+
+    def _make_ready(self, leaves: list[int]) -> None:
+        for number, scatter in enumerate(self._body.scatter):
+            own = [leaf for leaf in leaves if leaf in scatter.leaves]
+            if not own:
+                continue
+            counts = np.cumsum([0, *(len(scatter.leaves[leaf].cells) for leaf in own)])
+            matrices = self._cells(
+                number, np.concatenate([scatter.leaves[leaf].cells for leaf in own])
+            )
+            for leaf, (first, last) in zip(own, pairwise(counts), strict=True):
+                part = scatter.leaves[leaf].sum(matrices[first:last])
+                self._ready[leaf] = self._ready[leaf] + part if leaf in self._ready else part
 
     def times(self, fields: Array, nodes: Array) -> Array:
         """Multiply by displacement fields that are zero at all but the given nodes.
@@ -234,15 +265,12 @@ class Tangent:
         total = np.zeros_like(fields)
         moved = np.zeros(len(fields), dtype=bool)
         moved[nodes] = True
-        for matrices, cells in zip(self.matrices, self._body.cells, strict=True):
-            touched = np.flatnonzero(moved[cells].any(axis=1))
-            if not touched.size:
-                continue
-            own = gather(fields, cells[touched])
-            forces = matrices[touched] @ own.reshape(
-                touched.size, matrices.shape[1], fields.shape[2]
-            )
-            np.add.at(total, cells[touched], np.moveaxis(forces.reshape(own.shape), 1, 2))
+        for number, cells in enumerate(self._body.cells):
+            for touched in _batches(np.flatnonzero(moved[cells].any(axis=1))):
+                own = gather(fields, cells[touched])
+                matrices = self._cells(number, touched)
+                forces = matrices @ own.reshape(*matrices.shape[:2], fields.shape[2])
+                np.add.at(total, cells[touched], np.moveaxis(forces.reshape(own.shape), 1, 2))
         return total
 
     def solve(self, loads: Array) -> Array:
@@ -265,7 +293,7 @@ class _Scatter:
         held = np.broadcast_to(dissection.positions[nodes][:, None, :] < 0, positions.shape)
         positions = np.where(held, -1, positions).reshape(len(nodes), -1)
         self.diagonal = np.where(positions < 0, dissection.unknowns, positions)
-        self.leaves: list[tuple[int, int, Array, Array]] = []
+        self.leaves: dict[int, _Leaf] = {}
         for number, part in enumerate(dissection.substructures):
             cells = part.cells[(part.cells >= first) & (part.cells < first + len(nodes))] - first
             if part.children or not cells.size:
@@ -273,17 +301,27 @@ class _Scatter:
             size = part.eliminated + part.boundary.size
             own = positions[cells]
             local = np.where(own < 0, size, part.find(np.maximum(own, 0)))
-            self.leaves.append((number, size + 1, cells, local))
+            self.leaves[number] = _Leaf(cells, local, size)
 
-    def add(self, matrices: Array, leaves: dict[int, Array], diagonal: Array) -> None:
-        """Add the cells to the leaves' matrices; the last row and column collect held unknowns."""
-        entries = np.diagonal(matrices, axis1=1, axis2=2)
-        diagonal += np.bincount(self.diagonal.ravel(), entries.ravel(), minlength=diagonal.size)
-        for number, size, cells, local in self.leaves:
-            flat = local[:, :, None] * size + local[:, None, :]
-            matrix = np.bincount(flat.ravel(), matrices[cells].ravel(), minlength=size * size)
-            matrix = matrix.reshape(size, size)[:-1, :-1]
-            leaves[number] = leaves[number] + matrix if number in leaves else matrix
+
+class _Leaf(NamedTuple):
+    """Cells of one block in a leaf, and where their unknowns are in its matrix."""
+
+    cells: Array
+    local: Array
+    size: int
+
+    def sum(self, matrices: Array) -> Array:
+        """Add up the cells' matrices; a last row and column collect held unknowns and go."""
+        width = self.size + 1
+        flat = self.local[:, :, None] * width + self.local[:, None, :]
+        matrix = np.bincount(flat.ravel(), matrices.ravel(), minlength=width * width)
+        return matrix.reshape(width, width)[:-1, :-1]
+
+
+def _batches(cells: Array) -> Iterator[Array]:
+    for first in range(0, len(cells), _AT_A_TIME):
+        yield cells[first : first + _AT_A_TIME]
 
 
 def gather(fields: Array, nodes: Array) -> Array:

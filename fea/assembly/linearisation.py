@@ -137,6 +137,11 @@ class Linearisation:
         return self._solve_border(self.wrench_columns)
 
     @property
+    def nodal_response(self) -> Array:
+        """Change of all nodes per change of the wrench, shape (n, 3, 6), m/N and m/(N·m)."""
+        return (self.border.ties - self._solved) @ self.border_response
+
+    @property
     def wrench_columns(self) -> Array:
         """Change of the border's load per change of the wrench, shape (border, 6), dimensionless.
 

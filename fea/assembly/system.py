@@ -57,7 +57,6 @@ class System:
         self,
         balance: Balance,
         step: tuple[Array, Array] | None = None,
-        reuse: Linearisation | None = None,
     ) -> Linearisation:
         """Return the tangent at a state.
 
@@ -67,14 +66,10 @@ class System:
             The state and its forces.
         step
             The last step of Newton's method, two fields of shape (n, 3), m: see `Body.tangent`.
-        reuse
-            Gives up its memory to the new one.
         """
         if step is not None:
             balance = replace(balance, forces=self.body.forces(balance.state.nodes, step)[0])
-        tangent = self.body.tangent(
-            balance.state.nodes, step, None if reuse is None else reuse.tangent
-        )
+        tangent = self.body.tangent(balance.state.nodes, step)
         return Linearisation(self.body, self.coupling, balance, tangent)
 
     @cached_property

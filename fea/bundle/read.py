@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from fea.bundle.deck_table import read_deck
+from fea.bundle.material_table import read_material
 from fea.bundle.mesh_table import read_mesh
 from fea.bundle.tables import (
     read_analysis,
     read_interface,
-    read_material,
     read_name,
     read_range,
     read_supports,
@@ -59,6 +59,9 @@ __all__ = [
 FILE_NAME = "component.toml"
 
 _LINE = re.compile(r"\(at line (\d+), column (\d+)\)")
+_MOST_BYTES = 256 * 1024  # hundreds of faces chosen by number, of a geometry file
+# Begins where a word does, so that a long word is looked at once.
+_LONG_KEY = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){32}""")
 _SOLVER_TABLES = ("material", "supports", "interface", "analysis")
 
 
@@ -73,13 +76,11 @@ def read_bundle(folder: str | Path) -> Bundle:
     """
     folder = Path(folder)
     path = folder / FILE_NAME
+    content = _short(path)
     try:
-        table = tomllib.loads(path.read_bytes().decode("utf-8"))
-    except OSError as error:
-        message = f"cannot be read ({error.strerror}); a bundle is a folder with this file"
-        raise BundleError([Problem(FILE_NAME, message)]) from None
+        table = tomllib.loads(content.decode("utf-8"))
     except UnicodeDecodeError as error:
-        line = path.read_bytes()[: error.start].count(b"\n") + 1
+        line = content[: error.start].count(b"\n") + 1
         message = "is not UTF-8 text; save the file as UTF-8"
         raise BundleError([Problem(f"line {line}", message)]) from None
     except (ValueError, RecursionError) as error:
@@ -115,6 +116,32 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
     if top.problems:
         raise BundleError(top.problems)
     return Bundle(folder=folder, fingerprint=fingerprint(parts), **parts)
+
+
+def _short(path: Path) -> bytes:
+    """Return the file, if no parser needs more for it than its length.
+
+    Raises
+    ------
+    BundleError
+        If it cannot be read, is longer than a component can say, or has a key of many parts: the
+        parser keeps the path to each part of a key, 23 GB for one of 100,000.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(_MOST_BYTES + 1)
+    except OSError as error:
+        message = f"cannot be read ({error.strerror}); a bundle is a folder with this file"
+        raise BundleError([Problem(FILE_NAME, message)]) from None
+    if len(content) > _MOST_BYTES:
+        message = f"is longer than {_MOST_BYTES} bytes; a component.toml names its files by name"
+        raise BundleError([Problem(FILE_NAME, message)])
+    found = _LONG_KEY.search(content)
+    if found:
+        line = content[: found.start()].count(b"\n") + 1
+        message = "has a name of more than 32 parts with dots between them; no key has so many"
+        raise BundleError([Problem(f"line {line}", message)])
+    return content
 
 
 def _syntax_problem(error: Exception) -> Problem:

@@ -6,11 +6,11 @@ when there are any; `fea.bundle.read` raises them all together.
 
 from __future__ import annotations
 
-import math
 import re
 
 import numpy as np
 
+from fea.bundle.axes import read_axes
 from fea.spec.schema import (
     COUPLINGS,
     FREEDOMS,
@@ -18,11 +18,14 @@ from fea.spec.schema import (
     Analysis,
     Interface,
     LoadRange,
-    Material,
     Supports,
     Tolerance,
 )
 from fea.spec.toml_table import Keys
+
+# Tables square loads and divide by them; the square root of the largest double, 1e154, is too near
+# since sums of such squares must be numbers too.
+LARGEST_LOAD = 1e100
 
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
@@ -45,17 +48,6 @@ def read_name(top: Keys) -> str | None:
     return name
 
 
-def read_material(keys: Keys) -> Material | None:
-    """Return one ``[[material]]``."""
-    region = keys.text("region")
-    modulus = keys.number("youngs_modulus", "Pa", above=0.0)
-    ratio = keys.number("poisson_ratio", "no unit", above=-1.0, below=0.5)
-    keys.close()
-    if region is None or modulus is None or ratio is None:
-        return None
-    return Material(region, modulus, ratio)
-
-
 def read_supports(keys: Keys | None) -> Supports | None:
     """Return ``[supports]``."""
     if keys is None:
@@ -71,7 +63,7 @@ def read_interface(keys: Keys | None) -> Interface | None:
         return None
     section = keys.text("section")
     point = keys.numbers("point", 3, "m", required=False)
-    axes = _axes(keys)
+    axes = read_axes(keys)
     coupling = keys.choice("coupling", COUPLINGS)
     locked = _locked(keys)
     keys.close()
@@ -79,48 +71,6 @@ def read_interface(keys: Keys | None) -> Interface | None:
         return None
     at = None if point is None else np.array(point)
     return Interface(section, at, axes, coupling, locked)
-
-
-def _axes(keys: Keys) -> np.ndarray | None:
-    """Return the frame, exactly orthonormal; the mesh's own axes where none is given."""
-    rows = keys.raw("axes", list, required=False)
-    if rows is None:
-        return np.eye(3)
-    if len(rows) != 3:
-        keys.wrong("axes", "must be three directions, the frame's x, y and z")
-        return None
-    read = [keys.as_numbers(f"axes[{i}]", row, 3, "no unit") for i, row in enumerate(rows)]
-    if None in read:
-        return None
-    axes = np.array(read)
-    # A direction that is far from a unit's length would overflow in the product.
-    if np.abs(axes).max() > 2.0 or np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6:
-        keys.wrong("axes", "must be three unit directions square to each other (to 1e-6)")
-    elif np.linalg.det(axes) < 0.0:
-        keys.wrong("axes", "must be right-handed; turn one direction round")
-    else:
-        return _orthonormal(axes.tolist())
-    return None
-
-
-def _orthonormal(axes: list[list[float]]) -> np.ndarray:
-    """Return directions written to a few digits as an exact frame with the same x.
-
-    In plain floats: the digits go into the fingerprint, so they must not depend on a machine's
-    linear algebra library.
-    """
-    x = _unit(axes[0])
-    z = _unit(_cross(x, axes[1]))
-    return np.array([x, _unit(_cross(z, x)), z])
-
-
-def _unit(v: list[float]) -> list[float]:
-    length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    return [each / length for each in v]
-
-
-def _cross(a: list[float], b: list[float]) -> list[float]:
-    return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
 
 
 def _locked(keys: Keys) -> tuple[str, ...]:
@@ -170,14 +120,29 @@ def _bounds(keys: Keys, key: str, unit: str) -> list[tuple[float, float]]:
 def _bound(keys: Keys, key: str, load: object, unit: str) -> tuple[float, float] | None:
     if type(load) is not list:
         most = keys.as_number(key, load, unit, above=0.0)
-        return None if most is None else (-most, most)
+        return None if most is None else _countable(keys, key, -most, most, unit)
     pair = keys.as_numbers(key, load, 2, unit)
     if pair is None:
         return None
     if pair[0] >= pair[1]:
         keys.wrong(key, f"must rise from low to high, not [{pair[0]:g}, {pair[1]:g}]")
         return None
-    return pair[0], pair[1]
+    return _countable(keys, key, pair[0], pair[1], unit)
+
+
+def _countable(
+    keys: Keys, key: str, low: float, high: float, unit: str
+) -> tuple[float, float] | None:
+    """Return a load's range unless its squares, or what is divided by them, have no number."""
+    size = max(-low, high)
+    if size <= LARGEST_LOAD and high - low >= 1 / LARGEST_LOAD:
+        return low, high
+    keys.wrong(
+        key,
+        f"must be at least {1 / LARGEST_LOAD:g} {unit} wide and within plus and minus "
+        f"{LARGEST_LOAD:g} {unit}, not [{low:g}, {high:g}]",
+    )
+    return None
 
 
 def read_tolerance(keys: Keys | None) -> Tolerance | None:

@@ -2,15 +2,20 @@
 
 The factorisation's operations and the numbers it holds follow exactly from the tree of nested
 substructures (`fea.linalg.nested_dissection`): a front that eliminates m of m + b unknowns takes
-m^3/3 + m^2 b + m b^2 multiply-adds and holds m (m + b) numbers. Time and memory are fitted to
-those on the shipped components and on cubes of up to 35,000 unknowns, one core of a server:
+m^3/3 + m^2 b + m b^2 multiply-adds and holds m^2/2 + m b numbers. Time and memory of the solver's
+process are fitted to those, to the cells that are ordered and to the entries of their matrices, on
+the shipped components, finer plates and STEP parts (tet10) of 3,400 to 111,000 unknowns, one core
+of a server:
 
-    one factorisation [s] = 0.1 + 1.5e-7 x (entries of the cell matrices) + operations / 5e9
-    linear solve          = 1.2 factorisations
-    nonlinear solve       = 5 factorisations (3 to 20 by load and part)
-    memory [bytes]        = 150e6 + 30 x (numbers in the factor + entries of the cell matrices)
+    work [s]           = 7.2e-8 x entries + 1e-5 x cells x log2(cells) + operations / 19e9
+    linear solve       = 0.04 + work
+    nonlinear solve    = 0.04 + 2.5 work (3 to 6 iterations; up to 20 by load and part),
+                         5.0 work where cells project their volumetric strain
+    memory, linear     = 100e6 + 9 x numbers + 8 x entries
+    memory, nonlinear  = 100e6 + 15 x numbers + 13 x entries
+    and 35e6 of the mesher's library where the mesh is a geometry's
 
-It is an estimate: expect it to be within a factor of two on a like machine.
+`make bench-check` prints what is told beside what a solve then took: within 1.5 on a like machine.
 """
 
 from __future__ import annotations
@@ -20,12 +25,15 @@ from typing import Any
 import numpy as np
 
 from fea.component import Component
+from fea.element.pressure_projection import NEARLY_INCOMPRESSIBLE
 from fea.linalg.nested_dissection import dissect
 
 _MOST_CELLS = 100_000
 """Beyond this many cells the operations are guessed from the unknowns, as of a cube."""
 
-NONLINEAR_FACTORS = 5.0
+_NONLINEAR = 2.5  # times the work of a linear solve
+_PROJECTED = 2.0  # times that where pressure is an unknown of its own: more, and larger, matrices
+_MESHER = 35e6  # bytes of gmsh, which stays loaded
 
 
 def estimate(component: Component) -> dict[str, Any]:
@@ -45,15 +53,32 @@ def estimate(component: Component) -> dict[str, Any]:
     if sum(len(block) for block in mesh.blocks) <= _MOST_CELLS:
         operations, numbers = _counted(component, free)
     else:
-        operations, numbers = 37e9 * (unknowns / 34611) ** 2, 32e6 * (unknowns / 34611) ** (4 / 3)
-    factor = 0.1 + 1.5e-7 * entries + operations / 5e9
+        operations, numbers = 37e9 * (unknowns / 34611) ** 2, 28e6 * (unknowns / 34611) ** (4 / 3)
+    count = sum(len(block) for block in mesh.blocks)
+    work = 7.2e-8 * entries + 1e-5 * count * np.log2(count + 1) + operations / 19e9
+    times = _NONLINEAR * (_PROJECTED if _projects(component) else 1.0)
+    per_number, per_entry = (15, 13) if component.analysis.nonlinear else (9, 8)
+    memory = 100e6 + per_number * numbers + per_entry * entries + _mesher_bytes(component)
     return {
         "unknowns": unknowns,
-        "linear_seconds": float(f"{1.2 * factor:.2g}"),
-        "nonlinear_seconds": float(f"{NONLINEAR_FACTORS * factor:.2g}"),
-        "memory_bytes": int(float(f"{150e6 + 30 * (numbers + entries):.2g}")),
-        "basis": "an estimate from the order of elimination, good to a factor of two or so",
+        "linear_seconds": float(f"{0.04 + work:.2g}"),
+        "nonlinear_seconds": float(f"{0.04 + times * work:.2g}"),
+        "memory_bytes": int(float(f"{memory:.3g}")),
+        "basis": "an estimate from the order of elimination, within 1.5 on a like machine",
     }
+
+
+def _mesher_bytes(component: Component) -> float:
+    bundle = component.bundle
+    from_geometry = bundle is not None and bundle.mesh is not None and bundle.mesh.geometry
+    return _MESHER if from_geometry else 0.0
+
+
+def _projects(component: Component) -> bool:
+    """Return whether some cells take the pressure for an unknown of its own."""
+    kinds = {"hex20", "hex27"} & set(component.mesh.cell_counts)
+    ratios = [one.poisson_ratio for one in component.materials if one.law != "orthotropic"]
+    return bool(kinds) and any(np.max(ratio) > NEARLY_INCOMPRESSIBLE for ratio in ratios)
 
 
 def _counted(component: Component, free: np.ndarray) -> tuple[float, float]:
@@ -64,5 +89,5 @@ def _counted(component: Component, free: np.ndarray) -> tuple[float, float]:
     for part in dissect(cells, centres, free).substructures:
         m, b = float(part.eliminated), float(part.boundary.size)
         operations += m**3 / 3 + m * m * b + m * b * b
-        numbers += m * (m + b)
+        numbers += m * m / 2 + m * b
     return operations, numbers

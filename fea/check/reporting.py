@@ -10,10 +10,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from fea.accuracy.advice import over_tolerance
+from fea.accuracy.estimate import accuracy_or_why
 from fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
 from fea.check import findings
 from fea.check.cost import estimate
+from fea.check.frequency import frequency
+from fea.check.strength import strength
 from fea.check.text import as_text
+from fea.check.trial import deflection_warnings, solver_of, trial
 from fea.component import Component, build, mesh_of
 from fea.deck.checking import deck_report
 from fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
@@ -21,12 +26,30 @@ from fea.inspection.cells import quality, quality_warnings
 from fea.inspection.warnings import coincidence_warnings, set_up_warnings
 from fea.mesh.cad import list_shape
 from fea.mesh.mesh import Mesh
+from fea.solve import Solver
+from fea.solver.vibration import Riding
 from fea.spec.problems import Problem
 from fea.spec.schema import GEOMETRY_ENDINGS
 
+_MOST_SECONDS = 5.0
+"""Of a linear solve, to estimate the solver's error too: that takes up to three more."""
+_MOST_BYTES = 1e9  # of the same: a coarser mesh and nonlinear solves stand beside the first
 
-def report(folder: str | Path) -> dict[str, Any]:
+
+def report(
+    folder: str | Path, riding: Riding | None = None, nonlinear: bool = False
+) -> dict[str, Any]:
     """Read the bundle, build its mesh, resolve its groups and look for what would go wrong.
+
+    Parameters
+    ----------
+    folder
+        The bundle's.
+    riding
+        The rigid mass that the interface will carry, for the natural frequency.
+    nonlinear
+        Whether stresses under the full range are those of a nonlinear solve, where the component is
+        nonlinear; without it they are first order.
 
     Returns
     -------
@@ -36,20 +59,23 @@ def report(folder: str | Path) -> dict[str, Any]:
         ``has_fea``; ``faces`` and ``bodies`` of a geometry file; ``unknowns`` (three a node),
         ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection.cells`), ``parts``,
         ``coincident_nodes``; ``materials``, ``section``, ``supports`` and ``estimate`` (see
-        `fea.check.cost`). Lengths in m. Instead of all from ``faces`` on, ``deck`` (see
-        `fea.deck.checking`).
+        `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density or a mass is told
+        ``vibration`` (see `fea.check.frequency`), and where a yield strength is told ``strength``
+        (see `fea.check.strength`), and where it takes no longer than a check may ``solver_error``
+        (see `fea.accuracy.estimate`). Lengths in m. Instead of all from ``faces`` on,
+        ``deck`` (see `fea.deck.checking`).
     """
     told: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
     folder = Path(folder)
     try:
-        _look(folder, told)
+        _look(folder, riding, nonlinear, told)
     except BundleError as error:
         told["problems"] += [_entry(problem) for problem in error.problems]
     told["ok"] = not told["problems"]
     return told
 
 
-def _look(folder: Path, told: dict[str, Any]) -> None:
+def _look(folder: Path, riding: Riding | None, nonlinear: bool, told: dict[str, Any]) -> None:
     """Fill in `told`, ending where something stops the way."""
     try:
         bundle = read_bundle(folder)
@@ -67,7 +93,7 @@ def _look(folder: Path, told: dict[str, Any]) -> None:
     elif bundle.mesh is not None:
         if bundle.mesh.geometry is not None:
             _list_geometry(bundle.mesh.file, told)
-        _look_at_mesh(bundle, mesh_of(bundle.mesh), told)
+        _look_at_mesh(bundle, mesh_of(bundle.mesh), riding, nonlinear, told)
 
 
 def _geometry_named_in(folder: Path) -> Path | None:
@@ -88,7 +114,9 @@ def _list_geometry(path: Path | None, told: dict[str, Any]) -> None:
         told["bodies"] = [asdict(body) for body in bodies]
 
 
-def _look_at_mesh(bundle: Bundle, mesh: Mesh, told: dict[str, Any]) -> None:
+def _look_at_mesh(
+    bundle: Bundle, mesh: Mesh, riding: Riding | None, nonlinear: bool, told: dict[str, Any]
+) -> None:
     told |= _counts(mesh)
     told["quality"] = quality(mesh)
     _warn(told, [Problem("mesh", words) for words in quality_warnings(told["quality"])])
@@ -97,7 +125,38 @@ def _look_at_mesh(bundle: Bundle, mesh: Mesh, told: dict[str, Any]) -> None:
     told["parts"] = findings.parts(mesh, bodies)
     told["coincident_nodes"] = len(pairs)
     _warn(told, coincidence_warnings(mesh, bodies, pairs))
-    _look_at_component(build(bundle, mesh), bodies, pairs, told)
+    component = build(bundle, mesh)
+    _look_at_component(component, bodies, pairs, told)
+    _try_out(component, riding, nonlinear, told)
+
+
+def _try_out(
+    component: Component, riding: Riding | None, nonlinear: bool, told: dict[str, Any]
+) -> None:
+    """Find what every solve would refuse, then how the part moves and swings."""
+    solver, problems = solver_of(component)
+    if solver is None:
+        raise BundleError(problems)
+    told["trial"], problems = trial(solver, told["estimate"])
+    if problems:
+        raise BundleError(problems)
+    _warn(told, deflection_warnings(component, told["trial"]["deflection"]))
+    told["vibration"], warnings = frequency(solver, riding)
+    _warn(told, warnings)
+    told["strength"], warnings = strength(solver, nonlinear)
+    _warn(told, warnings)
+    _tell_accuracy(solver, told)
+
+
+def _tell_accuracy(solver: Solver, told: dict[str, Any]) -> None:
+    """Find what the solver's answers may be wrong by, and whether that is over the tolerance."""
+    cost, bundle = told["estimate"], solver.component.bundle
+    if cost["linear_seconds"] > _MOST_SECONDS or cost["memory_bytes"] > _MOST_BYTES:
+        return
+    told["solver_error"] = accuracy_or_why(solver)
+    limit = None if bundle is None else bundle.tolerance
+    if limit is not None:
+        _warn(told, over_tolerance(told["solver_error"], limit.translation, limit.rotation))
 
 
 def _look_at_component(
@@ -135,8 +194,11 @@ def _what_is_set(component: Component) -> dict[str, Any]:
         "materials": [
             {
                 "region": material.region,
+                "law": material.law,
                 "youngs_modulus": material.youngs_modulus,
                 "poisson_ratio": material.poisson_ratio,
+                "density": material.density,
+                "yield_strength": material.yield_strength,
                 "cells": sum(int((block == i).sum()) for block in numbers),
             }
             for i, material in enumerate(component.materials)
@@ -166,14 +228,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print the report on a folder, as one line of JSON or as text; return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m fea.check", exit_on_error=False)
     parser.add_argument("--text", action="store_true", help="for people instead of programs")
+    parser.add_argument("--mass", type=float, help="kg on the interface")
+    parser.add_argument("--inertia", type=_numbers, help="kg·m^2: xx,yy,zz or six, .. xy,xz,yz")
+    parser.add_argument("--centre", type=_numbers, help="m: the mass's centre from the interface")
+    parser.add_argument("--nonlinear", action="store_true", help="stresses of a nonlinear solve")
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     try:
         options = parser.parse_args(arguments)
+        riding = _riding(options)
     except SystemExit as error:
         return int(error.code or 0)
-    except argparse.ArgumentError as error:
+    except (argparse.ArgumentError, ValueError) as error:
         print(f"{parser.format_usage()}{error}")
         return 2
-    told = report(options.folder)
+    told = report(options.folder, riding, options.nonlinear)
     print(as_text(told) if options.text else json.dumps(told))
     return 0 if told["ok"] else 1
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(word) for word in text.split(",")]
+
+
+def _riding(options: argparse.Namespace) -> Riding | None:
+    """Return the mass that the arguments tell; None if they tell none.
+
+    Raises
+    ------
+    ValueError
+        If no body has such a mass.
+    """
+    if options.mass is None and options.inertia is None and options.centre is None:
+        return None
+    if options.mass is None:
+        raise ValueError("--inertia and --centre need --mass")
+    return Riding.of(options.mass, options.inertia, options.centre)

@@ -20,7 +20,8 @@ def as_text(report: Mapping[str, Any]) -> str:
     lines = [f"{report.get('name', 'bundle')}  {report.get('fingerprint', '')}".rstrip()]
     if report.get("has_fea") is False:
         lines.append("a table only: nothing to mesh or solve")
-    for write in (_deck, _geometry, _mesh, _groups, _quality, _set_up, _estimate):
+    solved = (_trial, _vibration, _strength, _estimate)
+    for write in (_deck, _geometry, _mesh, _groups, _quality, _set_up, *solved):
         lines += write(report)
     lines += _complaints("warning", report["warnings"])
     lines += _complaints("error", report["problems"])
@@ -105,8 +106,7 @@ def _set_up(report: Mapping[str, Any]) -> list[str]:
     area = "no area" if section["area"] is None else f"{1e6 * section['area']:.5g} mm^2"
     held = f", locked {', '.join(section['locked'])}" if section["locked"] else ""
     lines = [
-        f"material {m['region']}: E = {m['youngs_modulus']:.4g} Pa, nu = {m['poisson_ratio']:g}, "
-        f"{m['cells']} cells"
+        f"material {m['region']}: {_law(m)}{_optional(m)}{m['cells']} cells"
         for m in report["materials"]
     ]
     return [
@@ -115,6 +115,67 @@ def _set_up(report: Mapping[str, Any]) -> list[str]:
         f"interface: {section['nodes']} nodes, {area}, {section['coupling']}{held}, "
         f"point at {_place(section['point'])} m",
     ]
+
+
+def _law(material: Mapping[str, Any]) -> str:
+    young, ratio = material["youngs_modulus"], material["poisson_ratio"]
+    if material["law"] == "orthotropic":
+        return f"orthotropic, largest E = {young:.4g} Pa, "
+    name = "" if material["law"] == "isotropic" else f"{material['law']}, "
+    return f"{name}E = {young:.4g} Pa, nu = {ratio:g}, "
+
+
+def _optional(material: Mapping[str, Any]) -> str:
+    """Write what a bundle need not say of a material."""
+    density, strength = material.get("density"), material.get("yield_strength")
+    words = "" if density is None else f"{density:g} kg/m^3, "
+    return words + ("" if strength is None else f"yields at {strength:.4g} Pa, ")
+
+
+def _trial(report: Mapping[str, Any]) -> list[str]:
+    if "trial" not in report:
+        return []
+    one = report["trial"]
+    size = " x ".join(f"{1e3 * x:.4g}" for x in one["size"])
+    weight = "no density, so no mass" if one["mass"] is None else f"{one['mass']:.4g} kg"
+    lines = [f"size: {size} mm, {1e6 * one['volume']:.4g} cm^3, {weight}"]
+    if one.get("failed"):
+        return lines
+    if one["deflection"] is None:
+        return [*lines, "at full range: not tried, a solve takes too long for a check"]
+    moved = [f"{x:.3g}" for x in one["deflection"]]
+    return [
+        *lines,
+        f"at full range, linearly, it moves by ({', '.join(moved[:3])}) m and turns by "
+        f"({', '.join(moved[3:])}) rad at most",
+    ]
+
+
+def _vibration(report: Mapping[str, Any]) -> list[str]:
+    if not report.get("vibration"):
+        return []
+    one = report["vibration"]
+    carried = f"with {one['riding_mass']:g} kg on it" if one["riding_mass"] else "by itself"
+    weight = "not known" if one["mass"] is None else f"{one['mass']:.4g} kg"
+    return [
+        f"mass {weight}; first natural frequency {one['first_frequency']:.4g} Hz "
+        f"{carried} (interface moves along {_place(one['motion'][:3])}, turns about "
+        f"{_place(one['motion'][3:])})"
+    ]
+
+
+def _strength(report: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for one in report.get("strength", []):
+        share = one["yield_strength"] and one["largest"] / one["yield_strength"]
+        ends = "" if share is None else f", {100 * share:.3g} % of its yield strength"
+        order = " to first order (--nonlinear solves)" if one["first_order"] else ""
+        lines.append(
+            f"largest von Mises stress of {one['region']} under the full range{order}: "
+            f"{one['largest'] / 1e6:.4g} MPa{ends}, near {_place(one['at'])} m under force "
+            f"{_place(one['wrench'][:3])} N, moment {_place(one['wrench'][3:])} N·m"
+        )
+    return lines
 
 
 def _estimate(report: Mapping[str, Any]) -> list[str]:

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fea.element.st_venant_kirchhoff import Stiffness
+from fea.element.cell_stiffness import CellStiffness
 from fea.failure import locking_material
 from fea.mesh.mesh import CellBlock
 from fea.mesh.reference_cell import reference_element
@@ -91,9 +91,9 @@ def projects(block: CellBlock, poisson: Array) -> Array:
     return (poisson > NEARLY_INCOMPRESSIBLE) & (block.kind in PRESSURES)
 
 
-def pressure_notes(parts: Sequence[Stiffness]) -> tuple[str, ...]:
+def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:
     """Return, for an engineer, which cells project their volumetric strain."""
-    cells = sum(len(part) for part in parts if part.volume_modes is not None)
+    cells = sum(len(part) for part in parts if part.projected)
     if not cells:
         return ()
     return (

@@ -13,11 +13,16 @@ import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+import numpy as np
+
 from fea.bundle.read import BundleError, bundle_of, read_bundle
 from fea.component import Component, build
 from fea.mesh.mesh import CellBlock
+from fea.spec.orthotropic import Orthotropic
 from fea.spec.problems import Problem
-from fea.spec.schema import FREEDOMS, Bundle
+from fea.spec.schema import FREEDOMS, Bundle, Material
+
+Array = np.ndarray
 
 PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
 """Where the wrench goes, in the order of the wrench contract."""
@@ -92,8 +97,12 @@ def _body(component: Component) -> Iterator[str]:
     yield from _elements(component)
     for i, material in enumerate(component.materials):
         yield f"*MATERIAL, NAME=M{i}"
-        yield f"*ELASTIC\n{_numbers([material.youngs_modulus, material.poisson_ratio])}"
-        yield f"*SOLID SECTION, ELSET=E{i}, MATERIAL=M{i}"
+        yield from _elasticity(material, component.analysis.nonlinear)
+        place = ""
+        if material.orthotropic is not None:
+            yield from _orientation(i, material.orthotropic, component.axes)
+            place = f", ORIENTATION=O{i}"
+        yield f"*SOLID SECTION, ELSET=E{i}, MATERIAL=M{i}{place}"
     yield "*NSET, NSET=FIXED"
     yield from _rows(component.fixed_nodes + 1)
     yield "*NSET, NSET=SECTION"
@@ -102,6 +111,26 @@ def _body(component: Component) -> Iterator[str]:
     yield "*BOUNDARY\nFIXED, 1, 3"
     for name in component.locked:
         yield f"{_place(name)}, {_axis(name)}"
+
+
+def _elasticity(material: Material, nonlinear: bool) -> Iterator[str]:
+    own = material.orthotropic
+    if own is not None:
+        constants = [*own.youngs_moduli, *own.poisson_ratios, *own.shear_moduli]
+        yield "*ELASTIC, TYPE=ENGINEERING CONSTANTS"  # eight a line, the ninth on the next
+        yield f"{_numbers(constants[:8])}\n{_numbers(constants[8:])}"
+    elif material.law == "neo-hookean" and nonlinear:  # a hyperelastic deck is never linear
+        shear = material.youngs_modulus / (2 * (1 + material.poisson_ratio))
+        bulk = material.youngs_modulus / (3 * (1 - 2 * material.poisson_ratio))
+        yield f"*HYPERELASTIC, NEO HOOKE\n{_numbers([shear / 2, 2 / bulk])}"
+    else:
+        yield f"*ELASTIC\n{_numbers([material.youngs_modulus, material.poisson_ratio])}"
+
+
+def _orientation(number: int, own: Orthotropic, axes: Array) -> Iterator[str]:
+    """Yield a material's directions by a point on its x-axis and one on its y-axis."""
+    x, y, _ = np.array(own.axes) @ axes.T
+    yield f"*ORIENTATION, NAME=O{number}\n{_numbers([*x, *y])}"
 
 
 def _elements(component: Component) -> Iterator[str]:

@@ -19,10 +19,10 @@ from fea.spec.problems import Problem
 Array = np.ndarray
 
 _MOST_TOLD = 5
-# Pa. From soft rubber to beyond diamond (1.2e12); steel written in MPa or GPa is far below.
-_USUAL_YOUNGS_MODULUS = (1e6, 2e12)
+# Pa. From soft rubber to nearly diamond (1.1e12); steel written in MPa or GPa is far below.
+_USUAL_YOUNGS_MODULUS = (1e6, 1e12)
 # Of the mesh's diagonal. Longer levers than this are millimetres written where metres belong.
-_LONGEST_LEVER = 10.0
+_LONGEST_LEVER = 3.0
 
 
 def warnings_of(component: Component) -> list[Problem]:

@@ -9,6 +9,7 @@ by LU of the pivot blocks instead.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
 
@@ -23,6 +24,11 @@ Array = np.ndarray
 _like = (np.empty((1, 1), order="F"),)
 _trsm, _syrk = get_blas_funcs(("trsm", "syrk"), _like)
 _potrf, _getrf, _getrs = get_lapack_funcs(("potrf", "getrf", "getrs"), _like)
+_trttf, _tfsm = get_lapack_funcs(("trttf", "tfsm"), _like)
+
+
+Leaf = Callable[[int], Array]
+"""Gives the matrix of a leaf by its number, its unknowns in the order of the substructure's."""
 
 
 class NotDefinite(ArithmeticError):  # noqa: N818 - a finding about the matrix
@@ -31,6 +37,13 @@ class NotDefinite(ArithmeticError):  # noqa: N818 - a finding about the matrix
 
 class Factor:
     """A factorised stiffness matrix.
+
+    Parameters
+    ----------
+    dissection
+        The order of elimination.
+    leaf
+        Gives the matrix of each leaf, N/m; asked when it is due, so that few are there at a time.
 
     Attributes
     ----------
@@ -46,19 +59,19 @@ class Factor:
         Shape (unknowns,): that of the matrix.
     """
 
-    def __init__(self, dissection: Dissection, leaves: dict[int, Array], diagonal: Array) -> None:
+    def __init__(self, dissection: Dissection, leaf: Leaf) -> None:
         self._dissection = dissection
         self.unknowns = dissection.unknowns
-        self.diagonal = diagonal
         try:
-            self._fronts = _eliminate(dissection, leaves, _CholeskyFront)
+            self._fronts, self.diagonal = _eliminate(dissection, leaf, _CholeskyFront)
             self.definite = True
         except NotDefinite:
-            self._fronts = _eliminate(dissection, leaves, _LUFront)
+            self._fronts, self.diagonal = _eliminate(dissection, leaf, _LUFront)
             self.definite = False
         self.pivot_ratio, self.weakest = 1.0, -1
         if self.unknowns:
-            ratios = np.concatenate([front.pivots for front in self._fronts]) / diagonal
+            ratios = np.concatenate([front.pivots for front in self._fronts])
+            ratios /= self.diagonal
             self.weakest = int(ratios.argmin())
             self.pivot_ratio = float(ratios[self.weakest]) if self.definite else 0.0
 
@@ -93,29 +106,31 @@ class Factor:
 
 
 class _CholeskyFront:
-    """L and W of one substructure."""
+    """L and W of one substructure; L packed into a rectangle of half its square.
 
-    __slots__ = ("L", "W")
+    The packed form is LAPACK's (Gustavson, Wasniewski, Dongarra and Langou 2010), which solves with
+    blocks as the square does.
+    """
+
+    __slots__ = ("L", "W", "pivots")
 
     def __init__(self, A: Array, B: Array, C: Array) -> None:
-        self.L, info = _potrf(A, lower=1, clean=0, overwrite_a=1)
+        L, info = _potrf(A, lower=1, clean=0, overwrite_a=1)
         if info:
             raise NotDefinite
         self.W = B
         if B.size:
-            self.W = _trsm(1.0, self.L, B, lower=1, overwrite_b=1)
+            self.W = _trsm(1.0, L, B, lower=1, overwrite_b=1)
+        self.pivots = np.diagonal(L) ** 2
+        self.L, _ = _trttf(L, uplo="L")
 
     def condense(self, C: Array) -> Array:
         """Take from the boundary stiffness what the eliminated unknowns give way."""
         return _syrk(-1.0, self.W, beta=1.0, c=C, trans=1, lower=1, overwrite_c=1)
 
-    @property
-    def pivots(self) -> Array:
-        return np.diagonal(self.L) ** 2
-
     def forward(self, x: Array, part: Substructure) -> None:
         own = slice(part.start, part.stop)
-        y = _trsm(1.0, self.L, x[own], lower=1)
+        y = _tfsm(1.0, self.L, x[own], uplo="L")
         x[own] = y
         if part.boundary.size:
             x[part.boundary] -= self.W.T @ y
@@ -125,7 +140,7 @@ class _CholeskyFront:
         y = x[own]
         if part.boundary.size:
             y = y - self.W @ x[part.boundary]
-        x[own] = _trsm(1.0, self.L, y, lower=1, trans_a=1)
+        x[own] = _tfsm(1.0, self.L, y, uplo="L", trans="T")
 
 
 class _LUFront:
@@ -166,15 +181,23 @@ class _LUFront:
         x[own] = y
 
 
-def _eliminate(dissection: Dissection, leaves: dict[int, Array], kind: type) -> list:
-    """Factorise front by front; a condensed part is dropped once its parent has taken it."""
+def _eliminate(dissection: Dissection, leaf: Leaf, kind: type) -> tuple[list, Array]:
+    """Factorise front by front; a condensed part is dropped once its parent has taken it.
+
+    Returns the fronts and the diagonal of the whole matrix.
+    """
+    diagonal = np.zeros(dissection.unknowns)
     fronts: list = []
     condensed: dict[int, Array] = {}
     for number, part in enumerate(dissection.substructures):
         if part.children:
             A, B, C = _join(part, condensed)
         else:
-            A, B, C = _cut_blocks(leaves[number], part.eliminated)
+            matrix = leaf(number)
+            own = np.diagonal(matrix)
+            diagonal[part.start : part.stop] += own[: part.eliminated]
+            diagonal[part.boundary] += own[part.eliminated :]
+            A, B, C = _cut_blocks(matrix, part.eliminated)
         if not part.eliminated:
             fronts.append(_EMPTY)
             condensed[number] = C
@@ -182,7 +205,7 @@ def _eliminate(dissection: Dissection, leaves: dict[int, Array], kind: type) -> 
         front = kind(A, B, C)
         fronts.append(front)
         condensed[number] = front.condense(C) if C.size else C
-    return fronts
+    return fronts, diagonal
 
 
 class _EmptyFront:

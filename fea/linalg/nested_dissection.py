@@ -1,12 +1,11 @@
 """The order of elimination: a tree of nested substructures.
 
-The cells are cut in two, again and again, by planes across their longest extent. A leaf is a few
-cells; each branch joins two substructures. A node is eliminated at the lowest substructure that
-holds all its cells, so what two halves share goes last and stays small. This needs the cells and
-their centres only, no graph of the matrix, and gives dense fronts that LAPACK factorises at full
-speed (`fea.linalg.multifrontal`). On a 15,000 unknown plate that is several times faster than
-SuperLU in its
-best ordering, minimum degree on A^T + A.
+The cells are cut in two, again and again (`fea.linalg.cut`). A leaf is a few cells; each branch
+joins two substructures. A node is eliminated at the lowest substructure that holds all its cells,
+so what two halves share goes last and stays small. This needs the cells and their centres only, no
+graph of the matrix, and gives dense fronts that LAPACK factorises at full speed
+(`fea.linalg.multifrontal`). On a 15,000 unknown plate that is several times faster than SuperLU in
+its best ordering, minimum degree on A^T + A.
 """
 
 from __future__ import annotations
@@ -15,11 +14,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fea.linalg.cut import Cutter, Incidence, incidence
+
 Array = np.ndarray
 
-_LEAF_CELLS = 12
-# Of the cells, to either side of the middle: the cut goes where the widest gap within it is.
-_CUT_WINDOW = 0.15
+_LEAF_NODES = 256
+"""Of its cells, each counting its own: 12 hex20 or 25 tet10.
+
+Fewer make more fronts, whose calls then take longer than their arithmetic (half of a flange of
+tetrahedra at 12); more fill in (the factor holds a fifth more at 32 hex20).
+"""
 
 
 @dataclass(eq=False)
@@ -92,7 +96,10 @@ class Dissection:
     @property
     def factor_entries(self) -> int:
         """Numbers that the Cholesky factor holds."""
-        return sum(s.eliminated * (s.eliminated + s.boundary.size) for s in self.substructures)
+        return sum(
+            s.eliminated * (s.eliminated + 1) // 2 + s.eliminated * s.boundary.size
+            for s in self.substructures
+        )
 
 
 def dissect(cells: list[Array], centres: Array, free: Array) -> Dissection:
@@ -107,16 +114,18 @@ def dissect(cells: list[Array], centres: Array, free: Array) -> Dissection:
     free
         Shape (mesh nodes,), bool: the nodes whose displacement is unknown.
     """
-    builder = _Builder(cells, free)
-    builder.cut(np.arange(len(cells)), centres)
+    builder = _Builder(cells, free, Cutter(centres))
+    builder.cut(np.arange(len(cells)), incidence(cells, free))
     return builder.finish()
 
 
 class _Builder:
     """Collects substructures bottom up; nodes first, positions when all are known."""
 
-    def __init__(self, cells: list[Array], free: Array) -> None:
+    def __init__(self, cells: list[Array], free: Array, cutter: Cutter) -> None:
         self.cells = cells
+        self.cutter = cutter
+        self.sizes = np.array([len(nodes) for nodes in cells], dtype=np.int64)
         self.free = free
         self.uses = np.zeros(free.size, dtype=np.int64)
         for nodes in cells:
@@ -125,14 +134,14 @@ class _Builder:
         self.eliminated: list[Array] = []
         self.boundaries: list[Array] = []
 
-    def cut(self, cells: Array, centres: Array) -> tuple[int, Array, Array]:
+    def cut(self, cells: Array, held: Incidence) -> tuple[int, Array, Array]:
         """Add the tree over `cells`; return its number, boundary nodes and their uses in it."""
-        if cells.size <= _LEAF_CELLS:
+        if cells.size <= 1 or self.sizes[cells].sum() <= _LEAF_NODES:
             nodes = np.concatenate([self.cells[c] for c in cells]) if cells.size else cells
             return self._add(cells, (), nodes, np.ones(nodes.size, dtype=np.int64))
-        first, second = _halves(cells, centres)
-        left, left_nodes, left_uses = self.cut(first, centres)
-        right, right_nodes, right_uses = self.cut(second, centres)
+        first, second = self.cutter.halves(cells, held)
+        left, left_nodes, left_uses = self.cut(*first)
+        right, right_nodes, right_uses = self.cut(*second)
         return self._add(
             cells[:0],
             (left, right),
@@ -171,17 +180,3 @@ class _Builder:
 def unknowns_of(nodes: Array) -> Array:
     """Return the three unknowns of each node or position, indices of shapes (...) to (..., 3)."""
     return 3 * nodes[..., None] + np.arange(3)
-
-
-def _halves(cells: Array, centres: Array) -> tuple[Array, Array]:
-    """Cut across the longest extent, near the middle, where the widest gap between centres is."""
-    places = centres[cells]
-    along = places[:, np.ptp(places, axis=0).argmax()]
-    order = np.argsort(along, kind="stable")
-    low = int(cells.size * (0.5 - _CUT_WINDOW))
-    high = int(cells.size * (0.5 + _CUT_WINDOW)) + 1
-    gaps = np.diff(along[order[low:high]])
-    middle = np.abs(np.arange(gaps.size) - gaps.size / 2)
-    widest = gaps >= 0.5 * gaps.max()
-    cut = low + 1 + int(np.where(widest, middle, np.inf).argmin())
-    return cells[order[:cut]], cells[order[cut:]]

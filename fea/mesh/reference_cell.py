@@ -61,6 +61,9 @@ _GAUSS_POINTS = {"hex8": 2, "hex20": 3, "hex27": 3, "quad4": 2, "quad8": 3, "qua
 _SIMPLEX_DEGREES = {"tet4": 1, "tet10": 2, "tri3": 2, "tri6": 4}
 # Degree in the triangle, points along the axis of a wedge.
 _WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (2, 3)}
+# The same for "mass": products of two shape functions, of twice their degree.
+_MASS_SIMPLEX_DEGREES = {**_SIMPLEX_DEGREES, "tet4": 2, "tet10": 4}
+_MASS_WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (4, 3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +97,8 @@ def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
     kind
         A key of `fea.mesh.mesh.NODES_PER_CELL` or `fea.mesh.mesh.NODES_PER_FACET`.
     integration
-        ``"reduced"`` gives hex20 its 2x2x2 points; every other kind has one rule.
+        ``"reduced"`` gives hex20 its 2x2x2 points; ``"mass"`` is fine enough for products of two
+        shape functions; every other kind has one rule.
 
     Raises
     ------
@@ -143,9 +147,11 @@ def _quadrature(kind: str, integration: str) -> tuple[Array, Array]:
     if kind in _GAUSS_POINTS:
         count = 2 if (kind == "hex20" and integration == "reduced") else _GAUSS_POINTS[kind]
         return _tensor_gauss(count, node_places(kind).shape[1])
+    mass = integration == "mass"
     if kind in _SIMPLEX_DEGREES:
-        return _simplex(node_places(kind).shape[1], _SIMPLEX_DEGREES[kind])
-    return _wedge(*_WEDGE_RULES[kind])
+        degrees = _MASS_SIMPLEX_DEGREES if mass else _SIMPLEX_DEGREES
+        return _simplex(node_places(kind).shape[1], degrees[kind])
+    return _wedge(*(_MASS_WEDGE_RULES if mass else _WEDGE_RULES)[kind])
 
 
 def _tensor_gauss(count: int, dimension: int) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from fea.spec.schema import Bundle
 _COUNTS = {
     "bar": ("cells_along", "cells_across"),
     "plate": ("cells", "rings", "corner_cells", "layers"),
-    "spring": ("cells_per_turn",),
+    "spring": ("cells_per_turn", "core"),
 }
 
 

@@ -166,7 +166,7 @@ class ArcPath:
         """Bring a predicted state into balance within the plane normal to the predictor."""
         system, balance = self._system, self._point.found.balance
         tangent = self._point.found.tangent
-        proper, own = False, None
+        proper = False
         for iteration in range(1, _MOST_ITERATIONS + 1):
             balance = system.reload(balance, size * self._direction)
             try:
@@ -178,10 +178,10 @@ class ArcPath:
             if not np.isfinite(balance.norm):
                 return None
             if proper and step.converged:
-                settled = tangent_after(system, step, tangent, own)
+                settled = tangent_after(system, step, tangent)
                 return size, Equilibrium(balance, settled, iteration)
             proper = step.nearly
-            tangent = own = system.linearise(balance, None if proper else step.aim, own)
+            tangent = system.linearise(balance, None if proper else step.aim)
             nodes, border, more = self._correction(tangent, balance, normal)
             size += more
         return None

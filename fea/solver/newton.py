@@ -148,13 +148,12 @@ def find_equilibrium(
         balance = step.balance
         report(iteration, balance.norm)
         _require_sane(balance)
-        own = tangent if iteration > 1 else None
         if proper and step.converged:
-            return Equilibrium(balance, tangent_after(system, step, tangent, own), iteration)
+            return Equilibrium(balance, tangent_after(system, step, tangent), iteration)
         sizes.append(step.size)
         _require_progress(sizes)
         proper = step.nearly
-        tangent = system.linearise(balance, None if proper else step.aim, own)
+        tangent = system.linearise(balance, None if proper else step.aim)
     raise Stuck(f"no equilibrium after {most} iterations")
 
 
@@ -187,21 +186,17 @@ def correct(
     return Correction(after, (balance.state.nodes + change, change), size, energy)
 
 
-def tangent_after(
-    system: System, step: Correction, tangent: Linearisation, own: Linearisation | None
-) -> Linearisation:
+def tangent_after(system: System, step: Correction, tangent: Linearisation) -> Linearisation:
     """Return the tangent proper at the state after a last correction.
 
     Parameters
     ----------
     tangent
         The tangent proper at the state before it.
-    own
-        A tangent that may give up its memory; None if there is none.
     """
     if step.energy <= SAME_STATE:
         return tangent
-    return system.linearise(step.balance, None, own)
+    return system.linearise(step.balance)
 
 
 def _quotient(part: float, whole: float) -> float:

@@ -64,7 +64,13 @@ def _mesh(source: MeshSource | None) -> object:
 
 
 def _material(material: Material) -> list[object]:
-    return [material.region, material.youngs_modulus, material.poisson_ratio]
+    # Neither density nor yield strength: no static displacement depends on them.
+    told: list[object] = [material.region, material.youngs_modulus, material.poisson_ratio]
+    if material.law != "isotropic":
+        told.append(material.law)
+    if material.orthotropic is not None:
+        told.append(asdict(material.orthotropic))
+    return told
 
 
 def _supports(supports: Supports | None) -> object:

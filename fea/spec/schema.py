@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from fea.spec.orthotropic import Orthotropic
+
 Array = np.ndarray
 
 FREEDOMS = ("ux", "uy", "uz", "rx", "ry", "rz")
@@ -17,6 +19,7 @@ FREEDOMS = ("ux", "uy", "uz", "rx", "ry", "rz")
 COUPLINGS = ("rigid", "distributed")
 MOMENTS = ("spatial", "conjugate")
 INTEGRATIONS = ("reduced", "full")
+LAWS = ("isotropic", "orthotropic", "neo-hookean")
 
 UNITS: Mapping[str, float] = {
     "m": 1.0,
@@ -105,21 +108,34 @@ class MeshSource:
 
 @dataclass(frozen=True)
 class Material:
-    """An isotropic elastic material.
+    """An elastic material.
 
     Attributes
     ----------
     region
         The cell group it fills; "all" fills every cell that no other material names.
     youngs_modulus
-        Pa.
+        Pa; of an orthotropic material its largest.
     poisson_ratio
-        Between -1 and 0.5, both excluded.
+        Between -1 and 0.5, both excluded; of an orthotropic material that of the nearest isotropic
+        one, which tells cells that would lock.
+    density
+        kg/m^3; None where the bundle does not say it. It changes no static answer.
+    yield_strength
+        Pa, held against the von Mises stress; None where the bundle does not say it.
+    law
+        One of `LAWS`. The constants of "neo-hookean" are those at small strains.
+    orthotropic
+        The constants of that law; None for the others.
     """
 
     region: str
     youngs_modulus: float
     poisson_ratio: float
+    density: float | None = None
+    yield_strength: float | None = None
+    law: str = "isotropic"
+    orthotropic: Orthotropic | None = None
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -11,6 +12,9 @@ from fea.spec.problems import Problem, suggest
 _NAMES = {str: "a text", bool: "true or false", list: "a list", dict: "a table"}
 _MISSING = object()
 _MOST = 10**9
+# Control characters, line ends, and marks that turn the writing direction of what follows: a
+# terminal obeys the first, a page shows another word than it holds with the last.
+_STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 
 class Keys:
@@ -71,8 +75,11 @@ class Keys:
         return value
 
     def text(self, key: str, required: bool = True) -> str | None:
-        """Return a text that is not blank."""
+        """Return a text that is not blank, of one line, with no character that steers a screen."""
         value = self.raw(key, str, required)
+        if value is not None and (found := _STEERING.search(value)):
+            self.wrong(key, f"must be of one line of letters and signs, not hold {found[0]!r}")
+            return None
         if value is not None and not value.strip():
             self.wrong(key, "must not be empty")
             return None

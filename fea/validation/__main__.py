@@ -14,12 +14,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from fea.validation import bar, curved_beam, patch, plate, rates, spring
+from fea.validation import bar, curved_beam, laminate, materials, patch, plate, rates, spring
 from fea.validation.finding import CASES, TOPICS, Case, Finding
 
 __all__ = ["MODULES", "main", "markdown", "replace_table", "run"]
 
-MODULES = (patch, rates, bar, plate, curved_beam, spring)
+MODULES = (patch, rates, bar, plate, curved_beam, spring, laminate, materials)
 """Where the cases are; importing them enters them in `CASES`."""
 
 BEGIN = "<!-- validation: begin (written by `make validate-table`) -->"

@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from fea.assembly.blocks import filled_cells
 from fea.assembly.body import Body
 from fea.coupling.rotation import rotation
 from fea.mesh.mesh import Mesh
 from fea.solve import Solver
+from fea.spec.schema import Material
 from fea.validation.boxes import box
 from fea.validation.clamped import Warp, clamped
 from fea.validation.finding import Finding, case
@@ -42,8 +44,9 @@ def body_of(mesh: Mesh, held: Array, integration: str = "reduced") -> Body:
 
     `held` has shape (n,), bool, dimensionless.
     """
-    young, poisson = ([np.full(len(b), value) for b in mesh.blocks] for value in MATERIAL)
-    return Body(mesh, young, poisson, ~held, integration)
+    numbers = [np.zeros(len(block), dtype=int) for block in mesh.blocks]
+    filled = filled_cells(mesh, [Material("all", *MATERIAL)], numbers, integration)
+    return Body(mesh, filled, ~held)
 
 
 def on_the_surface(mesh: Mesh) -> Array:

@@ -9,6 +9,8 @@ import subprocess
 import numpy as np
 import pytest
 
+from fea.coupling.rotation import spin_per_vector
+
 ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10"}
 # Corner numbers of the faces S1 to S6 of a hexahedron.
 FACES = [(0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)]
@@ -36,11 +38,7 @@ def solve(part, wrench, folder, *, nonlinear=False):
     nodes
         Shape (n, 3), m.
     """
-    (folder / "job.inp").write_text("\n".join(_deck(part, wrench, nonlinear)) + "\n")
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        ["ccx", "job"], cwd=folder, capture_output=True, text=True, timeout=240, env=environment
-    )
+    done = _run(_deck(part, wrench, nonlinear), folder)
     rows = {}
     for line in (folder / "job.dat").read_text().splitlines():
         words = line.split()
@@ -50,6 +48,37 @@ def solve(part, wrench, folder, *, nonlinear=False):
     count = len(part.mesh.points)
     nodes = np.array([rows[i + 1] for i in range(count)])
     return np.array(rows[count + 1] + rows[count + 2]), nodes
+
+
+def conjugate(wrench, displacement):
+    """Return the wrench that CalculiX is told: its moment works on the rotation vector."""
+    told = np.array(wrench, dtype=float)
+    told[3:] = spin_per_vector(displacement[3:]).T @ told[3:]
+    return told
+
+
+def stresses(part, wrench, folder, *, nonlinear):
+    """Return the stresses at C3D20R's or C3D10's integration points, (p, 6), in our order."""
+    lines = list(_deck(part, wrench, nonlinear))
+    end = lines.index("*END STEP")
+    lines[end:end] = ["*EL PRINT, ELSET=EALL", "S"]
+    _run(lines, folder)
+    rows = [line.split() for line in (folder / "job.dat").read_text().splitlines()]
+    found = [row[2:] for row in rows if len(row) == 8 and row[0].isdigit()]
+    (block,) = part.mesh.blocks
+    points = {"hex20": 8, "tet10": 4}[block.kind] * len(block)
+    stress = np.array(found, dtype=float)[-points:]
+    if block.kind == "hex20":  # CalculiX counts its points along x first, we along z
+        stress = stress.reshape(-1, 2, 2, 2, 6).transpose(0, 3, 2, 1, 4)
+    return stress.reshape(-1, 6)
+
+
+def _run(lines, folder):
+    (folder / "job.inp").write_text("\n".join(lines) + "\n")
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    return subprocess.run(
+        ["ccx", "job"], cwd=folder, capture_output=True, text=True, timeout=240, env=environment
+    )
 
 
 def _deck(part, wrench, nonlinear):

@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
+from fea.assembly.blocks import filled_cells
+from fea.assembly.body import Body
 from fea.component import Component
 from fea.coupling.section import section_of_facets
 from fea.spec.schema import Analysis, Material
+
+
+def body_of(mesh, free, young=1e9, poisson=0.3, integration="reduced"):
+    """Fill a mesh with materials by Young's modulus, one or for each block an array of a cell."""
+    if np.isscalar(young):
+        young = [np.full(len(block), young) for block in mesh.blocks]
+    materials = [Material("all", float(one), poisson) for one in np.concatenate(young)]
+    counts = np.cumsum([0, *(len(block) for block in mesh.blocks)])
+    numbers = [np.arange(*ends) for ends in pairwise(counts)]
+    return Body(mesh, filled_cells(mesh, materials, numbers, integration), free)
 
 
 def component(

@@ -7,6 +7,8 @@ from contextlib import contextmanager
 
 import pytest
 
+from fea.mesh.cad.session import start
+
 
 def require_gmsh():
     """Return gmsh; without it skip, or fail where everything must run (the variable CI is set)."""
@@ -23,7 +25,7 @@ def require_gmsh():
 def drawing(path):
     """Draw with the kernel that this yields; written to `path` at the end."""
     gmsh = require_gmsh()
-    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    start(gmsh)
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.model.add("drawing")

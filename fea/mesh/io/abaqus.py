@@ -8,7 +8,7 @@ Materials, boundary conditions and steps are not read: a bundle says those itsel
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -46,6 +46,10 @@ _REFUSED = {
 }
 
 
+# Of all sets together, counted with repetition: several for each node of the largest mesh solved.
+_MOST_MEMBERS = 20_000_000
+
+
 @dataclass
 class _Deck:
     """What has been read so far; sets are keyed by their name in capitals, as solvers do."""
@@ -59,6 +63,7 @@ class _Deck:
     surfaces: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
     parts: int = 0
+    members: int = 0
 
 
 def read_inp(path: Path) -> RawMesh:
@@ -76,9 +81,12 @@ def read_inp(path: Path) -> RawMesh:
             _take(deck, keyword, options, rows)
         except MeshFileError as error:
             raise MeshFileError(f"line {number}: *{keyword} {error}") from None
-        except (ValueError, KeyError, IndexError) as error:
+        except (ValueError, KeyError, IndexError, OverflowError) as error:
             raise MeshFileError(f"line {number}: *{keyword} cannot be read ({error})") from None
-    return _raw_mesh(deck)
+    try:
+        return _raw_mesh(deck)
+    except OverflowError:
+        raise MeshFileError("numbers a node or an element beyond 2^63; number them anew") from None
 
 
 def _keywords(text: str) -> Iterator[tuple[int, str, dict[str, str], list[list[str]]]]:
@@ -184,11 +192,19 @@ def _members(
         fields = [each for each in row if each]
         if "GENERATE" in options:
             first, last, step = (*(int(each) for each in fields), 1)[:3]
-            found += range(first, last + 1, step)
+            found += _few(range(first, last + 1, step))
         else:
             for each in fields:
                 found += _named(sets, each)
+                _few(found)
     return found
+
+
+def _few(members: Sequence[int]) -> Sequence[int]:
+    """Return a set's members if a mesh can have so many: a line of text may name any number."""
+    if len(members) > _MOST_MEMBERS:
+        raise MeshFileError(f"names {len(members)} nodes or elements; no mesh has so many")
+    return members
 
 
 def _named(sets: dict[str, list[int]], name: str) -> list[int]:
@@ -209,6 +225,8 @@ def _take_surface(deck: _Deck, options: dict[str, str], rows: list[list[str]]) -
         if not re.fullmatch(r"S\d", face):
             raise MeshFileError(f'has the face "{face}"; faces of solids are S1 to S6')
         members = [(element, face) for element in _named(deck.element_sets, name)]
+        deck.members += len(members)
+        _few(range(deck.members))
         deck.names.setdefault(options["NAME"].upper(), options["NAME"])
         deck.surfaces.setdefault(options["NAME"].upper(), []).extend(members)
 
@@ -237,6 +255,9 @@ _TAKERS: dict[str, Callable[[_Deck, dict[str, str], list[list[str]]], None]] = {
 
 def _add(deck: _Deck, sets: dict[str, list[int]], name: str, members: list[int]) -> None:
     """Add to a set, which keeps the spelling of its first mention."""
+    deck.members += len(members)
+    if deck.members > _MOST_MEMBERS:
+        raise MeshFileError(f"names a set too many: they have {deck.members} members in all")
     deck.names.setdefault(name.upper(), name)
     sets.setdefault(name.upper(), []).extend(members)
 

@@ -68,10 +68,11 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     Raises
     ------
     MeshFileError
-        If there are no solid cells, some of a kind that cannot be solved, or facets in a group
-        that are not faces of a cell.
+        If there are no solid cells, some of a kind that cannot be solved, points that there are
+        not, or facets in a group that are not faces of a cell.
     """
     _require_solids(raw)
+    _require_points(raw)
     solids = [i for i, (kind, _) in enumerate(raw.blocks) if kind in NODES_PER_CELL]
     used = np.unique(np.concatenate([raw.blocks[i][1].ravel() for i in solids]))
     number = np.full(len(raw.points), -1, dtype=np.int64)
@@ -89,6 +90,15 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     regions = _regions(raw, {kind: new for kind, (_, new) in once.items()})
     groups = _facet_groups(raw, number, blocks)
     return Mesh(points, blocks, regions, groups, _node_groups(raw, number))
+
+
+def _require_points(raw: RawMesh) -> None:
+    """Refuse cells and sets of points that there are not: -1 would else be taken for the last."""
+    for numbers in (*(nodes for _, nodes in raw.blocks), *raw.node_sets.values()):
+        if numbers.size and not (numbers.min() >= 0 and numbers.max() < len(raw.points)):
+            raise MeshFileError(
+                f"names points that it does not have; it has {len(raw.points)}. Write it anew"
+            )
 
 
 def _without_twins(nodes: Array) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ import meshio
 import numpy as np
 from meshio import _mesh
 
+from fea.mesh.io import xdmf
 from fea.mesh.io.abaqus import read_inp
 from fea.mesh.io.raw import Block, MeshFileError, RawMesh, to_mesh
 from fea.mesh.mesh import Mesh
@@ -68,6 +69,8 @@ def read_mesh(path: Path, unit: str) -> Mesh:
 
 
 def _read_meshio(path: Path) -> RawMesh:
+    if path.suffix.lower() in xdmf.ENDINGS:
+        xdmf.refuse_outside(path)
     read = _quietly(path)
     blocks: list[Block] = [
         (_KINDS.get(str(block.type), str(block.type)), np.asarray(block.data, dtype=np.int64))

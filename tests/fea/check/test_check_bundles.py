@@ -116,7 +116,8 @@ def test_steel_in_megapascals_and_a_point_in_millimetres_are_warnings(tmp_path):
     setup.write_text(text.replace("[interface]", "[interface]\npoint = [400, 50, 50]"))
     told = report(folder)
     assert told["ok"]
-    modulus, point = messages(told, "warnings")
+    modulus, point, turned = messages(told, "warnings")
+    assert "degrees at the full range" in turned
     assert "write it in Pa" in modulus
     assert "write it in m" in point
 

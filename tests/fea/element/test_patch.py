@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fea.assembly.body import Body
 from fea.coupling.rotation import rotation
 from fea.solve import Solver
+from tests.fea import components
 from tests.fea.boxes import box
 from tests.fea.components import component
 
@@ -31,9 +31,7 @@ def warp_inside(amount):
 
 
 def body_of(mesh, held, integration="reduced"):
-    young = [np.full(len(block), YOUNG) for block in mesh.blocks]
-    poisson = [np.full(len(block), POISSON) for block in mesh.blocks]
-    return Body(mesh, young, poisson, ~held, integration)
+    return components.body_of(mesh, ~held, YOUNG, POISSON, integration)
 
 
 def on_the_surface(mesh):

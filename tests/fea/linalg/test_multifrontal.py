@@ -5,9 +5,9 @@ import pytest
 import scipy.sparse as sparse
 import scipy.sparse.linalg as sparse_linalg
 
-from fea.assembly.body import Body
 from fea.linalg.nested_dissection import unknowns_of
 from fea.mesh.mesh import CellBlock, Mesh
+from tests.fea import components
 from tests.fea.boxes import box
 
 RNG = np.random.default_rng(11)
@@ -15,8 +15,7 @@ RNG = np.random.default_rng(11)
 
 def body_of(mesh, free, integration="reduced"):
     young = [np.linspace(1e9, 3e9, len(block)) for block in mesh.blocks]
-    poisson = [np.full(len(block), 0.3) for block in mesh.blocks]
-    return Body(mesh, young, poisson, free, integration)
+    return components.body_of(mesh, free, young, integration=integration)
 
 
 def matrix_of(body, tangent):

@@ -11,6 +11,7 @@ from fea.bundle.read import BundleError, bundle_of
 from fea.component import build, mesh_of
 from fea.element.mapping import area_weights
 from fea.mesh.cad import list_shape, mesh_geometry
+from fea.mesh.cad.session import start
 from fea.mesh.quality import volumes
 from fea.solve import Solver
 from fea.spec.schema import Choice, Geometry
@@ -226,7 +227,7 @@ def test_a_missing_system_library_is_named(folder, monkeypatch):
 
 def test_a_file_of_surfaces_only_is_refused(tmp_path):
     gmsh = require_gmsh()
-    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    start(gmsh)
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.model.occ.addRectangle(0, 0, 0, 1, 1)
@@ -269,3 +270,12 @@ def test_a_region_is_found_by_a_point_inside_its_body(folder):
     (cells,) = mesh.regions["soft"]
     middles = mesh.points[mesh.blocks[0].nodes].mean(axis=1)[:, 0]
     np.testing.assert_array_equal(np.sort(cells), np.flatnonzero(middles > 0.05))
+
+
+def test_a_broken_pipe_stays_an_error_once_a_geometry_was_read(tmp_path):
+    """gmsh set its signal back to ending the program: the next pipe that broke was its end."""
+    import signal
+
+    draw_bracket(tmp_path / "bracket.step")
+    list_shape(tmp_path / "bracket.step")
+    assert signal.getsignal(signal.SIGPIPE) == signal.SIG_IGN

@@ -216,3 +216,12 @@ def test_coordinates_that_are_not_numbers_are_refused(tmp_path):
     bar.points[0, 0] = np.nan
     meshio.Mesh(bar.points, [("hexahedron20", bar.blocks[0].nodes)]).write(tmp_path / "a.vtu")
     assert "not finite" in refusal(tmp_path / "a.vtu")
+
+
+@pytest.mark.parametrize("wrong", [-1, 4, 2**40])
+def test_a_cell_with_a_point_that_there_is_not_is_refused_and_not_given_another(tmp_path, wrong):
+    points = np.vstack([np.zeros(3), np.eye(3)])
+    cells = np.array([[0, 1, 2, wrong]])
+    meshio.Mesh(points, [("tetra", cells)]).write(tmp_path / "a.vtk")
+    with pytest.raises(BundleError, match="points that it does not have"):
+        read_mesh(tmp_path / "a.vtk", "m")

@@ -19,12 +19,16 @@ BOUNDS = {
 }
 """The most that an answer called right may be off."""
 
+BOUNDS_OF_SETTINGS = {"ratio 1e+09, stiff outer half": 1e-9}
+"""Where roundoff decides: 1e9 times it is 2e-7. Over eight orders of elimination the stiff half on
+the soft one was right to between 7e-14 (cut just between the two) and 3e-10."""
+
 
 def rows_of(name):
     rows = stability.CASES[name]()
     for row in rows:
         if row.outcome == "right":
-            assert row.error < BOUNDS[row.case], row
+            assert row.error < BOUNDS_OF_SETTINGS.get(row.setting, BOUNDS[row.case]), row
         else:
             assert row.told, row
     return {row.setting: row.outcome for row in rows}

@@ -12,7 +12,7 @@ import pytest
 from fea.solve import Solver
 from fea.validation.clamped import shipped
 
-SPRING_LOADS = [(-9.5, 0.0), (-9.9, 0.0), (-8.0, 0.005), (-4.0, 0.0), (-1.0, -0.01), (2.0, 0.01)]
+SPRING_LOADS = [(-9.9, 0.0), (-8.0, 0.005), (-1.0, -0.01), (2.0, 0.01)]
 """F_z, N, and M_z, N·m: over the shipped range of -10 to 2 N and 0.01 N·m."""
 
 

@@ -1,0 +1,96 @@
+"""What the solver's own error means beside a tolerance, and what to do about it; in words.
+
+It needs no mesh and no solver: whoever serves a table says it of an estimate that was stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from fea.spec.problems import Problem
+
+Array = np.ndarray
+
+WHERE = "tolerance"
+"""Where these findings are said to be: the estimate that is newest takes the place of others."""
+
+_OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
+_WORTH_A_MESH = 30.0
+"""Times smaller, beyond which cells are no remedy any more: that is 27,000 times as many."""
+
+
+def over_tolerance(
+    told: Mapping[str, Any] | None, translation: float, rotation: float
+) -> list[Problem]:
+    """Return what of `fea.accuracy.estimate.accuracy_of` is over a tolerance, m and rad.
+
+    No solve lowers it: a component whose mesh alone is over its tolerance has covered answers
+    beyond it, each with a bar that says so. At the full range, all loads at once.
+    """
+    if told is None:
+        return []
+    loads = np.array(told["loads"])
+    allowed = np.repeat([translation, rotation], 3)
+    found = []
+    if told.get("mesh") is not None:
+        found += _of_mesh(np.array(told["mesh"]) @ loads, allowed, told.get("cell_size"))
+    if told.get("linearity") is not None:
+        found += _of_linearity(np.array(told["linearity"]), allowed)
+    return found + _of_buckling(told.get("buckling"))
+
+
+def _of_mesh(bars: Array, allowed: Array, cell_size: float | None) -> list[Problem]:
+    worst, words = _worst(bars, allowed)
+    if worst <= 1.0:
+        return []
+    # Edges and corners where supports end make displacements converge with about the square.
+    # Rounded up to a tenth: a cell "1 times smaller" would help nobody.
+    finer = float(np.ceil(np.round(10.0 * np.sqrt(worst), 6)) / 10.0)
+    sized = "" if cell_size is None else f", about {_length(cell_size / finer)} each"
+    remedy = f"make cells about {finer:.2g} times smaller{sized}"
+    if finer > _WORTH_A_MESH:
+        remedy = "make cells much smaller"
+    message = (
+        f"the mesh alone may be wrong by {words} at the full range: more solves do not lower that. "
+        f"To be within the tolerance {remedy}, or widen [tolerance] or narrow [range]"
+    )
+    return [Problem(WHERE, message)]
+
+
+def _of_linearity(bars: Array, allowed: Array) -> list[Problem]:
+    worst, words = _worst(bars, allowed)
+    if worst <= 1.0:
+        return []
+    message = (
+        f"nonlinear = false alone may be wrong by {words} at the full range: more solves do not "
+        "lower that. Set nonlinear = true, or narrow [range]"
+    )
+    return [Problem(WHERE, message)]
+
+
+def _of_buckling(factor: float | None) -> list[Problem]:
+    if factor is None or factor >= 1.0:
+        return []
+    message = (
+        f"the part buckles at {factor:.3g} of the loads at a corner of the range, which "
+        "nonlinear = false does not see: answers beyond that are wrong. Narrow [range], or set "
+        "nonlinear = true, whose solves end there by name"
+    )
+    return [Problem(WHERE, message)]
+
+
+def _worst(bars: Array, allowed: Array) -> tuple[float, str]:
+    """Return the largest bar over what is allowed, and that in words."""
+    shares = bars / allowed
+    output = int(shares.argmax())
+    unit = "m" if output < 3 else "rad"
+    return float(shares[output]), (
+        f"{bars[output]:.2g} {unit} in {_OUTPUTS[output]}, {shares[output]:.2g} times the tolerance"
+    )
+
+
+def _length(metres: float) -> str:
+    return f"{1e3 * metres:.2g} mm" if metres < 1.0 else f"{metres:.2g} m"

@@ -1,0 +1,115 @@
+"""What a linear component leaves out: nonlinear solves at a corner of its range, and buckling.
+
+The answers of a linear component are the first term of a series in the wrench; what is left out
+begins with the square. So its size at the corner where the interface turns most, taken from a
+nonlinear solve, tells it elsewhere: bar(w) = bar(corner) s(w)^2 with s the largest load over its
+range. The wrench opposite is solved too, since what pulls stiffens and what pushes buckles.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fea.failure import SolveFailed
+from fea.solve import Solver
+from fea.spec.schema import LoadRange
+
+Array = np.ndarray
+
+_PARTS = (1.0, 0.5, 0.25)
+"""Of the largest wrench to be tried, in turn: a smaller one tells as much where a larger fails."""
+
+_STEEP = 1.25
+"""Buckling factor below which the corner itself is not tried: half the buckling load is."""
+
+_SAFETY = 1.5
+"""On the largest of two corners, for the 62 others: measured on boxes, brackets and the bar."""
+
+
+@dataclass(frozen=True, eq=False)
+class BeyondLinear:
+    """How far a linear component's answers are from nonlinear ones.
+
+    Attributes
+    ----------
+    bar
+        Shape (6,), m and rad: at a load as large as its range, growing with the load's square;
+        NaN where no nonlinear solve gave an answer.
+    buckling
+        The part of a corner's wrench at which the component buckles or snaps through, at or below
+        10; None beyond that. It is that of linear buckling (`fea.solver.buckling`), or where a
+        nonlinear solve ended if that is less.
+    why
+        What kept a nonlinear solve from an answer; often empty.
+    """
+
+    bar: Array
+    buckling: float | None
+    why: str = ""
+
+
+_MOST_TOLD = 10.0  # a factor beyond which nobody asks for it, and its continuation tells nothing
+
+
+def beyond_linear(solver: Solver, loads: LoadRange) -> BeyondLinear:
+    """Solve a linear component nonlinearly at the corners of its range where it moves most.
+
+    Parameters
+    ----------
+    solver
+        Of the component, on any mesh of it.
+    loads
+        Its range.
+    """
+    compliance = solver.compliance
+    nonlinear = replace(
+        solver.component, analysis=replace(solver.component.analysis, nonlinear=True)
+    )
+    other = Solver(nonlinear)
+    bar, why = np.full(6, np.nan), ""
+    factors: list[float] = []
+    for corner in _corners(compliance, loads):
+        factors.append(solver.buckling(corner)[0])
+        found = _Corner(other, compliance, corner, factors[-1])
+        bar = np.fmax(bar, found.bar)
+        factors += found.factors
+        why = why or found.why
+    lowest = min(factors, default=np.inf)
+    return BeyondLinear(_SAFETY * bar, float(lowest) if lowest <= _MOST_TOLD else None, why)
+
+
+def _corners(compliance: Array, loads: LoadRange) -> list[Array]:
+    """Return the corner that turns, or else moves, the interface most, and its opposite."""
+    corners = np.array(list(itertools.product(*zip(loads.low, loads.high, strict=True))))
+    moved = corners @ compliance.T
+    size = np.linalg.norm(moved[:, 3:], axis=1)
+    if not size.max() > 0:
+        size = np.linalg.norm(moved[:, :3], axis=1)
+    most = int(size.argmax())
+    return [corners[most], corners[len(corners) - 1 - most]]
+
+
+class _Corner:
+    """The nonlinear answer at one corner of the range, or at a part of it."""
+
+    def __init__(self, solver: Solver, compliance: Array, wrench: Array, buckling: float) -> None:
+        self.bar = np.full(6, np.nan)
+        self.factors: list[float] = []
+        self.why = ""
+        most = 1.0
+        if buckling < _STEEP:
+            most, self.why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
+        for part in (most * part for part in _PARTS):
+            try:
+                found = solver.solve(part * wrench)
+            except SolveFailed as failure:
+                self.why = self.why or failure.message
+                if failure.load_factor is not None:
+                    self.factors.append(part * failure.load_factor)
+                continue
+            missed = np.abs(found.displacement - compliance @ (part * wrench)) / part**2
+            self.bar = np.repeat(missed.reshape(2, 3).max(axis=1), 3)
+            return

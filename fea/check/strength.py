@@ -1,0 +1,116 @@
+"""The largest von Mises stress under the full load range, for the report of `wrenchbook check`."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from fea.component import Component
+from fea.element.equivalent_stress import von_mises
+from fea.failure import SolveFailed
+from fea.recovery.stress import places_of
+from fea.solve import Solver
+from fea.spec.problems import Problem
+
+Array = np.ndarray
+
+
+def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], list[Problem]]:
+    """Return the largest stress of each material under the load range, and what to know of it.
+
+    To first order stresses are linear in the wrench, and the von Mises stress is a norm of them:
+    no wrench of the range has a larger one than the worst of its 64 corners.
+
+    Parameters
+    ----------
+    solver
+        Nothing is made of a component whose bundle tells no `yield_strength`.
+    nonlinear
+        Whether a nonlinear component is solved at that corner; else its stresses stay first order.
+
+    Returns
+    -------
+    strength
+        For each material that has cells: ``region``, ``largest`` (Pa), ``at`` (m, in the mesh's
+        axes), ``wrench`` (N and N·m), ``yield_strength`` (Pa or None), ``first_order``.
+    warnings
+        Where a material yields, or von Mises says nothing of it; why stresses are first order.
+    """
+    component = solver.component
+    if all(material.yield_strength is None for material in component.materials):
+        return [], []
+    try:
+        found = _first_order(component, solver)
+    except SolveFailed as error:
+        return [], [Problem("material", f"no stresses: {error}")]
+    warnings: list[Problem] = []
+    if nonlinear and component.analysis.nonlinear:
+        warnings += _at_large(component, solver, found)
+    return found, warnings + _yielding(component, found)
+
+
+def _first_order(component: Component, solver: Solver) -> list[dict[str, Any]]:
+    """Return the worst corner of the range for each material that has cells."""
+    loads = component.bundle.range
+    corners = np.array(list(product(*zip(loads.low, loads.high, strict=True))))
+    unit = solver.unit_stresses()
+    equivalent = np.stack([von_mises(unit @ corner) for corner in corners])
+    places, numbers = places_of(component, component.mesh.points)
+    found = []
+    for number in np.unique(numbers):
+        own = np.flatnonzero(numbers == number)
+        corner, point = np.unravel_index(equivalent[:, own].argmax(), (len(corners), len(own)))
+        material = component.materials[number]
+        found.append(
+            {
+                "region": material.region,
+                "largest": float(equivalent[corner, own[point]]),
+                "at": places[own[point]].tolist(),
+                "wrench": corners[corner].tolist(),
+                "yield_strength": material.yield_strength,
+                "first_order": component.analysis.nonlinear,
+            }
+        )
+    return found
+
+
+def _at_large(component: Component, solver: Solver, found: list[dict[str, Any]]) -> list[Problem]:
+    """Put the nonlinear stresses at the worst corners in place of the first-order ones."""
+    regions = [material.region for material in component.materials]
+    places, numbers = places_of(component, component.mesh.points)
+    for one in found:
+        try:
+            stress = solver.stresses(solver.solve(one["wrench"]))
+        except SolveFailed as error:
+            message = f'are told to first order: the solve at a corner of [range] fails ("{error}")'
+            return [Problem("stresses", message)]
+        equivalent = np.where(numbers == regions.index(one["region"]), von_mises(stress), -1.0)
+        worst = int(equivalent.argmax())
+        one |= {
+            "largest": float(equivalent[worst]),
+            "at": places[worst].tolist(),
+            "first_order": False,
+        }
+    return []
+
+
+def _yielding(component: Component, found: list[dict[str, Any]]) -> list[Problem]:
+    told = []
+    for number, material in enumerate(component.materials):
+        key, strength = f"material[{number}].yield_strength", material.yield_strength
+        if strength is None:
+            continue
+        if material.law == "orthotropic":
+            message = "is held against the von Mises stress, which says little of such a material"
+            told.append(Problem(key, message))
+        for one in found:
+            if one["region"] == material.region and one["largest"] > strength:
+                message = (
+                    f"is exceeded under the full range: {one['largest']:.4g} Pa, "
+                    f"{one['largest'] / strength:.2g} times it; materials here do not yield: "
+                    "answers there are too stiff. Narrow [range], or strengthen the part"
+                )
+                told.append(Problem(key, message))
+    return told

@@ -1,0 +1,117 @@
+"""A trial of the solver: what each solve would refuse, and how far the range moves the part."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fea.component import Component
+from fea.failure import SolveFailed
+from fea.solve import MOST_DEGREES, Solver
+from fea.spec.problems import Problem
+from fea.spec.schema import FREEDOMS
+
+Array = np.ndarray
+
+_MOST_SECONDS = 60.0  # of the linear solve by its estimate: an upload waits for it, 300 s at most
+_MOST_BYTES = 4e9  # of the same; the server's other solvers run beside it
+
+_WHERE = {"locking_material": "material", "inverted_elements": "mesh", "mechanism": "supports"}
+
+
+def solver_of(component: Component) -> tuple[Solver | None, list[Problem]]:
+    """Return the solver, or the problem that every solve of the component would end with."""
+    try:
+        return Solver(component), []
+    except SolveFailed as failure:
+        return None, [_problem(failure)]
+
+
+def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Problem]]:
+    """Solve six unit loads and return what that tells, and what would stop a solve.
+
+    Parameters
+    ----------
+    solver
+        The component's.
+    cost
+        As `fea.check.cost.estimate` has it: what takes too long is not tried.
+
+    Returns
+    -------
+    told
+        ``size`` (three numbers, m), ``volume`` (m^3), ``mass`` (kg; None where a material tells no
+        density), ``deflection``: the largest of each output over the load range by the linear
+        compliance, six numbers, m and rad; None where it was not tried or ``failed`` (then true).
+    problems
+        ``mechanism`` and ``ill_conditioned``, in the words of the failure.
+    """
+    points, bundle = solver.component.mesh.points, solver.component.bundle
+    told = {"size": np.ptp(points, axis=0).tolist(), **_volume_and_mass(solver)}
+    told["deflection"] = None
+    if cost["linear_seconds"] > _MOST_SECONDS or cost["memory_bytes"] > _MOST_BYTES:
+        return told, []
+    try:
+        compliance = solver.compliance
+    except SolveFailed as failure:
+        told["failed"] = True
+        return told, [_problem(failure)]
+    told["deflection"] = largest(compliance, bundle.range.low, bundle.range.high).tolist()
+    return told, []
+
+
+def largest(compliance: Array, low: Array, high: Array) -> Array:
+    """Return max |C w| over a box of wrenches, each output's own, shape (6,), m and rad."""
+    ends = np.stack([compliance * low, compliance * high])
+    most, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
+    return np.maximum(np.abs(most), np.abs(least))
+
+
+def deflection_warnings(component: Component, deflection: list[float] | None) -> list[Problem]:
+    """Return warnings where the whole load range moves the part by nothing, or by too much."""
+    if deflection is None:
+        return []
+    moved, told = np.array(deflection), []
+    degrees = float(np.degrees(np.linalg.norm(moved[3:])))
+    if degrees > MOST_DEGREES:
+        message = (
+            f"turns the interface by {degrees:.3g} degrees at the full range, linearly: more than "
+            f"{MOST_DEGREES:g} is refused. {_UNITS}"
+        )
+        told.append(Problem("range", message))
+    limit = component.bundle.tolerance
+    if limit is None:
+        return told
+    allowed = np.repeat([limit.translation, limit.rotation], 3)
+    free = np.array([name not in component.locked for name in FREEDOMS])
+    if free.any() and (moved <= allowed)[free].all():
+        message = (
+            f"moves the interface by {moved[:3].max():.2g} m and {moved[3:].max():.2g} rad at "
+            f"most, within the tolerance: the part is rigid for its users. {_UNITS}"
+        )
+        told.append(Problem("range", message))
+    return told
+
+
+_UNITS = (
+    "If that is not so, a unit is wrong: lengths of the mesh (unit), youngs_modulus in Pa, force "
+    "in N, moment in N·m"
+)
+
+
+def _volume_and_mass(solver: Solver) -> dict[str, Any]:
+    component = solver.component
+    volumes = np.zeros(len(component.materials))
+    for numbers, volume in solver.volumes:
+        np.add.at(volumes, numbers, volume)
+    densities = [one.density for one in component.materials]
+    known = None if None in densities else float(volumes @ np.array(densities, dtype=float))
+    return {"volume": float(volumes.sum()), "mass": known}
+
+
+def _problem(failure: SolveFailed) -> Problem:
+    where = _WHERE.get(failure.kind, "mesh")
+    return Problem(
+        where, f"every solve would fail, {failure.kind}: {failure.message} {failure.remedy}"
+    )

@@ -1,0 +1,109 @@
+"""Strains and stresses of a few cells at one displacement, whatever their material."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from fea.element.mapping import Gradients
+
+Array = np.ndarray
+Which = slice | np.ndarray
+"""Which cells of a block: a slice, or their numbers."""
+
+
+class CellState(ABC):
+    """Strains and stresses of a few cells at one displacement.
+
+    Attributes
+    ----------
+    slopes, weights
+        Of the cells, as in `Gradients`.
+    H, F, E
+        Shape (cells, points, 3, 3): gradient of the displacement, deformation gradient and
+        Green-Lagrange strain. The strain is never formed as (F^T F - I)/2: at small loads that
+        loses every digit to roundoff.
+    wS
+        Same shape, Pa times m^3: the second Piola-Kirchhoff stress times the weights.
+    """
+
+    def __init__(self, gradients: Gradients, part: Which, displacement: Array | None) -> None:
+        self.wS: Array
+        self.slopes = gradients.slopes[part]
+        self.weights = gradients.weights[part]
+        self.undeformed = displacement is None
+        if displacement is not None:
+            self.H = self.gradient(displacement)
+            self.F = self.H + np.eye(3)
+            self.E = green_strain(self.H)
+
+    def gradient(self, displacement: Array) -> Array:
+        """Return the gradients of a field, shape (cells, 3, nodes), m, at the points."""
+        return displacement[:, None] @ self.slopes.swapaxes(2, 3)
+
+    def extrapolate(self, step: Array) -> None:
+        """Replace the stress by its linear extrapolation from the state one step before.
+
+        Here of a law whose stress is linear in E, which is quadratic in the displacement.
+        `step` has shape (2, cells, 3, nodes), m: see `fea.assembly.body.Body.tangent`.
+        """
+        aim, change = (self.gradient(field) for field in step)
+        E = green_strain(aim) - 0.5 * (change.swapaxes(2, 3) @ change)
+        self.wS = self.weighted_change(E)
+
+    @abstractmethod
+    def weighted_change(self, strain: Array) -> Array:
+        """Return the change of `wS`, Pa m^3, with E, both of shape (..., cells, points, 3, 3)."""
+
+    @abstractmethod
+    def energy(self) -> float:
+        """Return the strain energy, J."""
+
+    @abstractmethod
+    def tangent(self, out: Array) -> None:
+        """Write the tangent stiffness, shape (cells, size, size), N/m."""
+
+    def cauchy(self, fields: Array) -> tuple[Array, Array]:
+        """Return Cauchy stresses, Pa, and their changes with fields, m, shape (k, ...).
+
+        All fields' 3x3 matrices stand one below the other, so that each product is one for all.
+        """
+        turned, shape = self.F.swapaxes(2, 3), (*self.F.shape[:2], len(fields))
+        scale = (1.0 / (np.linalg.det(self.F) * self.weights))[..., None, None]
+        stress = self.F @ self.wS @ turned * scale
+        below = fields.swapaxes(0, 1).reshape(shape[0], 1, 3 * len(fields), fields.shape[3])
+        dF = below @ self.slopes.swapaxes(2, 3)
+        half = _each_turned(dF) @ self.F
+        strain = (0.5 * (half + _each_turned(half))).reshape(*shape, 3, 3)
+        wdS = np.moveaxis(self.weighted_change(np.moveaxis(strain, 2, 0)), 0, 2)
+        FdS = _each_turned(wdS.reshape(dF.shape) @ turned)
+        one_side = (dF @ self.wS + 0.5 * FdS) @ turned
+        growth = dF.reshape(*shape, 9) @ np.linalg.inv(turned).reshape(*shape[:2], 9, 1)
+        changes = ((one_side + _each_turned(one_side)) * scale).reshape(*shape, 3, 3)
+        changes -= stress[:, :, None] * growth[..., None]
+        return stress, np.moveaxis(changes, 2, 0)
+
+    def forces(self) -> Array:
+        """Integrate P_iJ dN_a/dX_J, shape (cells, 3, nodes), N."""
+        P = self.F @ self.wS
+        cells, points, _, nodes = self.slopes.shape
+        stacked = P.transpose(0, 2, 1, 3).reshape(cells, 3, 3 * points)
+        return stacked @ self.slopes.reshape(cells, 3 * points, nodes)
+
+    def stressed(self) -> Array:
+        """Integrate dN_a . S dN_b, shape (cells, nodes, nodes), N/m: the geometric stiffness."""
+        cells, points, _, nodes = self.slopes.shape
+        below = self.slopes.reshape(cells, 3 * points, nodes)
+        return below.swapaxes(1, 2) @ (self.wS @ self.slopes).reshape(cells, 3 * points, nodes)
+
+
+def green_strain(H: Array) -> Array:
+    """Return sym H + H^T H / 2 for displacement gradients H, shape (..., 3, 3), dimensionless."""
+    return 0.5 * (H + H.swapaxes(-1, -2) + H.swapaxes(-1, -2) @ H)
+
+
+def _each_turned(below: Array) -> Array:
+    """Transpose each of the 3x3 matrices that stand one below the other: (..., 3 k, 3)."""
+    each = below.reshape(*below.shape[:2], below.shape[2] // 3, 3, 3)
+    return each.swapaxes(3, 4).reshape(below.shape)

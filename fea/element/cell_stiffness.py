@@ -1,0 +1,235 @@
+"""What the cells of every material share: forces, energies and stresses, total Lagrangian.
+
+The unknowns of a cell are ordered component first, (ux of all nodes, uy of all nodes, uz of all
+nodes), which lets the products run as matrix products without moving anything first. The material
+is in the state that a kind of cells makes of a displacement: `CellState`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from fea.element.cell_state import CellState, Which
+from fea.element.mapping import Gradients
+
+Array = np.ndarray
+
+_CHUNK = 64  # cells at a time: the temporaries of a chunk stay in cache
+
+
+@dataclass(frozen=True, eq=False)
+class CellStiffness(ABC):
+    """Cells of one block with their material.
+
+    Attributes
+    ----------
+    gradients
+        Shape gradients and weights of the cells.
+    """
+
+    gradients: Gradients
+
+    @property
+    def size(self) -> int:
+        """Unknowns of one cell."""
+        return 3 * self.gradients.slopes.shape[3]
+
+    def __len__(self) -> int:
+        return len(self.gradients.weights)
+
+    @property
+    def projected(self) -> bool:
+        """Whether the volumetric strain is projected, see `fea.element.pressure_projection`."""
+        return False
+
+    @abstractmethod
+    def state(self, part: Which, displacement: Array | None) -> CellState:
+        """Return strains and stresses of a few cells.
+
+        Parameters
+        ----------
+        part
+            Which cells.
+        displacement
+            Theirs, shape (cells, 3, nodes), m; None for the undeformed state.
+        """
+
+    @abstractmethod
+    def small_stress(self, strain: Array, part: Which) -> Array:
+        """Return the stresses of small strains times the weights, N·m.
+
+        Parameters
+        ----------
+        strain
+            Of a few cells, shape (k, cells, points, 3, 3), dimensionless.
+        part
+            Which cells.
+
+        Returns
+        -------
+        Array
+            Shape (k, cells, points, 3, 3), Pa times m^3.
+        """
+
+    def forces(self, displacement: Array, step: Array | None = None) -> tuple[Array, float, float]:
+        """Return the internal forces, the strain energy and the least det F.
+
+        Parameters
+        ----------
+        displacement
+            Shape (cells, 3, nodes), m.
+        step
+            Shape (2, cells, 3, nodes), m: the last step of Newton's method, see `Body.tangent`;
+            None for the forces proper.
+
+        Returns
+        -------
+        forces
+            Shape (cells, 3, nodes), N.
+        energy
+            J.
+        least
+            The smallest determinant of the deformation gradient.
+        """
+        forces = np.empty_like(displacement)
+        energy, least = 0.0, np.inf
+        for part in self._parts():
+            state = self.state(part, displacement[part])
+            if step is not None:
+                state.extrapolate(step[:, part])
+            forces[part] = state.forces()
+            energy += state.energy()
+            least = min(least, float(np.linalg.det(state.F).min()))
+        return forces, energy, least
+
+    def tangent(self, displacement: Array | None, step: Array | None, cells: Array) -> Array:
+        """Return the tangent stiffness of some cells.
+
+        Parameters
+        ----------
+        displacement
+            Theirs, shape (k, 3, nodes), m; None for the undeformed state.
+        step
+            Theirs, shape (2, k, 3, nodes), m: the last step of Newton's method, see `Body.tangent`;
+            None for the tangent proper.
+        cells
+            Shape (k,), their numbers, dimensionless.
+
+        Returns
+        -------
+        Array
+            Shape (k, size, size), N/m.
+        """
+        out = np.empty((len(cells), self.size, self.size))
+        for start in range(0, len(cells), _CHUNK):
+            own = slice(start, start + _CHUNK)
+            state = self.state(cells[own], None if displacement is None else displacement[own])
+            if step is not None:
+                state.extrapolate(step[:, own])
+            state.tangent(out[own])
+        return out
+
+    def small_strain_forces(self, fields: Array) -> Array:
+        """Return the forces of several small displacement fields, by way of their stresses.
+
+        Parameters
+        ----------
+        fields
+            Shape (k, cells, 3, nodes), m.
+
+        Returns
+        -------
+        Array
+            Shape (k, cells, 3, nodes), N.
+        """
+        forces = np.empty_like(fields)
+        for part in self._parts():
+            _, stress = self._small_strain(fields[:, part], part)
+            slopes = self.gradients.slopes[part]
+            cells, points, _, nodes = slopes.shape
+            stacked = stress.transpose(0, 1, 3, 2, 4).reshape(len(fields), cells, 3, 3 * points)
+            forces[:, part] = stacked @ slopes.reshape(cells, 3 * points, nodes)
+        return forces
+
+    def strain_energy_products(self, fields: Array) -> Array:
+        """Integrate strain : C : strain for pairs of small displacement fields.
+
+        Parameters
+        ----------
+        fields
+            Shape (k, cells, 3, nodes), m.
+
+        Returns
+        -------
+        Array
+            Shape (k, k), J: twice the mutual strain energy of each pair.
+        """
+        count = len(fields)
+        total = np.zeros((count, count))
+        for part in self._parts():
+            strain, stress = self._small_strain(fields[:, part], part)
+            total += strain.reshape(count, -1) @ stress.reshape(count, -1).T
+        return total
+
+    def small_stresses(self, fields: Array) -> Array:
+        """Return the stresses of several small displacement fields at the quadrature points.
+
+        Parameters
+        ----------
+        fields
+            Shape (k, cells, 3, nodes), m.
+
+        Returns
+        -------
+        Array
+            Shape (k, cells, points, 3, 3), Pa.
+        """
+        return np.concatenate(
+            [
+                self._small_strain(fields[:, part], part)[1]
+                / self.gradients.weights[part][..., None, None]
+                for part in self._parts()
+            ],
+            axis=1,
+        )
+
+    def cauchy_stresses(self, displacement: Array, fields: Array) -> tuple[Array, Array]:
+        """Return the Cauchy stresses at the quadrature points, and their change with fields.
+
+        sigma = F S F^T / J, and d sigma = (dF S F^T + F dS F^T + F S dF^T) / J - sigma tr(dF F^-1).
+
+        Parameters
+        ----------
+        displacement
+            Shape (cells, 3, nodes), m.
+        fields
+            Shape (k, cells, 3, nodes): changes of the displacement, m over some unit.
+
+        Returns
+        -------
+        stresses
+            Shape (cells, points, 3, 3), Pa.
+        changes
+            Shape (k, cells, points, 3, 3), Pa over that unit.
+        """
+        found = [
+            self.state(part, displacement[part]).cauchy(fields[:, part]) for part in self._parts()
+        ]
+        return (
+            np.concatenate([stress for stress, _ in found]),
+            np.concatenate([changes for _, changes in found], axis=1),
+        )
+
+    def _small_strain(self, fields: Array, part: slice) -> tuple[Array, Array]:
+        """Return strains and weighted stresses, each of shape (k, cells, points, 3, 3)."""
+        H = fields[:, :, None] @ self.gradients.slopes[part].swapaxes(2, 3)
+        strain = 0.5 * (H + H.swapaxes(3, 4))
+        return strain, self.small_stress(strain, part)
+
+    def _parts(self) -> Iterator[slice]:
+        for start in range(0, len(self), _CHUNK):
+            yield slice(start, start + _CHUNK)

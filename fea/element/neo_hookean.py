@@ -1,0 +1,152 @@
+"""Cells of a neo-Hookean material: rubber.
+
+The energy per undeformed volume is that of CalculiX's *HYPERELASTIC, NEO HOOKE,
+
+    W = mu/2 (J^(-2/3) tr C - 3) + kappa/2 (J - 1)^2,     C10 = mu/2, D1 = 2/kappa,
+
+with mu and kappa those of Young's modulus and Poisson's ratio at small strains, so that a linear
+analysis is that of the isotropic material. S and its moduli are Bonet and Wood's ("Nonlinear
+continuum mechanics for finite element analysis", 2008, section 6.5) in a form that keeps its digits
+at small strains: with C = I + 2 E
+
+    S = 2 mu J^(-2/3) C^-1 dev(E) + p J C^-1,        p = kappa (J - 1).
+
+Cells that project (`fea.element.pressure_projection`) take the projection of J - 1 in lambda's part
+of kappa = lambda + 2 mu/3, as isotropic cells do with tr(E): the mean dilatation of Simo, Taylor
+and Pister (1985) with a linear pressure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fea.element.cell_state import CellState, Which, green_strain
+from fea.element.dense_law import COLUMNS, ROWS, UNIT_STRAINS, DenseState
+from fea.element.st_venant_kirchhoff import Stiffness, projected_gram, weighted
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class NeoHookeanStiffness(Stiffness):
+    """Neo-Hookean cells of one block; first_lame and shear are those at small strains."""
+
+    def state(self, part: Which, displacement: Array | None) -> CellState:
+        """Return strains and stresses, displacements of shape (cells, 3, nodes), m."""
+        if displacement is None:
+            return super().state(part, None)
+        return _State(self, part, displacement)
+
+
+class _State(DenseState):
+    def __init__(self, cells: NeoHookeanStiffness, part: Which, displacement: Array) -> None:
+        super().__init__(cells.gradients, part, displacement)
+        self._cells, self._part = cells, part
+        self.shear = cells.shear[part, None]
+        self.first_lame = cells.first_lame[part, None]
+        self.modes = cells.modes_of(part)
+        self.growth = _growth(self.H)  # J - 1
+        self.J = 1.0 + self.growth
+        self.inverse = np.linalg.inv(np.eye(3) + 2.0 * self.E)
+        # A cell turned inside out has no energy: not a number, which Newton's method takes as such.
+        with np.errstate(invalid="ignore", divide="ignore"):
+            self.scale = self.weights * self.shear * np.exp(-2.0 / 3.0 * np.log1p(self.growth))
+        self.pressure = self._pressure(self.growth)
+        self.own = 2.0 * _times(self.scale, self.inverse @ _deviator(self.E))
+        self.wS = self.own + _times(self.pressure * self.J, self.inverse)
+
+    def extrapolate(self, step: Array) -> None:
+        """Replace the stress and the pressure by their linear extrapolations.
+
+        The pressure in the moduli too: with the true forces this is Newton's method for
+        displacement and pressure as unknowns of their own, the pressure condensed. The pressure of
+        the new state itself is off by kappa times the square of the step, which at a ratio of
+        0.4999 takes the iteration ten times as many steps.
+        """
+        aim, change = step
+        before = _State(self._cells, self._part, aim - change)
+        slope = self.gradient(change)
+        aimed = green_strain(self.gradient(aim)) - 0.5 * (slope.swapaxes(2, 3) @ slope)
+        strain = aimed - before.E
+        growth = before.J * np.sum(before.inverse * strain, axis=(-2, -1))
+        self.pressure = before.pressure + before._pressure(growth)
+        own = before.own + before._own_change(strain)
+        self.wS = own + _times(self.pressure * self.J, self.inverse)
+
+    def weighted_change(self, strain: Array) -> Array:
+        growth = self.J * np.sum(self.inverse * strain, axis=(-2, -1))
+        return self._at_pressure(strain) + _times(self._pressure(growth) * self.J, self.inverse)
+
+    def _pressure(self, growth: Array) -> Array:
+        """Return the pressure of J - 1, shape (..., cells, points), times the weights."""
+        projected = self.first_lame * weighted(growth, self.weights, self.modes)
+        return projected + self._own_pressure(growth)
+
+    def _own_pressure(self, growth: Array) -> Array:
+        return 2.0 / 3.0 * self.shear * self.weights * growth
+
+    def _at_pressure(self, strain: Array) -> Array:
+        """Return the change of `wS` with E while the pressure stays."""
+        inside = self.inverse @ strain @ self.inverse
+        along = np.sum(self.inverse * strain, axis=(-2, -1))
+        pressed = _times(along, self.inverse) - 2.0 * inside
+        return self._own_change(strain) + _times(self.pressure * self.J, pressed)
+
+    def _own_change(self, strain: Array) -> Array:
+        """Return the change with E of the stress that keeps no volume."""
+        inside = self.inverse @ strain @ self.inverse
+        along = np.sum(self.inverse * strain, axis=(-2, -1))
+        third = 1.0 + 2.0 / 3.0 * np.trace(self.E, axis1=-2, axis2=-1)  # tr C / 3
+        trace = np.trace(strain, axis1=-2, axis2=-1)
+        own = _times(third, inside) - _times(along / 3.0, np.eye(3))
+        own += _times(third * along / 3.0 - trace / 3.0, self.inverse)
+        return 2.0 * _times(self.scale, own)
+
+    def moduli(self) -> Array:
+        strains = np.broadcast_to(UNIT_STRAINS[:, None, None], (6, *self.E.shape))
+        if self.modes is None:
+            changes = self.weighted_change(strains)
+        else:  # what is projected has no modulus at a point: see `tangent`
+            growth = self.J * np.sum(self.inverse * strains, axis=(-2, -1))
+            pressed = _times(self._own_pressure(growth) * self.J, self.inverse)
+            changes = self._at_pressure(strains) + pressed
+        return np.moveaxis(changes[..., ROWS, COLUMNS], 0, -1)
+
+    def tangent(self, out: Array) -> None:
+        super().tangent(out)
+        if self.modes is not None:
+            cells, points, _, nodes = self.slopes.shape
+            g = _times(self.J, np.linalg.inv(self.F).swapaxes(2, 3)) @ self.slopes
+            gram = projected_gram(self.modes, g.reshape(cells, points, 3 * nodes))
+            out += self.first_lame[..., None] * gram
+
+    def energy(self) -> float:
+        """Return the energy; its first part from C = (tr C / 3)(I + 2 e) with tr e = 0.
+
+        J^(-2/3) tr C / 3 = det(I + 2 e)^(-1/3), and det(I + 2 e) = 1 - 2 e:e + 8 det e.
+        """
+        third = 1.0 + 2.0 / 3.0 * np.trace(self.E, axis1=-2, axis2=-1)
+        e = _times(1.0 / third, _deviator(self.E))
+        less = 8.0 * np.linalg.det(e) - 2.0 * np.sum(e * e, axis=(-2, -1))
+        own = 1.5 * self.shear * np.expm1(-np.log1p(less) / 3.0)
+        own = np.where(self.J > 0.0, own, np.nan)
+        return float(np.vdot(self.weights, own) + 0.5 * np.vdot(self.pressure, self.growth))
+
+
+def _growth(H: Array) -> Array:
+    """Return det(I + H) - 1 with all its digits, shape (...)."""
+    trace = np.trace(H, axis1=-2, axis2=-1)
+    minors = 0.5 * (trace**2 - np.sum(H * H.swapaxes(-1, -2), axis=(-2, -1)))
+    return trace + minors + np.linalg.det(H)
+
+
+def _deviator(strain: Array) -> Array:
+    mean = np.trace(strain, axis1=-2, axis2=-1) / 3.0
+    return strain - _times(mean, np.eye(3))
+
+
+def _times(factor: Array, matrices: Array) -> Array:
+    """Multiply matrices, shape (..., 3, 3), by numbers, shape (...)."""
+    return factor[..., None, None] * matrices

@@ -1,0 +1,1 @@
+"""What a solve tells beside the interface: the surface displaced, and the stresses within."""

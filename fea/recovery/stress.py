@@ -1,0 +1,104 @@
+"""Stresses at the solver's integration points, in the interface frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from fea.assembly.blocks import sorted_cells
+from fea.assembly.body import Body, gather
+from fea.component import Component
+from fea.mesh.reference_cell import reference_element
+from fea.solution import Solution
+
+Array = np.ndarray
+
+_ROWS, _COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # xx, yy, zz, xy, xz, yz
+
+
+def places_of(component: Component, points: Array) -> tuple[Array, Array]:
+    """Return where the integration points are, and their materials, in the order of `Body.parts`.
+
+    Parameters
+    ----------
+    component
+        Its mesh's cells and their materials.
+    points
+        Shape (n, 3), m: the mesh's points, in the frame wanted.
+
+    Returns
+    -------
+    places
+        Shape (p, 3), m, undeformed.
+    materials
+        Shape (p,), int32: index of each point's material.
+    """
+    places, materials = [], []
+    for kind, nodes, numbers in _parts(component):
+        element = reference_element(kind, component.analysis.integration)
+        places.append((element.values @ points[nodes]).reshape(-1, 3))
+        materials.append(np.repeat(numbers, len(element.values)))
+    return np.concatenate(places), np.concatenate(materials).astype(np.int32)
+
+
+def small_stress(body: Body, fields: Array) -> Array:
+    """Return the stresses of small displacement fields, shape (n, 3, k), m over some unit.
+
+    Shape (p, 6, k), Pa over that unit: xx, yy, zz, xy, xz, yz.
+    """
+    found = []
+    for part, nodes in zip(body.parts, body.cells, strict=True):
+        own = part.small_stresses(np.moveaxis(gather(fields, nodes), -1, 0))
+        found.append(np.moveaxis(_six(own), 0, -1))
+    return np.concatenate(found)
+
+
+def cauchy_stress(body: Body, displacement: Array, tangents: Array) -> tuple[Array, Array]:
+    """Return the Cauchy stresses of a displaced body, and their change with the wrench.
+
+    Parameters
+    ----------
+    body
+        The cells.
+    displacement
+        Shape (n, 3), m.
+    tangents
+        Shape (n, 3, 6): its change with the wrench, m/N and m/(N·m).
+
+    Returns
+    -------
+    stresses
+        Shape (p, 6), Pa: xx, yy, zz, xy, xz, yz.
+    changes
+        Shape (p, 6, 6), Pa/N and Pa/(N·m).
+    """
+    stresses, changes = [], []
+    for part, nodes in zip(body.parts, body.cells, strict=True):
+        fields = np.moveaxis(gather(tangents, nodes), -1, 0)
+        stress, slopes = part.cauchy_stresses(gather(displacement, nodes), fields)
+        stresses.append(_six(stress))
+        changes.append(np.moveaxis(_six(slopes), 0, -1))
+    return np.concatenate(stresses), np.concatenate(changes)
+
+
+def stress_of(component: Component, body: Body, solution: Solution) -> Array:
+    """Return the stresses of a solution, shape (p, 6), Pa: Cauchy's, or the small-strain ones."""
+    nodes = solution.nodes @ component.axes.T
+    if not component.analysis.nonlinear:
+        return small_stress(body, nodes[:, :, None])[:, :, 0]
+    return cauchy_stress(body, nodes, np.empty((*nodes.shape, 0)))[0]
+
+
+def _six(stress: Array) -> Array:
+    """Return six numbers of each point: (k, cells, points, 3, 3) or without k -> (.., p, 6)."""
+    six = stress[..., _ROWS, _COLUMNS]
+    *before, cells, points, _ = six.shape
+    return six.reshape(*before, cells * points, 6)
+
+
+def _parts(component: Component) -> Iterator[tuple[str, Array, Array]]:
+    """Yield kind, nodes and materials of the cells as `fea.assembly.blocks` sorts them."""
+    mesh, materials = component.mesh, component.materials
+    for block, numbers, chosen, _, _ in sorted_cells(mesh, materials, component.material_of_cells):
+        yield block.kind, block.nodes[chosen], numbers[chosen]

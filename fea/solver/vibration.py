@@ -1,0 +1,233 @@
+"""The first natural frequency of a component that carries a rigid mass on its interface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.linalg import LinearOperator, eigsh
+
+from fea.assembly.linearisation import contract
+from fea.assembly.system import System
+from fea.coupling.rotation import skew
+
+Array = np.ndarray
+
+_SEED = 20170726  # of the start vector: the same bundle gives the same digits
+
+
+@dataclass(frozen=True, eq=False)
+class Riding:
+    """The rigid mass that stands on the interface.
+
+    Attributes
+    ----------
+    mass
+        kg, zero or more.
+    inertia
+        Shape (3, 3), kg·m^2: about its centre of mass, in the interface frame.
+    centre
+        Shape (3,), m: its centre of mass from the interface point, in the interface frame.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, the mass negative, or the inertia not symmetric and positive.
+    """
+
+    mass: float
+    inertia: Array
+    centre: Array
+
+    def __post_init__(self) -> None:
+        numbers = np.concatenate([[self.mass], np.ravel(self.inertia), np.ravel(self.centre)])
+        if not np.isfinite(numbers).all():
+            raise ValueError("mass, inertia and centre must be finite numbers")
+        if self.mass < 0:
+            raise ValueError(f"a mass of {self.mass:g} kg cannot be; give zero or more")
+        if not np.array_equal(self.inertia, self.inertia.T):
+            raise ValueError("the inertia must be symmetric")
+        own = np.linalg.eigvalsh(self.inertia)
+        if own[0] < -1e-9 * max(own[2], 0.0):
+            raise ValueError(
+                f"no body has the principal moments of inertia {own.tolist()} kg·m^2: none may be "
+                "negative"
+            )
+
+    @classmethod
+    def of(
+        cls, mass: float = 0.0, inertia: Array | None = None, centre: Array | None = None
+    ) -> Riding:
+        """Return it from three principal moments or six (xx, yy, zz, xy, xz, yz), kg·m^2.
+
+        Raises
+        ------
+        ValueError
+            If there are other than none, three or six moments, or as the class does.
+        """
+        moments = np.zeros(3) if inertia is None else np.asarray(inertia, dtype=float)
+        place = np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
+        if moments.shape not in ((3,), (6,)):
+            raise ValueError("the inertia is three numbers (xx, yy, zz) or six (.., xy, xz, yz)")
+        if place.shape != (3,):
+            raise ValueError("the centre of mass is three numbers, m")
+        whole = np.diag(moments[:3])
+        if len(moments) == 6:
+            xy, xz, yz = moments[3:]
+            whole = whole + np.array([[0, xy, xz], [xy, 0, yz], [xz, yz, 0]])
+        return cls(float(mass), whole, place)
+
+    @property
+    def matrix(self) -> Array:
+        """The mass matrix about the interface point, shape (6, 6): kg, kg·m and kg·m^2."""
+        arm = skew(self.centre)
+        whole = np.zeros((6, 6))
+        whole[:3, :3] = self.mass * np.eye(3)
+        whole[:3, 3:] = -self.mass * arm
+        whole[3:, :3] = self.mass * arm
+        whole[3:, 3:] = self.inertia - self.mass * arm @ arm
+        return whole
+
+
+@dataclass(frozen=True, eq=False)
+class Vibration:
+    """The first natural oscillation about the unloaded state.
+
+    Attributes
+    ----------
+    mass
+        Of the component itself, kg.
+    frequency
+        Hz.
+    interface
+        Shape (6,): the motion of the interface in it, m and rad, of length one.
+    """
+
+    mass: float
+    frequency: float
+    interface: Array
+
+
+def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibration:
+    """Return the lowest eigenfrequency of K x = omega^2 M x, undamped, small motions.
+
+    By Lanczos' method with K^-1 M (shift-invert at zero, ARPACK), K^-1 by the factorisation that
+    solves are made with. The frequency is Rayleigh's quotient of the motion found, with the strain
+    energy from the strains: right to the square of the motion's error.
+
+    Parameters
+    ----------
+    system
+        The equations, in the interface frame.
+    mass
+        Shape (n, n), kg, from `fea.assembly.mass`; without entries the component is massless.
+    riding
+        What stands on the interface.
+
+    Raises
+    ------
+    ValueError
+        If nothing has a mass, or what has one cannot move: locked freedoms hold it.
+    SolveFailed
+        ``mechanism`` or ``ill_conditioned``.
+    """
+    held = np.zeros((6, 6))
+    active = system.coupling.active
+    held[np.ix_(active, active)] = riding.matrix[np.ix_(active, active)]
+    inertia = Inertia(system, mass, held)
+    own = float(mass.sum())
+    x = _lowest(inertia) if mass.nnz else _massless(inertia)
+    fields, interface = inertia.fields(x)
+    stiffness = system.body.strain_energy_products(fields[:, :, None])[0, 0]
+    square = stiffness / float(x @ inertia.times(x))
+    return Vibration(own, float(np.sqrt(square) / (2 * np.pi)), _directed(interface))
+
+
+class Inertia:
+    """The mass matrix over free nodes and active interface freedoms, and K^-1."""
+
+    def __init__(self, system: System, mass: csr_array, held: Array) -> None:
+        self._mass, self.held = mass, held
+        self._start = system.undeformed
+        self.active = system.coupling.active
+        self._free = np.flatnonzero(system.body.free)
+        self._nodes = system.body.size
+        self._ties = self._start.border.ties[:, :, : self.active.size]
+        self._multipliers = system.coupling.border - self.active.size
+        self.size = 3 * self._free.size + self.active.size
+
+    def fields(self, x: Array) -> tuple[Array, Array]:
+        """Return all nodes' motion (n, 3), m, and the interface's (6,), m and rad."""
+        border = x[3 * self._free.size :]
+        nodes = self._ties @ border
+        nodes[self._free] += x[: 3 * self._free.size].reshape(-1, 3)
+        interface = np.zeros(6)
+        interface[self.active] = border
+        return nodes, interface
+
+    def times(self, x: Array) -> Array:
+        """Multiply by the mass matrix: shape (size,) to (size,), kg times the unit given."""
+        nodes, interface = self.fields(np.asarray(x).reshape(-1))
+        forces = np.asarray(self._mass @ nodes)
+        border = contract(self._ties, forces[:, :, None])[:, 0]
+        border += (self.held @ interface)[self.active]
+        return np.concatenate([forces[self._free].ravel(), border])
+
+    def solved(self, loads: Array) -> Array:
+        """Return K^-1 times loads: shape (size,), N and N·m, to (size,), m and rad."""
+        loads = np.asarray(loads).reshape(-1)
+        nodal = np.zeros((self._nodes, 3, 1))
+        nodal[self._free, :, 0] = loads[: 3 * self._free.size].reshape(-1, 3)
+        border = np.append(loads[3 * self._free.size :], np.zeros(self._multipliers))
+        nodes, moved = self._start.solve(nodal, border[:, None])
+        return np.concatenate([nodes[self._free, :, 0].ravel(), moved[: self.active.size, 0]])
+
+
+class _Applied(LinearOperator):
+    """A linear map as SciPy takes it."""
+
+    def __init__(self, size: int, apply: Callable[[Array], Array]) -> None:
+        super().__init__(np.dtype(float), (size, size))
+        self._apply = apply
+
+    def _matvec(self, x: Array) -> Array:
+        return self._apply(x)
+
+
+def _lowest(inertia: Inertia) -> Array:
+    """Return the motion of the lowest frequency, by Lanczos' method."""
+    mass, inverse = (_Applied(inertia.size, one) for one in (inertia.times, inertia.solved))
+    start = np.random.default_rng(_SEED).standard_normal(inertia.size)
+    # In this mode ARPACK multiplies by K^-1 and M alone; the first argument tells the size.
+    _, motions = eigsh(mass, k=1, M=mass, sigma=0.0, which="LM", OPinv=inverse, v0=start)
+    return motions[:, 0]
+
+
+def _massless(inertia: Inertia) -> Array:
+    """Return the motion of a massless component: its compliance C and the mass M it carries.
+
+    With C = L L^T the largest eigenvalue of L^T M L is 1 / omega^2.
+    """
+    count = inertia.active.size
+    units = np.zeros((count, inertia.size))
+    units[:, -count:] = np.eye(count)
+    moved = np.stack([inertia.solved(unit) for unit in units], axis=1)
+    compliance = moved[-count:]
+    lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
+    carried = inertia.held[np.ix_(inertia.active, inertia.active)]
+    values, motions = np.linalg.eigh(lower.T @ carried @ lower)
+    if not values[-1] > 0:
+        raise ValueError(
+            "nothing that can move has a mass: give the materials a density or the scene's mass"
+        )
+    return np.linalg.solve(compliance, lower @ motions[:, -1]) @ moved.T
+
+
+def _directed(interface: Array) -> Array:
+    """Return a motion of length one whose largest part is positive."""
+    length = float(np.linalg.norm(interface))
+    if length == 0.0:
+        return interface
+    return interface / (length * np.sign(interface[np.abs(interface).argmax()]))

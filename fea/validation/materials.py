@@ -1,0 +1,61 @@
+"""Orthotropic and neo-Hookean components on the same mesh as CalculiX."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from fea.component import Component
+from fea.coupling.rotation import rotation
+from fea.spec.orthotropic import Orthotropic
+from fea.spec.schema import Material
+from fea.validation.boxes import box
+from fea.validation.clamped import clamped
+from fea.validation.finding import Finding, case
+from fea.validation.samemesh import same_mesh
+
+_X, _Y, _Z = rotation(np.array([0.3, -0.8, 0.5])).tolist()
+CARBON = Orthotropic(
+    (135e9, 10e9, 9e9), (0.3, 0.32, 0.45), (5e9, 4.8e9, 3.2e9), (tuple(_X), tuple(_Y), tuple(_Z))
+)
+"""Carbon fibre with nine different constants, its directions askew to every axis."""
+
+TIP_LOAD = (90.0, -60.0, 270.0, 9.0, -7.5, 3.6)
+SQUEEZE = (250.0, -100.0, -900.0, 0.5, 1.0, 0.8)
+"""N and N·m: compresses the block of rubber by a tenth and shears it by a quarter."""
+
+
+@case("material")
+def orthotropic_same_mesh() -> Iterator[Finding]:
+    """Orthotropic bar, 50 x 20 x 400 mm, nine constants askew, on the same mesh as CalculiX."""
+    for kind in ("hex20", "tet10"):
+        part = orthotropic_bar(kind)
+        for nonlinear in (False, True):
+            yield from same_mesh(kind, part, TIP_LOAD, nonlinear=nonlinear)
+
+
+@case("material")
+def rubber_same_mesh() -> Iterator[Finding]:
+    """Bonded block of rubber, 50 x 50 x 40 mm, squeezed askew, on the same mesh as CalculiX."""
+    for kind, ratio in (("hex20", 0.4), ("tet10", 0.45)):
+        part = rubber_block(kind, ratio)
+        for nonlinear in (False, True):
+            name = f"{kind}, Poisson's ratio {ratio:g}"
+            yield from same_mesh(name, part, SQUEEZE, nonlinear=nonlinear)
+
+
+def orthotropic_bar(kind: str, divisions: tuple[int, int, int] = (2, 2, 5)) -> Component:
+    """Return a bar of `CARBON`, its interface turned too."""
+    axes = rotation(np.array([0.2, 0.1, -0.4]))
+    mesh = box(kind, divisions, (0.05, 0.02, 0.4))
+    part = clamped(mesh, "z0", "z1", (1.0, 0.0), axes=axes)
+    own = Material("all", 135e9, CARBON.isotropic_ratio, law="orthotropic", orthotropic=CARBON)
+    return replace(part, materials=(own,))
+
+
+def rubber_block(kind: str, ratio: float, divisions: tuple[int, int, int] = (2, 2, 2)) -> Component:
+    """Return a block of neo-Hookean rubber of 3 MPa between rigid plates."""
+    part = clamped(box(kind, divisions, (0.05, 0.05, 0.04)), "z0", "z1", (1.0, 0.0))
+    return replace(part, materials=(Material("all", 3e6, ratio, law="neo-hookean"),))

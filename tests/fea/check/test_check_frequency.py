@@ -1,0 +1,91 @@
+"""What the check says of mass and natural frequency."""
+
+import json
+import shutil
+
+import pytest
+
+from fea.bundle.read import read_bundle
+from fea.bundle.shipped import SHIPPED
+from fea.check.reporting import main, report
+from fea.solver.vibration import Riding
+
+WITH_DENSITY = "poisson_ratio = 0.3\ndensity = 7850.0\nyield_strength = 250e6\n"
+
+
+@pytest.fixture
+def bar(tmp_path):
+    folder = tmp_path / "bar"
+    shutil.copytree(SHIPPED / "bar", folder)
+    return folder
+
+
+def with_density(folder):
+    path = folder / "component.toml"
+    text = "\n".join(
+        line
+        for line in path.read_text("utf-8").splitlines()
+        if not line.startswith(("density", "yield_strength"))
+    )
+    path.write_text(text.replace("poisson_ratio = 0.3\n", WITH_DENSITY), "utf-8")
+    return folder
+
+
+def test_neither_density_nor_yield_strength_changes_the_fingerprint(bar):
+    before = read_bundle(bar).fingerprint
+    bundle = read_bundle(with_density(bar))
+    assert bundle.fingerprint == before
+    assert (bundle.materials[0].density, bundle.materials[0].yield_strength) == (7850.0, 250e6)
+
+
+def test_the_report_tells_mass_and_frequency(bar):
+    told = report(with_density(bar), Riding.of(2.0))["vibration"]
+    assert told["mass"] == pytest.approx(7850 * 0.02 * 0.02, rel=1e-9)
+    beam = (3 * 210e9 * 0.02**4 / 12 / (2.0 + 33 / 140 * told["mass"])) ** 0.5
+    assert told["first_frequency"] == pytest.approx(beam / 6.283185307, rel=5e-3)
+    assert told["riding_mass"] == 2.0
+
+
+@pytest.mark.parametrize("key", ["density", "yield_strength"])
+@pytest.mark.parametrize("value", ["0.0", "-1.0", '"steel"', "nan"])
+def test_a_material_of_no_such_number_is_refused(bar, key, value):
+    path = with_density(bar) / "component.toml"
+    old = "density = 7850.0" if key == "density" else "yield_strength = 250e6"
+    path.write_text(path.read_text("utf-8").replace(old, f"{key} = {value}"), "utf-8")
+    told = report(bar)
+    assert not told["ok"]
+    assert [one["where"] for one in told["problems"]] == [f"material[0].{key}"]
+
+
+def test_the_program_takes_the_mass_as_arguments(bar, capsys):
+    assert main(["--mass", "2", "--inertia=1,1,2", "--centre=0,0,0.1", str(with_density(bar))]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["vibration"]["riding_mass"] == 2.0
+
+
+def test_the_text_says_the_frequency(bar, capsys):
+    assert main(["--text", "--mass", "2", str(with_density(bar))]) == 0
+    assert "first natural frequency" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--mass", "-2"], "zero or more"),
+        (["--inertia", "1,2,3"], "need --mass"),
+        (["--mass", "1", "--inertia", "1,2"], "three numbers"),
+        (["--mass", "1", "--centre", "nan,0,0"], "finite"),
+    ],
+)
+def test_a_mass_that_cannot_be_is_a_usage_error(bar, capsys, words, message):
+    assert main([*words, str(bar)]) == 2
+    assert message in capsys.readouterr().out
+
+
+def test_a_bundle_without_density_tells_a_frequency_only_with_a_mass(bar):
+    path = with_density(bar) / "component.toml"
+    path.write_text(path.read_text("utf-8").replace("density = 7850.0\n", ""), "utf-8")
+    assert report(bar)["vibration"] == {}
+    told = report(bar, Riding.of(2.0))
+    assert told["vibration"]["mass"] is None
+    assert any("weightless" in one["message"] for one in told["warnings"])

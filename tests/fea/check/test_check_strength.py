@@ -1,0 +1,99 @@
+"""What the check says of mass and stresses under the full load range."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fea.bundle.read import read_bundle
+from fea.bundle.shipped import SHIPPED
+from fea.check import as_text, report
+from fea.check.strength import strength
+from fea.component import build
+from fea.element.equivalent_stress import von_mises
+from fea.solve import Solver
+from fea.spec.schema import LoadRange
+from fea.validation.clamped import clamped
+from fea.validation.laminate import strip
+from tests.fea.boxes import box
+
+
+def bar(tmp_path, **changes):
+    folder = tmp_path / "bar"
+    shutil.copytree(SHIPPED / "bar", folder)
+    path = folder / "component.toml"
+    text = path.read_text("utf-8")
+    for old, new in changes.values():
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text, "utf-8")
+    return folder
+
+
+def test_the_text_tells_mass_and_the_largest_stress_of_the_range(tmp_path):
+    text = as_text(report(bar(tmp_path)))
+    assert "mass 3.14 kg" in text
+    assert "largest von Mises stress of all under the full range: 199.2 MPa, 56.1 % of" in text
+
+
+def test_no_wrench_of_the_range_has_a_larger_stress():
+    part = build(read_bundle(SHIPPED / "bar"))
+    ((one,), _) = strength(Solver(part), nonlinear=False)
+    loads = part.bundle.range
+    assert set(one["wrench"]) <= {*loads.low, *loads.high}
+    built = Solver(part)
+    rng = np.random.default_rng(3)
+    for wrench in rng.uniform(loads.low, loads.high, (20, 6)):
+        assert von_mises(built.unit_stresses() @ wrench).max() <= one["largest"]
+    ends = von_mises(built.unit_stresses() @ np.array(one["wrench"]))
+    assert ends.max() == pytest.approx(one["largest"], rel=1e-12)
+
+
+def test_a_range_beyond_the_yield_strength_is_a_warning_that_says_how_far(tmp_path):
+    told = report(bar(tmp_path, weak=("355e6", "100e6")))
+    (warning,) = [one for one in told["warnings"] if "yield_strength" in one["where"]]
+    assert "2 times it" in warning["message"]
+    assert told["ok"]
+
+
+def test_without_a_yield_strength_nothing_is_solved(tmp_path):
+    told = report(bar(tmp_path, none=("yield_strength = 355e6", "# none")))
+    assert told["strength"] == []
+
+
+def rod(times=1.0, nonlinear=True):
+    part = clamped(box("hex20", (2, 2, 4), (0.01, 0.01, 0.2)), "z0", "z1", (70e9, 0.3))
+    high = times * np.array([20.0, 10.0, 100.0, 1.0, 1.0, 1.0])
+    bundle = replace(part.bundle, range=LoadRange(-high, high))
+    material = replace(part.materials[0], yield_strength=200e6)
+    analysis = replace(part.analysis, nonlinear=nonlinear)
+    return replace(part, bundle=bundle, materials=(material,), analysis=analysis)
+
+
+def test_a_nonlinear_component_is_first_order_unless_it_is_solved():
+    ((plain,), _) = strength(Solver(rod()), nonlinear=False)
+    ((solved,), _) = strength(Solver(rod()), nonlinear=True)
+    assert (plain["first_order"], solved["first_order"]) == (True, False)
+    assert solved["wrench"] == plain["wrench"]
+    assert solved["largest"] != plain["largest"]
+    assert solved["largest"] == pytest.approx(plain["largest"], rel=0.1)
+    built = Solver(rod())
+    stress = built.fields(built.solve(solved["wrench"])).largest
+    assert solved["largest"] == pytest.approx(stress, rel=1e-9)
+
+
+def test_a_range_that_cannot_be_solved_stays_first_order_and_says_why():
+    ((one,), warnings) = strength(Solver(rod(times=300.0)), nonlinear=True)
+    assert one["first_order"]
+    assert any("fails" in warning.message for warning in warnings)
+
+
+def test_von_mises_says_little_of_an_orthotropic_material():
+    part = strip((0, 90), (4, 1))
+    loads = LoadRange(-np.ones(6), np.ones(6))
+    materials = tuple(replace(one, yield_strength=1e12) for one in part.materials)
+    part = replace(part, bundle=replace(part.bundle, range=loads), materials=materials)
+    found, warnings = strength(Solver(part), nonlinear=False)
+    assert len(found) == 2
+    assert "says little" in warnings[0].message
