@@ -83,3 +83,47 @@ def over_tolerance(error: Sequence[float], allowed: Sequence[float]) -> str:
 def allowed_by(tolerance: Tolerance) -> tuple[float, ...]:
     """Return the largest error bar of each output, shape (6,), m and rad."""
     return (tolerance.translation,) * 3 + (tolerance.rotation,) * 3
+
+
+def within(error: Sequence[float], allowed: Sequence[float]) -> bool:
+    """Return whether six bars, m and rad, are within what is allowed; NaN is not."""
+    a, b, c, d, e, f = error
+    u, v, w, x, y, z = allowed
+    return a <= u and b <= v and c <= w and d <= x and e <= y and f <= z
+
+
+def within_tolerance(
+    bars: Sequence[float | None] | None, tolerance: Tolerance | None
+) -> bool | None:
+    """Return whether the whole bars of an answer, six, m and rad, are within a tolerance.
+
+    Coverage asks that of the table's share alone, which more rows lower; this is of the bar that is
+    told, the solver's share included. An output without a bar (None) has nobody measured; None
+    where no output has one, or there is no tolerance.
+    """
+    if bars is None or tolerance is None:
+        return None
+    if None in bars:
+        pairs = zip(bars, allowed_by(tolerance), strict=True)
+        known = [bar <= most for bar, most in pairs if bar is not None]
+        return all(known) if known else None
+    a, b, c, d, e, f = bars
+    most, turn = tolerance.translation, tolerance.rotation
+    return a <= most and b <= most and c <= most and d <= turn and e <= turn and f <= turn  # pyright: ignore[reportOptionalOperand, reportReturnType]
+
+
+def within_tolerance_many(bars: Floats, tolerance: Tolerance | None) -> list[bool | None] | None:
+    """Return `within_tolerance` of bars (n, 6), m and rad, NaN where there is none."""
+    if tolerance is None:
+        return None
+    unknown = np.isnan(bars)
+    within_all = np.all(unknown | (bars <= np.array(allowed_by(tolerance))), axis=1)
+    none_known = np.all(unknown, axis=1)
+    pairs = zip(none_known.tolist(), within_all.tolist(), strict=True)
+    return [None if blank else held for blank, held in pairs]
+
+
+def no_answers(count: int) -> Batch:
+    """Return so many answers of a table without rows."""
+    blank = np.full((count, 6), np.nan)
+    return Batch(blank, blank.copy(), np.full(count, OUTSIDE, dtype=np.uint8))

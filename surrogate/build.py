@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from .missing_outputs import MissingOutputs
+from .solver_error import SolverError, bars_are_whole
 from .surrogate import Surrogate
 from .table.axes import OffAxis
 from .table.rows import LoadRange, Rows, Tolerance
@@ -18,6 +21,8 @@ def build(
     linear: bool = False,
     off_axis: OffAxis = "correct",
     version: int = 0,
+    before: AnyTable | None = None,
+    solver_error: SolverError | None = None,
 ) -> AnyTable:
     """Build what answers from valid rows of one fingerprint.
 
@@ -31,8 +36,23 @@ def build(
         Whether the component is linear, so that its 6x6 compliance is the whole truth.
     off_axis : {"correct", "ignore", "exclude"}
         What becomes of rows that are clean for no axis.
+    before : Surrogate or MissingOutputs, optional
+        Of another version of the table. Axes whose points have not changed are taken from it,
+        rather than made again; what is answered is the same to the last bit.
+    solver_error : SolverError, optional
+        What the solver of those rows may be wrong by itself. It stays beside the table, whose own
+        bars tell what further rows would lower.
     """
-    made = MissingOutputs if rows.partial else Surrogate
-    return made(
-        rows, load_range, tolerance=tolerance, linear=linear, off_axis=off_axis, version=version
+    kind: type[Any] = MissingOutputs if rows.partial else Surrogate
+    table: AnyTable = kind(
+        rows,
+        load_range,
+        tolerance=tolerance,
+        linear=linear,
+        off_axis=off_axis,
+        version=version,
+        before=before if isinstance(before, kind) else None,
     )
+    table.solver_error = solver_error
+    table.bars_are_whole = bars_are_whole(rows, solver_error)
+    return table

@@ -21,10 +21,12 @@ def derivative_at(
     method : str or None
         What was asked for.
     by_row : bool
-        Whether a row answered: that tells its own tangent, NaN if it has none.
+        Whether a row, at the wrench or beside it, answered: that tells its own tangent, NaN if it
+        has none.
     """
-    asked = np.array(wrench, dtype=float)
-    return _tangent(surrogate, asked) if by_row else surrogate.derivatives(asked[None], method)[0]
+    if by_row:
+        return surrogate.row_tangent(wrench).copy()
+    return surrogate.derivatives(np.array((wrench,), dtype=float), method)[0]
 
 
 def derivatives_at(
@@ -44,16 +46,8 @@ def derivatives_at(
     """
     asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
     found = surrogate.derivatives(asked, method)
-    rows = set(map(tuple, surrogate.rows.wrench.tolist()))
-    for place, wrench in enumerate(map(tuple, asked.tolist())):
-        if wrench in rows and surrogate.answer(wrench, tolerance, method).method == "row":
-            found[place] = _tangent(surrogate, asked[place])
+    for place in np.flatnonzero(surrogate.near_rows(asked)).tolist():
+        wrench = asked[place].tolist()
+        if surrogate.answer(wrench, tolerance, method).method == "row":
+            found[place] = surrogate.row_tangent(wrench)
     return found
-
-
-def _tangent(surrogate: AnyTable, wrench: Floats) -> Floats:
-    """Return the tangent (6, 6) of the first row at a wrench (6,) that has one, else NaN."""
-    same = (surrogate.rows.wrench == wrench).all(axis=1)
-    tangents = surrogate.rows.compliance[same]
-    known = tangents[np.isfinite(tangents).all(axis=(1, 2))]
-    return known[0].copy() if len(known) else np.full((6, 6), np.nan)

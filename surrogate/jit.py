@@ -31,6 +31,17 @@ def ready() -> bool:
     return COMPILED and (not _held_back or getattr(_warming, "here", False))
 
 
+def state() -> str:
+    """Return ``used``, ``loading`` or ``not used``: which code answers whom else than a warm-up.
+
+    While it is ``loading`` the array versions answer: the same to 1e-12 of the largest, not to the
+    last digit. Where it cannot be loaded it stays so.
+    """
+    if not COMPILED:
+        return "not used"
+    return "loading" if _held_back else "used"
+
+
 def warm_in_background(use: Callable[[], object]) -> threading.Thread:
     """Use compiled code once in another thread, and everywhere only after that.
 

@@ -12,10 +12,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .answer import NAMES, Answer, Batch
 from .composition.composition import Composition
+from .exact_rows import sources_at
+from .kriging import Kriging
+from .solver_error import SolverError
 from .surrogate import Surrogate
 from .table.axes import OffAxis
 from .table.compliance import ComplianceFit
@@ -35,7 +38,12 @@ class MissingOutputs:
         Outputs that are held by the same rows, and the surrogate of those rows, the fewest first.
     unmeasured : tuple of str
         The names of the outputs that no row holds.
+    solver_error : SolverError or None
+        What the solver may be wrong by: in no bar here; `bars_are_whole` says if it is known.
     """
+
+    solver_error: SolverError | None = None
+    bars_are_whole: bool = True
 
     def __init__(
         self,
@@ -46,8 +54,11 @@ class MissingOutputs:
         linear: bool = False,
         off_axis: OffAxis = "correct",
         version: int = 0,
+        before: MissingOutputs | None = None,
     ) -> None:
+        """Build from rows; axes that another version has as well are taken from it."""
         self.rows, self.load_range = rows, load_range
+        known = dict(before.groups) if before is not None else {}
         groups = [
             (
                 outputs,
@@ -58,6 +69,7 @@ class MissingOutputs:
                     linear=linear,
                     off_axis=off_axis,
                     version=version,
+                    before=known.get(outputs),
                 ),
             )
             for outputs, held in _by_output(rows)
@@ -65,6 +77,11 @@ class MissingOutputs:
         self.groups = tuple(sorted(groups, key=lambda group: len(group[1].rows)))
         held = {output for outputs, _ in self.groups for output in outputs}
         self.unmeasured = tuple(name for k, name in enumerate(OUTPUTS) if k not in held)
+
+    @property
+    def kriging(self) -> Kriging | None:
+        """That of the first outputs that have one, None without: what whole fields are told by."""
+        return next((own.kriging for _, own in self.groups if own.kriging is not None), None)
 
     @property
     def thinnest(self) -> Surrogate:
@@ -89,7 +106,7 @@ class MissingOutputs:
     @property
     def full_wrenches(self) -> int:
         """How many of those load more than one axis."""
-        return self.thinnest.full_wrenches
+        return self.thinnest.doubt.full_wrenches
 
     @property
     def tolerance(self) -> Tolerance | None:
@@ -209,12 +226,26 @@ class MissingOutputs:
         return detail
 
     def source_of(self, wrench: Sequence[float]) -> str | None:
-        """Return the source of the row that has just this wrench, N and N·m; None if none has.
+        """Return the source of the rows at or beside a wrench, N and N·m; None if none is.
 
         Of several rows that have it, which may hold different outputs, all their sources.
         """
-        same = (self.rows.wrench == np.asarray(wrench, dtype=float)).all(axis=1)
-        return ", ".join(dict.fromkeys(self.rows.source[same].tolist())) if same.any() else None
+        return sources_at(self.rows, [part.exact.wrench_at(wrench) for _, part in self.groups])
+
+    def has_row(self, wrench: Sequence[float]) -> bool:
+        """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
+        return any(part.has_row(wrench) for _, part in self.groups)
+
+    def near_rows(self, wrenches: Floats) -> NDArray[np.bool_]:
+        """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
+        return np.logical_or.reduce([part.near_rows(wrenches) for _, part in self.groups])
+
+    def row_tangent(self, wrench: Sequence[float]) -> Floats:
+        """Return the tangent (6, 6), SI, of the rows at or beside a wrench; NaN where none has."""
+        found = np.full((6, 6), np.nan)
+        for outputs, part in self.groups:
+            found[list(outputs)] = part.row_tangent(wrench)[list(outputs)]
+        return found
 
     def coverage_summary(self) -> dict[str, Any]:
         """Return the summary of the thinnest surrogate, and how many rows hold what."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bars.conformal import conformal_factor
 from ..interpolation.delaunay import Indices, Triangulation
 from ..interpolation.local_bars import local_bars
 from ..interpolation.slope_recovery import fit_patches, mean_slopes
@@ -17,6 +19,8 @@ from ..table.rows import Floats, LoadRange
 # The largest fraction of the load range, by dimension, that one simplex may take before it is
 # `thin`: half a range along a line, a fifth of a rectangle, a tenth of a box is no table.
 LARGEST = {0: 1.0, 1: 0.4, 2: 0.2, 3: 0.1}
+
+MOST_CHECKED = 2000  # points left out that check the bars: their 95 % quantile is known to 1 %
 
 SOUND, WEAK = 0, 1
 
@@ -64,8 +68,11 @@ class AxisTable:
     values : ndarray, shape (n, 6), m and rad
     slopes : ndarray, shape (n, 6, 3), m and rad
         Derivative by the scaled inputs: stored tangents, else recovered from neighbours.
-    rest : ndarray, shape (n, 6), m and rad
-        Error bar of the outputs with their bends, given at the points (`local_bars`).
+    given : int
+        Points there were to choose from: more than n where the table was thinned.
+    rest, own_rest : ndarray, shape (n, 6), m and rad
+        Error bar of the outputs with their bends, given at the points (`local_bars`), and as it
+        was before points that were left out had their say.
     state : ndarray of int, shape (m,)
         `SOUND`, `WEAK` or `DEGENERATE`, per simplex.
     fewest : int
@@ -81,13 +88,31 @@ class AxisTable:
         self.fewest = 2 * (self.triangulation.dimension + 1)
         patches = fit_patches(self.triangulation, self.values)
         self.slopes = self._slopes(patches.slopes)
-        self.rest = local_bars(self.triangulation, self.values, patches.misses) + rows.uncertainty
+        bars = local_bars(self.triangulation, self.values, patches.misses)
+        self.rest = self.own_rest = bars + rows.uncertainty
+        self.given = len(self.values)
         self.state = self._state()
 
     @property
     def enough(self) -> bool:
         """Whether there are points enough to tell an error."""
         return len(self.values) >= self.fewest
+
+    def is_made_like(self, other: AxisTable) -> bool:
+        """Return whether one was taken over from the other: they differ in nothing they answer."""
+        return self.triangulation is other.triangulation and self.rest is other.rest
+
+    def held_to(self, left: AxisRows) -> AxisTable:
+        """Return this table, its bars widened to hold points that are not in it, at least one."""
+        some = np.linspace(0, len(left.points) - 1, MOST_CHECKED).astype(np.intp)
+        some = np.unique(some)
+        reading = self.read(left.points[some])
+        errors = np.abs(reading.outputs + reading.bends - left.displacement[some])
+        factor = conformal_factor(errors[reading.inside], reading.rest[reading.inside])
+        held = copy(self)
+        held.given = len(self.values) + len(left.points)
+        held.rest = self.own_rest * np.maximum(factor, 1.0)
+        return held
 
     def fractions(self) -> Floats:
         """Return what fraction of the load range each simplex takes, shape (m,)."""
@@ -147,3 +172,21 @@ class AxisTable:
         state = np.where(large | (not self.enough), WEAK, SOUND)
         state[self.triangulation.degenerate] = DEGENERATE
         return state.astype(np.int32)
+
+
+def axis_table(rows: AxisRows, load_range: LoadRange, before: AxisTable | None) -> AxisTable:
+    """Return the table of an axis' rows, at least one.
+
+    Parameters
+    ----------
+    before : AxisTable or None
+        Of another version: taken over where it was made of the same numbers, since nothing else
+        has a say in it.
+    """
+    scale = load_range.scale[list(rows.axis.inputs)]
+    if before is None or not np.array_equal(before.scale, scale) or not rows.equals(before.rows):
+        return AxisTable(rows, load_range)
+    same = copy(before)
+    same.rows = rows  # the rows behind a point may have other places
+    same.rest, same.given = same.own_rest, len(same.values)
+    return same

@@ -6,37 +6,66 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..table.axes import AXES, CLEAN, Axis, AxisRows, OffAxis, axis_rows
+from ..table.axes import AXES, CLEAN, Axis, AxisRows, OffAxis, axis_rows, clean_rows
 from ..table.compliance import ComplianceFit
 from ..table.rows import LoadRange, Rows
-from .axis_table import SOUND, AxisTable
+from ..table.thinning import evenly_chosen
+from .axis_table import SOUND, AxisTable, axis_table
 from .composition import AtRest, Composition
 
 
 def build_composition(
-    rows: Rows, load_range: LoadRange, fit: ComplianceFit, off_axis: OffAxis
+    rows: Rows,
+    load_range: LoadRange,
+    fit: ComplianceFit,
+    off_axis: OffAxis,
+    before: Composition | None = None,
 ) -> Composition:
-    """Build the three axes over rows within the load range."""
-    tables = [_axis_table(rows, load_range, axis, fit, off_axis) for axis in AXES]
+    """Build the three axes over rows within the load range.
+
+    Parameters
+    ----------
+    before : Composition, optional
+        Of another version of the table: an axis whose points have not changed is taken from it, as
+        it would be made again to the last bit.
+    """
+    kept = before.tables if before is not None else (None,) * len(AXES)
+    tables = [
+        _axis_table(rows, load_range, axis, fit, off_axis, own)
+        for axis, own in zip(AXES, kept, strict=True)
+    ]
     at_rest = answer_at_rest(rows, load_range, tables)
-    return Composition(tables, at_rest, fit, load_range.scale)
+    return Composition(tables, at_rest, fit, load_range.scale, before)
 
 
 def _axis_table(
-    rows: Rows, load_range: LoadRange, axis: Axis, fit: ComplianceFit, off_axis: OffAxis
+    rows: Rows,
+    load_range: LoadRange,
+    axis: Axis,
+    fit: ComplianceFit,
+    off_axis: OffAxis,
+    before: AxisTable | None,
 ) -> AxisTable | None:
     clean = axis_rows(rows, load_range, axis, fit, "exclude")
-    table = AxisTable(clean, load_range) if len(clean.points) else None
-    if off_axis == "exclude":
+    table = _thinned(clean, load_range, before) if len(clean.points) else None
+    if off_axis == "exclude" or clean_rows(rows, load_range).any(axis=1).all():
         return table
     chosen = axis_rows(rows, load_range, axis, fit, off_axis)
     if off_axis == "correct" and table is not None:
         chosen = _worth_joining(chosen, table)
     if not len(chosen.points):
         return None
-    if table is not None and len(chosen.points) == len(clean.points):
+    if table is not None and chosen.clean.all():
         return table
-    return AxisTable(chosen, load_range)
+    return _thinned(chosen, load_range, before)
+
+
+def _thinned(rows: AxisRows, load_range: LoadRange, before: AxisTable | None) -> AxisTable:
+    """Return the table of an axis' rows, or of an even choice of them where they are many."""
+    chosen = evenly_chosen(rows.points)
+    if chosen.all():
+        return axis_table(rows, load_range, before)
+    return axis_table(rows.take(chosen), load_range, before).held_to(rows.take(~chosen))
 
 
 def _worth_joining(joined: AxisRows, table: AxisTable) -> AxisRows:

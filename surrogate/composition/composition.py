@@ -110,10 +110,25 @@ class Composition:
         at_rest: AtRest,
         fit: ComplianceFit,
         scale: Floats,
+        before: Composition | None = None,
     ) -> None:
+        """Compose; cuts of axes that another composition has too are taken from it."""
         self.tables = tuple(tables)
         self.at_rest, self.fit, self.scale = at_rest, fit, scale
-        self.cuts = tuple(_cuts(self.tables, moment) for moment in (3, 4, 5))
+        known = before.cuts if before is not None else ((),) * 3
+        self.cuts = tuple(
+            _cuts(self.tables, moment, own) for moment, own in zip((3, 4, 5), known, strict=True)
+        )
+
+    @property
+    def thinning(self) -> str:
+        """Which axes are made of a choice of their points, in words; empty if none is."""
+        found = [
+            f"axis {table.axis.name} of {len(table.values)} of its {table.given} points"
+            for table in self.tables
+            if table is not None and table.given > len(table.values)
+        ]
+        return f"an even choice is triangulated: {', '.join(found)}" if found else ""
 
     def evaluate(self, wrenches: Floats) -> Evaluated:
         """Compose the answers to wrenches, shape (n, 6), N and N·m."""
@@ -210,7 +225,9 @@ class Composition:
         basis, inputs = table.triangulation.basis, list(table.axis.inputs)
         off = step - step @ basis.T @ basis
         part.rest[rows] += np.abs(np.einsum("kqi,ki->kq", part.slopes[rows] * table.scale, step))
-        if np.abs(off).max() > CLEAN:
+        leaves = np.abs(off).max(axis=1) > CLEAN  # of each wrench by itself: batches change nothing
+        if leaves.any():
+            rows, off = rows[leaves], off[leaves]
             loads = off * table.scale
             part.outputs[rows] += loads @ self.fit.matrix[:, inputs].T
             part.rest[rows] += np.abs(loads) @ np.abs(self.fit.matrix[:, inputs]).T + self.fit.bar
@@ -305,12 +322,16 @@ class _Total:
         )
 
 
-def _cuts(tables: Sequence[AxisTable | None], moment: int) -> tuple[PureMomentCut, ...]:
+def _cuts(
+    tables: Sequence[AxisTable | None], moment: int, known: Sequence[PureMomentCut]
+) -> tuple[PureMomentCut, ...]:
     """Return the cuts along a moment, the one of the axis it comes first in before the other."""
     cuts = []
     for column in (1, 2):
         index = next(place for place, axis in enumerate(AXES) if axis.inputs[column] == moment)
         table = tables[index]
-        if table is not None:
-            cuts.append(PureMomentCut(table, column))
+        if table is None:
+            continue
+        same = [cut for cut in known if cut.column == column and cut.table.is_made_like(table)]
+        cuts.append(same[0].of(table) if same else PureMomentCut(table, column))
     return tuple(cuts)

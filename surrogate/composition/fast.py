@@ -172,6 +172,30 @@ def judge(
                 rest = np.sqrt(rest)
             bar = abs(wrong) + rest
             if off:  # it may be as wrong as the step from the hull is long
-                bar = max(bar, np.sqrt(squares[row, k]))
+                step = np.sqrt(squares[row, k])
+                if step > bar or np.isnan(step):  # of unknown length: the bar is unknown too
+                    bar = step
             displacement[row, k] = value
             error[row, k] = bar
+
+
+@compiled
+def one(p, wrench, best, own, mode, bent, off_hull):
+    """Return six displacements, six bars, m and rad, and the coverage of one wrench (6,).
+
+    Numbers in and numbers out of `compose` and `judge`; the coverage is `UNKNOWN` if that is what
+    the composition says.
+    """
+    asked, work = np.empty((1, 6)), np.empty((5, 1, 6))
+    for load in range(6):
+        asked[0, load] = wrench[load]
+    moved, bend, squares, displacement, error = work[0], work[1], work[2], work[3], work[4]
+    state, coverage = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.uint8)
+    compose(asked, p, moved, bend, squares, state)
+    judge(
+        moved, bend, squares, state, best, own, mode, bent, off_hull, displacement, error, coverage
+    )
+    u, b, told = displacement[0], error[0], float(coverage[0])
+    if state[0] == UNKNOWN:
+        told = float(UNKNOWN)
+    return u[0], u[1], u[2], u[3], u[4], u[5], b[0], b[1], b[2], b[3], b[4], b[5], told

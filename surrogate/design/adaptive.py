@@ -89,28 +89,51 @@ def next_wrenches(
     # Of outputs that some rows lack, those that the fewest rows hold are the worst known.
     surrogate = table.thinnest if isinstance(table, MissingOutputs) else table
     if surrogate.linear:
-        return _linear_design(surrogate, known, budget)
+        return _linear_design(surrogate, known, budget, span)
+    if not (span.high > span.low).any():
+        return _one_wrench(span, known, budget)
     left = first_count(span) - len(surrogate.used) - len(known.pending)
     if left > 0:
         more = first_design(span, known, min(budget, left))
-        return Design(more, "first", f"{left} wrenches of the first design to go")
+        return _first(more, f"{left} wrenches of the first design to go")
     if surrogate.kriging is None:
         more = first_design(span, known, budget)
-        return Design(more, "first", "too few rows to tell where the error bar is largest")
+        return _first(more, "too few rows to tell where the error bar is largest")
     limit = tolerance or surrogate.tolerance
     return _Refinement(surrogate, known, limit, span, list(outputs)).design(budget)
 
 
-def _linear_design(surrogate: Surrogate, known: Known, budget: int) -> Design:
+def _first(wrenches: Floats, reason: str) -> Design:
+    """Return a first design, met where its span has no wrench that is not known."""
+    if not len(wrenches):
+        return Design(wrenches, "met", "the range is so narrow that all its wrenches are asked for")
+    return Design(wrenches, "first", reason)
+
+
+def _one_wrench(span: LoadRange, known: Known, budget: int) -> Design:
+    """Return the one wrench of a span in which no load varies, unless it is known."""
+    fresh = known.new(span.low[None])[:budget]
+    if not len(fresh):
+        return Design(fresh, "met", "the scene has one wrench, and it is solved or being solved")
+    return Design(fresh, "first", "the scene has one wrench")
+
+
+def _linear_design(surrogate: Surrogate, known: Known, budget: int, span: LoadRange) -> Design:
     """Return one wrench, since any solve of a linear component brings the whole compliance.
 
-    Where solves bring none (an expert's deck), the six single loads.
+    Where solves bring none (an expert's deck), the single loads, of those that the span has if it
+    is a part of the load range.
     """
     if surrogate.fit.complete:
         return Design(np.empty((0, 6)), "met", "the 6x6 compliance is known")
+    asked = np.ones(6, dtype=bool)
+    if span is not surrogate.load_range:
+        asked = (span.low != 0) | (span.high != 0)
+    if surrogate.fit.known[asked].all():
+        return Design(np.empty((0, 6)), "met", "the compliance is known in all loads that occur")
     high, low = surrogate.load_range.high, surrogate.load_range.low
     full = np.where(high > 0, high, low)
-    single = np.diag(np.where(full != 0, full, 1.0))
+    single = np.diag(np.where(full != 0, full, 1.0))[asked]
     if not len(surrogate.rows):
         single = single[:1]
     fresh = known.new(single)
@@ -143,7 +166,8 @@ class _Refinement:
         within, worst = float((losses <= 1.0).mean()), float(np.quantile(losses, ENOUGH))
         if self.tolerance is not None and within >= ENOUGH:
             reason = (
-                f"the error bars of {within:.0%} of a sample of the range are within the tolerance"
+                f"the table's error bars of {within:.0%} of a sample of the range are within the "
+                "tolerance"
             )
             return Design(np.empty((0, 6)), "met", reason)
         unit = "the tolerance" if self.tolerance is not None else "the outputs' range"

@@ -21,6 +21,7 @@ CORNERS = np.concatenate((_SIGNS, _SIGNS[:, [0, 0, 1]] * _SIGNS[:, [1, 2, 2]]), 
 OUT = 0.8
 # Wrenches of the first design: two for each load and three more, 15 of six loads.
 A_LOAD, FURTHER = 2, 3
+_FAR = 2.0**62  # steps from no load, of what an int64 holds: no wrench to be asked is out there
 
 
 class Known:
@@ -31,7 +32,9 @@ class Known:
         self.keys = {self._key(wrench) for wrench in np.concatenate((rows, pending))}
 
     def _key(self, wrench: Floats) -> tuple[int, ...]:
-        return tuple(np.round(wrench / self.scale / CLEAN).astype(np.int64).tolist())
+        with np.errstate(over="ignore"):
+            steps = np.round(wrench / self.scale / CLEAN)
+        return tuple(np.clip(steps, -_FAR, _FAR).astype(np.int64).tolist())
 
     def new(self, wrenches: Floats) -> Floats:
         """Return those of some wrenches not known yet, each once, and know them from now on.
@@ -48,22 +51,27 @@ class Known:
 
 
 def first_count(span: LoadRange) -> int:
-    """Return how many wrenches the first design of a span has."""
-    return A_LOAD * int((span.high > span.low).sum()) + FURTHER
+    """Return how many wrenches the first design of a span has; one where no load varies."""
+    vary = int((span.high > span.low).sum())
+    return A_LOAD * vary + FURTHER if vary else 1
 
 
 def first_design(span: LoadRange, known: Known, count: int) -> Floats:
     """Return new wrenches of the first design within a span, shape (count, 6), N and N·m.
 
-    A load that the span holds at one value keeps it.
+    A load that the span holds at one value keeps it. Fewer come from a span so narrow that there
+    are not as many wrenches in it as can be told apart.
     """
     middle, half = (span.low + span.high) / 2, (span.high - span.low) / 2
     at_rest = np.clip(np.zeros(len(LOADS)), span.low, span.high)
     corners = middle + OUT * CORNERS * half
     chosen = list(known.new(np.concatenate((at_rest[None], corners))))
-    place = 0
-    while len(chosen) < count and half.any():
-        place += 1
+    # A place of the sequence is refused only if it is known already. So many refusals mean that
+    # the whole span is.
+    last = count + len(known.keys) if half.any() else 0
+    for place in range(1, last + 1):
+        if len(chosen) >= count:
+            break
         chosen.extend(known.new(spread_wrenches(span, 1, place)))
     return np.array(chosen[:count]).reshape(-1, len(LOADS))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -89,7 +89,7 @@ class Triangulation:
     def _connect(self, flat: Floats) -> None:
         """Make the simplices and the point location of the flattened points, shape (n, d)."""
         if self.dimension == 0:
-            self._find: Callable[[Floats], Indices] = lambda x: np.zeros(len(x), dtype=np.intp)
+            self._find: Callable[[Floats], Indices] = _the_one
             self.simplices = np.zeros((1, 1), dtype=np.intp)
             self.neighbours = np.full((1, 1), -1, dtype=np.intp)
             self.weights = np.zeros((1, 0, 3))
@@ -107,12 +107,12 @@ class Triangulation:
         """
         given = self.points if self.dimension == 3 else flat
         self.delaunay = Delaunay(given)
-        flattened = _flat_count(given, self.delaunay.simplices)
+        flattened = int(_flat(given, self.delaunay.simplices).sum())
         if flattened:
             sheared = ShearedDelaunay(given, SHEAR[: self.dimension, : self.dimension])
-            if _flat_count(given, sheared.simplices) < flattened:
+            if _flat(given, sheared.simplices).sum() < flattened:
                 self.delaunay = sheared
-        self._find = self._find_in_order
+        self._find = partial(_find_in_order, self.delaunay)
         self.simplices = self.delaunay.simplices.astype(np.intp)
         self.neighbours = self.delaunay.neighbors.astype(np.intp)
         edges = given[self.simplices[:, :-1]] - given[self.simplices[:, -1:]]
@@ -123,7 +123,7 @@ class Triangulation:
     def _connect_line(self, along: Floats) -> None:
         order = np.argsort(along)
         stations = along[order]
-        self._find = lambda x: _interval(stations, x[:, 0])
+        self._find = partial(_interval, stations)
         self.simplices = np.stack((order[:-1], order[1:]), axis=1)
         place = np.arange(len(self.simplices))
         self.neighbours = np.stack((place + 1, place - 1), axis=1)
@@ -177,13 +177,6 @@ class Triangulation:
             self.degenerate,
             (self.origin, self.basis, self.slack),
         )
-
-    def _find_in_order(self, flat: Floats) -> Indices:
-        """Walk to the points, shape (k, d), in an order that makes the walks short."""
-        order = curve_order(flat)
-        found = np.empty(len(flat), dtype=np.intp)
-        found[order] = self.delaunay.find_simplex(flat[order])
-        return found
 
     def _find_flat(self, points: Floats) -> Indices:
         if self.dimension == 3:
@@ -294,12 +287,12 @@ def _span(points: Floats) -> tuple[int, Floats]:
     return dimension, np.linalg.svd(centred, full_matrices=False)[2]
 
 
-def _flat_count(points: Floats, simplices: NDArray[np.int32]) -> int:
-    """Return how many simplices of points (n, d) have no volume to speak of."""
+def _flat(points: Floats, simplices: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Return which simplices of points (n, d) have no volume to speak of, shape (m,)."""
     edges = points[simplices[:, :-1]] - points[simplices[:, -1:]]
     longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1)
     volumes = np.abs(determinants(edges)) / math.factorial(points.shape[1])
-    return int((volumes < SLIVER * longest ** points.shape[1]).sum())
+    return volumes < SLIVER * longest ** points.shape[1]
 
 
 def determinants(edges: Floats) -> Floats:
@@ -321,8 +314,22 @@ def inverses(edges: Floats) -> Floats:
         return np.stack((np.cross(b, c), np.cross(c, a), np.cross(a, b)), axis=2) * over
 
 
-def _interval(stations: Floats, along: Floats) -> Indices:
-    """Return which interval of ascending stations each position lies in, or -1."""
+def _the_one(flat: Floats) -> Indices:
+    """Return the one simplex there is for each position, shape (k, 0)."""
+    return np.zeros(len(flat), dtype=np.intp)
+
+
+def _find_in_order(delaunay: Delaunay, flat: Floats) -> Indices:
+    """Walk to the points, shape (k, d), in an order that makes the walks short."""
+    order = curve_order(flat)
+    found = np.empty(len(flat), dtype=np.intp)
+    found[order] = delaunay.find_simplex(flat[order])
+    return found
+
+
+def _interval(stations: Floats, flat: Floats) -> Indices:
+    """Return which interval of ascending stations each position, shape (k, 1), lies in, or -1."""
+    along = flat[:, 0]
     found = np.clip(np.searchsorted(stations, along, side="right") - 1, 0, len(stations) - 2)
     inside = (along >= stations[0]) & (along <= stations[-1])
     return np.where(inside, found, -1)

@@ -4,12 +4,19 @@ from .correlation import Hyperparameters
 from .equations import TooFewRowsError
 from .factor import SingularCovarianceError
 from .kriging import Kriging
+from .readings import Readings, readings_of
 from .settings import KrigingSettings
+from .size import equation_count, fits_one_factor, nearest_in_words
 
 __all__ = [
     "Hyperparameters",
     "Kriging",
     "KrigingSettings",
+    "Readings",
     "SingularCovarianceError",
     "TooFewRowsError",
+    "equation_count",
+    "fits_one_factor",
+    "nearest_in_words",
+    "readings_of",
 ]

@@ -3,122 +3,43 @@
 Optional: without numba the same numbers come from numpy, more slowly. Compiled code is kept beside
 this file; where that cannot be written each program compiles once, some seconds. The covariances of
 a place's value and slopes with those of all rows are laid out with the rows innermost, so that a
-processor's vectors run along them, and meet the weights in one product of matrices.
+processor's vectors run along them. Sums are in a stated order, the one of the FMU's C: both give
+the same digits where both have the same exponential.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..jit import COMPILED, compiled
-from ..table.rows import Floats
 from .correlation import GROUPS, LOADS, PLACES
-from .dense import Dense
-from .equations import OUTPUTS, Scaling
+from .equations import OUTPUTS
+from .neighbourhood import TIE
 
 TERMS = len(GROUPS)
 
 
-class Tables(NamedTuple):
-    """What the compiled answer reads: contiguous, in scaled numbers.
-
-    Few arrays, since each costs a tenth of a microsecond to hand over.
-
-    Attributes
-    ----------
-    x : ndarray, shape (6, n)
-    terms : ndarray, shape (4, 7)
-        The covariance's terms: inverse squared lengths, and the weight.
-    weights : ndarray, shape (7 n, 6)
-        Of all rows' values, then of all their slopes by the first load, and so on.
-    coefficients : ndarray, shape (7, 6)
-        The mean.
-    places : ndarray of int, shape (n, e)
-        Each row's neighbourhood: where its equations stand among the 7 n.
-    reduce : ndarray, shape (n, e, e)
-        Its T; zero beyond its equations.
-    unsettled : ndarray, shape (n, e, 7)
-        Its TF.
-    least : ndarray, shape (n,)
-        Smallest sigma squared, but for the mean's; infinite for a row without a neighbourhood.
-    mean_covariance : ndarray, shape (7, 7)
-    scales : ndarray, shape (5, 6)
-        Centre and rate of the loads, which are scaled to (wrench - centre) rate (the rate of a load
-        that takes no part is 0); offset, spread, and bar over sigma of the outputs, m and rad.
-    floor : float
-        Smallest bar, of an answer's size.
-    tangent : ndarray, shape (6, 6), SI
-        Added to the derivative: the columns of loads that take no part.
-    """
-
-    x: Floats
-    terms: Floats
-    weights: Floats
-    coefficients: Floats
-    places: NDArray[np.int64]
-    reduce: Floats
-    unsettled: Floats
-    least: Floats
-    mean_covariance: Floats
-    scales: Floats
-    floor: float
-    tangent: Floats
-
-
-def tables_of(
-    inside: Dense, scaling: Scaling, conformal: Floats, tangent: Floats, floor: float
-) -> Tables | None:
-    """Return the tables of a dense kriging, or None where its outputs do not share one factor.
-
-    Shapes: `conformal` (6,), dimensionless; `tangent` (6, 6), SI.
-    """
-    if len(inside.shares) != 1:
-        return None
-    share, n = inside.shares[0], len(inside.equations)
-    most = max(len(local.places) for local in share.around)
-    places, least = np.zeros((n, most), dtype=np.int64), np.full(n, np.inf)
-    reduce, unsettled = np.zeros((n, most, most)), np.zeros((n, most, PLACES))
-    for row, local in zip(share.factor.rows, share.around, strict=True):
-        size = len(local.places)
-        at_row, of_row = np.divmod(local.places, PLACES)
-        places[row, :size] = of_row * n + at_row
-        reduce[row, :size, :size], unsettled[row, :size] = local.T, local.TF
-        least[row] = local.least
-    rates, weights = inside.held.terms
-    rate = np.where(scaling.active, 1 / scaling.half, 0.0)
-    bar = conformal * inside.deviation * scaling.spread
-    return Tables(
-        x=np.ascontiguousarray(inside.equations.x.T),
-        terms=np.concatenate((rates, weights[:, None]), axis=1),
-        weights=inside.weights.transpose(1, 0, 2).reshape(-1, OUTPUTS).copy(),
-        coefficients=np.ascontiguousarray(inside.coefficients),
-        places=places,
-        reduce=reduce,
-        unsettled=unsettled,
-        least=least,
-        mean_covariance=np.ascontiguousarray(share.factor.mean_covariance),
-        scales=np.stack((scaling.centre, rate, scaling.offset, scaling.spread, bar)),
-        floor=floor,
-        tangent=np.where(scaling.active, 0.0, tangent),
-    )
-
-
 def _place(x, rates, anchored, at, apart):
-    """Write the rows' distances by each load (6, n); return the nearest anchor over all loads."""
+    """Write the rows' distances by each load (6, n); return the nearest anchor over all loads.
+
+    Of those that are equally near the first, as `neighbourhood.Finder` does.
+    """
     distance = np.zeros(x.shape[1])
     for a in range(LOADS):
         for row in range(x.shape[1]):
             apart[a, row] = at[a] - x[a, row]
             distance[row] += rates[a] * apart[a, row] * apart[a, row]
-    anchor, closest = 0, np.inf
+    closest = np.inf
     for row in range(x.shape[1]):
         if distance[row] < closest and anchored[row] < np.inf:
-            closest, anchor = distance[row], row
-    return anchor
+            closest = distance[row]
+    for row in range(x.shape[1]):
+        if distance[row] <= closest + TIE and anchored[row] < np.inf:
+            return row
+    return 0  # of a place that is not a number
 
 
 def _correlate(term, apart, first, second, across):
@@ -165,18 +86,58 @@ def _mirror(across):
 
 def _squared_deviation(tables, anchor, at, across, chosen):
     """Return sigma squared over the process variance, from a row's neighbourhood."""
-    for number in range(len(chosen)):
-        chosen[number] = across[tables.places[anchor, number]]
-    reduced = np.dot(tables.reduce[anchor], chosen)
-    explained = np.dot(reduced, tables.unsettled[anchor])
-    loose = 0.0
+    local = tables.number[anchor]
+    for place in range(len(chosen)):
+        chosen[place] = across[tables.places[local, place]]
+    left, spent, loose = np.zeros(PLACES), 0.0, 0.0
+    reduced = _reduced(tables.columns[local], chosen)
+    for row in range(len(chosen)):
+        for a in range(PLACES):
+            left[a] += reduced[row] * tables.unsettled[local, row, a]
+        spent += reduced[row] * reduced[row]
     for a in range(PLACES):
-        left = (1.0 if a == 0 else at[a - 1]) - explained[a]
+        left[a] = (1.0 if a == 0 else at[a - 1]) - left[a]
+    for a in range(PLACES):
         for b in range(PLACES):
-            other = (1.0 if b == 0 else at[b - 1]) - explained[b]
-            loose += left * tables.mean_covariance[a, b] * other
+            loose += left[a] * tables.mean_covariance[a, b] * left[b]
     prior = tables.terms[:, LOADS].sum()
-    return max(prior - np.dot(reduced, reduced), tables.least[anchor]) + loose
+    return max(prior - spent, tables.least[anchor]) + loose
+
+
+def _reduced(columns, chosen):
+    """Return T (e, e), given column after column, times covariances (e,).
+
+    Each sum in the order of the columns, four of which are added in one pass along the rows.
+    """
+    size = len(chosen)
+    out, fours = np.zeros(size), size - size % 4
+    for j in range(0, fours, 4):
+        a, b, c, d = chosen[j], chosen[j + 1], chosen[j + 2], chosen[j + 3]
+        for i in range(j, size):
+            two = (out[i] + columns[j, i] * a) + columns[j + 1, i] * b
+            out[i] = (two + columns[j + 2, i] * c) + columns[j + 3, i] * d
+    for j in range(fours, size):
+        for i in range(j, size):
+            out[i] += columns[j, i] * chosen[j]
+    return out
+
+
+def _weighed(flat, weights):
+    """Return the sums of covariances (e,) with the weights (e, 6): one number an output.
+
+    In the rows' order, which is the FMU's too: weights are up to 1e8 times their sum, so that sums
+    in another order differ in digits that are told.
+    """
+    a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for place in range(len(flat)):
+        own = flat[place]
+        a += own * weights[place, 0]
+        b += own * weights[place, 1]
+        c += own * weights[place, 2]
+        d += own * weights[place, 3]
+        e += own * weights[place, 4]
+        f += own * weights[place, 5]
+    return a, b, c, d, e, f
 
 
 def _answers(tables, wrenches, displacement, bar, derivative):
@@ -185,6 +146,7 @@ def _answers(tables, wrenches, displacement, bar, derivative):
     offset, spread = tables.scales[2], tables.scales[3]
     at, apart, chosen = np.empty(LOADS), np.empty((LOADS, n)), np.empty(tables.places.shape[1])
     first, second, across = np.empty(n), np.empty(n), np.empty((PLACES, PLACES, n))
+    told = np.empty((PLACES, OUTPUTS))
     for place in range(len(wrenches)):
         for a in range(LOADS):
             at[a] = (wrenches[place, a] - centre[a]) * rate[a]
@@ -194,8 +156,12 @@ def _answers(tables, wrenches, displacement, bar, derivative):
             _correlate(tables.terms[term], apart, first, second, across)
             _slope(tables.terms[term], apart, first, second, across)
         _mirror(across)
-        told = np.dot(across.reshape(PLACES, PLACES * n), tables.weights) + tables.coefficients
-        flat = across[0].reshape(PLACES * n)
+        covariances = across.reshape(PLACES, PLACES * n)
+        for a in range(PLACES):
+            sums = _weighed(covariances[a], tables.weights)
+            for q in range(OUTPUTS):
+                told[a, q] = sums[q] + tables.coefficients[a, q]
+        flat = covariances[0]
         sigma = np.sqrt(_squared_deviation(tables, anchor, at, flat, chosen))
         for q in range(OUTPUTS):
             value = told[0, q]
@@ -205,7 +171,8 @@ def _answers(tables, wrenches, displacement, bar, derivative):
                 derivative[place, q, a] = slope + tables.tangent[q, a]
             displacement[place, q] = value * spread[q] + offset[q]
             size = (np.abs(value) + 1.0) * spread[q] + np.abs(offset[q])
-            bar[place, q] = max(sigma * tables.scales[4, q], tables.floor * size)
+            least = max(tables.floor * size, tables.scales[5, q])
+            bar[place, q] = max(sigma * tables.scales[4, q], least)
 
 
 def _covariances(term, apart, first, second, flat):
@@ -241,7 +208,7 @@ def _values(tables, wrenches, displacement, bar):
         for term in range(TERMS):
             _covariances(tables.terms[term], apart, first, second, flat)
         own = flat.reshape(PLACES * n)
-        told = np.dot(own, tables.weights)
+        told = _weighed(own, tables.weights)
         sigma = np.sqrt(_squared_deviation(tables, anchor, at, own, chosen))
         for q in range(OUTPUTS):
             value = told[q] + tables.coefficients[0, q]
@@ -249,7 +216,24 @@ def _values(tables, wrenches, displacement, bar):
                 value += at[a] * tables.coefficients[1 + a, q]
             displacement[place, q] = value * spread[q] + offset[q]
             size = (np.abs(value) + 1.0) * spread[q] + np.abs(offset[q])
-            bar[place, q] = max(sigma * tables.scales[4, q], tables.floor * size)
+            least = max(tables.floor * size, tables.scales[5, q])
+            bar[place, q] = max(sigma * tables.scales[4, q], least)
+
+
+def _one(tables, ends, wrench):
+    """Return six displacements, six bars, SI, and whether one wrench is beyond the ends (2, 6).
+
+    Numbers in and numbers out: arrays would cost as much as a part of the answer.
+    """
+    asked, moved, bar = np.empty((1, LOADS)), np.empty((1, OUTPUTS)), np.empty((1, OUTPUTS))
+    beyond = 0.0
+    for a in range(LOADS):
+        asked[0, a] = wrench[a]
+        if wrench[a] < ends[0, a] or wrench[a] > ends[1, a]:
+            beyond = 1.0
+    _values(tables, asked, moved, bar)
+    u, b = moved[0], bar[0]
+    return u[0], u[1], u[2], u[3], u[4], u[5], b[0], b[1], b[2], b[3], b[4], b[5], beyond
 
 
 KERNELS = (
@@ -258,21 +242,26 @@ KERNELS = (
     "_slope",
     "_mirror",
     "_squared_deviation",
+    "_reduced",
+    "_weighed",
     "_answers",
     "_covariances",
     "_values",
+    "_one",
 )
 
+Kernel = Callable[..., Any] | None
 
-def _compile() -> tuple[Callable[..., Any] | None, Callable[..., Any] | None]:
-    """Return `_answers` and `_values` compiled, or None twice without numba."""
+
+def _compile() -> tuple[Kernel, Kernel, Kernel]:
+    """Return `_answers`, `_values` and `_one` compiled, or None thrice without numba."""
     if not COMPILED:
-        return None, None
+        return None, None, None
     module = globals()
     for name in KERNELS:
         module[name] = compiled(module[name])
-    return module["_answers"], module["_values"]
+    return module["_answers"], module["_values"], module["_one"]
 
 
-answers, values = _compile()
-"""`_answers` and `_values` compiled, or None where numba is not installed."""
+answers, values, one = _compile()
+"""`_answers`, `_values` and `_one` compiled, or None where numba is not installed."""

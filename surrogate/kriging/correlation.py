@@ -11,6 +11,7 @@ Slopes are its derivatives by x and by v (Morris, Mitchell and Ylvisaker 1993).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +66,7 @@ class Hyperparameters:
         """
         return GROUPS * self.inverse_squares, np.array([1.0, 1.0, 1.0, self.weight])
 
-    @property
+    @cached_property
     def prior(self) -> Floats:
         """Covariance of one row's value and slopes: its diagonal, it has no other.
 
@@ -97,7 +98,7 @@ def block(x: Floats, v: Floats, held: Hyperparameters, slopes_x: bool, slopes_v:
     for rates, weight in zip(*held.terms, strict=True):
         value, first, second, _ = matern(apart**2 @ rates)
         out[:, 0, :, 0] += weight * value
-        for a in np.flatnonzero(rates):
+        for a in np.flatnonzero(rates) if slopes_x or slopes_v else ():
             slope = 2 * rates[a] * weight * first * apart[..., a]
             if slopes_x:
                 out[:, 1 + a, :, 0] += slope

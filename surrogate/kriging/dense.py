@@ -19,27 +19,31 @@ from .correlation import (
 )
 from .equations import OUTPUTS, Equations
 from .factor import Factor, border, factorise
-from .left_out import left_out
+from .left_out import LeftOut, left_out
 from .neighbourhood import Finder, LocalFactor, local_factor
+from .rounding import rounding_of
 from .settings import DEFAULTS, KrigingSettings
 from .shares import Share
 
 
 @dataclass(frozen=True)
 class Spread:
-    """What tells sigma for the outputs of one factor.
+    """What tells sigma for the outputs of one factor; loads and variances are dimensionless.
 
     Attributes
     ----------
     factor : Factor
     finder : Finder
     around : tuple of LocalFactor
-        The neighbourhood of each of the factor's rows.
+        The neighbourhood of each anchor.
+    anchors : ndarray of int, shape (k,)
+        Rows that are the nearest one of some wrench: all of the factor's, or a scene's.
     """
 
     factor: Factor
     finder: Finder
     around: tuple[LocalFactor, ...]
+    anchors: NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -57,10 +61,14 @@ class Dense:
     coefficients : ndarray, shape (7, 6), spreads
     deviation : ndarray, shape (6,), spreads
         Process standard deviation.
+    rounding : ndarray, shape (6,), spreads
+        What answers may lose to it: no bar is smaller.
     rows : ndarray of int, shape (k,)
         Rows left out.
     errors, deviations : ndarray, shape (k, 6), spreads
         Of these; NaN where a row does not bring the output.
+    sizes : ndarray, shape (k, 6), dimensionless
+        Root mean square of errors over deviations, of values and slopes; NaN likewise.
     """
 
     equations: Equations
@@ -69,9 +77,11 @@ class Dense:
     weights: Floats
     coefficients: Floats
     deviation: Floats
+    rounding: Floats
     rows: NDArray[np.intp]
     errors: Floats
     deviations: Floats
+    sizes: Floats
 
     def answers(self, x: Floats) -> tuple[Floats, Floats, Floats]:
         """Return values and sigmas (m, 6) and slopes (m, outputs, loads) at places (m, 6)."""
@@ -92,7 +102,7 @@ class Dense:
         prior = float(self.held.prior[0])
         for share in self.shares:
             squared = np.empty(len(x))
-            place = np.searchsorted(share.factor.rows, share.finder.nearest(x))
+            place = np.searchsorted(share.anchors, share.finder.nearest(x))
             for anchor in np.unique(place):
                 asked, local = np.flatnonzero(place == anchor), share.around[anchor]
                 squared[asked] = local.squared_deviation(
@@ -153,23 +163,11 @@ def dense(
         are bordered.
     """
     table = covariance(equations.x, equations.known, equations.x, equations.known, held)
-    errors = np.full((len(equations), OUTPUTS), np.nan)
-    deviations = errors.copy()
     spreads = []
     for number, share in enumerate(shares):
         known = before.shares[number] if before else None
         factor = _factor(equations, held, share, table, known, settings)
-        spread = _spread(equations, held, factor, table, known, settings)
-        rows, found, squared = _left_out(equations, held, spread, table, settings)
-        # With hardly more rows than the mean has terms, rounding leaves no variance to speak of:
-        # such a row says nothing.
-        lost = ~(squared > 0)
-        found[lost], squared[lost] = np.nan, np.nan
-        errors[np.ix_(rows, factor.outputs)] = found
-        scale = np.sqrt(squared)[:, None] * np.sqrt(factor.variance)
-        deviations[np.ix_(rows, factor.outputs)] = scale
-        spreads.append(spread)
-    told = np.flatnonzero(np.isfinite(errors).any(axis=1))
+        spreads.append(_spread(equations, held, factor, table, known, settings))
     weights, coefficients, deviation = _together(equations, [own.factor for own in spreads])
     return Dense(
         equations,
@@ -178,10 +176,34 @@ def dense(
         weights,
         coefficients,
         deviation,
-        told,
-        errors[told],
-        deviations[told],
+        rounding_of(equations, table, weights),
+        *_all_left_out(equations, held, spreads, table, settings),
     )
+
+
+def _all_left_out(
+    equations: Equations,
+    held: Hyperparameters,
+    spreads: list[Spread],
+    table: Floats,
+    settings: KrigingSettings,
+) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
+    """Return the rows left out (k,), their errors, deviations and sizes (k, 6)."""
+    errors = np.full((len(equations), OUTPUTS), np.nan)
+    deviations, sizes = errors.copy(), errors.copy()
+    for spread in spreads:
+        out, squared = _left_out(equations, held, spread, table, settings)
+        # With hardly more rows than the mean has terms, rounding leaves no variance to speak of:
+        # such a row says nothing.
+        squared[~(squared > 0)] = np.nan
+        places = np.ix_(out.rows, spread.factor.outputs)
+        errors[places] = np.where(np.isnan(squared)[:, None], np.nan, out.errors)
+        deviations[places] = np.sqrt(squared)[:, None] * np.sqrt(spread.factor.variance)
+        unstated = (equations.readings[places] > 0).any(axis=1, keepdims=True)
+        alone = np.abs(errors[places]) / deviations[places]
+        sizes[places] = np.where(unstated, alone, out.sizes)
+    told = np.flatnonzero(np.isfinite(errors).any(axis=1))
+    return told, errors[told], deviations[told], sizes[told]
 
 
 def _together(equations: Equations, factors: list[Factor]) -> tuple[Floats, Floats, Floats]:
@@ -233,7 +255,7 @@ def _spread(
         if own is None:
             own = local_factor(equations, noise, held, members, factor.nugget, settings, table)
         around.append(own)
-    return Spread(factor, finder, tuple(around))
+    return Spread(factor, finder, tuple(around), factor.rows)
 
 
 def _noise(equations: Equations, factor: Factor) -> Floats:
@@ -249,8 +271,8 @@ def _left_out(
     spread: Spread,
     table: Floats,
     settings: KrigingSettings,
-) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Return rows left out, their errors (k, q) and sigma squared as an answer there would tell it.
+) -> tuple[LeftOut, Floats]:
+    """Return the rows left out and sigma squared (k,) as an answer there would tell it.
 
     The errors are those of the whole factor; sigma is from the neighbourhood of the nearest row
     left, without the row itself, since that is what an answer's bar is made of.
@@ -259,6 +281,8 @@ def _left_out(
     out = left_out(equations, factor, settings)
     anchors = spread.finder.nearest_others(out.rows, equations.x)
     noise, number = _noise(equations, factor), numbers(equations.known)
+    # What was found to be noise may be response that the kernel does not follow: bars hold it.
+    stated = np.where((equations.readings[:, factor.outputs] > 0).any(axis=1), 0.0, noise)
     squared = np.empty(len(out.rows))
     lists = spread.finder.members(equations.x[anchors], without=out.rows)
     for place, (row, members) in enumerate(zip(out.rows, lists, strict=True)):
@@ -270,5 +294,5 @@ def _left_out(
             prior,
             out.mean_covariances[place],
         )
-        squared[place] = found[0] + noise[row] + factor.nugget * prior
-    return out.rows, out.errors, squared
+        squared[place] = found[0] + stated[row] + factor.nugget * prior
+    return out, squared

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from scipy.spatial import KDTree
 
 from ..table.rows import Floats, LoadRange, RowError, Rows
 from .correlation import PLACES, Mask
+from .readings import Readings, readings_of
 from .settings import DEFAULTS, KrigingSettings
 
 OUTPUTS = 6
@@ -67,6 +69,10 @@ class Equations:
         Which outputs a row brings.
     noise : ndarray, shape (n, 6), spreads squared
         Variance of the values.
+    readings : ndarray, shape (n, 6)
+        Readings of unstated noise whose mean a value is; 0 where noise is stated, or there is none.
+    scatter : ndarray, shape (n, 6), spreads squared
+        Sum of these readings' squared differences from their mean.
     """
 
     x: Floats
@@ -74,6 +80,8 @@ class Equations:
     told: Floats
     measured: Mask
     noise: Floats
+    readings: Floats
+    scatter: Floats
 
     def __len__(self) -> int:
         return len(self.x)
@@ -85,37 +93,55 @@ class Equations:
 
     def take(self, which: NDArray[np.intp]) -> Equations:
         """Return the equations of some rows, whose indices have shape (k,)."""
-        return Equations(
-            self.x[which],
-            self.known[which],
-            self.told[which],
-            self.measured[which],
-            self.noise[which],
-        )
+        return Equations(*(column[which] for column in self._columns))
 
     def plus(self, other: Equations) -> Equations:
         """Return these equations, then the others."""
-        return Equations(
-            np.concatenate((self.x, other.x)),
-            np.concatenate((self.known, other.known)),
-            np.concatenate((self.told, other.told)),
-            np.concatenate((self.measured, other.measured)),
-            np.concatenate((self.noise, other.noise)),
-        )
+        pairs = zip(self._columns, other._columns, strict=True)
+        return Equations(*map(np.concatenate, pairs))
+
+    def with_reading_noise(self, variance: Floats) -> Equations:
+        """Return the equations with the noise of readings, whose variance is (6,), dimensionless.
+
+        The mean of so many readings has that part of one's variance.
+        """
+        unstated = self.readings > 0
+        added = np.where(unstated, variance / np.where(unstated, self.readings, 1.0), 0.0)
+        return replace(self, noise=self.noise + added)
 
     def records(self) -> list[bytes]:
         """Return for each row what it says, as bytes."""
-        columns = (self.x, self.known, self.told, self.measured, self.noise)
-        return [b"".join(column[row].tobytes() for column in columns) for row in range(len(self))]
+        return [
+            b"".join(column[row].tobytes() for column in self._columns) for row in range(len(self))
+        ]
+
+    @property
+    def _columns(self) -> tuple[NDArray[Any], ...]:
+        return (
+            self.x,
+            self.known,
+            self.told,
+            self.measured,
+            self.noise,
+            self.readings,
+            self.scatter,
+        )
 
 
 def within(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Rows:
     """Return the rows inside the load range, sorted by wrench: their order must not matter."""
+    return rows.take(places_within(rows, load_range, settings))
+
+
+def places_within(
+    rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS
+) -> NDArray[np.intp]:
+    """Return the indices of the rows inside the load range, shape (k,), sorted by wrench."""
     room = settings.edge * load_range.scale
     inside = (rows.wrench >= load_range.low - room) & (rows.wrench <= load_range.high + room)
-    kept = rows.take(inside.all(axis=1))
-    columns = np.concatenate((kept.wrench, kept.displacement), axis=1)
-    return kept.take(np.lexsort(columns.T[::-1]))
+    kept = np.flatnonzero(inside.all(axis=1))
+    columns = np.concatenate((rows.wrench[kept], rows.displacement[kept]), axis=1)
+    return kept[np.lexsort(columns.T[::-1])]
 
 
 def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Scaling:
@@ -166,8 +192,17 @@ def _with_slopes(rows: Rows) -> Mask:
     return np.logical_and(finite, np.isfinite(rows.displacement).all(axis=1))
 
 
-def equations_of(rows: Rows, scaling: Scaling, settings: KrigingSettings = DEFAULTS) -> Equations:
-    """Return the equations of rows, those at one wrench merged."""
+def equations_of(
+    rows: Rows,
+    scaling: Scaling,
+    settings: KrigingSettings = DEFAULTS,
+    readings: Readings | None = None,
+) -> Equations:
+    """Return the equations of rows, those at one wrench merged.
+
+    `readings` are those behind the rows, where these are merged already.
+    """
+    behind = readings_of(rows) if readings is None else readings
     sloped = _with_slopes(rows)
     measured = np.isfinite(rows.displacement)
     known = np.zeros((len(rows), PLACES), dtype=bool)
@@ -184,7 +219,9 @@ def equations_of(rows: Rows, scaling: Scaling, settings: KrigingSettings = DEFAU
         known=known,
         told=told,
         measured=measured,
-        noise=(half_widths / settings.half_width) ** 2,
+        noise=np.where(behind.number > 0, 0.0, (half_widths / settings.half_width) ** 2),
+        readings=behind.number,
+        scatter=behind.scatter / scaling.spread**2,
     )
     return _merged(whole, settings)
 
@@ -226,10 +263,18 @@ def _merge(out: Equations, place: int, members: Equations, settings: KrigingSett
     """Write one row for several at one wrench into a copy's place."""
     values = np.where(members.measured, members.told[:, 0], np.nan)
     for output in np.flatnonzero(members.measured.any(axis=0)):
-        known = values[members.measured[:, output], output]
-        spread = np.ptp(known) / 2 / settings.half_width
-        out.told[place, 0, output] = known.mean()
-        out.noise[place, output] = max(spread**2, members.noise[:, output].max())
+        measured = members.measured[:, output]
+        known, readings = values[measured, output], members.readings[measured, output]
+        if (readings > 0).all():
+            mean = np.average(known, weights=readings)
+            within_each = members.scatter[measured, output].sum()
+            out.scatter[place, output] = within_each + readings @ (known - mean) ** 2
+            out.readings[place, output] = readings.sum()
+        else:
+            mean, spread = known.mean(), np.ptp(known) / 2 / settings.half_width
+            out.noise[place, output] = max(spread**2, members.noise[:, output].max())
+            out.scatter[place, output] = out.readings[place, output] = 0.0
+        out.told[place, 0, output] = mean
     out.measured[place] = members.measured.any(axis=0)
     sloped = members.known[:, 1:].any(axis=1)
     whole = sloped.any() and out.measured[place].all()

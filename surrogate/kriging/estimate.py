@@ -2,16 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from ..table.rows import Floats
-from .correlation import Hyperparameters
+from .correlation import Hyperparameters, covariance
 from .equations import OUTPUTS, Equations, Scaling
-from .factor import factorise
-from .likelihood import maximise
+from .factor import SingularCovarianceError, factorise
+from .likelihood import REFUSED, Profile, maximise, maximise_with_noise, profile
 from .settings import KrigingSettings
 from .shares import Share, shares_of
 from .spread_rows import spread_rows
+
+
+class Estimate(NamedTuple):
+    """What the likelihood settles, in dimensionless numbers.
+
+    Attributes
+    ----------
+    hyperparameters : Hyperparameters
+    noise_scale : ndarray, shape (6,), spreads squared
+        Process variances that noise is held against.
+    reading_variance : ndarray, shape (6,), spreads squared
+        Of one reading whose uncertainty nobody stated; 0 where all is stated or solved.
+    """
+
+    hyperparameters: Hyperparameters
+    noise_scale: Floats
+    reading_variance: Floats
 
 
 def estimated(
@@ -19,25 +40,87 @@ def estimated(
     scaling: Scaling,
     before: Hyperparameters | None,
     settings: KrigingSettings,
-) -> tuple[Hyperparameters, Floats]:
-    """Return the hyperparameters, and the process variances (6,) that noise is held against.
+) -> Estimate:
+    """Return the hyperparameters, and how noisy the rows are.
 
     Noise counts relative to the process variance, which the hyperparameters decide: with noise the
-    likelihood is maximised a second time, with the variances that the first time found. The
-    variances are in spreads squared, dimensionless.
+    likelihood is maximised a second time, with what the first time found. Noise that nobody stated
+    is one more hyperparameter, first of all outputs together, then of each by itself.
     """
     limits = settings.likelihood_rows, settings.likelihood_equations
     chosen = equations.take(spread_rows(equations, *limits))
-    variance = np.ones(OUTPUTS)
-    noisy = bool((chosen.noise > settings.nugget).any())
-    for _ in range(1 + noisy):
-        shares = _telling(shares_of(chosen, variance, settings), scaling)
-        before = maximise(chosen, shares, before, settings)
+    variance, reading = np.ones(OUTPUTS), np.zeros(OUTPUTS)
+    unstated = bool((chosen.readings > 0).any())
+    noisy = unstated or bool((chosen.noise > settings.nugget).any())
+    for turn in range(1 + noisy):
+        current = chosen.with_reading_noise(reading)
+        shares = _telling(shares_of(current, variance, settings), scaling)
+        search = maximise_with_noise if unstated and not turn else maximise
+        before = search(current, shares, before, settings)
+        if unstated:
+            variance, reading = _each_output(equations, scaling, before, variance, settings)
+            continue
         for share in shares:
             found = factorise(chosen, before, *share, settings)
             variance[share.outputs] = found.variance
     assert before is not None
-    return before, variance
+    return Estimate(before, variance, reading)
+
+
+def _each_output(
+    equations: Equations,
+    scaling: Scaling,
+    held: Hyperparameters,
+    before: Floats,
+    settings: KrigingSettings,
+) -> tuple[Floats, Floats]:
+    """Return each output's process variance and that of one of its readings, (6,) each.
+
+    Of rows as they lie, near each other too: rows spread widely do not tell little noise.
+    """
+    variance, reading = before.copy(), np.zeros(OUTPUTS)
+    ends = np.searchsorted(np.cumsum(equations.known.sum(axis=1)), settings.likelihood_equations)
+    count = max(min(int(ends), len(equations)), 1)
+    chosen = equations.take(np.linspace(0, len(equations) - 1, count).round().astype(np.intp))
+    table = covariance(chosen.x, chosen.known, chosen.x, chosen.known, held)
+    for output in np.flatnonzero(~scaling.silent):
+        rows = np.flatnonzero(chosen.measured[:, output])
+        noise = chosen.noise[rows, output] / before[output]
+        own = Share(np.array([output]), rows, noise)
+
+        def likelihood(logarithm: float, own: Share = own) -> Profile:
+            return profile(chosen, held, own, float(np.exp(logarithm)), settings, table)
+
+        logarithm = _least_noise(lambda at: likelihood(at).value, settings)
+        variance[output] = likelihood(logarithm).variance[0]
+        reading[output] = np.exp(logarithm) * variance[output]
+    return variance, reading
+
+
+def _least_noise(value: Callable[[float], float], settings: KrigingSettings) -> float:
+    """Return the logarithm of the least noise that is nearly as likely as the most likely.
+
+    What might be response and might be noise is taken for response, whose bars are wider.
+    """
+
+    def less_likely(logarithm: float) -> float:
+        try:
+            return value(logarithm)
+        except SingularCovarianceError:
+            return REFUSED
+
+    bounds, accuracy = settings.ratio_bounds, settings.ratio_accuracy
+    found: Any = minimize_scalar(
+        less_likely, bounds=bounds, method="bounded", options={"xatol": accuracy}
+    )
+    low, high = bounds[0], float(found.x)
+    limit = float(found.fun) + settings.ratio_doubt
+    if less_likely(low) <= limit:
+        return low
+    while high - low > accuracy:
+        middle = (low + high) / 2
+        low, high = (low, middle) if less_likely(middle) <= limit else (middle, high)
+    return high
 
 
 def _telling(shares: list[Share], scaling: Scaling) -> list[Share]:

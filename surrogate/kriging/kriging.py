@@ -13,6 +13,7 @@ from ..jit import ready
 from ..table.axes import AXES, CLEAN
 from ..table.rows import Floats, LoadRange, Rows
 from . import compiled
+from .compiled_tables import Tables, tables_of
 from .correlation import LOADS, Hyperparameters
 from .dense import Dense, dense
 from .equations import (
@@ -22,14 +23,16 @@ from .equations import (
     TooFewRowsError,
     equations_of,
     later_order,
+    places_within,
     scaling_of,
-    within,
 )
 from .estimate import estimated
-from .left_out import conformal_factors
+from .left_out import conformal_factors, doubtful
 from .nearest import Nearest, nearest
+from .readings import Readings, readings_of
 from .settings import DEFAULTS, KrigingSettings
 from .shares import Share, shares_of
+from .size import nearest_in_words
 from .threads import one_thread
 
 
@@ -45,12 +48,16 @@ class Kriging:
     hyperparameters : Hyperparameters
     noise_scale : ndarray, shape (6,), spreads squared
         Process variances that the rows' uncertainties were held against.
+    reading_variance : ndarray, shape (6,), spreads squared
+        Of one reading whose uncertainty nobody stated.
     estimated_rows : int
         Rows of the table when the hyperparameters were estimated.
     inside : Dense or Nearest
         What answers, in scaled numbers.
     conformal : ndarray, shape (6,)
         What sigma is multiplied by for a 95 % bar.
+    doubtful : bool
+        Whether left-out rows are too few, or too unlike, to tell how large errors are.
     tangent : ndarray, shape (6, 6), SI
         Mean tangent of the rows: the derivative by loads that take no part.
     detail : str
@@ -62,9 +69,11 @@ class Kriging:
     scaling: Scaling
     hyperparameters: Hyperparameters
     noise_scale: Floats
+    reading_variance: Floats
     estimated_rows: int
     inside: Dense | Nearest
     conformal: Floats
+    doubtful: bool
     tangent: Floats
     detail: str
 
@@ -75,11 +84,14 @@ class Kriging:
         load_range: LoadRange,
         previous: Kriging | None = None,
         settings: KrigingSettings = DEFAULTS,
+        readings: Readings | None = None,
     ) -> Kriging:
         """Return the kriging of a table's rows inside the load range.
 
         Parameters
         ----------
+        readings : Readings, optional
+            What is behind each row where several were merged to one; else each stands for itself.
         previous : Kriging, optional
             Of an earlier version of the table: its hyperparameters are kept until the table has
             grown by a quarter, and start the estimate then; its factor is bordered by new rows.
@@ -92,7 +104,7 @@ class Kriging:
             If rows contradict each other so that no nugget makes the covariance regular.
         """
         with one_thread():
-            return cls._build(rows, load_range, previous, settings)
+            return cls._build(rows, load_range, previous, settings, readings or readings_of(rows))
 
     @classmethod
     def _build(
@@ -101,10 +113,12 @@ class Kriging:
         load_range: LoadRange,
         previous: Kriging | None,
         settings: KrigingSettings,
+        readings: Readings,
     ) -> Kriging:
-        inside = within(rows, load_range, settings)
+        places = places_within(rows, load_range, settings)
+        inside, behind = rows.take(places), readings.take(places)
         scaling = scaling_of(inside, load_range, settings)
-        equations = equations_of(inside, scaling, settings)
+        equations = equations_of(inside, scaling, settings, behind)
         if len(equations) < settings.least_rows:
             raise TooFewRowsError(
                 f"kriging needs {settings.least_rows} rows at different wrenches; there are "
@@ -115,31 +129,40 @@ class Kriging:
         usable = previous is not None and previous.settings == settings
         follows = _follows(previous, load_range, scaling) if usable else None
         if follows is not None and len(equations) < settings.growth * follows.estimated_rows:
-            return follows._extended(inside, tangent)
+            return follows._extended(inside, behind, tangent)
         before = follows.hyperparameters if follows is not None else None
-        held, noise_scale = estimated(equations, scaling, before, settings)
-        fresh = _built(equations, held, noise_scale, None, settings)
+        held, noise_scale, variance = estimated(equations, scaling, before, settings)
+        noisy = equations.with_reading_noise(variance)
+        fresh = _built(noisy, held, noise_scale, None, settings)
         blank = cls(
             load_range=load_range,
             settings=settings,
             scaling=scaling,
             hyperparameters=held,
             noise_scale=noise_scale,
+            reading_variance=variance,
             estimated_rows=len(equations),
             inside=fresh,
             conformal=np.ones(OUTPUTS),
+            doubtful=False,
             tangent=tangent,
             detail="",
         )
         return blank._calibrated(fresh, tangent)
 
     @cached_property
-    def tables(self) -> compiled.Tables | None:
+    def tables(self) -> Tables | None:
         """What compiled code answers from; None without it, or where it does not apply."""
         if compiled.answers is None or not isinstance(self.inside, Dense):
             return None
         floor = self.settings.bar_floor
-        return compiled.tables_of(self.inside, self.scaling, self.conformal, self.tangent, floor)
+        return tables_of(self.inside, self.scaling, self.conformal, self.tangent, floor)
+
+    def with_tables(self, tables: Tables) -> Kriging:
+        """Return this with the tables that compiled code answers from, which are at hand."""
+        same = replace(self)
+        vars(same)["tables"] = tables  # where the property keeps what it once made
+        return same
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled: not the tables, which follow from the rest."""
@@ -163,6 +186,16 @@ class Kriging:
         out = np.empty((len(asked), OUTPUTS)), np.empty((len(asked), OUTPUTS))
         compiled.values(self.tables, asked, *out)
         return out
+
+    def answer_one(self, wrench: tuple[float, ...]) -> tuple[float, ...] | None:
+        """Return what `answer_many` does to one wrench (6,), as plain numbers.
+
+        Six displacements, six bars, m and rad, and whether it is beyond the load range, 0 or 1;
+        None without compiled code.
+        """
+        if compiled.one is None or not ready() or self.tables is None:
+            return None
+        return compiled.one(self.tables, self.load_range.ends, wrench)
 
     def derivative(self, wrench: Floats) -> Floats:
         """Return du/dw (6, 6) at one wrench: m/N, m/(N·m), rad/N, rad/(N·m)."""
@@ -199,7 +232,8 @@ class Kriging:
         spread, offset = self.scaling.spread, self.scaling.offset
         size = (np.abs(values) + 1) * spread + np.abs(offset)
         # Never below what rounding makes of an answer.
-        bars = np.maximum(sigmas * self.conformal * spread, self.settings.bar_floor * size)
+        least = np.maximum(self.settings.bar_floor * size, self.inside.rounding * spread)
+        bars = np.maximum(sigmas * self.conformal * spread, least)
         by_load = slopes * spread[:, None] / self.scaling.half
         derivative = np.where(self.scaling.active, by_load, self.tangent)
         return values * spread + offset, bars, derivative
@@ -231,9 +265,10 @@ class Kriging:
         spread = self.scaling.spread
         return self.inside.errors * spread, self.inside.deviations * spread
 
-    def _extended(self, inside: Rows, tangent: Floats) -> Kriging:
+    def _extended(self, inside: Rows, behind: Readings, tangent: Floats) -> Kriging:
         """Return the kriging of a later version of the table, with these hyperparameters."""
-        equations = equations_of(inside, self.scaling, self.settings)
+        equations = equations_of(inside, self.scaling, self.settings, behind)
+        equations = equations.with_reading_noise(self.reading_variance)
         order = later_order(self.inside.equations, equations)
         before = self.inside if order is not None else None
         equations = equations if order is None else equations.take(order)
@@ -242,10 +277,21 @@ class Kriging:
 
     def _calibrated(self, inside: Dense | Nearest, tangent: Floats) -> Kriging:
         """Return this with another inside, its bars calibrated on its rows left out."""
+        if not len(inside.rows):
+            raise TooFewRowsError("no row can be left out to tell the error; solve or import more")
         kept = self._asked_like(inside)
-        factors = conformal_factors(inside.errors[kept], inside.deviations[kept], self.settings)
-        detail = _in_words(inside)
-        return replace(self, inside=inside, conformal=factors, tangent=tangent, detail=detail)
+        left = inside.errors[kept], inside.deviations[kept], inside.sizes[kept]
+        # the mean's coefficients, which all rows settle: these in proportion
+        settled = (1 + self.scaling.active.sum()) * kept.mean()
+        found = conformal_factors(*left, settled, self.settings)
+        return replace(
+            self,
+            inside=inside,
+            conformal=found.factors,
+            doubtful=doubtful(found, left[0], self.settings),
+            tangent=tangent,
+            detail=_in_words(inside),
+        )
 
     def _asked_like(self, inside: Dense | Nearest) -> NDArray[np.bool_]:
         """Return which of the rows left out load more than one axis, or all if these are few."""
@@ -301,4 +347,4 @@ def _in_words(inside: Dense | Nearest) -> str:
     rows, equations = len(inside.equations), inside.equations.count
     if isinstance(inside, Dense):
         return f"kriging, one factor over {rows} rows ({equations} equations)"
-    return f"kriging over the nearest of {rows} rows ({equations} equations in all)"
+    return nearest_in_words(rows, equations)

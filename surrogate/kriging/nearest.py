@@ -72,6 +72,19 @@ class Nearest:
     deviations: Floats
     settings: KrigingSettings
 
+    @property
+    def rounding(self) -> Floats:
+        """What is known to be lost to rounding, shape (6,), dimensionless: nothing here.
+
+        The weights of so few rows are smaller, and sigma's least is above what their sums lose.
+        """
+        return np.zeros(OUTPUTS)
+
+    @property
+    def sizes(self) -> Floats:
+        """Errors over deviations, of the values alone, shape (k, 6), dimensionless."""
+        return np.abs(self.errors) / self.deviations
+
     def answers(self, x: Floats) -> tuple[Floats, Floats, Floats]:
         """Return values and sigmas (m, 6) and slopes (m, outputs, loads) at places (m, 6)."""
         told, sigma = np.empty((len(x), PLACES, OUTPUTS)), np.empty((len(x), OUTPUTS))
@@ -202,12 +215,15 @@ def _left_out(
     anchors = finder.nearest_others(rows, equations.x)
     errors, squared = np.empty((count, len(region.mean.outputs))), np.empty(count)
     lists = finder.members(equations.x[anchors], without=rows)
+    # What was found to be noise may be response that the kernel does not follow: bars hold it.
+    unstated = (equations.readings[:, region.mean.outputs] > 0).any(axis=1)
+    stated = np.where(unstated, 0.0, region.noise)
     for place, (row, members) in enumerate(zip(rows, lists, strict=True)):
         local = _local(equations, held, region, members, settings)
         here, cov = equations.x[row : row + 1], region.mean.mean_covariance
         told, found = _answer(equations, held, region, local, here, cov)
         errors[place] = equations.told[row, 0, region.mean.outputs] - told[0, 0]
-        squared[place] = found[0] + region.noise[row] + region.mean.nugget * held.prior[0]
+        squared[place] = found[0] + stated[row] + region.mean.nugget * held.prior[0]
     return rows, errors, squared
 
 
@@ -222,4 +238,6 @@ def _unsolved(equations: Equations, pending: Floats) -> Equations:
         told=np.zeros((len(pending), PLACES, OUTPUTS)),
         measured=np.ones((len(pending), OUTPUTS), dtype=bool),
         noise=np.zeros((len(pending), OUTPUTS)),
+        readings=np.zeros((len(pending), OUTPUTS)),
+        scatter=np.zeros((len(pending), OUTPUTS)),
     )

@@ -29,6 +29,10 @@ from .settings import DEFAULTS, KrigingSettings
 
 Places = NDArray[np.intp]
 
+# Of squared scaled distances, which rounding changes by 1e-14: rows that are as near as this are
+# equally near, and the first is taken, whoever computes the distance. Below `reach.ROOM`.
+TIE = 1e-10
+
 
 class Finder:
     """Finds the nearest rows of any place.
@@ -58,8 +62,13 @@ class Finder:
         self.trees = [KDTree(equations.x[rows] * root) for root in self.roots]
 
     def nearest(self, x: Floats) -> Places:
-        """Return the row nearest to each place (m, 6) over all loads, shape (m,)."""
-        return self.rows[self.trees[0].query(x * self.roots[0])[1]]
+        """Return the row nearest to each place (m, 6) over all loads, shape (m,), indices.
+
+        Of rows that are equally near the first.
+        """
+        places = x * self.roots[0]
+        distance = np.asarray(self.trees[0].query(places)[0], dtype=float)
+        return self.rows[[near[0] for near in self._as_near(places, distance)]]
 
     def nearest_others(self, rows: Places, x: Floats) -> Places:
         """Return the row nearest to each of some of its own rows, itself left out.
@@ -70,9 +79,17 @@ class Finder:
         x : ndarray, shape (n, 6), dimensionless
             Of all rows of the table.
         """
-        found = self.trees[0].query(x[rows] * self.roots[0], k=2)[1]
-        near = self.rows[np.asarray(found, dtype=np.intp)]
-        return np.where(near[:, 0] == rows, near[:, 1], near[:, 0])
+        places = x[rows] * self.roots[0]
+        distance = np.asarray(self.trees[0].query(places, k=2)[0], dtype=float)[:, 1]
+        lists = [self.rows[near] for near in self._as_near(places, distance)]
+        return np.array(
+            [near[near != row][0] for row, near in zip(rows, lists, strict=True)], dtype=np.intp
+        )
+
+    def _as_near(self, places: Floats, distance: Floats) -> NDArray[np.object_]:
+        """Return which of its rows are within a distance (m,) of places (m, 6), ascending."""
+        radius = np.sqrt(distance**2 + TIE)
+        return self.trees[0].query_ball_point(places, radius, return_sorted=True)
 
     def members(self, x: Floats, without: Places | None = None) -> list[Places]:
         """Return the neighbours of each place (m, 6), nearest first, without one row each."""

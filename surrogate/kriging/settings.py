@@ -38,6 +38,17 @@ class KrigingSettings:
     # The two starts: lengths of 1.4 and of 0.7 half ranges, a full kernel of a third of an axis.
     theta_starts: tuple[float, ...] = (-0.7, 0.8)
     weight_start: float = -1.2
+    # Logarithm of the noise of a reading that nobody stated, over the process variance: from none
+    # that the nugget would not hide to ten times the deviation of the response. It starts at a
+    # tenth of that: from little noise the search ends at short lengths that explain all of it.
+    ratio_bounds: tuple[float, float] = (-23.0, 4.6)
+    ratio_start: float = -4.6
+    # How far the logarithm of one output's noise is searched: it is told to a tenth at best.
+    ratio_accuracy: float = 0.05
+    # By how much less likely (logarithm) noise may be for less of it to be taken: half the 95 %
+    # quantile of a chi square. With half a unit 66 and 73 % of errors were inside at two of 36
+    # noisy tables, at noise of 5 % of the range; with this 74 and 82 %.
+    ratio_doubt: float = 1.92
     # The likelihood costs the cube of its equations some fifty times over, and is flat: 420
     # equations of six outputs (60 solved rows, or 100 measured ones) settle seven numbers, in half
     # a second; with 210 errors were up to twice as large, measured over made-up responses.
@@ -72,18 +83,21 @@ class KrigingSettings:
     like_noise: float = 2.0
     # Left-out rows of a large table: enough for a 95 % quantile an output.
     left_out_rows: int = 400
-    # Rows left out for a size of their errors of each output's own; below, one is pooled.
-    rows_an_output: int = 20
     # With so many rows of more than one axis bars are calibrated on them alone: what is asked loads
     # all axes too, and rows at the corners of one axis err more (bars up to 16 x their errors).
-    full_rows: int = 30
+    # Fewer than 15 tell no size: measured with 4 and 8, 52 to 100 % of errors were inside.
+    full_rows: int = 15
     level: float = 0.95
-    # Left-out rows had their say in the hyperparameters, and few of them tell a tail badly: factors
-    # widen by this over their number (a sixth at 30 rows). Of 45 tables of 15, 30 and 60 solves of
-    # nine made-up responses 87, 80 and 73 % then hold 90 % of fresh errors in every output, and 96,
-    # 84 and 87 % with 10; but from 7 on the median bar is over five times the median error
-    # (`make bench-calibration`).
-    widening: float = 5.0
+    # Few rows tell a size badly: factors widen so that bars would hold `level` in all six outputs
+    # of so many tables, were errors normal. Of 30 random solves, nine responses, seeds 100 and 101
+    # (`make bench-calibration`), the worst output's part inside is 81, 84, 86 and 88 % with
+    # confidences of 0.5, 0.8, 0.95 and 0.99; median bars are 4.6, 4.8, 5.1 and 5.5 x the errors.
+    confidence: float = 0.95
+    # Where errors may be more than three times what rows tell (of all rows some four make the
+    # size, or fewer), or where bars miss more than 15 % of the left-out rows themselves, nothing
+    # is `covered`. Of 200 made-up tables that cover more than 5 % of answers that takes 8.
+    most_widened: float = 3.0
+    least_held: float = 0.85
     # What the sums over the rows lose to rounding, of an output's spread and of the value itself:
     # weights are up to 1e5 times what they sum to.
     bar_floor: float = 1e-11

@@ -7,10 +7,10 @@ import numpy as np
 from ..answer import COVERED, OUTSIDE
 from ..kriging import Kriging
 from ..table.rows import Floats, LoadRange
-from .method import Estimates, why_beyond
+from .method import Estimates, Method, why_beyond
 
 
-class GaussianProcess:
+class GaussianProcess(Method):
     """The kriging's answer and bars; outside the load range it is an estimate."""
 
     name = "kriging"
@@ -24,6 +24,11 @@ class GaussianProcess:
         outside = ~self.load_range.holds(wrenches)
         state = np.where(outside, OUTSIDE, COVERED).astype(np.uint8)
         return Estimates(displacement, error, state)
+
+    def single(self, wrench: tuple[float, ...]) -> tuple[float, ...] | None:
+        """Answer one wrench (6,), N and N·m: see `Method`."""
+        told = self.kriging.answer_one(wrench)
+        return told if told is None or told[12] == COVERED else (*told[:12], OUTSIDE)
 
     def derivatives(self, wrenches: Floats) -> Floats:
         """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)."""

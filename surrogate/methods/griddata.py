@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..answer import COVERED, OUTSIDE, THIN
 from ..composition.composition import OFF_HULL, Composition
-from ..composition.fast import UNKNOWN, compose, judge
+from ..composition.fast import UNKNOWN, compose, judge, one
 from ..composition.packed import Packed, pack
 from ..composition.reasons import why_not
-from ..jit import ready
+from ..jit import COMPILED, ready
 from ..table.rows import Floats
-from .method import Estimates
+from .method import Estimates, Method
 from .reference import BENDS, MISSED, Reference
 
+_NOTHING = np.empty((0, 6)), np.empty((0, 6))
 
-class Griddata:
+
+class Griddata(Method):
     """The composition's answer, with bars from the reference.
 
     Parameters
@@ -39,7 +42,6 @@ class Griddata:
         asked = np.require(wrenches, float, ("C", "W"))
         count = len(asked)
         moved, bend, squares, state = self._composed(asked)
-        best, own = self.reference.told(asked)
         if not ready():
             return self._judged(moved, bend, np.sqrt(squares), state, asked)
         best, own = self.reference.told(asked)
@@ -48,6 +50,15 @@ class Griddata:
         how = best, own, self.reference.mode, self.bent, OFF_HULL
         judge(moved, bend, squares, state, *how, displacement, error, coverage)
         return Estimates(displacement, error, coverage)
+
+    def single(self, wrench: tuple[float, ...]) -> tuple[float, ...] | None:
+        """Answer one wrench (6,), N and N·m: see `Method`."""
+        if not ready():
+            return None
+        mode = self.reference.mode
+        best, own = _NOTHING if mode == BENDS else self.reference.told(np.array((wrench,)))
+        told = one(self._packed, wrench, best, own, mode, self.bent, OFF_HULL)
+        return None if told[12] == UNKNOWN else told
 
     def _judged(
         self,
@@ -96,6 +107,12 @@ class Griddata:
             moved[lost], bend[lost] = found.displacement, found.bend
             squares[lost], state[lost] = found.rest**2, found.state
         return moved, bend, squares, state
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: with what compiled code reads, so that no copy makes its own."""
+        if COMPILED:
+            _ = self._packed
+        return self.__dict__
 
     @cached_property
     def _packed(self) -> Packed:

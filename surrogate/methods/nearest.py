@@ -7,11 +7,11 @@ from scipy.spatial import KDTree
 
 from ..answer import COVERED, OUTSIDE
 from ..table.rows import Floats, LoadRange, Rows
-from .method import Estimates, why_beyond
+from .method import Estimates, Method, why_beyond
 from .reference import Reference
 
 
-class Nearest:
+class Nearest(Method):
     """The nearest row's displacement; its derivative is zero, as that of any step function."""
 
     name = "nearest"

@@ -6,14 +6,18 @@ is as good as the reference, where they do not the method is taken to be wrong b
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
 from ..composition.composition import Composition
-from ..kriging import Kriging
-from ..table.rows import Floats
+from ..kriging import Kriging, SingularCovarianceError, TooFewRowsError
+from ..table.axes import clean_rows
+from ..table.rows import Floats, LoadRange, Rows
+from .selection import ENOUGH_FULL
 
+MOST_INTERACTION = 200  # full wrenches that tell what the axes miss: one quick factor
 BENDS, MISSED, ITSELF = 0, 1, 2  # see `Reference.mode`
 
 
@@ -81,3 +85,24 @@ class BentReference:
             return displacement, bars
         missed, own = self.interaction.answer_many(wrenches)
         return displacement + missed, np.sqrt(bars**2 + own**2)
+
+
+def interaction_of(rows: Rows, load_range: LoadRange, composition: Composition) -> Kriging | None:
+    """Return the kriging of what the bent axes miss full wrenches by that are not their own.
+
+    None where such wrenches are too few, or contradict each other.
+    """
+    full = np.flatnonzero(~clean_rows(rows, load_range).any(axis=1))
+    tables = [table for table in composition.tables if table is not None]
+    taken = [place for table in tables for group in table.rows.members for place in group]
+    free = np.setdiff1d(full, taken)
+    if len(free) < ENOUGH_FULL:
+        return None
+    some = rows.take(free[:MOST_INTERACTION])
+    composed = composition.evaluate(some.wrench)
+    missed = some.displacement - composed.displacement - composed.bend
+    blank = np.full_like(some.compliance, np.nan)
+    try:
+        return Kriging.build(replace(some, displacement=missed, compliance=blank), load_range)
+    except (TooFewRowsError, SingularCovarianceError):
+        return None

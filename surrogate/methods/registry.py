@@ -16,11 +16,15 @@ class Registry:
     ----------
     makers : dict of str to callable
         How to make each of `METHODS`.
+    made : dict of str to Method, optional
+        Those that are made already.
     """
 
-    def __init__(self, makers: dict[str, Callable[[], Method]]) -> None:
+    def __init__(
+        self, makers: dict[str, Callable[[], Method]], made: dict[str, Method] | None = None
+    ) -> None:
         self._makers = makers
-        self._made: dict[str, Method] = {}
+        self._made = dict(made or {})
         self._lock = threading.Lock()
 
     def get(self, name: str) -> Method:
@@ -44,6 +48,11 @@ class Registry:
         """Raise `UnknownMethodError` if a method is none of `METHODS`."""
         if name not in METHODS:
             raise UnknownMethodError(name)
+
+    @property
+    def made(self) -> dict[str, Method]:
+        """The methods that answer at once."""
+        return self._made.copy()
 
     def is_made(self, name: str) -> bool:
         """Return whether a method answers at once."""

@@ -62,6 +62,13 @@ class AxisRows:
     clean: NDArray[np.bool_]
     tangent: Floats
 
+    def equals(self, other: AxisRows) -> bool:
+        """Return whether all numbers are another's to the bit, wherever the rows behind are."""
+        columns = ("points", "displacement", "uncertainty", "clean", "tangent")
+        return self.axis == other.axis and all(
+            getattr(self, name).tobytes() == getattr(other, name).tobytes() for name in columns
+        )
+
     def take(self, which: NDArray[np.bool_]) -> AxisRows:
         """Return the points that a mask of shape (n,), dimensionless, picks."""
         return AxisRows(
@@ -115,7 +122,7 @@ def axis_rows(
     clean = clean_rows(rows, load_range)
     mine = clean[:, AXES.index(axis)]
     joining = ~clean.any(axis=1) & (off_axis != "exclude")
-    displacement = rows.displacement.copy()
+    displacement = rows.displacement.copy() if joining.any() else rows.displacement
     if off_axis == "correct" and joining.any():
         loads = np.where(np.isin(np.arange(6), axis.others), rows.wrench, 0.0)
         joining &= ~((np.abs(loads) > CLEAN * load_range.scale) & ~fit.known).any(axis=1)
@@ -141,31 +148,34 @@ def _merge(
     order = places[np.lexsort((rows.seq[places], far, ~clean[places], group))]
     bounds = np.searchsorted(np.sort(group), np.arange(int(group.max(initial=-1)) + 2))
     order_of = np.lexsort(scaled[order[bounds[:-1]]].T[::-1])
-    members = tuple(_trusted(order[bounds[k] : bounds[k + 1]], clean) for k in order_of.tolist())
-    first = np.array([each[0] for each in members], dtype=np.intp)
+    first = order[bounds[:-1]][order_of]
     stored = np.nan_to_num(rows.uncertainty)
     means, spreads = displacement[first], stored[first]
-    tangent = rows.compliance[:, :, inputs] * load_range.scale[inputs]
-    tangent[~clean] = np.nan  # a full wrench's tangent is not that of its axis' loads alone
-    slopes = tangent[first]
-    for point in np.flatnonzero(np.diff(bounds)[order_of] > 1):
-        chosen = list(members[point])
+    tangent = rows.compliance[first][:, :, inputs] * load_range.scale[inputs]
+    tangent[~clean[first]] = np.nan  # a full wrench's is not that of its axis' loads alone
+    members = list(zip(first.tolist(), strict=True))
+    for point in np.flatnonzero(np.diff(bounds)[order_of] > 1).tolist():
+        group_of = order_of[point]
+        chosen = _trusted(order[bounds[group_of] : bounds[group_of + 1]], clean)
         means[point] = displacement[chosen].mean(axis=0)
-        slopes[point] = tangent[chosen].mean(axis=0)
+        if clean[first[point]]:
+            slopes = rows.compliance[chosen][:, :, inputs] * load_range.scale[inputs]
+            tangent[point] = slopes.mean(axis=0)
         spread = np.ptp(displacement[chosen], axis=0) / 2
         spreads[point] = np.maximum(spread, stored[chosen].max(axis=0))
+        members[point] = tuple(sorted(chosen))
     return AxisRows(
         axis=axis,
         points=scaled[first].reshape(-1, 3) + 0.0,
         displacement=means.reshape(-1, 6),
         uncertainty=spreads.reshape(-1, 6),
-        members=tuple(tuple(sorted(each)) for each in members),
+        members=tuple(members),
         clean=clean[first],
-        tangent=slopes.reshape(-1, 6, 3),
+        tangent=tangent.reshape(-1, 6, 3),
     )
 
 
-def _trusted(places: NDArray[np.intp], clean: NDArray[np.bool_]) -> tuple[int, ...]:
+def _trusted(places: NDArray[np.intp], clean: NDArray[np.bool_]) -> list[int]:
     """Return the clean rows of one point, or all of them if none is clean."""
     best = places[clean[places]] if clean[places].any() else places
-    return tuple(best.tolist())
+    return best.tolist()

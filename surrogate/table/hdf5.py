@@ -10,38 +10,31 @@ or lead the library's parser astray.
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass
-from hashlib import blake2b
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, get_args
+from typing import Any, get_args
 
 import h5py
 import numpy as np
+from h5py import h5l  # pyright: ignore[reportAttributeAccessIssue] (compiled, not described)
 
 from .axes import OffAxis
+from .file_digest import USER_BLOCK, is_as_written, sync, write_digest
+from .meta import SCHEMA_VERSION, TableMeta
 from .rows import LOAD_UNITS, OUTPUT_UNITS, LoadRange, Rows, Tolerance, unknown_column
 
-SCHEMA_VERSION = 2  # 1 had no digest
 FORMAT = "wrenchbook table"
-# What an upload may unpack to. A row takes 450 bytes, so that this is half a million rows; a
+# What an upload may unpack to. A row takes 450 bytes, so that this is two million rows; a
 # compressed file of a few bytes can declare any size.
-MOST_FOREIGN_BYTES = 256 * 1024 * 1024
+MOST_FOREIGN_BYTES = 1024 * 1024 * 1024
+MOST_CHUNK_BYTES = 64 * 1024 * 1024  # a chunk is unpacked as a whole, however little is asked of it
+MOST_WORD_BYTES = 1024  # of a source or a fingerprint; each takes as much as the longest
+FOREIGN_PIECE = 20_000  # rows read at once
 
-CONTRACT = (
-    "SI: N, N·m, m, rad. Order: force then moment; translation then rotation. The wrench acts ON "
-    "the deformable component, at the interface reference point, expressed in the undeformed "
-    "interface frame; the moment is spatial. The displacement is of the same point in the same "
-    "frame; the rotation is a rotation vector, applied as R0 exp(r)."
-)
-
-PIECE = 1 << 20  # bytes of a file in memory at once for its digest
 KEY_DIGITS = 32  # of a row's content key, 16 bytes
-USER_BLOCK = 512  # the smallest HDF5 takes
-_DIGEST_MARK = b"wrenchbook table, blake2b of what follows byte 512: "
-_HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 
 _UNITS = {
     "wrench": ", ".join(LOAD_UNITS),
@@ -55,55 +48,12 @@ class TableFileError(ValueError):
     """A file that is no table this version can read; the text says what to do."""
 
 
-@dataclass(frozen=True)
-class TableMeta:
-    """What a table file says about its rows.
-
-    Attributes
-    ----------
-    component : str
-    last_seq : int
-        The ledger's number up to which rows are in the file.
-    load_range : LoadRange
-        N and N·m.
-    fingerprint : str
-        Of the component's present set-up; each row carries its own.
-    title : str
-    schema_version : int
-    contract : str
-        Order, units, frame and sign in words.
-    tolerance : Tolerance or None, m and rad
-        The component's own; with `linear` and `off_axis` what a surrogate is built with.
-    linear : bool
-        Whether the component is linear.
-    off_axis : {"correct", "ignore", "exclude"}
-        What becomes of rows that are clean for no axis.
-    ledger : str
-        Digest of the ledger's rows up to `last_seq`: a file that another ledger wrote, or this
-        one before it lost rows, is told by it.
-    edits : tuple of (str, bool, float), or None
-        The newest withdrawal or restoring of each row that had one: the row's content key in
-        hexadecimal, whether it is withdrawn, when (seconds since the epoch). Withdrawn rows are
-        not among the file's rows, so nothing else tells a ledger that was put back from an older
-        copy. None if they were not known.
-    """
-
-    component: str
-    last_seq: int
-    load_range: LoadRange
-    fingerprint: str = ""
-    title: str = ""
-    schema_version: int = SCHEMA_VERSION
-    contract: str = CONTRACT
-    tolerance: Tolerance | None = None
-    linear: bool = False
-    off_axis: OffAxis = "correct"
-    ledger: str = ""
-    edits: tuple[tuple[str, bool, float], ...] | None = None
-
-
-def write_table(path: str | os.PathLike[str], rows: Rows, meta: TableMeta) -> None:
+def write_table(
+    path: str | os.PathLike[str], rows: Rows, meta: TableMeta, notes: Sequence[str] = ()
+) -> None:
     """Write a table and put it in the place of the one before, all or nothing.
+
+    `notes`, one text a row, are for an export; the store's own files have none.
 
     Raises
     ------
@@ -118,14 +68,16 @@ def write_table(path: str | os.PathLike[str], rows: Rows, meta: TableMeta) -> No
         with h5py.File(draft, "w", userblock_size=USER_BLOCK) as file:
             _write_meta(file, meta)
             _write_rows(file, rows)
-        _write_digest(draft)
+            if any(notes):
+                _write_notes(file, notes)
+        write_digest(draft)
         draft.chmod(0o644)  # a temporary file is private, a table is for other programs too
-        _sync(draft)
+        sync(draft)
         draft.replace(target)
     except BaseException:
         draft.unlink(missing_ok=True)
         raise
-    _sync(target.parent)
+    sync(target.parent)
 
 
 def read_table(path: str | os.PathLike[str]) -> tuple[Rows, TableMeta]:
@@ -142,7 +94,8 @@ def read_table(path: str | os.PathLike[str]) -> tuple[Rows, TableMeta]:
     if not source.exists():
         raise FileNotFoundError(source)
     try:
-        _check_digest(source)
+        if not is_as_written(source):
+            raise _unreadable(source, "its bytes are not those that were written")
         with h5py.File(source, "r") as file:
             _check_schema(file, source)
             return _read_rows(file), _read_meta(file)
@@ -159,42 +112,6 @@ def _unreadable(source: Path, why: str) -> TableFileError:
     )
 
 
-def _write_digest(path: Path) -> None:
-    with path.open("r+b") as file:
-        file.write(_DIGEST_MARK + _digest(file))
-
-
-def _check_digest(path: Path) -> None:
-    """Refuse a table that is not byte for byte what was written; others are HDF5's to judge."""
-    with path.open("rb") as file:
-        head = file.read(USER_BLOCK)
-        marked = head.startswith(_DIGEST_MARK)
-        if marked and head[len(_DIGEST_MARK) :].rstrip(b"\0") == _digest(file):
-            return
-        # Files of the first schema begin with HDF5's mark and have no digest. So do other
-        # programs' files; without either mark nothing tells what the bytes are.
-        if marked or not head.startswith(_HDF5_MARK):
-            raise _unreadable(path, "its bytes are not those that were written")
-
-
-def _digest(file: BinaryIO) -> bytes:
-    file.seek(USER_BLOCK)
-    whole = blake2b(digest_size=32)
-    while piece := file.read(PIECE):
-        whole.update(piece)
-    file.seek(0)
-    return whole.hexdigest().encode()
-
-
-def _sync(path: Path) -> None:
-    """Flush a file, or the names in a folder, to the disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 def _write_meta(file: h5py.File, meta: TableMeta) -> None:
     file.attrs["format"] = FORMAT
     file.attrs["schema_version"] = meta.schema_version
@@ -208,6 +125,8 @@ def _write_meta(file: h5py.File, meta: TableMeta) -> None:
     file.attrs["off_axis"] = meta.off_axis
     if meta.tolerance is not None:
         file.attrs["tolerance"] = (meta.tolerance.translation, meta.tolerance.rotation)
+    if meta.solver_error is not None:
+        file.attrs["solver_error"] = json.dumps(dict(meta.solver_error), allow_nan=False)
     for name in ("low", "high"):
         bound = file.create_dataset(f"load_range/{name}", data=getattr(meta.load_range, name))
         bound.attrs["units"] = _UNITS["wrench"]
@@ -232,6 +151,11 @@ def _write_rows(file: h5py.File, rows: Rows) -> None:
         words = np.char.encode(getattr(rows, name).astype(str), "utf-8")
         kind = h5py.string_dtype("utf-8", max(words.dtype.itemsize, 1))
         _write_column(group, name, words.astype(kind))
+
+
+def _write_notes(file: h5py.File, notes: Sequence[str]) -> None:
+    # Of their own lengths: one long note must not make every other as long.
+    file.create_dataset("rows/note", data=list(notes), dtype=h5py.string_dtype("utf-8"))
 
 
 def _write_column(group: h5py.Group, name: str, column: np.ndarray) -> h5py.Dataset:
@@ -274,6 +198,7 @@ def _read_meta(file: h5py.File) -> TableMeta:
         linear=bool(file.attrs.get("linear", False)),
         off_axis=_off_axis(str(file.attrs.get("off_axis", "correct"))),
         edits=_read_edits(file),
+        solver_error=json.loads(str(file.attrs.get("solver_error", "null"))),
     )
 
 
@@ -297,25 +222,28 @@ def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
     return found
 
 
-def _numbers(file: h5py.File, name: str) -> np.ndarray:
-    return np.asarray(_dataset(file, name)[...])
+_ALL = slice(None)
 
 
-def _words(file: h5py.File, name: str) -> np.ndarray:
-    return np.array(_dataset(file, name).asstr()[...], dtype=str)
+def _numbers(file: h5py.File, name: str, some: slice = _ALL) -> np.ndarray:
+    return np.asarray(_dataset(file, name)[some])
 
 
-def _read_rows(file: h5py.File) -> Rows:
-    words = {name: _words(file, f"rows/{name}") for name in ("source", "fingerprint")}
-    numbers = {name: _numbers(file, f"rows/{name}") for name in ("seq", *_UNITS)}
+def _words(file: h5py.File, name: str, some: slice = _ALL) -> np.ndarray:
+    return np.array(_dataset(file, name).asstr()[some], dtype=str)
+
+
+def _read_rows(file: h5py.File, some: slice = _ALL) -> Rows:
+    words = {name: _words(file, f"rows/{name}", some) for name in ("source", "fingerprint")}
+    numbers = {name: _numbers(file, f"rows/{name}", some) for name in ("seq", *_UNITS)}
     for name in ("uncertainty", "compliance"):
         if np.isnan(numbers[name]).all():
             numbers[name] = unknown_column(*numbers[name].shape)
     return Rows(**numbers, **words)
 
 
-def read_foreign_table(path: str | os.PathLike[str]) -> Rows:
-    """Read the rows of a table file that somebody else has sent.
+def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[str]]]:
+    """Yield the rows of a table file that somebody else has sent, some at a time, with their notes.
 
     Raises
     ------
@@ -323,12 +251,26 @@ def read_foreign_table(path: str | os.PathLike[str]) -> Rows:
         If it is damaged, foreign, of a newer schema, points to other files, or is larger when read
         than `MOST_FOREIGN_BYTES`.
     """
+    source = Path(path)
     try:
         with h5py.File(path, "r") as file:
             _check_contained(file)
-    except (OSError, KeyError, TypeError, AttributeError) as error:
+        if not is_as_written(source):
+            raise _unreadable(source, "its bytes are not those that were written")
+        with h5py.File(path, "r") as file:
+            _check_schema(file, source)
+            _read_meta(file)
+            count = len(_dataset(file, "rows/seq"))
+            for start in range(0, count, FOREIGN_PIECE):
+                some = slice(start, start + FOREIGN_PIECE)
+                rows = _read_rows(file, some)
+                held = "rows/note" in file
+                notes = np.asarray(_dataset(file, "rows/note").asstr()[some]) if held else None
+                yield rows, [""] * len(rows) if notes is None else notes.tolist()
+    except TableFileError:
+        raise
+    except Exception as error:  # h5py has no base of what it raises on a file that is not sound
         raise TableFileError(f"is not a readable wrenchbook table ({error})") from error
-    return read_table(path)[0]
 
 
 def _check_contained(file: h5py.File) -> None:
@@ -347,8 +289,45 @@ def _check_contained(file: h5py.File) -> None:
                     f"holds {folder}/{name} outside of itself or not as a dataset; send a file "
                     "that wrenchbook has written"
                 )
+            if found.chunks and np.prod(found.chunks, dtype=float) * found.dtype.itemsize > (
+                MOST_CHUNK_BYTES
+            ):
+                raise TableFileError(f"has chunks of more than {MOST_CHUNK_BYTES >> 20} MiB")
+            if name != "note" and (found.dtype.hasobject or found.dtype.itemsize > MOST_WORD_BYTES):
+                raise TableFileError(f"holds words in {folder}/{name} that no table of ours has")
             room -= found.nbytes
     if room < 0:
         raise TableFileError(
             f"unpacks to more than {MOST_FOREIGN_BYTES >> 20} MiB; send the table in parts"
         )
+
+
+def leads_out(path: Path) -> bool:
+    """Tell whether an HDF5 file of any kind has something of it read from another file.
+
+    A mesh is such a file too; one of a stranger must not have this machine's files read as its own.
+
+    Raises
+    ------
+    TableFileError
+        If not all of it can be looked through.
+    """
+    if not h5py.is_hdf5(path):
+        return False
+    found: list[str] = []
+
+    def look_at(name: str, thing: h5py.Group | h5py.Dataset) -> None:
+        if isinstance(thing, h5py.Dataset) and (thing.external or thing.is_virtual):
+            found.append(name)
+
+    def look_at_link(name: bytes, link: h5l.LinkInfo) -> None:
+        if link.type not in (h5l.TYPE_HARD, h5l.TYPE_SOFT):
+            found.append(name.decode(errors="replace"))
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.id.links.visit(look_at_link, info=True)
+            file.visititems(look_at)
+    except Exception as error:
+        raise TableFileError(f"is no HDF5 file that can be looked through ({error})") from error
+    return bool(found)

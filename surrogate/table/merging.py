@@ -47,6 +47,13 @@ class Merged(NamedTuple):
     within: NDArray[np.bool_]
     owner: NDArray[np.intp]
 
+    def usable(self) -> tuple[Rows, tuple[tuple[int, ...], ...]]:
+        """Return the rows within the load range, and their members."""
+        if self.within.all():
+            return self.rows, self.members
+        members = tuple(self.members[place] for place in np.flatnonzero(self.within))
+        return self.rows.take(self.within), members
+
 
 def merge(rows: Rows, load_range: LoadRange) -> Merged:
     """Merge rows, in ascending order of `seq`, whose wrenches lie within 1e-6 of the range.
@@ -57,6 +64,8 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     within = load_range.holds(rows.wrench)
     owner = close_groups(np.column_stack((scaled, np.where(within, 0.0, 1.0))))
     count = int(owner.max(initial=-1)) + 1
+    if count == len(rows):
+        return Merged(rows, tuple(zip(rows.seq.tolist(), strict=True)), within, owner)
     # The wrench is that of the row with the fewest loads, so that a clean row stays clean and the
     # row at no load at no load; then of the outermost, so that the hull does not shrink.
     loaded = (np.abs(scaled) > CLEAN).sum(axis=1)

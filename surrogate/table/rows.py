@@ -6,7 +6,7 @@ rotation.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -70,10 +70,10 @@ class LoadRange:
         return _frozen(np.where(half > 0, half, np.where(size > 0, size, 1.0)))
 
     @cached_property
-    def _ends(self) -> tuple[Floats, Floats]:
-        """The range stretched to hold zero, and by what rounding may add, (6,) each, N and N·m."""
+    def ends(self) -> Floats:
+        """The range stretched to hold zero, and by what rounding may add, (2, 6), N and N·m."""
         slack = ON_END * self.scale
-        return np.minimum(self.low, 0.0) - slack, np.maximum(self.high, 0.0) + slack
+        return np.stack((np.minimum(self.low, 0.0) - slack, np.maximum(self.high, 0.0) + slack))
 
     def exceeded(self, wrenches: ArrayLike) -> NDArray[np.bool_]:
         """Return which loads of wrenches, shape (n, 6), N and N·m, are out of range, (n, 6).
@@ -81,7 +81,7 @@ class LoadRange:
         It is stretched to hold zero, from where every answer is counted. A load within 1e-9 of
         the range beyond an end counts as on it.
         """
-        loads, (low, high) = np.asarray(wrenches, dtype=float), self._ends
+        loads, (low, high) = np.asarray(wrenches, dtype=float), self.ends
         return (loads < low) | (loads > high)
 
     def holds(self, wrenches: ArrayLike) -> NDArray[np.bool_]:
@@ -176,7 +176,7 @@ class Rows:
 
     def __add__(self, other: Rows) -> Rows:
         """Return the rows of both, in this order."""
-        return Rows(*(_joined(getattr(self, name), getattr(other, name)) for name in _COLUMNS))
+        return joined((self, other))
 
     def take(self, which: ArrayLike) -> Rows:
         """Return the rows that an index array or a mask of shape (n,) picks."""
@@ -272,12 +272,18 @@ def _picked(column: NDArray[Any], index: NDArray[Any]) -> NDArray[Any]:
     return unknown_column(count, *column.shape[1:])
 
 
-def _joined(first: NDArray[Any], second: NDArray[Any]) -> NDArray[Any]:
-    if not len(first) or not len(second):
-        return second if not len(first) else first
-    if _is_unknown(first) and _is_unknown(second):
-        return unknown_column(len(first) + len(second), *first.shape[1:])
-    return np.concatenate((first, second))
+def joined(parts: Sequence[Rows]) -> Rows:
+    """Return the rows of several tables, at least one, in this order."""
+    some = [part for part in parts if len(part)]
+    if len(some) < 2:
+        return some[0] if some else parts[0]
+    return Rows(*(_joined([getattr(part, name) for part in some]) for name in _COLUMNS))
+
+
+def _joined(columns: list[NDArray[Any]]) -> NDArray[Any]:
+    if all(_is_unknown(column) for column in columns):
+        return unknown_column(sum(map(len, columns)), *columns[0].shape[1:])
+    return np.concatenate(columns)
 
 
 def _frozen(array: Floats) -> Floats:

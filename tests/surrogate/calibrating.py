@@ -164,6 +164,7 @@ def cases() -> list[Case]:
     return [
         Case("15 random", lambda f, seed: solved(f, full_wrenches(15, seed)), True),
         Case("15 filled", lambda f, seed: filled(f, 15, seed), True),
+        Case("30 random", lambda f, seed: solved(f, full_wrenches(30, seed)), True),
         Case("39 filled", lambda f, seed: filled(f, 39, seed), True),
         Case("60 random", lambda f, seed: solved(f, full_wrenches(60, seed)), True),
         Case("3x30, tangents", lambda f, seed: solved(f, spread_wrenches(30, 0, seed)), True),

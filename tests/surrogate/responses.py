@@ -6,7 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from surrogate.composition.build import build_composition
+from surrogate.methods.griddata import Griddata
+from surrogate.methods.reference import BentReference, interaction_of
 from surrogate.table.axes import AXES
+from surrogate.table.compliance import fit_compliance
+from surrogate.table.merging import merge
 from surrogate.table.rows import LoadRange, Rows
 
 HIGH = np.array([1000.0, 1000.0, 5000.0, 500.0, 500.0, 200.0])
@@ -61,6 +66,19 @@ def clean_wrenches(per_axis: int, seed: int) -> np.ndarray:
 def full_wrenches(count: int, seed: int) -> np.ndarray:
     """Return random scaled wrenches of all six loads."""
     return np.random.default_rng(seed).uniform(-1, 1, (count, 6))
+
+
+def griddata_of(rows: Rows) -> Griddata:
+    """Return `griddata` as tables have it that are too large for a kriging of one factor.
+
+    Its answers are those of every table (`test_methods` holds them together); it is made in a
+    hundredth of the time, so that properties of the axes can be tried on many tables.
+    """
+    used, _ = merge(rows, RANGE).usable()
+    fit = fit_compliance(used, RANGE, linear=False)
+    composition = build_composition(used, RANGE, fit, "correct")
+    reference = BentReference(composition, interaction_of(used, RANGE, composition))
+    return Griddata(composition, reference, bent=False)
 
 
 def table(response: Response, scaled: np.ndarray, **columns: object) -> Rows:

@@ -6,7 +6,15 @@ from scipy.interpolate import griddata
 from surrogate.build import build
 from surrogate.table.axes import AXES
 from surrogate.table.rows import LoadRange, Rows
-from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
+from tests.surrogate.responses import (
+    HIGH,
+    RANGE,
+    clean_wrenches,
+    full_wrenches,
+    griddata_of,
+    smooth,
+    table,
+)
 
 
 def rest(rows: Rows) -> np.ndarray:
@@ -42,7 +50,7 @@ def composed(rows: Rows, wrenches: np.ndarray) -> np.ndarray:
 
 
 def test_an_answer_equals_griddata_composed_by_hand() -> None:
-    rows = table(smooth, clean_wrenches(200, 1))
+    rows = table(smooth, clean_wrenches(60, 1))
     wrenches = full_wrenches(300, 2) * HIGH
     theirs = composed(rows, wrenches)
     answers = build(rows, RANGE).batch(wrenches)
@@ -50,7 +58,7 @@ def test_an_answer_equals_griddata_composed_by_hand() -> None:
     assert (answers.coverage == 1).all()  # no full wrench tells what it leaves out
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_composition_is_exact_for_sums_of_functions_of_the_triples_at_their_rows(seed: int) -> None:
     """Rows on a grid of each triple: every combination of three of them is answered exactly."""
@@ -73,11 +81,11 @@ def test_composition_is_exact_for_sums_of_functions_of_the_triples_at_their_rows
         return out
 
     asked = steps[rng.integers(0, 4, (50, 6))]
-    answers = build(table(response, scaled), RANGE).batch(asked * HIGH)
+    answers = griddata_of(table(response, scaled)).estimate(asked * HIGH)
     np.testing.assert_allclose(answers.displacement, response(asked), rtol=0, atol=1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_affine_responses_are_exact_wherever_the_table_reaches(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -88,7 +96,7 @@ def test_affine_responses_are_exact_wherever_the_table_reaches(seed: int) -> Non
     offset = rng.normal(size=6)
     rows = table(lambda x: x @ slope.T + offset, scaled)
     asked = full_wrenches(40, seed + 1)
-    answers = build(rows, RANGE).batch(asked * HIGH)
+    answers = griddata_of(rows).estimate(asked * HIGH)
     np.testing.assert_allclose(answers.displacement, asked @ slope.T + offset, atol=1e-9)
 
 
@@ -118,7 +126,7 @@ def test_no_load_answers_the_row_at_no_load_or_what_the_axes_interpolate_there()
     assert build(rows, RANGE).answer([0.0] * 6).displacement == (1e-3,) * 6
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=5)
 @given(st.integers(0, 2**32 - 1))
 def test_an_offset_without_a_row_at_zero_load_is_not_lost(seed: int) -> None:
     """Every rotation was off by r(0), and zero load answered 0 with a bar of 0."""
@@ -131,7 +139,7 @@ def test_an_offset_without_a_row_at_zero_load_is_not_lost(seed: int) -> None:
     def response(x: np.ndarray) -> np.ndarray:
         return x @ slope.T + offset
 
-    scaled = np.concatenate((clean_wrenches(30, seed), full_wrenches(20, seed)))
+    scaled = np.concatenate((clean_wrenches(12, seed), full_wrenches(20, seed)))
     surrogate = build(table(response, scaled), RANGE)
     asked = np.concatenate((full_wrenches(40, seed + 1), np.zeros((1, 6)), np.eye(6) / 2))
     asked[::3, :3] = 0.0
@@ -160,7 +168,7 @@ def test_zero_load_is_not_covered_where_no_axis_surrounds_it() -> None:
     assert loaded.displacement[3] == 2000 * 1e-8
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.integers(0, 2**32 - 1))
 def test_the_composition_law_holds_with_an_offset_and_no_row_at_zero_load(seed: int) -> None:
     """Rows on each triple's grid without its middle: the law, from the same tables, is exact."""
@@ -171,10 +179,10 @@ def test_the_composition_law_holds_with_an_offset_and_no_row_at_zero_load(seed: 
     asked = full_wrenches(30, seed) * 0.8
     asked[::2, 4] = 0.0
     asked[::3, 3] = 0.0
-    surrogate = build(rows, RANGE)
+    axes = griddata_of(rows)
 
     def told(kept: list[int]) -> np.ndarray:
-        return surrogate.batch(np.where(np.isin(np.arange(6), kept), asked, 0.0) * HIGH)[0]
+        return axes.estimate(np.where(np.isin(np.arange(6), kept), asked, 0.0) * HIGH)[0]
 
     zero = told([])
     parts = sum(_axis_read(rows, asked, axis) for axis in range(3))
@@ -219,3 +227,17 @@ def test_a_scattered_two_load_table_reads_one_moment_alone_from_the_axis_that_ha
     assert answer.displacement is not None
     own = griddata(scaled[:, [2, 3]], smooth(scaled), x[None, [2, 3]])[0]
     np.testing.assert_allclose(answer.displacement[2:], own[2:], rtol=0, atol=1e-15)
+
+
+def test_a_batch_changes_no_answer_of_a_planar_table_off_its_plane():
+    """A wrench within the plane but off the hull got the bar of one that leaves the plane."""
+    places = np.array(list(np.ndindex(5, 5))) / 2 - 1
+    wrenches = np.zeros((25, 6))
+    wrenches[:, [2, 3]] = places * [100.0, 10.0]
+    full = np.array([100.0] * 3 + [10.0] * 3)
+    moved = 1e-4 * np.tanh(wrenches / full) + 2e-5 * np.roll(wrenches / full, 1, axis=1)
+    table = build(Rows.of(wrenches, moved), LoadRange(-full, full))
+    off_hull, off_plane = [0, 0, 110.0, 2.0, 0, 0], [0, 0, 50.0, 2.0, 3.0, 0]
+    alone = table.batch([off_hull], method="griddata")
+    both = table.batch([off_hull, off_plane], method="griddata")
+    np.testing.assert_array_equal(both.error[0], alone.error[0])

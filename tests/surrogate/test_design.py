@@ -1,12 +1,15 @@
 import time
+from typing import Any
 
 import numpy as np
 import pytest
 
+import surrogate.kriging.dense as dense
 from surrogate.answer import allowed_by
 from surrogate.build import build
 from surrogate.design.adaptive import ENOUGH, next_wrenches
 from surrogate.design.initial import CORNERS, Known, first_design, spread_wrenches
+from surrogate.kriging.left_out import LeftOut
 from surrogate.missing_outputs import MissingOutputs
 from surrogate.surrogate import Surrogate
 from surrogate.table.axes import clean_rows
@@ -49,6 +52,26 @@ def test_rows_and_pending_wrenches_are_not_asked_again() -> None:
 def test_a_fill_whose_first_design_is_still_being_solved_goes_on_spreading() -> None:
     more = next_wrenches(EMPTY, 10, pending=FIRST).wrenches
     assert len(np.unique(np.concatenate((FIRST, more)), axis=0)) == 25
+
+
+def speck(width: float) -> LoadRange:
+    """Return a range of one load that is this part of its load range wide."""
+    high = np.array([width / 2, 0, 0, 0, 0, 0]) * HIGH
+    return LoadRange(-high, high)
+
+
+@pytest.mark.parametrize("width", [1e-308, 1e-15, 3e-9])
+def test_the_first_design_of_a_speck_has_the_few_wrenches_that_can_be_told_apart(
+    width: float,
+) -> None:
+    first = next_wrenches(EMPTY, 100, span=speck(width))
+    assert first.stage == "first"
+    assert 1 <= len(first.wrenches) <= 5
+
+
+def test_a_speck_is_met_once_all_its_wrenches_are_asked_for() -> None:
+    asked = next_wrenches(EMPTY, 100, span=speck(1e-308)).wrenches
+    assert next_wrenches(EMPTY, 100, span=speck(1e-308), pending=asked).stage == "met"
 
 
 def test_loads_that_a_scene_does_not_have_stay_at_rest_and_shorten_the_first_design() -> None:
@@ -177,3 +200,21 @@ def test_a_table_whose_rows_lack_outputs_is_filled_for_those_that_fewest_rows_ho
     asked = next_wrenches(partial, 12).wrenches
     thin = next_wrenches(partial.thinnest, 12).wrenches
     np.testing.assert_array_equal(asked, thin)
+
+
+def test_a_table_of_which_no_row_can_be_left_out_has_no_kriging_but_next_wrenches(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its bars were infinite, or no numbers, and so was what would be left of them."""
+    own = dense._left_out
+
+    def nothing_told(*given: Any) -> tuple[LeftOut, np.ndarray]:
+        found, squared = own(*given)
+        return found, 0 * squared  # as rounding leaves it of a few rows
+
+    monkeypatch.setattr(dense, "_left_out", nothing_told)
+    wrenches = spread_wrenches(RANGE, 20)
+    surrogate = build(Rows.of(wrenches, wrenches * 1e-6, source=["fea"] * 20), RANGE)
+    assert surrogate.kriging is None
+    assert surrogate.default == "griddata"
+    assert len(next_wrenches(surrogate, 3, pending=-wrenches).wrenches) == 3

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from surrogate.build import build
-from surrogate.table.rows import RowError, Rows
+from surrogate.missing_outputs import MissingOutputs
+from surrogate.table.rows import RowError, Rows, joined
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth
 
 SCALED = clean_wrenches(40, 1)
@@ -78,3 +79,17 @@ def test_a_row_without_any_output_is_refused() -> None:
         Rows.of(np.zeros(6), np.full(6, np.nan))
     with pytest.raises(RowError, match="uy is not a finite number"):
         Rows.of(np.zeros(6), [0, np.inf, 0, 0, 0, 0])
+
+
+def test_whole_fields_are_told_by_the_kriging_of_whole_rows_though_others_lack_outputs() -> None:
+    few = full_wrenches(24, 3)
+    whole = Rows.of(few * HIGH, smooth(few), source=["fea"] * len(few))
+    wrong = np.full((2, 6), np.nan)
+    wrong[:, 2] = 1.2 * smooth(ASKED[:2])[:, 2]
+    measured = Rows.of(ASKED[:2] * HIGH, wrong, source=["measured"] * 2)
+    found = build(joined([whole, measured]), RANGE)
+    assert isinstance(found, MissingOutputs)
+    (_, fullest), _ = found.groups
+    assert len(fullest.rows) == len(whole)
+    assert found.kriging is not None
+    assert found.kriging is fullest.kriging

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from surrogate.table import hdf5 as store
-from surrogate.table.hdf5 import SCHEMA_VERSION, TableFileError, TableMeta, read_table, write_table
+from surrogate.table.hdf5 import TableFileError, read_table, write_table
+from surrogate.table.meta import SCHEMA_VERSION, TableMeta
 from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, smooth, table
 
@@ -40,7 +41,7 @@ def assert_same(one: Rows, other: Rows) -> None:
     assert one.fingerprint.tolist() == other.fingerprint.tolist()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(tables(), st.integers(0, 2**62), WORDS)
 def test_what_is_written_is_read_back(rows: Rows, last_seq: int, title: str) -> None:
     meta = TableMeta("bar", last_seq, RANGE, "f00", title)
@@ -63,7 +64,7 @@ def test_a_table_says_its_units_and_its_contract(tmp_path: Path) -> None:
         assert str(file["rows/displacement"].attrs["units"]).startswith("m, m, m, rad")
 
 
-@pytest.mark.parametrize("moment", ["_sync", "_write_rows"])
+@pytest.mark.parametrize("moment", ["sync", "_write_rows"])
 def test_a_crash_while_writing_leaves_the_old_table_and_no_litter(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
 ) -> None:

@@ -125,7 +125,7 @@ def test_conformal_factors_hold_for_one_more_row_of_each_output() -> None:
     rng = np.random.default_rng(4)
     sizes = np.array([1.0, 2.0, 0.5, 1.0, 3.0, 1.0])
     errors = rng.normal(size=(60, 6)) * sizes
-    factors = conformal_factors(errors, np.ones((60, 6)))
+    factors = conformal_factors(errors, np.ones((60, 6)), np.abs(errors)).factors
     fresh = np.abs(rng.normal(size=(4000, 6)) * sizes)
     inside = (fresh <= factors).mean(axis=0)
     assert inside.min() > 0.93

@@ -9,7 +9,13 @@ import pytest
 from surrogate.kriging import Kriging, KrigingSettings, TooFewRowsError, compiled
 from surrogate.kriging.dense import Dense
 from surrogate.table.rows import LoadRange, Rows
-from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spread_wrenches
+from tests.surrogate.kriging.responses import (
+    NOISE,
+    RESPONSES,
+    noisy_rows,
+    solved,
+    spread_wrenches,
+)
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, table
 
 COUPLED = RESPONSES["strongly_coupled"]
@@ -209,11 +215,40 @@ def test_measured_rows_are_smoothed_by_their_uncertainty() -> None:
     rows = noisy_rows(response, x, 21, told=True)
     true = response(ASKED / HIGH)
     smoothing = Kriging.build(rows, RANGE).answer_many(ASKED)[0] - true
-    # without their uncertainty rows are taken as they are
-    exact = Kriging.build(Rows.of(rows.wrench, rows.displacement), RANGE)
+    # solves repeat exactly: they are taken as they are
+    solves = Rows.of(rows.wrench, rows.displacement, source=["fea"] * len(rows))
+    exact = Kriging.build(solves, RANGE)
     through = exact.answer_many(ASKED)[0] - true
     assert (smoothing**2).mean() < 0.6 * (through**2).mean()
     told, _ = exact.answer_many(rows.wrench)
+    assert (np.abs(told - rows.displacement) / _size(rows)).max() < 1e-3
+
+
+def test_measured_rows_are_smoothed_as_well_where_nobody_stated_their_noise() -> None:
+    x, response = spread_wrenches(40, 60, 21), RESPONSES["smooth"]
+    true = response(ASKED / HIGH)
+    stated, unstated = (
+        Kriging.build(noisy_rows(response, x, 21, told), RANGE).answer_many(ASKED)[0] - true
+        for told in (True, False)
+    )
+    assert (unstated**2).mean() < 1.2 * (stated**2).mean()
+
+
+def test_repeated_readings_tell_their_noise() -> None:
+    x, response = np.repeat(full_wrenches(30, 4), 4, axis=0), RESPONSES["smooth"]
+    kriging = Kriging.build(noisy_rows(response, x, 22, told=False), RANGE)
+    assert len(kriging.inside.equations) == 30
+    deviation = np.sqrt(kriging.reading_variance) * kriging.scaling.spread
+    # ninety differences tell it to 8 %; of what may be response or noise the least is taken
+    assert (deviation > 0.75 * NOISE).all()
+    assert (deviation < 1.15 * NOISE).all()
+
+
+def test_rows_that_do_not_err_are_found_to_have_no_noise() -> None:
+    rows = table(RESPONSES["smooth"], spread_wrenches(30, 40, 5))
+    kriging = Kriging.build(rows, RANGE)
+    assert np.sqrt(kriging.reading_variance).max() < 1e-4
+    told, _ = kriging.answer_many(rows.wrench)
     assert (np.abs(told - rows.displacement) / _size(rows)).max() < 1e-3
 
 

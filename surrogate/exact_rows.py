@@ -1,0 +1,165 @@
+"""Where a table does not cover a wrench, a row of it, or within 1e-6 of the range of it, does.
+
+Rows within 1e-6 of the range of each other are one row (`table.merging`), so a wrench as near to a
+row is that row's: a queue rounds wrenches so, and a load that comes to rest is a rounding error off
+the wrench that was solved. The row's tangent leads from its wrench to the asked one, and the bar
+grows by that step, from the row's own at the row itself. Where a row has no tangent its
+displacement stays, and the bar grows by twice what a response in proportion moves: to the range of
+each output over the load range, or to the row's own displacement (the largest of its translations,
+and of its rotations: a small load may move most) over its wrench, the steeper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .answer import COVERED, Answer, Batch, within
+from .table.row_index import RowIndex
+from .table.rows import Floats, LoadRange, Rows
+
+STEEPER = 2.0  # than in proportion: of a response that bends, at the rows there are
+
+
+class Beside(NamedTuple):
+    """What a row says of a wrench near its own: (6,) each, m and rad.
+
+    Attributes
+    ----------
+    displacement, error : ndarray
+    growth : ndarray
+        The part of the error that the distance from the row brings; 0 at the row.
+    """
+
+    displacement: Floats
+    error: Floats
+    growth: Floats
+
+
+class ExactRows:
+    """The rows of a table, each of which answers its own wrench.
+
+    Parameters
+    ----------
+    wrenches : ndarray, shape (n, 6), N and N·m
+    load_range : LoadRange
+        A row within it answers for no wrench beyond it, nor the other way round.
+    ranges : ndarray, shape (6,), m and rad
+        What each output varies by over the rows and from zero.
+    told : Rows
+        What those rows became: repeated ones answer as one.
+    owner : ndarray of int, shape (n,)
+        The place in `told` of each.
+
+    Attributes
+    ----------
+    index : RowIndex
+        Which row is at or beside a wrench.
+    steepest : ndarray, shape (6,), m and rad
+        What each output moves over half the load range, at most, by a row without a tangent.
+    """
+
+    def __init__(
+        self,
+        wrenches: Floats,
+        load_range: LoadRange,
+        ranges: Floats,
+        told: Rows,
+        owner: NDArray[np.intp],
+    ) -> None:
+        self.index = RowIndex(wrenches, load_range.scale)
+        self.steepest = STEEPER * ranges
+        self.wrenches, self.told, self.owner, self._range = wrenches, told, owner, load_range
+
+    def instead_of(
+        self, wrench: Sequence[float], found: Answer, allowed: Sequence[float]
+    ) -> Answer:
+        """Return what the row at or beside a wrench, N and N·m, says, or else what was found.
+
+        Parameters are those of `at`.
+        """
+        told = self.at(wrench, allowed)
+        if told is None:
+            return found
+        moved, error = tuple(told.displacement.tolist()), tuple(told.error.tolist())
+        return Answer(moved, error, "covered", "", "row")
+
+    def at(self, wrench: Sequence[float], allowed: Sequence[float]) -> Beside | None:
+        """Return what the row at or beside a wrench (6,), N and N·m, says, if one does.
+
+        Parameters
+        ----------
+        allowed : sequence of 6 floats, m and rad
+            What the distance from the row may add to its bar.
+        """
+        place = self.index.place(wrench)
+        return None if place < 0 else self._told_by(place, np.array(wrench, dtype=float), allowed)
+
+    def put_into(self, asked: Floats, found: Batch, allowed: Sequence[float]) -> Batch:
+        """Where wrenches (n, 6), N and N·m, are not covered, take the rows at or beside them."""
+        doubtful = np.flatnonzero(found.coverage != COVERED)
+        rows = self.index.places(asked[doubtful])
+        for place, row in zip(doubtful[rows >= 0], rows[rows >= 0].tolist(), strict=True):
+            if (told := self._told_by(row, asked[place], allowed)) is not None:
+                found.displacement[place], found.error[place] = told.displacement, told.error
+                found.coverage[place] = COVERED
+        return found
+
+    def near(self, wrenches: Floats) -> NDArray[np.bool_]:
+        """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
+        return self.index.places(wrenches) >= 0
+
+    def tangent(self, wrench: Sequence[float]) -> Floats:
+        """Return the tangent (6, 6), SI, of the row at or beside a wrench (6,); NaN if none has."""
+        place = self.index.place(wrench)
+        return np.full((6, 6), np.nan) if place < 0 else self.told.compliance[self.owner[place]]
+
+    def wrench_at(self, wrench: Sequence[float]) -> Floats | None:
+        """Return the wrench (6,), N and N·m, of the row at or beside one, if there is one."""
+        place = self.index.place(wrench)
+        return None if place < 0 else self.wrenches[place]
+
+    def has(self, wrench: Sequence[float]) -> bool:
+        """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
+        own = self.wrench_at(wrench)
+        return own is not None and bool((own == wrench).all())
+
+    def _told_by(self, place: int, wrench: Floats, allowed: Sequence[float]) -> Beside | None:
+        """Return what a row says of a wrench (6,), N and N·m, if it is that or may stand for it."""
+        told, pair = self._beside(place, wrench), np.stack((wrench, self.wrenches[place]))
+        inside = self._range.holds(pair)
+        return told if inside[0] == inside[1] and within(told.growth.tolist(), allowed) else None
+
+    def _beside(self, place: int, wrench: Floats) -> Beside:
+        """Return what a row, or the one that it became, says of a wrench (6,), N and N·m."""
+        owner = self.owner[place]
+        displacement = self.told.displacement[owner]
+        unread = np.isnan(displacement)  # of a table cut to a scene
+        error = np.where(unread, np.nan, np.nan_to_num(self.told.uncertainty[owner]))
+        own = self.wrenches[place]
+        step = wrench - own
+        if not step.any():
+            return Beside(displacement, error, np.zeros(6))
+        moved = self.told.compliance[owner] @ step
+        reach, far = np.abs(np.stack((step, own)) / self._range.scale).max(axis=1)
+        slope = self.steepest
+        if far > 0.0:
+            most = np.fmax.reduce(np.abs(displacement).reshape(2, 3), axis=1)
+            slope = np.fmax(slope, STEEPER / far * np.repeat(most, 3))
+        if not slope.any():  # one row at rest: nothing tells what a load does
+            slope = np.full(6, np.nan)
+        known = np.isfinite(moved)
+        growth = np.where(unread, 0.0, np.where(known, np.abs(moved), slope * reach))
+        return Beside(displacement + np.where(known, moved, 0.0), error + growth, growth)
+
+
+def sources_at(rows: Rows, wrenches: Sequence[Floats | None]) -> str | None:
+    """Return the sources of the rows that have any of some wrenches (6,), each once, or None."""
+    same = np.zeros(len(rows), dtype=bool)
+    for wrench in wrenches:
+        if wrench is not None:
+            same |= (rows.wrench == wrench).all(axis=1)
+    return ", ".join(dict.fromkeys(rows.source[same].tolist())) if same.any() else None

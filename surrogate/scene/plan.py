@@ -1,0 +1,216 @@
+"""The scene plan: what one simulation needs of a component, and what is left out.
+
+Filling, downloading and the reply of the server all follow what is decided here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..answer import allowed_by
+from ..build import AnyTable
+from ..design.adaptive import Design, next_wrenches
+from ..design.initial import Known, first_count, first_design, spread_wrenches
+from ..surrogate import Surrogate
+from ..table.rows import LOADS, OUTPUT_UNITS, OUTPUTS, Floats, LoadRange
+from .need import Need
+from .part import parts_of
+
+Decision = Literal["rigid", "linear", "table"]
+
+SAMPLE = 64  # wrenches of the scene, with its corners: as many as six loads have corners
+NO_ROWS = (
+    "no row yet: one solve tells the tangent compliance, and with it a bound of the displacement"
+)
+NO_LOAD = "no load can occur in the scene, so it stays as it is"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a scene needs of a component.
+
+    Attributes
+    ----------
+    need : Need
+    decision : {"rigid", "linear", "table"}
+        Leave it out; one compliance answers; its table does.
+    reason : str
+    bound : ndarray, shape (6,), m and rad
+        What the displacement does not exceed within the scene; NaN where nothing tells it.
+    compliance : ndarray, shape (6, 6), SI, or None
+        With ``linear``, where it is known: the displacement is it times the wrench. Zero by loads
+        that cannot occur.
+    solves : tuple of (int, int)
+        Of the first design, from an empty table: for the whole load range, and for the scene.
+    """
+
+    need: Need
+    decision: Decision
+    reason: str
+    bound: Floats
+    compliance: Floats | None
+    solves: tuple[int, int]
+
+
+def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> Plan:
+    """Return the plan of a scene's need of a component, from the rows there are, if any.
+
+    Parameters
+    ----------
+    solved : bool
+        Whether finite elements answer, which move by nothing where there is no load.
+    """
+    solves = first_solves(table, table.load_range), first_solves(table, need.span)
+    limit = need.tolerance or table.tolerance
+    need = replace(need, tolerance=limit)
+    if solved and not need.occurring.any():
+        return Plan(need, "rigid", NO_LOAD, np.zeros(6), None, (solves[0], 0))
+    bound, why = _bound(table, need)
+    if table.linear:
+        decision: Decision = "linear"
+        reason, matrix = _linear_reason(table), _restricted(table.fit.matrix, need)
+        compliance = matrix if table.fit.known[need.occurring].all() else None
+    else:
+        compliance, missed = _one_compliance(table, need)
+        decision = "table" if compliance is None else "linear"
+        reason = why or missed
+    read = list(need.outputs)
+    if limit is not None and (bound[read] <= np.array(allowed_by(limit))[read]).all():
+        reason = f"it moves by no more than the tolerance: {_worst(bound, need)}"
+        return Plan(need, "rigid", reason, bound, None, (solves[0], 0))
+    return Plan(need, decision, reason, bound, compliance, solves)
+
+
+def design_of(table: AnyTable, plan: Plan, budget: int, pending: ArrayLike | None = None) -> Design:
+    """Return at most `budget` wrenches to solve next for a scene, none where it needs none.
+
+    Parameters are those of `next_wrenches`: `pending` has shape (m, 6), N and N·m.
+    """
+    if plan.decision == "rigid":
+        return Design(np.empty((0, 6)), "met", f"the scene needs no solve: {plan.reason}")
+    need = plan.need
+    return next_wrenches(
+        table,
+        budget,
+        pending=pending,
+        tolerance=need.tolerance,
+        span=need.span,
+        outputs=need.outputs,
+    )
+
+
+def first_solves(table: AnyTable, span: LoadRange) -> int:
+    """Return how many solves the first design of a span has, from an empty table.
+
+    A solve of a linear component brings its whole compliance.
+    """
+    if table.linear:
+        return 1
+    none = np.empty((0, 6))
+    known = Known(table.load_range, none, none)
+    return len(first_design(span, known, first_count(span)))
+
+
+def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
+    """Return what the displacement does not exceed, (6,), m and rad, and why it is not known.
+
+    The larger of two: the answers with their bars at corners and wrenches of the scene; and the
+    compliance's sum over the loads with its bar, which is one for the whole load range, or what the
+    steepest slopes of the scene's wrenches allow, if that is less. To that comes what the solver of
+    the rows may be wrong by.
+    """
+    bound, why = np.full(6, np.nan), NO_ROWS
+    for outputs, surrogate in parts_of(table):
+        own, fit = list(outputs), surrogate.fit
+        unknown = need.occurring & ~fit.known
+        if not len(surrogate.used) or unknown.any():
+            told = [LOADS[load] for load in np.flatnonzero(unknown)]
+            why = f"no row tells the influence of {', '.join(told)}" if len(surrogate.used) else why
+            continue
+        full = np.maximum(np.abs(need.span.low), np.abs(need.span.high))
+        most = np.abs(fit.matrix) @ full + fit.bar
+        if not surrogate.linear:
+            found = surrogate.batch(_sample(need))
+            if not found.coverage.any():  # slopes of a table that is thin here prove nothing
+                most = np.fmin(most, _reach(surrogate, need) + found.error.max(axis=0))
+            most = np.maximum(most, (np.abs(found.displacement) + found.error).max(axis=0))
+        bound[own], why = most[own], ""
+    if table.solver_error is not None:  # rows share it: it is largest where the loads are
+        full = np.maximum(np.abs(need.span.low), np.abs(need.span.high))
+        bound = table.solver_error.widened_many(bound[None], full[None])[0]
+    return bound, why if np.isnan(bound[list(need.outputs)]).any() else ""
+
+
+def _reach(surrogate: Surrogate, need: Need) -> Floats:
+    """Return how far the steepest slopes reach from a scene's middle to its ends, (6,), m and rad.
+
+    By the mean value theorem: where loads are small the component moves little, however far it
+    bends from one compliance at its largest.
+    """
+    middle = (need.span.low + need.span.high) / 2
+    there = surrogate.batch(middle)
+    steepest = np.abs(surrogate.derivatives(_sample(need))).max(axis=0)
+    moved = np.abs(there.displacement[0]) + steepest @ (need.span.high - middle)
+    return np.asarray(moved + there.error[0])
+
+
+def _sample(need: Need) -> Floats:
+    """Return wrenches of a scene, (n, 6), N and N·m: all its corners, and some in between."""
+    ends = [sorted({low, high}) for low, high in zip(need.span.low, need.span.high, strict=True)]
+    corners = np.array(list(product(*ends)))
+    inner = spread_wrenches(need.span, SAMPLE) if need.varying.any() else corners
+    return np.concatenate((corners, inner))
+
+
+def _restricted(matrix: Floats, need: Need) -> Floats:
+    """Return a compliance (6, 6), SI, without the loads that cannot occur."""
+    return np.where(need.occurring, matrix, 0.0)
+
+
+def _linear_reason(table: AnyTable) -> str:
+    if table.fit.complete:
+        return "the component is linear: one compliance answers, and it is known"
+    return "the component is linear: one compliance answers, and one solve tells it"
+
+
+def _one_compliance(table: AnyTable, need: Need) -> tuple[Floats | None, str]:
+    """Return the compliance (6, 6), SI, that answers within the tolerance, if one does, and why.
+
+    The least-squares one through the answers at wrenches of the scene; it must miss each of them,
+    with its error bar, by no more than the tolerance.
+    """
+    if need.tolerance is None:
+        return None, "its response is looked up; no tolerance says what may be left out"
+    asked, read = _sample(need), list(need.outputs)
+    found = table.batch(asked, need.tolerance)
+    scale = table.load_range.scale
+    told = np.asarray(np.isfinite(found.displacement).all(axis=0))
+    moved = np.where(told, found.displacement, 0.0)
+    if not np.isfinite(moved).all():
+        return None, NO_ROWS
+    columns = np.linalg.lstsq(asked / scale, moved, rcond=None)[0]
+    matrix = np.where(told[:, None], columns.T / scale, 0.0)
+    missed = np.abs(moved - asked @ matrix.T) + found.error
+    share = (missed / np.array(allowed_by(need.tolerance)))[:, read]
+    if (share <= 1.0).all():
+        reason = f"over the scene's loads one compliance answers within {share.max():.2g} of the "
+        return _restricted(matrix, need), reason + "tolerance"
+    if not np.isfinite(share).all():
+        return None, "its rows do not tell yet how its response bends over the scene's loads"
+    worst = int(np.argmax(share.max(axis=0)))
+    reason = f"one compliance would miss {OUTPUTS[read[worst]]} by {share.max():.3g} times the "
+    return None, reason + "tolerance"
+
+
+def _worst(bound: Floats, need: Need) -> str:
+    """Return the output that comes nearest to its tolerance, and by how much it moves."""
+    assert need.tolerance is not None
+    allowed = np.array(allowed_by(need.tolerance))
+    worst = max(need.outputs, key=lambda output: bound[output] / allowed[output])
+    unit = OUTPUT_UNITS[worst]
+    return f"{OUTPUTS[worst]} at most {bound[worst]:.2g} {unit} of {allowed[worst]:.2g} {unit}"

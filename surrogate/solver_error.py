@@ -1,0 +1,145 @@
+"""What a table's solves may themselves be wrong by: their mesh, and linearity.
+
+A table's bars say how far its answers are from the solver's. What the solver lacks is the same for
+every row, so more rows do not lower it, and no coverage depends on it: it is estimated once a
+fingerprint and added to the bars where they are told. It is added, not squared and added: a mesh
+errs one way at all wrenches alike, nothing of it averages out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .table.rows import Floats, Rows
+
+_NEGLIGIBLE = 1e-6
+"""Of a bar at full load, below which a load's share of it is left out: an estimate has 1 digit."""
+
+UNKNOWN = (
+    "nothing has told how far the solver's own mesh is off; the next solve of this component "
+    "estimates it"
+)
+
+
+class SolverError:
+    """The bars that come of the solver, a function of the wrench alone.
+
+    Parameters
+    ----------
+    told : mapping
+        ``mesh``: shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None where it is not known;
+        ``loads``: (6,), N and N·m, largest of the range. Of a linear component ``linearity``:
+        (6,), m and rad, at such loads, growing with their square; None where it is not known.
+        Further entries are in words, for people.
+
+    Raises
+    ------
+    ValueError
+        If it is not of that form.
+    """
+
+    def __init__(self, told: Mapping[str, Any]) -> None:
+        self.told = dict(told)
+        loads = _numbers(told.get("loads"), (6,), "loads")
+        self.mesh = None if told.get("mesh") is None else _numbers(told["mesh"], (6, 6), "mesh")
+        bar = told.get("linearity")
+        self.linearity = None if bar is None else _numbers(bar, (6,), "linearity")
+        matrix = np.zeros((6, 6)) if self.mesh is None else self.mesh
+        shares = matrix * loads
+        small = shares <= _NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
+        self._matrix = np.where(small, 0.0, matrix)
+        self._square = np.zeros(6) if self.linearity is None else self.linearity
+        self._loads = np.where(loads > 0, loads, np.inf)
+        # Plain floats and only those that count: one answer takes a microsecond more.
+        self._terms = [
+            (int(output), int(load), float(self._matrix[output, load]))
+            for output, load in np.argwhere(self._matrix)
+        ]
+        self._one_over = (1.0 / self._loads).tolist()
+        self._bends = self._square.tolist() if self._square.any() else None
+
+    @property
+    def packed(self) -> tuple[Floats, Floats, Floats]:
+        """The arrays that `widened` is made of, for a program that has only those.
+
+        Shape (6, 6), SI; (6,), m and rad; one over the largest loads (6,), 1/N and 1/(N·m).
+        """
+        return self._matrix, self._square, np.array(self._one_over)
+
+    @classmethod
+    def read(cls, told: Mapping[str, Any] | None) -> SolverError | None:
+        """Return it from what was stored; None of nothing."""
+        return None if told is None else cls(told)
+
+    def widened(
+        self, error: tuple[float, ...] | None, wrench: Sequence[float]
+    ) -> tuple[float, ...] | None:
+        """Return bars (6,), m and rad, with the solver's share at a wrench (6,), N and N·m.
+
+        None stays, as a whole and in one place: nothing is known there.
+        """
+        if error is None:
+            return None
+        sizes, found, terms = list(map(abs, wrench)), list(error), self._terms
+        if None in found:
+            terms = [term for term in terms if found[term[0]] is not None]
+        for output, load, slope in terms:
+            found[output] += slope * sizes[load]
+        if self._bends is None:
+            return tuple(found)
+        most = max(size * one for size, one in zip(sizes, self._one_over, strict=True))
+        square = most * most
+        pairs = zip(found, self._bends, strict=True)
+        return tuple(None if bar is None else bar + bend * square for bar, bend in pairs)  # pyright: ignore[reportReturnType]
+
+    def widened_many(self, errors: Floats, wrenches: Floats) -> Floats:
+        """Return bars (n, 6), m and rad, to the same digits as `widened` at each of (n, 6)."""
+        sizes = np.abs(wrenches)
+        found = np.array(errors, dtype=float)
+        for load in range(6):
+            found += self._matrix[:, load] * sizes[:, load, None]
+        if self._bends is not None:
+            most = (sizes * np.array(self._one_over)).max(axis=1, initial=0.0)
+            square = most * most
+            found += self._square * square[:, None]
+        return found
+
+    def parts(self, wrench: Sequence[float]) -> dict[str, list[float] | None]:
+        """Return each cause's share of a bar, (6,), m and rad, at a wrench (6,), N and N·m.
+
+        Of ``mesh``, and of a linear component ``linearity``; None where it is not known.
+        """
+        sizes = np.abs(np.asarray(wrench, dtype=float))
+        mesh = None if self.mesh is None else (self._matrix @ sizes).tolist()
+        found: dict[str, list[float] | None] = {"mesh": mesh}
+        if "linearity" in self.told:
+            square = float((sizes * np.array(self._one_over)).max()) ** 2
+            bar = self.linearity
+            found["linearity"] = None if bar is None else (bar * square).tolist()
+        return found
+
+    def at_full_range(self) -> dict[str, list[float] | None]:
+        """Return `parts` at the largest loads of the range, all at once."""
+        return self.parts(np.where(np.isfinite(self._loads), self._loads, 0.0).tolist())
+
+
+def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Floats:
+    found = np.array(value, dtype=float)
+    if found.shape != shape or not (np.isfinite(found).all() and (found >= 0).all()):
+        raise ValueError(
+            f"{name} of a solver's error must be of shape {shape}, finite, not negative"
+        )
+    return found
+
+
+def bars_are_whole(rows: Rows, error: SolverError | None) -> bool:
+    """Tell whether bars hold all that rows may be wrong by: solved ones need their solver's share.
+
+    Where the solver's error was never estimated, or is lost, bars are of the table alone.
+    """
+    if error is not None:
+        return error.mesh is not None
+    return not bool((rows.source == "fea").any())

@@ -1,0 +1,145 @@
+"""A row answers its own wrench, and one a rounding error beside it, with a bar that grows."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from surrogate.build import AnyTable, build
+from surrogate.derivative import derivative_at, derivatives_at
+from surrogate.scene.need import need_of
+from surrogate.scene.scene_table import scene_table
+from surrogate.table.row_index import RowIndex
+from surrogate.table.rows import Rows, Tolerance
+from tests.surrogate.kriging.responses import RESPONSES, solved
+from tests.surrogate.responses import HIGH, RANGE, full_wrenches
+
+SMOOTH = RESPONSES["smooth"]
+BESIDE = (0.0, 1e-16, 1e-12, 1e-9, 1e-7, 9e-7)  # of the range
+
+
+@cache
+def few(*, tangents: bool = True) -> AnyTable:
+    """A table of too few rows to cover anything between them."""
+    rows = solved(SMOOTH, 0.9 * full_wrenches(6, 3))
+    if not tangents:
+        rows = Rows.of(rows.wrench, rows.displacement)
+    return build(rows, RANGE)
+
+
+def steps(count: int) -> np.ndarray:
+    return np.random.default_rng(4).uniform(-1, 1, (count, 6)) * RANGE.scale
+
+
+@pytest.mark.parametrize("tangents", [True, False])
+def test_a_rounding_error_beside_a_row_is_covered_as_the_row_is(tangents: bool) -> None:
+    """A load at rest, 1e-12 off the solved one, was thin, and answered by another number."""
+    table = few(tangents=tangents)
+    for row, step in zip(table.rows.wrench, steps(6), strict=True):
+        for share in BESIDE:
+            asked = row + share * step
+            found = table.answer(asked.tolist())
+            assert (found.coverage, found.method) == ("covered", "row")
+            assert found.displacement is not None
+            assert found.error is not None
+            missed = np.abs(np.array(found.displacement) - SMOOTH(asked[None] / HIGH)[0])
+            assert (missed <= np.array(found.error) + 1e-18).all()  # of numbers below 0.01
+            assert table.has_row(asked.tolist()) == bool((asked == row).all())
+            assert table.source_of(asked.tolist()) == table.rows.source[0]
+        assert table.answer((row + 3e-6 * step).tolist()).coverage != "covered"
+
+
+@pytest.mark.parametrize("tangents", [True, False])
+def test_the_bar_beside_a_row_grows_from_the_rows_own_in_proportion(tangents: bool) -> None:
+    table, step = few(tangents=tangents), steps(1)[0]
+    row = table.rows.wrench[1]
+    shares = np.array([0.0, 1e-9, 1e-8, 1e-7, 9e-7])
+    bars = table.batch(row + shares[:, None] * step).error
+    np.testing.assert_array_equal(bars[0], 0.0)
+    slopes = bars[1:] / shares[1:, None]
+    np.testing.assert_allclose(slopes, np.tile(slopes[-1], (4, 1)), rtol=1e-5)
+    assert (bars[-1] > 0).all()
+    assert (bars[-1] < 1e-5 * np.ptp(table.rows.displacement, axis=0)).all()
+
+
+def test_single_answers_batches_and_derivatives_beside_a_row_agree() -> None:
+    table = few()
+    asked = np.concatenate([table.rows.wrench + share * steps(6) for share in (*BESIDE, 3e-6)])
+    found, slopes = table.batch(asked), derivatives_at(table, asked)
+    for place, wrench in enumerate(asked.tolist()):
+        one = table.answer(wrench)
+        np.testing.assert_array_equal(one.displacement, found.displacement[place])
+        np.testing.assert_array_equal(one.error, found.error[place])
+        own = derivative_at(table, wrench, None, by_row=one.method == "row")
+        np.testing.assert_array_equal(own, slopes[place])
+    np.testing.assert_array_equal(slopes[:36], np.tile(table.rows.compliance, (6, 1, 1)))
+
+
+def test_the_answer_beside_a_row_has_the_slope_that_is_told() -> None:
+    table, step = few(), steps(1)[0]
+    ends = table.rows.wrench[2] + np.array([[-8e-7], [8e-7]]) * step
+    low, high = table.batch(ends).displacement
+    told = table.rows.compliance[2] @ step
+    np.testing.assert_allclose((high - low) / 16e-7, told, rtol=1e-6, atol=1e-9)
+
+
+def test_a_row_stands_for_no_wrench_where_that_alone_moves_more_than_is_allowed() -> None:
+    table, step = few(), steps(1)[0]
+    row, fine = table.rows.wrench[0], Tolerance(1e-12, 1e-12)
+    assert table.answer(row.tolist(), fine).coverage == "covered"
+    assert table.answer((row + 1e-12 * step).tolist(), fine).coverage == "covered"
+    assert table.answer((row + 9e-7 * step).tolist(), fine).coverage == "thin"
+
+
+def test_one_row_at_rest_says_nothing_of_the_loads_beside_it() -> None:
+    table = build(Rows.of(np.zeros((1, 6)), np.zeros((1, 6))), RANGE)
+    assert table.answer([0.0] * 6).coverage == "covered"
+    assert table.answer([1e-4, 0, 0, 0, 0, 0]).coverage != "covered"
+
+
+def test_a_row_within_the_range_answers_for_nothing_beyond_it() -> None:
+    table = build(solved(SMOOTH, np.array([[1.0] * 6, [-1.0] * 6])), RANGE)
+    assert table.answer((HIGH * (1 - 1e-9)).tolist()).method == "row"
+    assert table.answer((HIGH * (1 + 1e-7)).tolist()).coverage == "outside"
+
+
+def test_a_scene_and_a_partly_measured_table_answer_beside_a_row_as_well() -> None:
+    whole = few()
+    cut = scene_table(whole, need_of(RANGE, outputs=(2, 4)))
+    lacking = whole.rows.displacement.copy()
+    lacking[:, 1] = np.nan
+    partial = build(Rows.of(whole.rows.wrench, lacking), RANGE)
+    for asked in (whole.rows.wrench[:2] + 1e-9 * steps(2)).tolist():
+        full, part, rig = (one.answer(asked) for one in (whole, cut, partial))
+        assert {one.method for one in (full, part, rig)} == {"row"}
+        assert full.displacement is not None
+        assert full.error is not None
+        assert part.displacement == (
+            None,
+            None,
+            *full.displacement[2:3],
+            None,
+            full.displacement[4],
+            None,
+        )
+        assert part.error == (None, None, full.error[2], None, full.error[4], None)
+        own = cut.row_tangent(asked)
+        np.testing.assert_array_equal(own[[2, 4]], whole.row_tangent(asked)[[2, 4]])
+        assert np.isnan(own[[0, 1, 3, 5]]).all()
+        assert rig.displacement is not None
+        assert rig.displacement[1] is None
+
+
+def test_of_rows_close_together_the_nearest_is_found_and_of_equally_near_ones_the_first() -> None:
+    base = np.random.default_rng(1).uniform(-1, 1, (300, 6)) * HIGH
+    wrenches = np.concatenate((base, base + 5e-7 * HIGH, base))
+    index = RowIndex(wrenches, RANGE.scale)
+    asked = base + 2e-7 * HIGH
+    assert index.places(asked).tolist() == list(range(300))
+    assert index.places(base + 4e-7 * HIGH).tolist() == list(range(300, 600))
+    assert [index.place(one) for one in asked.tolist()] == list(range(300))
+    assert (index.places(base - 1.1e-6 * HIGH) == -1).all()
+    assert index.place([1e300] * 6) == -1
+    assert index.places(np.full((1, 6), 1e308)).tolist() == [-1]

@@ -1,0 +1,35 @@
+"""Off the hull, where the rows do not tell how long the step from it is: nothing tells the bar."""
+
+import numpy as np
+import pytest
+
+from surrogate.build import build
+from surrogate.composition.composition import OFF_HULL
+from surrogate.methods import griddata
+from surrogate.table.rows import Rows
+from tests.surrogate.responses import HIGH, RANGE, full_wrenches, smooth
+
+
+def _one_axis():
+    """A table of F_z, M_x and M_y: what other loads do is not known."""
+    places = np.zeros((27, 6))
+    places[:, [2, 3, 4]] = np.array(list(np.ndindex(3, 3, 3))) - 1.0
+    rows = np.concatenate((places, full_wrenches(24, 5) * np.array([0, 0, 1, 1, 1, 0])))
+    return build(Rows.of(rows * HIGH, smooth(rows)), RANGE)
+
+
+@pytest.mark.parametrize("method", ["griddata", "tangent"])
+def test_a_step_of_unknown_length_makes_the_bar_unknown_in_every_version(method, monkeypatch):
+    table, asked = _one_axis(), 1.1 * full_wrenches(40, 6) * HIGH
+    compiled = table.batch(asked, None, method)
+    singles = [table.answer(wrench, None, method).error for wrench in asked]
+    with monkeypatch.context() as patched:
+        patched.setattr(griddata, "ready", lambda: False)
+        arrays = table.batch(asked, None, method)
+    unknown = np.isnan(table.composition.evaluate(asked).rest).any(axis=1)
+    assert (table.composition.evaluate(asked).state[unknown] >= OFF_HULL).all()
+    assert unknown.any()
+    assert np.isnan(compiled.error[unknown]).all()
+    assert all(singles[place] is None for place in np.flatnonzero(unknown))
+    np.testing.assert_array_equal(np.isnan(compiled.error), np.isnan(arrays.error))
+    np.testing.assert_allclose(compiled.error, arrays.error, rtol=1e-9)
