@@ -25,16 +25,23 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .service.client import (
         Client,
+        ComponentPlan,
         Displacement,
         Displacements,
         Job,
         ProblemError,
+        Recorder,
+        RecorderError,
         Round,
+        Scene,
+        SceneError,
         ServerTimeout,
         ServerUnreachable,
         Table,
         conventions,
     )
+    from .service.client.mount import CouplingDiverged, Mount, MountError, MountWarning
+    from .service.client.mount.mujoco_mount import MujocoMount
 
 _HERE = Path(__file__).resolve().parent
 # This file is one module that is also a package of what simulators import: `wrenchbook.client` is
@@ -44,11 +51,21 @@ __path__ = [str(_HERE / "service")]
 _ROOMS = ("fea", "surrogate", "service")
 _HOME = {
     "Client": "client",
+    "ComponentPlan": "client",
+    "CouplingDiverged": "client.mount",
     "Displacement": "client",
     "Displacements": "client",
     "Job": "client",
+    "Mount": "client.mount",
+    "MountError": "client.mount",
+    "MountWarning": "client.mount",
+    "MujocoMount": "client.mount.mujoco_mount",
     "ProblemError": "client",
+    "Recorder": "client",
+    "RecorderError": "client",
     "Round": "client",
+    "Scene": "client",
+    "SceneError": "client",
     "ServerTimeout": "client",
     "ServerUnreachable": "client",
     "Table": "client",
@@ -56,11 +73,21 @@ _HOME = {
 }
 __all__ = [
     "Client",
+    "ComponentPlan",
+    "CouplingDiverged",
     "Displacement",
     "Displacements",
     "Job",
+    "Mount",
+    "MountError",
+    "MountWarning",
+    "MujocoMount",
     "ProblemError",
+    "Recorder",
+    "RecorderError",
     "Round",
+    "Scene",
+    "SceneError",
     "ServerTimeout",
     "ServerUnreachable",
     "Table",

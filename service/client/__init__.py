@@ -9,16 +9,21 @@ in a simulator, whose own packages may have any name, and `service.client` in th
 ...     R, p = answer.apply(R0, p0)
 """
 
+from .deformed import DeformedShape, DeformedShapes, Stress
 from .errors import ProblemError, ServerTimeout, ServerUnreachable
+from .event_calls import Event, EventCalls
+from .gathering_calls import Envelope, GatheringCalls, Recording, Started
 from .job import Job, Round
 from .job_calls import JobCalls
 from .library import Library
 from .questions import Questions
+from .recording import Recorder, RecorderError
 from .replies import Displacement, Displacements
+from .scene import ComponentPlan, Scene, SceneError
 from .table import Downloads, Table
 
 
-class Client(Questions, JobCalls, Library, Downloads):
+class Client(Questions, DeformedShapes, JobCalls, Library, Downloads, GatheringCalls, EventCalls):
     """A client of one server, for any number of threads.
 
     Parameters
@@ -28,6 +33,8 @@ class Client(Questions, JobCalls, Library, Downloads):
     timeout : float
         Seconds without an answer before `ServerTimeout`; the time a call asks the server to wait
         is added to it.
+    key : str, optional
+        What the server was told to let in; the variable WRENCHBOOK_KEY if not given.
 
     Examples
     --------
@@ -39,12 +46,23 @@ class Client(Questions, JobCalls, Library, Downloads):
 
 __all__ = [
     "Client",
+    "ComponentPlan",
+    "DeformedShape",
     "Displacement",
     "Displacements",
+    "Envelope",
+    "Event",
     "Job",
     "ProblemError",
+    "Recorder",
+    "RecorderError",
+    "Recording",
     "Round",
+    "Scene",
+    "SceneError",
     "ServerTimeout",
     "ServerUnreachable",
+    "Started",
+    "Stress",
     "Table",
 ]

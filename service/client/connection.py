@@ -5,10 +5,14 @@ from __future__ import annotations
 import http.client
 import json
 import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
 from email.message import Message
 from typing import Any, Self
 from urllib.parse import urlencode, urlsplit
 
+from .answer_bytes import Received, receive
 from .errors import ProblemError, ServerTimeout, ServerUnreachable
 
 _JSON = {"Content-Type": "application/json", "Accept": "application/json"}
@@ -22,52 +26,29 @@ _Request = tuple[str, str, bytes | None, dict[str, str], float]
 class Reply:
     """Status, body and headers of an answer that is no problem."""
 
-    __slots__ = ("content", "headers", "status")
+    __slots__ = ("_received",)
 
-    def __init__(self, status: int, content: bytes, headers: Message) -> None:
-        self.status = status
-        self.content = content
-        self.headers = headers
+    def __init__(self, received: Received) -> None:
+        self._received = received
+
+    @property
+    def status(self) -> int:
+        """The status, below 400."""
+        return self._received.status
+
+    @property
+    def content(self) -> bytes:
+        """The body."""
+        return self._received.content
+
+    @property
+    def headers(self) -> Message:
+        """The header fields."""
+        return self._received.headers
 
     def json(self) -> Any:
         """Return the body as JSON."""
-        return json.loads(self.content)
-
-
-class _OneWrite:
-    """A connection that sends a small request whole: one packet, one waking of the server.
-
-    http.client sends head and body apart, and the server starts on a head that it cannot use yet.
-    """
-
-    _held: list[Any] | None = None
-
-    def request(self, *request: Any, **more: Any) -> None:
-        """Send a request, as http.client does."""
-        self._held = held = []
-        try:
-            super().request(*request, **more)  # pyright: ignore[reportAttributeAccessIssue]
-        finally:
-            self._held = None
-        if all(isinstance(piece, bytes) for piece in held) and sum(map(len, held)) <= _ONE_WRITE:
-            held = [b"".join(held)]
-        for piece in held:
-            self.send(piece)
-
-    def send(self, data: Any) -> None:
-        """Send a piece, or hold it while its request is put together."""
-        if self._held is None:
-            super().send(data)  # pyright: ignore[reportAttributeAccessIssue]
-        else:
-            self._held.append(data)
-
-
-class _Plain(_OneWrite, http.client.HTTPConnection):
-    pass
-
-
-class _Secure(_OneWrite, http.client.HTTPSConnection):
-    pass
+        return json.loads(self._received.content)
 
 
 class Connection:
@@ -83,18 +64,26 @@ class Connection:
     timeout : float
         Seconds without an answer before `ServerTimeout`; the time a call asks the server to wait
         is added to it.
+    key : str, optional
+        What the server was told to let in; the variable WRENCHBOOK_KEY if not given.
     """
 
-    def __init__(self, url: str = "http://127.0.0.1:8000", timeout: float = 30.0) -> None:
+    def __init__(
+        self, url: str = "http://127.0.0.1:8000", timeout: float = 30.0, key: str | None = None
+    ) -> None:
         parts = urlsplit(url if "://" in url else f"http://{url}")
         if parts.scheme not in ("http", "https") or not parts.hostname:
             raise ValueError(f"{url!r} is no address of a server; write http://127.0.0.1:8000")
         self.url = f"{parts.scheme}://{parts.netloc}{parts.path.rstrip('/')}"
         self.timeout = timeout
+        self._key = _checked_key(os.environ.get("WRENCHBOOK_KEY") if key is None else key)
         self._path = parts.path.rstrip("/")
         self._host, self._port = parts.hostname, parts.port
         https = parts.scheme == "https"
-        self._kind = _Secure if https else _Plain
+        self._kind = http.client.HTTPSConnection if https else http.client.HTTPConnection
+        shown = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
+        default = self._kind.default_port
+        self._shown = shown if parts.port in (None, default) else f"{shown}:{parts.port}"
         self._idle: list[http.client.HTTPConnection] = []
         self._process_id = os.getpid()
 
@@ -164,6 +153,43 @@ class Connection:
         content = None if body is None else json.dumps(body, allow_nan=False).encode()
         return self.call(method, path, content, **options).json()
 
+    @contextmanager
+    def stream(
+        self, path: str, *, query: dict[str, Any], headers: dict[str, str], timeout: float
+    ) -> Iterator[http.client.HTTPResponse]:
+        """Give the answer to a GET that is read line by line, on a connection of its own.
+
+        Parameters
+        ----------
+        timeout : float
+            Seconds without a byte before TimeoutError.
+
+        Raises
+        ------
+        ProblemError
+            If the server refuses.
+        ServerUnreachable
+            If nothing answers at the address.
+        """
+        connection = self._kind(self._host, self._port, timeout=timeout)
+        try:
+            try:
+                own = {"Authorization": f"Bearer {self._key}"} if self._key else {}
+                target = self._path + path + _query(query)
+                connection.request("GET", target, headers=headers | own)
+                response = connection.getresponse()
+            except ConnectionError as error:
+                raise ServerUnreachable(
+                    f"no answer from {self.url} ({error}); start a server with: wrenchbook serve"
+                ) from error
+            if response.status >= 400:
+                refused = Received(response.status, response.read(), reason=response.reason)
+                refused.headers = response.headers
+                raise _problem(refused)
+            yield response
+        finally:
+            connection.close()
+
     def _send(self, request: _Request, kept: http.client.HTTPConnection | None) -> Reply:
         """Send a request on the kept connection, or on a new one if there is none or it is dead."""
         if kept is not None:
@@ -194,13 +220,16 @@ class Connection:
     def _exchange(self, connection: http.client.HTTPConnection, request: _Request) -> Reply:
         """Send and receive on one connection, then keep it, or close it when anything failed."""
         method, target, content, headers, timeout = request
+        head = self._head(method, target, content, headers)
         try:
             connection.timeout = timeout
-            if connection.sock is not None:
-                connection.sock.settimeout(timeout)
-            connection.request(method, target, body=content, headers=headers)
-            response = connection.getresponse()
-            received = response.read()
+            if connection.sock is None:
+                connection.connect()
+            sock = connection.sock
+            assert sock is not None
+            sock.settimeout(timeout)
+            _send(sock, head, content or b"")
+            received = receive(sock, method)
         except TimeoutError as error:
             connection.close()
             raise ServerTimeout(
@@ -210,12 +239,57 @@ class Connection:
         except BaseException:
             connection.close()
             raise
-        if not response.will_close:
+        if received.will_close:
+            connection.close()
+        else:
             self._idle.append(connection)
-        if response.status >= 400:
-            kind = response.headers.get_content_type()
-            raise _problem(response.status, response.reason, kind, received)
-        return Reply(response.status, received, response.headers)
+        if received.status >= 400:
+            raise _problem(received)
+        return Reply(received)
+
+    def _head(self, method: str, target: str, content: bytes | None, fields: dict[str, str]) -> str:
+        """Lay out a request's head.
+
+        Raises
+        ------
+        ValueError
+            If something in it would end a line.
+        """
+        lines = [f"{method} {target} HTTP/1.1", f"Host: {self._shown}", "Accept-Encoding: identity"]
+        if content is not None or method != "GET":
+            lines.append(f"Content-Length: {len(content or b'')}")
+        if self._key:
+            lines.append(f"Authorization: Bearer {self._key}")
+        lines += [f"{name}: {value}" for name, value in fields.items()]
+        if not "".join(lines).isprintable():
+            raise ValueError(f"a request's head is of printable characters alone, not {fields}")
+        return "\r\n".join([*lines, "", ""])
+
+
+def _checked_key(key: str | None) -> str | None:
+    """Return a key without the blanks around it; None for an empty one.
+
+    Raises
+    ------
+    ValueError
+        If it is none that a header can hold; what it is is not told.
+    """
+    key = (key or "").strip()
+    if not key:
+        return None
+    if not (key.isascii() and key.isprintable()) or " " in key:
+        raise ValueError("the key holds blanks or characters that no key has; copy it again")
+    return key
+
+
+def _send(sock: socket.socket, head: str, content: bytes) -> None:
+    """Send a small request whole: one packet, one waking of the server."""
+    start = head.encode("latin-1")
+    if len(content) <= _ONE_WRITE:
+        sock.sendall(start + content)
+    else:
+        sock.sendall(start)
+        sock.sendall(content)
 
 
 def _query(query: dict[str, Any] | None) -> str:
@@ -227,11 +301,13 @@ def _query(query: dict[str, Any] | None) -> str:
         for key, value in query.items()
         if value is not None
     }
-    return f"?{urlencode(given)}" if given else ""
+    return f"?{urlencode(given, doseq=True)}" if given else ""
 
 
-def _problem(status: int, reason: str, kind: str, content: bytes) -> ProblemError:
+def _problem(received: Received) -> ProblemError:
     """Read an answer of status 400 or more, whoever on the way wrote it."""
+    status, reason, content = received.status, received.reason, received.content
+    kind = received.headers.get_content_type()
     body: Any = None
     if kind.endswith("json"):
         try:

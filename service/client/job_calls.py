@@ -62,10 +62,24 @@ class JobCalls(Connection):
                 time.sleep(0.05)
 
     def jobs(
-        self, component: str | None = None, status: str | None = None, limit: int | None = None
+        self,
+        component: str | None = None,
+        status: str | None = None,
+        limit: int | None = None,
+        after: int | None = None,
     ) -> list[Job]:
-        """Return the jobs, newest first, of one component or status if given."""
-        query = {"component": component, "status": status, "limit": limit}
+        """Return the jobs, newest first, of one component or status if given.
+
+        Parameters
+        ----------
+        component, status : str, optional
+            Only these.
+        limit : int, optional
+            At most so many; 1000 unless told.
+        after : int, optional
+            Those after this job's number: the last one of the page before.
+        """
+        query = {"component": component, "status": status, "limit": limit, "after": after}
         return [Job.read(one) for one in self.call_json("GET", "/v1/jobs", query=query)["jobs"]]
 
     def cancel(self, job: Job | int) -> Job:

@@ -14,32 +14,52 @@ from .connection import Connection
 from .errors import ProblemError, ServerTimeout, ServerUnreachable
 from .questions import component_path
 
-_KINDS = {
-    "csv": "text/csv; charset=utf-8",
-    "json": "application/json",
-    "hdf5": "application/x-hdf5",
+_FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "mat")
+_TEXTS = ("csv", "json")
+_ENDINGS = {
+    ".csv": "csv",
+    ".json": "json",
+    ".h5": "hdf5",
+    ".hdf5": "hdf5",
+    ".xlsx": "xlsx",
+    ".parquet": "parquet",
+    ".mat": "mat",
 }
-_ENDINGS = {".csv": "csv", ".json": "json", ".h5": "hdf5", ".hdf5": "hdf5"}
-# What loggers call their CSV; an export has no tab form, so these are read only.
-_READ_ENDINGS = _ENDINGS | {".txt": "csv", ".tsv": "csv"}
+# What is read is told by its content; these are only refused where nothing else could be meant.
+_NOT_READ = frozenset({".mat", ".fmu", ".pdf", ".xls"})
 
 
-def table_format(file: str | Path, *, reading: bool = False) -> str:
-    """Return the format of a table file by its ending.
+def table_format(file: str | Path) -> str:
+    """Return the form of a table file to be written, by its ending.
 
     Raises
     ------
     ValueError
         If the ending is none of a table's; the message lists those there are.
     """
-    endings = _READ_ENDINGS if reading else _ENDINGS
     suffix = Path(file).suffix
-    if suffix.lower() not in endings:
+    if suffix.lower() not in _ENDINGS:
         named = f"the ending {suffix}" if suffix else "no ending"
         raise ValueError(
-            f"{file} has {named}, which is no form of a table; there are {', '.join(endings)}"
+            f"{file} has {named}, which is no form of a table; there are {', '.join(_ENDINGS)}"
         )
-    return endings[suffix.lower()]
+    return _ENDINGS[suffix.lower()]
+
+
+def check_readable(file: str | Path) -> None:
+    """Refuse a file whose ending says that it is no table to be read.
+
+    Raises
+    ------
+    ValueError
+        The message says what may be read.
+    """
+    suffix = Path(file).suffix.lower()
+    if suffix in _NOT_READ:
+        raise ValueError(
+            f"{file} ends in {suffix}, which is not read; a table is CSV, XLSX, Parquet, JSON or "
+            "the HDF5 of an export, each gzipped if you like"
+        )
 
 
 class Library(Connection):
@@ -85,7 +105,7 @@ class Library(Connection):
             return self.call_json("POST", path, dict(component), repeatable=False)
         bundle = Path(component)
         archive = _zipped(bundle) if bundle.is_dir() else bundle.read_bytes()
-        kind, content = _form(f"{bundle.stem}.zip", archive)
+        kind, content = _form({"bundle": (f"{bundle.stem}.zip", archive)})
         return self.call("POST", path, content, kind=kind, repeatable=False).json()
 
     def import_table(
@@ -95,50 +115,49 @@ class Library(Connection):
         format: str | None = None,  # noqa: A002 (the contract's word)
         dry_run: bool = False,
         decimal: str | None = None,
+        *,
+        displacements: str | Path | None = None,
+        **said: Any,
     ) -> dict[str, Any]:
-        """Load a table from outside: all its rows, or none.
+        """Load a table from outside: all its rows, or none; with ``partial=True`` the good ones.
 
         Parameters
         ----------
-        name : str
-            The component.
         table : path, str or bytes
-            A file's path, or its content; a text of one line that is no JSON is a path.
-        format : {"csv", "json", "hdf5"}, optional
-            By the file's ending if not given; csv for a text.
+            A file's path, or its content; a text of one line that is no JSON is a path. CSV, XLSX,
+            Parquet, HDF5 or JSON, each gzipped or not: the content tells.
         dry_run : bool
             Only check: mistakes come back in ``errors`` instead of as a ProblemError.
-        decimal : {".", ","}, optional
-            The decimal mark of a CSV; told from its numbers if not given.
+        displacements : path, optional
+            A second log, joined by time; `table` is then the log of the loads.
+        **said
+            ``mapping`` (``{"Load cell": "fz [N]"}``), ``ignore``, ``ignore_extra``, ``partial``,
+            ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``, ``time_offset_s`` (s).
 
-        Returns
-        -------
-        dict
-            ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``dry_run``,
-            ``table_version`` and ``in_use``: whether the rows answer already.
+        Returns ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``rows`` (what
+        became of each), ``columns``, ``ignored``, ``table_version`` and ``in_use``.
 
         Raises
         ------
-        ValueError
-            If the file's ending is none of a table's.
-        ProblemError
-            If rows have mistakes (422); ``errors`` names them, and nothing is loaded.
+        ValueError, ProblemError
+            If it is a file that is not read; if rows have mistakes (422), which ``errors`` names.
         """
-        chosen, content = _table_file(table, format)
-        reply = self.call(
-            "POST",
-            component_path(name, "table"),
-            content,
-            kind=_KINDS[chosen],
-            query={"format": chosen, "dry_run": dry_run or None, "decimal": decimal},
-        )
-        return reply.json()
+        content, filename = _table_file(table)
+        kind = "application/octet-stream"
+        if displacements is not None:
+            logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
+            kind, content = _form(logs)
+        query = _import_query(format, dry_run, decimal, filename, said)
+        path = component_path(name, "table")
+        # A million rows take a minute, and another import before them as long.
+        return self.call("POST", path, content, kind=kind, query=query, wait_s=300.0).json()
 
     def export_table(
         self,
         name: str,
         format: str = "csv",  # noqa: A002 (the contract's word)
         units: Mapping[str, str] | None = None,
+        table_version: int | None = None,
     ) -> Any:
         """Return a component's table.
 
@@ -146,21 +165,23 @@ class Library(Connection):
         ----------
         name : str
             The component.
-        format : {"csv", "json", "hdf5"}
-            Text of the first two, bytes of the last.
+        format : {"csv", "xlsx", "parquet", "hdf5", "json", "mat"}
+            Text of csv and json, bytes of the others; mat has breakpoints for lookup blocks.
         units : mapping, optional
-            For csv, any of ``force``, ``moment``, ``translation``, ``rotation`` to a unit, such as
-            ``{"force": "lbf", "translation": "mm"}``; SI otherwise.
+            For csv and xlsx, any of ``force``, ``moment``, ``translation``, ``rotation`` to a unit,
+            such as ``{"force": "lbf", "translation": "mm"}``; SI otherwise.
+        table_version : int, optional
+            The table as it was at this version; now if not given.
 
         Returns
         -------
         str or bytes
-            What `import_table` loads again.
+            What `import_table` loads again; of mat, what MATLAB loads.
         """
         chosen = _known(format)
-        query = {"format": chosen, **(units or {})}
+        query = {"format": chosen, "table_version": table_version, **(units or {})}
         content = self.call("GET", component_path(name, "table"), query=query).content
-        return content.decode() if chosen in ("csv", "json") else content
+        return content.decode() if chosen in _TEXTS else content
 
     def invalidate_row(self, name: str, row: int) -> None:
         """Take a row out of a component's table; it stays in the ledger, see `restore_row`.
@@ -243,18 +264,41 @@ class Library(Connection):
         return True
 
 
-def _table_file(table: str | bytes | Path, format_: str | None) -> tuple[str, bytes]:
-    """Return the format and the content of a table given as a file, a path or its content."""
+def _import_query(
+    format_: str | None, dry_run: bool, decimal: str | None, filename: str, said: dict[str, Any]
+) -> dict[str, Any]:
+    """Return the query of an import."""
+    mapping, ignore = said.pop("mapping", None), said.pop("ignore", ())
+    return {
+        "format": None if format_ is None else _known(format_),
+        "dry_run": dry_run or None,
+        "decimal": decimal,
+        "mapping": json.dumps(dict(mapping)) if mapping else None,
+        "ignore": list(ignore) or None,
+        "filename": filename or None,
+        **said,
+    }
+
+
+def _table_file(table: str | bytes | Path) -> tuple[bytes, str]:
+    """Return the content and the name of a table given as a file, a path or its content."""
     if isinstance(table, str) and table.lstrip()[:1] != "{" and len(table.splitlines()) <= 1:
         table = Path(table)
     if isinstance(table, Path):
-        return _known(format_ or table_format(table, reading=True)), table.read_bytes()
-    return _known(format_ or "csv"), table.encode() if isinstance(table, str) else table
+        name, content = _named_file(table)
+        return content, name
+    return table.encode() if isinstance(table, str) else table, ""
+
+
+def _named_file(file: str | Path) -> tuple[str, bytes]:
+    """Return the name and the content of a file that may be a table."""
+    check_readable(file)
+    return Path(file).name, Path(file).read_bytes()
 
 
 def _known(format_: str) -> str:
-    if format_ not in _KINDS:
-        raise ValueError(f"{format_!r} is no form of a table; there are {', '.join(_KINDS)}")
+    if format_ not in _FORMATS:
+        raise ValueError(f"{format_!r} is no form of a table; there are {', '.join(_FORMATS)}")
     return format_
 
 
@@ -271,15 +315,17 @@ def _zipped(folder: Path) -> bytes:
     return buffer.getvalue()
 
 
-def _form(filename: str, archive: bytes) -> tuple[str, bytes]:
-    """Return content type and body of a form with the one file ``bundle`` (RFC 7578)."""
+def _form(files: Mapping[str, tuple[str, bytes]]) -> tuple[str, bytes]:
+    """Return content type and body of a form of files by field: name and content (RFC 7578)."""
     boundary = secrets.token_hex(16)
-    quoted = json.dumps(filename, ensure_ascii=True)
-    head = (
-        f"--{boundary}\r\n"
-        f'Content-Disposition: form-data; name="bundle"; filename={quoted}\r\n'
-        "Content-Type: application/zip\r\n\r\n"
-    )
-    tail = f"\r\n--{boundary}--\r\n"
-    content = head.encode() + archive + tail.encode()
-    return f"multipart/form-data; boundary={boundary}", content
+    parts = []
+    for field, (filename, content) in files.items():
+        quoted = json.dumps(filename, ensure_ascii=True)
+        head = (
+            f"--{boundary}\r\n"
+            f'Content-Disposition: form-data; name="{field}"; filename={quoted}\r\n'
+            "Content-Type: application/octet-stream\r\n\r\n"
+        )
+        parts.append(head.encode() + content + b"\r\n")
+    body = b"".join(parts) + f"--{boundary}--\r\n".encode()
+    return f"multipart/form-data; boundary={boundary}", body

@@ -65,8 +65,15 @@ def require_room() -> None:
         room(module)
 
 
-def build(content: bytes, etag: str | None) -> Built:
+def build(content: bytes, etag: str | None, before: Any = None) -> Built:
     """Build what answers from a table's HDF5 file, as the server does from the same rows.
+
+    Parameters
+    ----------
+    content, etag
+        As in `Built`.
+    before : surrogate.build.AnyTable, optional
+        Another version: what has not changed since is taken from it.
 
     Raises
     ------
@@ -88,5 +95,20 @@ def build(content: bytes, etag: str | None) -> Built:
             linear=meta.linear,
             off_axis=meta.off_axis,
             version=meta.last_seq,
+            before=before,
+            solver_error=room("solver_error").SolverError.read(meta.solver_error),
         )
     return Built(content, etag, surrogate, meta.component)
+
+
+def build_scene(content: bytes, etag: str | None, component: str) -> Built:
+    """Return what answers from a scene's file: nothing is built anew, it is in the file.
+
+    Raises
+    ------
+    ImportError
+        See `room`.
+    surrogate.scene.file.SceneFileError
+        If the bytes are no scene's table that this version reads.
+    """
+    return Built(content, etag, room("scene.file").read_scene(content), component)

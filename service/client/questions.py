@@ -43,6 +43,9 @@ class Questions(Connection):
     beyond_range : bool
         Whether a wrench outside the component's load range may be solved. If not, ``queue`` answers
         it flagged and without a job, and ``wait`` and `solve` refuse it.
+    table_version : int, optional
+        Ask the table as it was at that version (an answer's `table_version`), for the same digits
+        again; nothing is queued then, and ``wait`` is refused.
     """
 
     def displacement(
@@ -58,11 +61,11 @@ class Questions(Connection):
         detail: bool = False,
         derivatives: bool = False,
         beyond_range: bool = False,
+        table_version: int | None = None,
     ) -> Displacement:
         """Return the displacement of a component's interface under one wrench, N and N·m.
 
-        Parameters are those of `Questions`; with `detail`, ``raw["axes"]`` of the answer says
-        which rows each axis used.
+        Parameters are those of `Questions`; `detail`: ``raw["axes"]`` tells each axis' rows.
 
         Returns
         -------
@@ -74,8 +77,8 @@ class Questions(Connection):
         ValueError
             If a number is not finite or a shape is wrong; nothing was sent.
         ProblemError
-            If there is no such component (404), if ``reject`` finds the wrench not covered or
-            ``wait`` finds it beyond the load range (409), if its solve failed (424).
+            If there is no such component or version (404), if ``reject`` finds the wrench not
+            covered or ``wait`` finds it beyond the load range (409), if its solve failed (424).
         ServerUnreachable, ServerTimeout
             See `Connection.call`.
         """
@@ -89,7 +92,7 @@ class Questions(Connection):
             derivatives=derivatives or None,
             beyond_range=beyond_range or None,
         )
-        return self._ask(name, "displacement", wrench, asked)
+        return self._ask(name, "displacement", wrench, asked, table_version)
 
     def displacements(
         self,
@@ -102,6 +105,7 @@ class Questions(Connection):
         method: str | None = None,
         derivatives: bool = False,
         beyond_range: bool = False,
+        table_version: int | None = None,
         binary: bool | None = None,
     ) -> Displacements:
         """Return the displacements under many wrenches, shape (n, 6), N and N·m, in one call.
@@ -125,10 +129,11 @@ class Questions(Connection):
             beyond_range=beyond_range or None,
         )
         if len(block) >= BINARY_FROM if binary is None else binary:
-            return self._ask_binary(name, block, asked)
+            return self._ask_binary(name, block, asked, table_version)
         body = {"wrenches": block.tolist()} | asked
         path = component_path(name, "displacements")
-        reply = self.call_json("POST", path, body, wait_s=_held(asked))
+        query = {"table_version": table_version}
+        reply = self.call_json("POST", path, body, wait_s=_held(asked), query=query)
         return Displacements.read(name, block, reply)
 
     def solve(
@@ -164,13 +169,23 @@ class Questions(Connection):
         asked = options(wait_s=wait_s, beyond_range=beyond_range or None)
         return self._ask(name, "solve", wrench, asked)
 
-    def _ask(self, name: str, call: str, wrench: Vector, asked: dict[str, Any]) -> Displacement:
+    def _ask(
+        self,
+        name: str,
+        call: str,
+        wrench: Vector,
+        asked: dict[str, Any],
+        table_version: int | None = None,
+    ) -> Displacement:
         """Ask about one wrench."""
         body = {"force": wrench[:3].tolist(), "moment": wrench[3:].tolist()} | asked
-        reply = self.call_json("POST", component_path(name, call), body, wait_s=_held(asked))
+        path, query = component_path(name, call), {"table_version": table_version}
+        reply = self.call_json("POST", path, body, wait_s=_held(asked), query=query)
         return Displacement.read(name, wrench, reply)
 
-    def _ask_binary(self, name: str, block: Vector, asked: dict[str, Any]) -> Displacements:
+    def _ask_binary(
+        self, name: str, block: Vector, asked: dict[str, Any], table_version: int | None
+    ) -> Displacements:
         """Ask a batch in its binary form."""
         tolerance = asked.pop("tolerance", {})
         reply = self.call(
@@ -178,7 +193,7 @@ class Questions(Connection):
             component_path(name, "displacements"),
             block.astype("<f8").tobytes(),
             kind="application/octet-stream",
-            query=asked | tolerance,
+            query=asked | tolerance | {"table_version": table_version},
             wait_s=_held(asked),
         )
         return Displacements.read_binary(name, block, reply)

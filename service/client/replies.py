@@ -16,6 +16,7 @@ from .rotation import rotation_matrix
 Vector = NDArray[np.float64]
 
 EXACT = "One row of the table has exactly this wrench."
+ROUNDED = "One row of the table has this wrench, rounded to 1e-6 of the load range."
 COVERAGE = ("covered", "thin", "outside")
 
 
@@ -48,6 +49,9 @@ class Displacement:
         beyond the load range, or with a full queue.
     reason : str
         Why it is not covered, or has no job; may be empty.
+    within_tolerance : bool or None
+        Whether the whole bar is within the tolerance. A covered answer that is not has a solver
+        whose own error, of its mesh say, is larger; no row lowers that. None if that is unknown.
     derivative : numpy.ndarray or None
         du/dw, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), a line an output, if it was asked for
         and is known; NaN where an output is not.
@@ -68,6 +72,7 @@ class Displacement:
     elapsed_us: float | None
     job: Job | None
     reason: str
+    within_tolerance: bool | None = None
     derivative: Vector | None = None
     raw: dict[str, Any] = field(default_factory=dict, repr=False)
 
@@ -90,6 +95,7 @@ class Displacement:
             elapsed_us=body.get("elapsed_us"),
             job=Job.read(job) if job else None,
             reason=body.get("reason") or "",
+            within_tolerance=body.get("within_tolerance"),
             derivative=_array(body.get("derivative")),
             raw=dict(body),
         )
@@ -185,6 +191,8 @@ class Displacements:
         Time all answers took in the server, µs.
     method : str or None
         How the table answered.
+    within_tolerance : numpy.ndarray of bool or None
+        Shape (n,): where the whole bar is known and within the tolerance; None without a tolerance.
     derivatives : numpy.ndarray or None
         du/dw, shape (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), a line an output, if asked for; NaN
         where it is not known.
@@ -200,6 +208,7 @@ class Displacements:
     table_version: int | None
     elapsed_us: float | None
     method: str | None = None
+    within_tolerance: NDArray[np.bool_] | None = None
     derivatives: Vector | None = None
     raw: dict[str, Any] = field(default_factory=dict, repr=False)
 
@@ -218,6 +227,7 @@ class Displacements:
             table_version=body.get("table_version"),
             elapsed_us=body.get("elapsed_us"),
             method=body.get("method"),
+            within_tolerance=judged(body.get("within_tolerance")),
             derivatives=_tangents(body.get("derivatives")),
             raw=dict(body),
         )
@@ -246,6 +256,7 @@ class Displacements:
             table_version=None if version is None else int(version),
             elapsed_us=None if elapsed is None else float(elapsed),
             method=reply.headers.get("Wrenchbook-Method"),
+            within_tolerance=_held(block[:, 6:12], reply.headers.get("Wrenchbook-Tolerance")),
             derivatives=rest.reshape(count, 6, 6) if len(rest) else None,
             raw={"jobs_queued": int(jobs or 0)},
         )
@@ -266,6 +277,21 @@ def _array(values: Any) -> Vector | None:
     array = np.array(values, dtype=float)
     array.flags.writeable = False
     return array
+
+
+def judged(told: Any) -> NDArray[np.bool_] | None:
+    """Return where it was told that bars are within the tolerance; None where nothing was."""
+    return None if told is None else np.array([one is True for one in told], dtype=bool)
+
+
+def _held(bars: Vector, tolerance: str | None) -> NDArray[np.bool_] | None:
+    """Return the same of bars (n, 6), m and rad, held against "translation, rotation"."""
+    if tolerance is None:
+        return None
+    allowed = np.repeat([float(one) for one in tolerance.split(",")], 3)
+    unknown = np.isnan(bars)
+    held = np.all(unknown | (bars <= allowed), axis=1)
+    return np.logical_and(held, ~np.all(unknown, axis=1))
 
 
 def _tangents(found: Any) -> Vector | None:

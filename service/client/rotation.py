@@ -28,11 +28,29 @@ def rotation_matrix(rotation: ArrayLike) -> Vector:
     Rodrigues' formula, exp(r) = I + sin(a)/a [r] + (1 - cos(a))/a^2 [r]^2 with a = |r| and [r] the
     cross-product matrix; 1 - cos(a) is written 2 sin^2(a/2), which loses no digits when a is small.
     """
-    x, y, z = (float(part) for part in np.asarray(rotation, dtype=float))
+    x, y, z = np.asarray(rotation, dtype=float).tolist()
     angle = math.sqrt(x * x + y * y + z * z)
     first, second = _sinc(angle), 0.5 * _sinc(0.5 * angle) ** 2
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + first * cross + second * (cross @ cross)
+    # Element by element: a simulator asks at each of its steps, and numpy's calls would be half.
+    return np.array(
+        (
+            (
+                1.0 - second * (y * y + z * z),
+                second * x * y - first * z,
+                second * x * z + first * y,
+            ),
+            (
+                second * x * y + first * z,
+                1.0 - second * (x * x + z * z),
+                second * y * z - first * x,
+            ),
+            (
+                second * x * z - first * y,
+                second * y * z + first * x,
+                1.0 - second * (x * x + y * y),
+            ),
+        )
+    )
 
 
 def quaternion(rotation: ArrayLike) -> Vector:

@@ -1,0 +1,25 @@
+"""Where a rigid-body simulation stands on a component that bends.
+
+The MuJoCo mount is in `mujoco_mount`, which alone imports mujoco.
+"""
+
+from .errors import CouplingDiverged, DisplacementUnknown, MountError, MountWarning, SensorError
+from .mount import Mount
+from .reading import require_weight
+from .relaxation import spectral_radius, stable_factor
+from .settling import Settled
+from .tally import Coverage
+
+__all__ = [
+    "CouplingDiverged",
+    "Coverage",
+    "DisplacementUnknown",
+    "Mount",
+    "MountError",
+    "MountWarning",
+    "SensorError",
+    "Settled",
+    "require_weight",
+    "spectral_radius",
+    "stable_factor",
+]

@@ -1,0 +1,240 @@
+"""How far a pose follows its answer, so that scene and component come to rest.
+
+With the displacement u set, a scene answers with a wrench W(u) and the component with U(W(u)). One
+wants u = U(W(u)). Going all the way to the answer multiplies the distance from there by -C K, the
+component's compliance times the scene's stiffness: it grows where their spectral radius G is over
+1. Going only the fraction 2/(1 + G) or less does not.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import CouplingDiverged
+
+Vector = NDArray[np.float64]
+
+SMALLEST, LARGEST = 0.02, 1.0  # of the factor: 0.02 still holds G = 99, 1 takes the answer itself
+# Where the pose has not overshot, the factor may grow again, slowly: it took an overshoot to learn.
+GROWTH = 1.3
+# A row of residuals, each opposite to the one before, is the coupling's doing; loads that change by
+# themselves make such rows too, but short ones and of all sizes. White noise is opposite and as
+# large with a chance of 0.4: once in two million syncs over sixteen.
+OPPOSITE = -0.9  # the cosine between them
+CYCLE, STEADY = 16, 0.8  # so many in a row, none below this part of the one before, no decay in all
+BURST, RECORD = 4, 1.5  # so many in a row, each this many times the largest of the run so far
+# The other way to diverge turns nothing round: a scene that tips, or a Newton step by a stiffness
+# of the wrong sign. Loads may grow, but not by half each sync, `CYCLE` times in a row: 650 x.
+ONWARD = 0.9  # the cosine between such residuals
+ABSURD = 1e100  # tolerances: beyond, squares overflow, and no watch can tell anything
+# Tolerances: smaller residuals of a running simulation say nothing, as with what `settle` takes for
+# rest. A load that rests on a row of the table meets the row's own answer or, a rounding error
+# beside it, the interpolated one: that jump has either sign. Taken for overshoots, such jumps let
+# the factor fall to its least, and the next load was followed with a lag of 12 %. A loop that does
+# drive itself grows beyond this, and is seen then.
+RESTS = 1e-3
+DERIVED = 1e-3  # of the largest answer so far: the tolerance where there is none
+
+REMEDY = (
+    "Remedies: relaxation='aitken' or a fixed factor below 2/(1 + G); relaxation='newton' with the "
+    "scene's stiffness; a softer contact or a stiffer component; where loads vibrate from one sync "
+    "to the next, a shorter one. If G should be small, look at the sign of the wrench."
+)
+
+
+def spectral_radius(compliance: ArrayLike, stiffness: ArrayLike) -> float:
+    """Return G, the spectral radius of compliance times the scene's stiffness, dimensionless.
+
+    Parameters
+    ----------
+    compliance : array_like
+        Shape (6, 6): du/dw, m/N, m/(N·m), rad/N, rad/(N·m).
+    stiffness : array_like
+        Shape (6, 6): the scene's dw/du, N/m, N/rad, N·m/m, N·m/rad; of either sign.
+    """
+    product = np.asarray(compliance, dtype=float) @ np.asarray(stiffness, dtype=float)
+    return float(np.abs(np.linalg.eigvals(product)).max())
+
+
+def stable_factor(compliance: ArrayLike, stiffness: ArrayLike) -> float:
+    """Return 2/(1 + G), the relaxation below which an iteration against a stiff scene converges.
+
+    Parameters are those of `spectral_radius`, shapes (6, 6), in m, rad, N and N·m.
+
+    Notes
+    -----
+    The error of u <- u + f (U(W(u)) - u) is multiplied by 1 - f (1 + g) for each eigenvalue -g of
+    the loop; with 0 <= g <= G it is below 1 for f < 2/(1 + G).
+    """
+    return 2.0 / (1.0 + spectral_radius(compliance, stiffness))
+
+
+class Scale:
+    """What a displacement is measured against, so that m and rad can be added up.
+
+    Parameters
+    ----------
+    tolerance : mapping or None
+        ``translation``, m, and ``rotation``, rad; if None, a thousandth of the largest answers.
+
+    Attributes
+    ----------
+    tolerance : numpy.ndarray
+        Of each output, shape (6,), m and rad; 0 before the first answer if there is none.
+    """
+
+    def __init__(self, tolerance: dict[str, float] | None) -> None:
+        self._fixed = tolerance is not None
+        self._largest = np.zeros(2)
+        pair = (tolerance["translation"], tolerance["rotation"]) if tolerance else (0.0, 0.0)
+        self._take(pair)
+
+    def _take(self, pair: ArrayLike) -> None:
+        """Take a tolerance, m and rad; where it is 0, nothing is measured."""
+        self.tolerance: Vector = np.repeat(np.asarray(pair, dtype=float), 3)
+        per = np.zeros(6)
+        np.divide(1.0, self.tolerance, out=per, where=self.tolerance > 0.0)
+        self._per_unit = per
+
+    def see(self, answer: Vector) -> None:
+        """Take note of an answer, shape (6,), m and rad."""
+        if not self._fixed:
+            self._largest = np.maximum(self._largest, np.abs(answer).reshape(2, 3).max(axis=1))
+            self._take(DERIVED * self._largest)
+
+    def measure(self, change: Vector) -> Vector:
+        """Return a change of displacement, shape (6,), m and rad, in tolerances."""
+        return change * self._per_unit
+
+
+class Relaxation:
+    """Aitken's factor from one residual to the next, or a fixed one; and a watch over both.
+
+    Aitken's secant (Irons and Tuck 1969; for interfaces Kuettler and Wall 2008) is taken where the
+    residual has turned round, which only overshooting does, clipped to [0.02, 1]. Where it has
+    not, the factor grows by `GROWTH`: so a running simulation, whose loads change by themselves,
+    is followed without lag, and a contact that opens does not throw it back to 1.
+
+    Parameters
+    ----------
+    fixed : float or None
+        The factor; None for Aitken's.
+    start : float
+        Aitken's first factor.
+    """
+
+    def __init__(self, fixed: float | None, start: float = LARGEST) -> None:
+        self._fixed = fixed
+        self.start = start
+        self.restart()
+
+    def begin_at(self, factor: float) -> None:
+        """Begin anew with another first factor; a fixed one stays."""
+        self.start = min(max(factor, SMALLEST), LARGEST)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was: another scene, or another time."""
+        self.factor = self.start if self._fixed is None else self._fixed
+        self._before: Vector | None = None
+        self._watch, self._turned = Watch(), False
+
+    def follow(self, residual: Vector, *, driven: bool) -> float:
+        """Return the fraction of a residual, shape (6,), dimensionless, that the pose shall go.
+
+        Parameters
+        ----------
+        residual : numpy.ndarray
+            Shape (6,), in tolerances, dimensionless.
+        driven : bool
+            Whether loads change by themselves, as they do in time. A smooth load turns round once
+            at each of its peaks: only the second turn in a row is then an overshoot.
+
+        Raises
+        ------
+        CouplingDiverged
+            If the residual turns round again and again and does not become smaller; nothing of
+            what was is forgotten then.
+        """
+        before, size = self._before, math.hypot(*residual.tolist())
+        if not size < ABSURD:
+            raise _run_away(self._watch.size, size)
+        rests = driven and min(size, self._watch.size) <= RESTS
+        along = 0.0 if before is None or rests else float(residual @ before)
+        watch, turned = self._watch.seen(size, along), along < 0.0
+        if self._fixed is None and before is not None:
+            overshot = turned and (self._turned or not driven)
+            grown = min(GROWTH * self.factor, LARGEST)
+            self.factor = _secant(self.factor, before, residual) if overshot else grown
+        self._before, self._watch, self._turned = residual, watch, turned
+        return self.factor
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What tells a loop that drives itself from one that is driven.
+
+    Attributes
+    ----------
+    size, largest : float
+        Of the last residual, and of all of the run, in tolerances.
+    steady, records, onward : int
+        How many residuals in a row were opposite and hardly smaller, opposite and far larger than
+        all before, and in one direction and far larger than all before.
+    first : float
+        Size of the residual before the steady row, in tolerances.
+    """
+
+    size: float = 0.0
+    largest: float = 0.0
+    steady: int = 0
+    records: int = 0
+    first: float = 0.0
+    onward: int = 0
+
+    def seen(self, size: float, along: float) -> Watch:
+        """Return the watch after another residual of a size, times the last one `along`.
+
+        Raises
+        ------
+        CouplingDiverged
+            If it is one too many.
+        """
+        opposite = along < OPPOSITE * size * self.size
+        steady = self.steady + 1 if opposite and size >= STEADY * self.size else 0
+        records = self.records + 1 if opposite and size >= RECORD * self.largest else 0
+        further = along > ONWARD * size * self.size and size >= RECORD * self.largest
+        onward = self.onward + 1 if further else 0
+        # Within the tolerance nothing matters.
+        first = self.first if steady > 1 else self.size
+        if size > 1.0 and (records >= BURST or (steady >= CYCLE and size >= first)):
+            how = "grows" if records >= BURST else "does not decay"
+            raise CouplingDiverged(
+                f"the coupling diverges: the pose has overshot its answer {max(steady, records)} "
+                f"times in a row and the distance, {size:.3g} tolerances, {how}. {REMEDY}",
+                (self.size, size),
+            )
+        if size > 1.0 and onward >= CYCLE:
+            raise _run_away(self.size, size)
+        return Watch(size, max(size, self.largest), steady, records, first, onward)
+
+
+def _run_away(before: float, size: float) -> CouplingDiverged:
+    """Return what to raise where the distance, in tolerances, grows without turning round."""
+    return CouplingDiverged(
+        f"the coupling diverges: the answer runs away from the pose, {size:.3g} tolerances by now, "
+        "each time further the same way. Either the scene tips or buckles on this component, or a "
+        f"sign is wrong: of the wrench, or of stiffness=, dw/du, negative of a spring. {REMEDY}",
+        (before, size),
+    )
+
+
+def _secant(factor: float, before: Vector, now: Vector) -> float:
+    """Return Aitken's next factor after an overshoot, from two residuals (6,), dimensionless."""
+    change = now - before
+    secant = -factor * float(before @ change) / float(change @ change)
+    return min(max(secant, SMALLEST), LARGEST)

@@ -1,0 +1,233 @@
+"""A scene: what one simulation needs of its components."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from .connection import Connection
+from .replies import Vector
+from .wrenches import tolerance_body
+
+OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
+_FIELDS = ("force", "moment", "outputs", "tolerance")
+
+
+class SceneError(ValueError):
+    """A scene that says what it needs in a way that cannot be; the text names where."""
+
+
+@dataclass(frozen=True, eq=False)
+class ComponentPlan:
+    """What a scene needs of one component.
+
+    Attributes
+    ----------
+    component : str
+    decision : {"rigid", "linear", "table"}
+        Leave it out; one compliance answers; its table does.
+    reason : str
+    loads, outputs : tuple of str
+        Those that can occur, and those that are read.
+    axes : mapping
+        Per axis that is composed its ``inputs`` and its ``dimensions``.
+    displacement_bound : ndarray, shape (6,), m and rad
+        NaN where nothing tells it.
+    compliance : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None
+        With ``linear``, where it is known.
+    solves : mapping
+        Of the first design: ``whole`` and ``scene``.
+    saves, saves_from : mapping
+        What the scene's table needs less than the whole, and where each number comes from.
+    raw : mapping
+        The server's reply.
+    """
+
+    component: str
+    decision: str
+    reason: str
+    loads: tuple[str, ...]
+    outputs: tuple[str, ...]
+    axes: Mapping[str, Any]
+    displacement_bound: Vector
+    compliance: Vector | None
+    solves: Mapping[str, int]
+    saves: Mapping[str, Any]
+    saves_from: Mapping[str, str]
+    raw: Mapping[str, Any] = field(repr=False)
+
+    @classmethod
+    def read(cls, component: str, body: Mapping[str, Any]) -> Self:
+        """Make one from a component's part of the reply of ``/v1/scenes/plan``."""
+        matrix = body.get("compliance")
+        return cls(
+            component=component,
+            decision=body["decision"],
+            reason=body["reason"],
+            loads=tuple(body["loads"]),
+            outputs=tuple(body["outputs"]),
+            axes=body["axes"],
+            displacement_bound=np.array(body["displacement_bound"], dtype=float),
+            compliance=None if matrix is None else np.array(matrix, dtype=float),
+            solves=body["solves"],
+            saves=body["saves"],
+            saves_from=body["saves_from"],
+            raw=body,
+        )
+
+
+class Scene:
+    """What one simulation needs: its components, loads that can occur, outputs it reads.
+
+    Parameters
+    ----------
+    components : mapping
+        Per name ``force`` and ``moment``, three loads each, N and N·m: ``[low, high]``, or a number
+        for plus and minus that; ``outputs``, which of ux uy uz rx ry rz are read, all if left out;
+        ``tolerance``, ``{"translation": m, "rotation": rad}``, the component's own if left out.
+
+    Raises
+    ------
+    SceneError
+        If it is none of these; nothing is asked of a server.
+
+    Examples
+    --------
+    >>> planar = [[-100, 100], 0, [-600, 0]]
+    >>> scene = Scene({"plate": {"force": planar, "moment": [0, 20, 0], "outputs": ["uz", "ry"]}})
+    >>> plan = scene.plan(client)                                   # doctest: +SKIP
+    >>> client.fill_until("plate", **scene.wanted("plate"))         # doctest: +SKIP
+    >>> table = client.download("plate", scene=scene)               # doctest: +SKIP
+    """
+
+    def __init__(self, components: Mapping[str, Mapping[str, Any]]) -> None:
+        if not isinstance(components, Mapping) or not components:
+            raise SceneError("a scene has at least one component: {'plate': {'force': [...], ...}}")
+        self.components = {str(name): _checked(name, wanted) for name, wanted in components.items()}
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Return the scene of a TOML file: a table ``[components.NAME]`` each.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be read.
+        SceneError
+            If it is no TOML or no scene; the text names the file.
+        """
+        try:
+            with Path(path).open("rb") as file:
+                told = tomllib.load(file)
+            if unknown := told.keys() - {"components", "title"}:
+                raise SceneError(f"unknown: {', '.join(sorted(unknown))}; it has components, title")
+            return cls(told.get("components", {}))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError, SceneError) as error:
+            raise SceneError(f"{path}: {error}") from error
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.components)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.components
+
+    def wanted(self, name: str) -> dict[str, Any]:
+        """Return what ``Client.fill`` and ``fill_until`` take: range, outputs, tolerance.
+
+        Raises
+        ------
+        SceneError
+            If the scene has no such component.
+        """
+        one = self.component(name)
+        return {
+            "range": {"force": one["force"], "moment": one["moment"]},
+            "outputs": one.get("outputs"),
+            "tolerance": one.get("tolerance"),
+        }
+
+    def component(self, name: str) -> dict[str, Any]:
+        """Return what it needs of one component, as the wire has it.
+
+        Raises
+        ------
+        SceneError
+            If the scene has no such component.
+        """
+        if name not in self.components:
+            raise SceneError(f"the scene has no component {name!r}; it has {', '.join(self)}")
+        return self.components[name]
+
+    def plan(self, client: Connection) -> dict[str, ComponentPlan]:
+        """Return what the scene needs of each component, and what that saves.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such component (404), or a load lies outside its load range (422).
+        ServerUnreachable, ServerTimeout
+            See `Connection.call`.
+        """
+        reply = client.call_json("POST", "/v1/scenes/plan", {"components": self.components})
+        return {name: ComponentPlan.read(name, one) for name, one in reply["components"].items()}
+
+    def query(self, name: str) -> str:
+        """Return one component's need as a query parameter."""
+        return json.dumps(self.component(name), sort_keys=True)
+
+
+def _checked(name: str, wanted: Any) -> dict[str, Any]:
+    """Return one component's need as the wire has it."""
+    if not isinstance(wanted, Mapping):
+        raise SceneError(f"components.{name}: a table of {', '.join(_FIELDS)}, not {wanted!r}")
+    if unknown := wanted.keys() - set(_FIELDS):
+        raise SceneError(
+            f"components.{name}: unknown {', '.join(sorted(unknown))}; it has {', '.join(_FIELDS)}"
+        )
+    told: dict[str, Any] = {
+        word: _spans(f"components.{name}.{word}", wanted.get(word)) for word in ("force", "moment")
+    }
+    if (outputs := wanted.get("outputs")) is not None:
+        told["outputs"] = _outputs(f"components.{name}.outputs", outputs)
+    if wanted.get("tolerance") is not None:
+        try:
+            told["tolerance"] = tolerance_body(wanted["tolerance"])
+        except ValueError as error:
+            raise SceneError(f"components.{name}.tolerance: {error}") from None
+    return told
+
+
+def _outputs(where: str, outputs: Any) -> list[str]:
+    listed = isinstance(outputs, Sequence) and not isinstance(outputs, str)
+    if not listed or not outputs or not all(one in OUTPUTS for one in outputs):
+        raise SceneError(f"{where}: one or more of {', '.join(OUTPUTS)}, not {outputs!r}")
+    return sorted(set(outputs), key=OUTPUTS.index)
+
+
+def _spans(where: str, spans: Any) -> list[list[float]]:
+    """Return three spans [low, high], N or N·m."""
+    if spans is None:
+        raise SceneError(f"{where} is missing: three of [low, high]; [0, 0] for what cannot occur")
+    listed = isinstance(spans, Sequence | np.ndarray) and not isinstance(spans, str)
+    if not listed or len(spans) != 3:
+        raise SceneError(f"{where}: three loads, x, y and z, each [low, high] or one number")
+    return [_span(f"{where}.{place}", span) for place, span in enumerate(spans)]
+
+
+def _span(where: str, span: Any) -> list[float]:
+    try:
+        ends = np.asarray(span)
+    except ValueError:  # ragged
+        ends = np.asarray("")
+    if ends.dtype.kind not in "fiu" or ends.shape not in ((), (2,)) or not np.isfinite(ends).all():
+        raise SceneError(f"{where}: [low, high] of two finite numbers, or one, not {span!r}")
+    low, high = (-ends, ends) if ends.shape == () else ends
+    if low > high:
+        raise SceneError(f"{where}: the low end, {low:g}, is above the high end, {high:g}")
+    return [float(low) + 0.0, float(high) + 0.0]

@@ -1,0 +1,48 @@
+/* One instance of the FMU. MIT license, as all of wrenchbook.
+ *
+ * An instance owns its table, its workspace and its state; there is nothing global that changes, so
+ * any number of instances may run in as many threads (one thread an instance at a time, as FMI 2.0
+ * has it).
+ */
+#ifndef WB_FMU_H
+#define WB_FMU_H
+
+#include "fmi2Functions.h"
+#include "wb_table.h"
+
+/* Value references; service/fmu/description.py writes the same into modelDescription.xml. */
+enum { VR_WRENCH = 0, VR_OUTPUT = 6, VR_ERROR = 12, VR_COVERAGE = 18, VR_TOLERANCE = 19,
+       VR_END = 21 };
+
+enum { INSTANTIATED = 1, INITIALIZATION = 2, EVENT = 4, CONTINUOUS = 8, STEP = 16, TERMINATED = 32,
+       FAILED = 64 };
+
+/* All that a state is: what fmi2GetFMUstate keeps and fmi2SerializeFMUstate writes. */
+typedef struct {
+    char mark[8], guid[WB_GUID];
+    double wrench[6], tolerance[2], time;
+    int32_t mode, event_coverage;
+} wb_state;
+
+typedef struct {
+    fmi2CallbackFunctions callbacks;
+    fmi2Type type;
+    char *name;
+    wb_table *table;
+    wb_workspace *work;
+    wb_state state;
+    wb_answer answer;
+    double derivative[36];
+    int warned;
+    int answered, derived; /* whether answer and derivative are those of the state */
+} wb_instance;
+
+/* Report to the simulator; returns the status. */
+fmi2Status wb_say(wb_instance *m, fmi2Status status, const char *text);
+/* Whether a call is allowed in this mode; reports if it is not. */
+int wb_allowed(wb_instance *m, const char *call, int modes);
+const wb_answer *wb_answered(wb_instance *m);
+const double *wb_derived(wb_instance *m);
+void wb_reset(wb_instance *m);
+
+#endif

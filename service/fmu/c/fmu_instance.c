@@ -1,0 +1,235 @@
+/* FMI 2.0: instances, their modes and their states. MIT license, as all of wrenchbook. */
+#include "fmu.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+enum { LONGEST = 4096 };
+
+fmi2Status wb_say(wb_instance *m, fmi2Status status, const char *text) {
+    char plain[LONGEST]; /* the message is a format, and not every tool fills in what it names */
+    size_t at = 0;
+    for (; *text && at + 2 < sizeof plain; text++) {
+        if (*text == '%') plain[at++] = '%';
+        plain[at++] = *text;
+    }
+    plain[at] = 0;
+    if (m->callbacks.logger)
+        m->callbacks.logger(m->callbacks.componentEnvironment, m->name, status,
+                            status == fmi2Warning ? "logStatusWarning" : "logStatusError", plain);
+    return status;
+}
+
+int wb_allowed(wb_instance *m, const char *call, int modes) {
+    char text[128];
+    if (!m) return 0;
+    if (m->state.mode & modes) return 1;
+    snprintf(text, sizeof text, "%s is not allowed now%s", call,
+             m->state.mode == TERMINATED ? ": the instance is terminated; reset it first" : "");
+    wb_say(m, fmi2Error, text);
+    return 0;
+}
+
+const wb_answer *wb_answered(wb_instance *m) {
+    if (!m->answered) {
+        wb_answer_at(m->table, m->work, m->state.wrench, m->state.tolerance, &m->answer);
+        m->answered = 1;
+    }
+    return &m->answer;
+}
+
+const double *wb_derived(wb_instance *m) {
+    if (!m->derived) {
+        wb_derivative_at(m->table, m->work, m->state.wrench, wb_answered(m), m->derivative);
+        m->derived = 1;
+    }
+    return m->derivative;
+}
+
+void wb_reset(wb_instance *m) {
+    memset(&m->state, 0, sizeof m->state);
+    memcpy(m->state.mark, "WBSTATE1", 8);
+    memcpy(m->state.guid, m->table->guid, WB_GUID);
+    m->state.mode = INSTANTIATED;
+    m->answered = m->derived = 0;
+}
+
+static int digit(char c) {
+    if (c >= '0' && c <= '9') return c - '0';
+    if (c >= 'a' && c <= 'f') return c - 'a' + 10;
+    return c >= 'A' && c <= 'F' ? c - 'A' + 10 : -1;
+}
+
+/* The path of a file in the folder that a file URI (RFC 8089) names; 0 if it names none. */
+static int path_of(const char *uri, const char *file, char *path) {
+    size_t at = 0;
+    if (!uri || strncmp(uri, "file:", 5)) return 0;
+    uri += 5;
+    if (!strncmp(uri, "//", 2)) {
+        uri += 2;
+        if (!strncmp(uri, "localhost/", 10)) uri += 9;
+    }
+    if (*uri != '/') return 0;
+    if (strlen(uri) > 2 && uri[2] == ':') uri++; /* a drive: /C:/... */
+    for (; *uri; uri++, at++) {
+        if (at + strlen(file) + 3 > LONGEST) return 0;
+        if (*uri == '%' && digit(uri[1]) >= 0 && digit(uri[2]) >= 0) {
+            path[at] = (char)(16 * digit(uri[1]) + digit(uri[2]));
+            uri += 2;
+        } else {
+            path[at] = *uri;
+        }
+    }
+    if (at && path[at - 1] != '/') path[at++] = '/';
+    strcpy(path + at, file);
+    return 1;
+}
+
+/* Load the table of an instance; 0 after a report if that cannot be done. */
+static int open_table(wb_instance *m, fmi2String guid, fmi2String location) {
+    char path[LONGEST], why[LONGEST + 64];
+    if (!path_of(location, "table.bin", path)) {
+        snprintf(why, sizeof why, "fmuResourceLocation must be a file URI such as file:///tmp/plate"
+                 "/resources, not %.200s", location ? location : "nothing");
+        return wb_say(m, fmi2Error, why), 0;
+    }
+    m->table = wb_table_read(path, m->callbacks.allocateMemory, m->callbacks.freeMemory, why,
+                             sizeof why);
+    if (!m->table) return wb_say(m, fmi2Error, why), 0;
+    if (!guid || strcmp(guid, m->table->guid)) {
+        snprintf(why, sizeof why, "the GUID %.60s is not that of the table in %.200s, which is %s",
+                 guid ? guid : "(none)", path, m->table->guid);
+        return wb_say(m, fmi2Error, why), 0;
+    }
+    m->work = wb_workspace_new(m->table, m->callbacks.allocateMemory, m->callbacks.freeMemory);
+    return m->work ? 1 : (wb_say(m, fmi2Error, "no memory for the workspace"), 0);
+}
+
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String location,
+                              const fmi2CallbackFunctions *functions, fmi2Boolean visible,
+                              fmi2Boolean logging) {
+    (void)visible, (void)logging; /* mistakes are reported in any case; there is nothing else */
+    if (!functions || !functions->allocateMemory || !functions->freeMemory) return NULL;
+    wb_instance *m = functions->allocateMemory(1, sizeof *m);
+    if (!m) return NULL;
+    memset(m, 0, sizeof *m);
+    m->callbacks = *functions, m->type = type;
+    name = name && *name ? name : "wrenchbook";
+    m->name = functions->allocateMemory(strlen(name) + 1, 1);
+    if (m->name) strcpy(m->name, name);
+    if (!m->name || !open_table(m, guid, location)) {
+        fmi2FreeInstance(m);
+        return NULL;
+    }
+    wb_reset(m);
+    return m;
+}
+
+void fmi2FreeInstance(fmi2Component c) {
+    wb_instance *m = c;
+    if (!m) return;
+    fmi2CallbackFreeMemory free_ = m->callbacks.freeMemory;
+    wb_workspace_free(m->work, free_);
+    wb_table_free(m->table, free_);
+    if (m->name) free_(m->name);
+    free_(m);
+}
+
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance,
+                               fmi2Real start, fmi2Boolean has_stop, fmi2Real stop) {
+    wb_instance *m = c;
+    (void)has_tolerance, (void)tolerance, (void)has_stop, (void)stop; /* nothing is integrated */
+    if (!wb_allowed(m, "fmi2SetupExperiment", INSTANTIATED)) return fmi2Error;
+    m->state.time = start;
+    return fmi2OK;
+}
+
+static fmi2Status go(wb_instance *m, const char *call, int from, int to) {
+    if (!wb_allowed(m, call, from)) return fmi2Error;
+    m->state.mode = to;
+    return fmi2OK;
+}
+
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
+    return go(c, "fmi2EnterInitializationMode", INSTANTIATED, INITIALIZATION);
+}
+
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+    wb_instance *m = c;
+    int to = m && m->type == fmi2CoSimulation ? STEP : EVENT;
+    return go(m, "fmi2ExitInitializationMode", INITIALIZATION, to);
+}
+
+fmi2Status fmi2Terminate(fmi2Component c) {
+    return go(c, "fmi2Terminate", EVENT | CONTINUOUS | STEP, TERMINATED);
+}
+
+fmi2Status fmi2Reset(fmi2Component c) {
+    if (!c) return fmi2Error;
+    wb_reset(c);
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *out) {
+    wb_instance *m = c;
+    if (!m || !out) return fmi2Error;
+    if (!*out && !(*out = m->callbacks.allocateMemory(1, sizeof m->state)))
+        return wb_say(m, fmi2Error, "no memory for a state");
+    memcpy(*out, &m->state, sizeof m->state);
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate in) {
+    wb_instance *m = c;
+    if (!m || !in) return fmi2Error;
+    memcpy(&m->state, in, sizeof m->state);
+    m->answered = m->derived = 0;
+    return fmi2OK;
+}
+
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
+    wb_instance *m = c;
+    if (!m || !state) return fmi2Error;
+    if (*state) m->callbacks.freeMemory(*state);
+    *state = NULL;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size) {
+    if (!c || !state || !size) return fmi2Error;
+    *size = sizeof(wb_state);
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[],
+                                 size_t size) {
+    if (!c || !state || !bytes) return fmi2Error;
+    if (size < sizeof(wb_state)) return wb_say(c, fmi2Error, "the state needs more bytes");
+    memcpy(bytes, state, sizeof(wb_state));
+    return fmi2OK;
+}
+
+/* Whether bytes are a state of this very table that an instance can be in. */
+static int is_state(const wb_instance *m, const wb_state *s) {
+    int modes = INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED;
+    if (memcmp(s->mark, "WBSTATE1", 8) || memcmp(s->guid, m->table->guid, WB_GUID)) return 0;
+    for (int k = 0; k < 6; k++)
+        if (!isfinite(s->wrench[k])) return 0;
+    return s->mode > 0 && (s->mode & modes) && !(s->mode & (s->mode - 1))
+           && s->tolerance[0] >= 0 && s->tolerance[1] >= 0;
+}
+
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size,
+                                   fmi2FMUstate *out) {
+    wb_instance *m = c;
+    wb_state state;
+    if (!m || !bytes || !out) return fmi2Error;
+    if (size == sizeof state) memcpy(&state, bytes, sizeof state);
+    if (size != sizeof state || !is_state(m, &state))
+        return wb_say(m, fmi2Error, "these bytes are no state of this FMU");
+    if (!*out && !(*out = m->callbacks.allocateMemory(1, sizeof state)))
+        return wb_say(m, fmi2Error, "no memory for a state");
+    memcpy(*out, &state, sizeof state);
+    return fmi2OK;
+}

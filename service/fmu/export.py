@@ -1,0 +1,174 @@
+"""Make an FMU 2.0 of a table: pack it, compile the C sources, zip it all."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+import zipfile
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import files
+from itertools import pairwise
+from pathlib import Path
+
+from service.fmu.description import SOURCES, describe, identifier_of
+from service.fmu.packing import groups_of, pack_table
+from service.fmu.stream import file_of
+from surrogate.build import AnyTable
+
+COMPILERS = ("cc", "gcc", "clang")
+# No contraction of products and sums: the numbers are those of the table in Python. No option names
+# a processor: the FMU runs on others of its kind.
+FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
+COMPILE_S = 120.0  # it takes about two seconds
+PLATFORMS = {
+    ("Linux", "x86_64"): ("linux64", ".so"),
+    ("Darwin", "x86_64"): ("darwin64", ".dylib"),
+    ("Darwin", "arm64"): ("darwin64", ".dylib"),
+}
+_HEADERS = (
+    "fmu.h",
+    "wb_table.h",
+    "fmi2Functions.h",
+    "fmi2FunctionTypes.h",
+    "fmi2TypesPlatform.h",
+)
+_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest a zip holds: the same table gives the same file
+_CMAKE = """\
+# Build the FMU's binary where the exporting machine had no compiler, or for another platform:
+#   cmake -S sources -B build && cmake --build build
+# then put the library into binaries/<platform>/ (win64, linux64, darwin64) of the FMU, a zip file.
+cmake_minimum_required(VERSION 3.10)
+project({name} C)
+add_library({name} SHARED {sources})
+set_target_properties({name} PROPERTIES PREFIX "" C_STANDARD 99 C_VISIBILITY_PRESET hidden)
+if(NOT MSVC)
+  target_compile_options({name} PRIVATE -O3 -ffp-contract=off)
+  target_link_libraries({name} PRIVATE m)
+endif()
+"""
+
+
+class CompilerError(RuntimeError):
+    """A compiler that did not compile the FMU; carries what it said."""
+
+
+@dataclass(frozen=True)
+class Fmu:
+    """An FMU.
+
+    Attributes
+    ----------
+    content : bytes
+        The zip file.
+    platform : str
+        What its binary runs on, such as ``linux64``; empty if it holds sources only.
+    method : str
+        How it answers.
+    """
+
+    content: bytes
+    platform: str
+    method: str
+
+
+def find_compiler() -> str | None:
+    """Return the C compiler: `CC` of the environment, else the first of `COMPILERS`."""
+    named = os.environ.get("CC", "").split()
+    return (
+        shutil.which(named[0]) if named else next(filter(None, map(shutil.which, COMPILERS)), None)
+    )
+
+
+def make_fmu(component: str, table: AnyTable, method: str | None = None) -> Fmu:
+    """Return the FMU of a component's table.
+
+    Without a compiler, or on a platform that FMI 2.0 does not name, it holds sources only.
+
+    Parameters
+    ----------
+    method : str, optional
+        One of `surrogate.answer.METHODS`; the table's default otherwise.
+
+    Raises
+    ------
+    NotExportableError
+        See `pack_table`.
+    CompilerError
+        If the compiler fails.
+    """
+    groups = groups_of(table, method)
+    packed = pack_table(table, method)
+    used = ", ".join(dict.fromkeys(group.method for group in groups))
+    told = f"table version {table.version}, {len(table.rows)} rows, method {used}"
+    guid = _guid(component, packed)
+    parts = {
+        "modelDescription.xml": describe(component, guid, _made_by(), told),
+        "resources/table.bin": file_of(guid, packed),
+        **_sources(identifier_of(component)),
+    }
+    place = PLATFORMS.get((platform.system(), platform.machine()))
+    compiler = find_compiler()
+    if place is not None and compiler is not None:
+        name = f"binaries/{place[0]}/{identifier_of(component)}{place[1]}"
+        parts[name] = _compiled(compiler, place[1])
+    built = place[0] if place is not None and compiler is not None else ""
+    return Fmu(_zipped(parts), built, used)
+
+
+def _guid(component: str, packed: bytes) -> str:
+    """Return a GUID made of what the FMU answers: the same table has the same one."""
+    digest = hashlib.blake2b(component.encode() + b"\0" + packed, digest_size=16).hexdigest()
+    cuts = (0, 8, 12, 16, 20, 32)
+    return "{" + "-".join(digest[a:b] for a, b in pairwise(cuts)) + "}"
+
+
+def _made_by() -> str:
+    try:
+        return f"wrenchbook {version('wrenchbook')}"
+    except PackageNotFoundError:  # a checkout that is not installed
+        return "wrenchbook"
+
+
+def _sources(identifier: str) -> dict[str, bytes]:
+    folder = files(__package__ or "service.fmu") / "c"
+    found = {f"sources/{name}": (folder / name).read_bytes() for name in (*SOURCES, *_HEADERS)}
+    cmake = _CMAKE.format(name=identifier, sources=" ".join(SOURCES))
+    return found | {"sources/CMakeLists.txt": cmake.encode()}
+
+
+@cache  # what differs between FMUs is their table: the library is the same
+def _compiled(compiler: str, ending: str) -> bytes:
+    """Return the compiled library."""
+    with tempfile.TemporaryDirectory(prefix="wrenchbook-fmu-") as name:
+        folder = Path(name)
+        for path, content in _sources("fmu").items():
+            (folder / Path(path).name).write_bytes(content)
+        library = folder / f"fmu{ending}"
+        command = [compiler, *FLAGS, "-o", str(library), *SOURCES, "-lm"]
+        try:
+            ran = subprocess.run(
+                command, cwd=folder, capture_output=True, text=True, timeout=COMPILE_S, check=False
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise CompilerError(f"{compiler} could not compile the FMU: {error}") from error
+        if ran.returncode or not library.is_file():
+            raise CompilerError(
+                f"{compiler} could not compile the FMU; name another compiler with CC=...\n"
+                f"{ran.stderr.strip()[-2000:]}"
+            )
+        return library.read_bytes()
+
+
+def _zipped(parts: dict[str, bytes]) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in parts.items():
+            archive.writestr(zipfile.ZipInfo(name, _DATE), content, zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()

@@ -1,0 +1,327 @@
+"""The mount by itself: poses, coverage, modes, and what it refuses."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from service.client import ServerTimeout, ServerUnreachable, conventions
+from service.client.mount import (
+    DisplacementUnknown,
+    Mount,
+    MountWarning,
+    SensorError,
+    require_weight,
+)
+from service.client.mount.reading import from_world
+from tests.service.client.answers import LinearTable, ScriptedTable, answer, client_with
+
+TURNED = Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix()
+POINT = np.array([0.4, -0.2, 1.5])
+WEIGHT = np.array([0.0, 0.0, -100.0, 0.0, 0.0, 0.0])
+vectors = st.lists(st.floats(-3, 3), min_size=3, max_size=3).map(np.array)
+
+
+def mounted(source=None, **options) -> Mount:
+    return Mount(source or LinearTable(), "plate", TURNED, POINT, **options)
+
+
+def test_the_pose_is_the_undeformed_one_moved_in_its_own_frame_and_turned_after_it():
+    moved = np.array([1e-3, 2e-3, -3e-3, 0.1, -0.05, 0.2])
+    R, p = mounted(ScriptedTable(answer(moved))).step(WEIGHT)
+    assert np.allclose(p, POINT + TURNED @ moved[:3], rtol=0, atol=1e-15)
+    turn = Rotation.from_rotvec(moved[3:]).as_matrix()
+    assert np.allclose(R, TURNED @ turn, rtol=0, atol=1e-15)
+    assert not np.allclose(R, turn @ TURNED, atol=1e-3)
+
+
+def test_ten_thousand_steps_do_not_turn_the_pose_away_from_a_rotation():
+    turning = np.random.default_rng(1).uniform(-0.2, 0.2, (10_000, 6))
+    mount = mounted(ScriptedTable(*[answer(one) for one in turning]))
+    for _ in turning:
+        R, _p = mount.step(WEIGHT)
+    assert np.abs(R @ R.T - np.eye(3)).max() < 1e-14
+    expected = TURNED @ Rotation.from_rotvec(mount.displacement[3:]).as_matrix()
+    assert np.abs(R - expected).max() < 1e-14
+
+
+@given(vectors, vectors, vectors, vectors)
+def test_a_wrench_read_in_the_world_is_what_the_conventions_make_of_it(force, moment, point, turn):
+    axes = Rotation.from_rotvec(turn).as_matrix()
+    found = from_world(force, moment, point, (axes, POINT))
+    there = np.concatenate([force, moment])
+    lever = axes.T @ (point - POINT)
+    expected = conventions.moved(there, rotation=axes.T, point=lever)
+    assert np.allclose(found, expected, rtol=0, atol=1e-12)
+
+
+def test_a_moment_is_about_the_undeformed_point_though_the_sensor_has_moved_on():
+    mount = mounted()
+    sensor = POINT + np.array([0.01, 0.0, 0.0])
+    found = mount.wrench_of([0, 0, -100.0], [0, 0, 0], sensor)
+    assert np.allclose(TURNED @ found[3:], [0, 1.0, 0], rtol=0, atol=1e-12)
+
+
+def test_a_moving_base_takes_the_displacement_along():
+    mount = mounted()
+    _, p = mount.step(WEIGHT)
+    moved = mount.displacement[:3]
+    assert np.allclose(p, POINT + TURNED @ moved, atol=1e-15)
+    mount.place(np.eye(3), [1.0, 2.0, 3.0])
+    assert np.allclose(mount.pose[1], np.array([1.0, 2.0, 3.0]) + moved, rtol=0, atol=1e-15)
+    assert np.allclose(mount.step(WEIGHT)[1], np.array([1.0, 2.0, 3.0]) + moved, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("R0", "told"),
+    [
+        (np.eye(4), "shape"),
+        (2 * np.eye(3), "rotation"),
+        (np.diag([1.0, 1.0, -1.0]), "right-handed"),
+        (np.full((3, 3), np.nan), "finite"),
+    ],
+)
+def test_what_is_no_pose_is_refused_and_the_mount_stays(R0, told):
+    mount = mounted()
+    with pytest.raises(ValueError, match=told):
+        mount.place(R0, POINT)
+    assert np.array_equal(mount.undeformed[0], TURNED)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_reading_that_is_not_finite_is_named_and_moves_nothing(bad):
+    table = LinearTable()
+    mount = mounted(table)
+    before = mount.step(WEIGHT)
+    with pytest.raises(SensorError, match=r"my is .*diverged before this step"):
+        mount.step([0, 0, -100.0], [0, bad, 0])
+    assert len(table.asked) == 1
+    assert np.array_equal(mount.pose[1], before[1])
+
+
+def test_thin_and_outside_are_warned_of_once_and_counted():
+    reasons = {"thin": "too few rows", "outside": "fz is beyond -2000"}
+    kinds = ["covered", "thin", "thin", "outside", "covered", "outside"]
+    told = [answer(np.zeros(6), WEIGHT, kind, reason=reasons.get(kind, "")) for kind in kinds]
+    mount = mounted(ScriptedTable(*told))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for _ in kinds:
+            mount.step(WEIGHT)
+    assert [str(one.message).count("too few rows") for one in caught] == [1, 0]
+    assert [one.filename for one in caught] == [__file__] * 2  # the caller's line, not ours
+    seen = mount.coverage
+    assert (seen.covered, seen.thin, seen.outside, seen.unknown) == (2, 2, 2, 0)
+    assert seen.first["outside"].step == 4
+    assert "6 answers: 2 covered, 2 thin, 2 outside" in str(seen)
+    assert seen.widest.tolist() == [1e-6] * 6
+
+
+def test_where_a_table_knows_nothing_the_pose_stays_and_it_is_said():
+    nothing = answer(None, WEIGHT, "outside", reason="the table has no rows")
+    mount = mounted(ScriptedTable(answer(np.full(6, 1e-3)), nothing))
+    before = mount.step(WEIGHT)
+    with pytest.warns(MountWarning, match=r"no rows.*said once"):
+        after = mount.step(2 * WEIGHT)
+    assert np.array_equal(before[1], after[1])
+    assert mount.coverage.unknown == 1
+
+
+def test_a_static_loop_does_not_go_on_without_an_answer():
+    mount = mounted(ScriptedTable(answer(None, WEIGHT, "outside", reason="no rows")))
+    with (
+        pytest.warns(MountWarning),
+        pytest.raises(DisplacementUnknown, match="mode='solve'"),
+    ):
+        mount.settle(lambda R, p: WEIGHT)
+
+
+def test_a_measured_table_without_all_outputs_is_refused_or_taken_as_rigid_there():
+    partial = answer([1e-3, None, 0, 0, None, 0.1])
+    with pytest.raises(DisplacementUnknown, match=r"does not say uy, ry .*unmeasured='rigid'"):
+        mounted(ScriptedTable(partial)).step(WEIGHT)
+    mount = mounted(ScriptedTable(partial), unmeasured="rigid")
+    mount.step(WEIGHT)
+    assert mount.displacement.tolist() == [1e-3, 0, 0, 0, 0, 0.1]
+
+
+def test_a_measured_component_is_estimated_instead_of_queued():
+    asked = []
+
+    def displacement(name, wrench, **how):
+        asked.append(how["on_thin"])
+        return answer(np.zeros(6))
+
+    measured = {"has_fea": False, "tolerance": None}
+    client = client_with(component=lambda _: measured, displacement=displacement)
+    mounted(client).step(WEIGHT)
+    mounted(client_with(displacement=displacement)).step(WEIGHT)
+    assert asked == ["estimate", "queue"]
+
+
+def test_with_the_server_away_the_step_can_be_made_again():
+    away = ServerUnreachable("no answer")
+    mount = mounted(ScriptedTable(answer(np.full(6, 1e-3)), away, answer(np.full(6, 2e-3))))
+    before = mount.step(WEIGHT)
+    with pytest.raises(ServerUnreachable):
+        mount.step(WEIGHT)
+    assert np.array_equal(mount.pose[1], before[1])
+    assert mount.coverage.answers == 1
+    mount.step(WEIGHT)
+    assert mount.displacement.tolist() == [2e-3] * 6
+
+
+def test_solve_waits_until_the_solve_has_answered():
+    waits = [answer(None, WEIGHT, "thin"), answer(np.full(6, 1e-3), WEIGHT)]
+    asked = []
+
+    def solve(name, wrench, **how):
+        asked.append(how)
+        return waits[len(asked) - 1]
+
+    mount = mounted(client_with(solve=solve), mode="solve")
+    mount.step(WEIGHT)
+    assert mount.displacement.tolist() == [1e-3] * 6
+    assert len(asked) == 2
+    assert all(how["wait_s"] > 0 for how in asked)
+
+
+def test_a_solve_that_takes_too_long_is_named():
+    client = client_with(solve=lambda *_, **__: answer(None, WEIGHT, "thin"))
+    with pytest.raises(ServerTimeout, match="longer solve_timeout"):
+        mounted(client, mode="solve", solve_timeout=0.0).step(WEIGHT)
+
+
+@pytest.mark.parametrize(("mode", "kind"), [("record", "recording"), ("envelope", "envelope")])
+def test_wrenches_are_saved_while_the_component_stays_rigid(monkeypatch, mode, kind):
+    made = {}
+
+    class Recorder:
+        def __init__(self, client, component, kind, block):
+            made.update(component=component, kind=kind, block=block, added=[], self=self)
+
+        def add(self, wrench):
+            made["added"].append(wrench.tolist())
+
+        def start(self):
+            return {"jobs": [1]}
+
+        def close(self):
+            made["closed"] = True
+
+    monkeypatch.setattr("service.client.mount.mount.Recorder", Recorder)
+    mount = mounted(client_with(), mode=mode, block=7)
+    R, p = mount.step(WEIGHT)
+    assert np.array_equal(R, TURNED)
+    assert np.array_equal(p, POINT)
+    assert (made["kind"], made["block"], made["added"]) == (kind, 7, [WEIGHT.tolist()])
+    assert mount.start() == {"jobs": [1]}
+    mount.close()
+    assert made["closed"]
+    with pytest.raises(ValueError, match="lets nothing move"):
+        mount.settle(lambda R, p: WEIGHT)
+
+
+@pytest.mark.parametrize("mode", ["solve", "record", "envelope"])
+def test_modes_that_need_the_server_say_so_of_a_table(mode):
+    with pytest.raises(TypeError, match="asks a Client, not LinearTable"):
+        mounted(mode=mode)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"mode": "tabel"}, "mode must be one of table, solve, record, envelope"),
+        ({"relaxation": "aitkin"}, "relaxation must be one of aitken, newton, off"),
+        ({"relaxation": None}, "relaxation must be one of aitken, newton, off, or a fixed factor"),
+        ({"relaxation": 0.0}, "over 0 and at most 1"),
+        ({"relaxation": 1.5}, "over 0 and at most 1"),
+        ({"on_thin": "ask"}, "on_thin must be one of"),
+        ({"unmeasured": 0}, "unmeasured must be one of"),
+        ({"stiffness": np.eye(3)}, r"of shape \(6, 6\)"),
+        ({"tolerance": (0.0, 1.0)}, "positive and finite"),
+        ({"natural_frequency": 27.0}, "given together"),
+    ],
+)
+def test_a_slip_in_an_option_is_named(options, told):
+    with pytest.raises(ValueError, match=told):
+        mounted(**options)
+
+
+def test_a_table_of_another_component_is_refused():
+    with pytest.raises(ValueError, match="the table is of component 'plate', not of 'bar'"):
+        Mount(LinearTable(), "bar", np.eye(3), np.zeros(3))
+
+
+def test_rounding_at_a_resting_load_does_not_slow_what_follows():
+    ups = [1e-3 + (-1) ** step * 1e-17 for step in range(40)]
+    scripted = [answer(np.full(6, one)) for one in (*ups, 2e-3)]
+    mount = mounted(ScriptedTable(*scripted))
+    for _ in scripted:
+        mount.step(WEIGHT)
+    assert np.allclose(mount.displacement, 2e-3, rtol=1e-12)
+
+
+def test_a_load_between_a_row_and_its_neighbourhood_does_not_slow_what_follows():
+    row, beside = 1e-3, 1e-3 + 4e-4 * 1e-6  # m: 4e-4 of the tolerance beside the row
+    scripted = [answer(np.full(6, one)) for one in (*[row, beside] * 10, 2e-3)]
+    mount = mounted(ScriptedTable(*scripted), tolerance=(1e-6, 1e-6))
+    for _ in scripted:
+        mount.step(WEIGHT)
+    assert np.allclose(mount.displacement, 2e-3, rtol=1e-12)
+
+
+def test_loads_that_build_up_within_eight_periods_are_warned_of():
+    with pytest.warns(MountWarning, match=r"2.7 periods of its first natural frequency, 27 Hz"):
+        mounted(natural_frequency=27.0, ramp_time=0.1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mounted(natural_frequency=27.0, ramp_time=0.3)
+
+
+def test_a_sign_turned_round_is_told_from_a_sensor_that_reads_nothing():
+    require_weight([0, 0, -98.1], 10.0)
+    require_weight(TURNED.T @ [0, 0, -98.1], 10.0, axes=TURNED)
+    require_weight([0, 0, 0], 10.0, gravity=[0, 0, 0])
+    with pytest.raises(SensorError, match="sign of the wrench is turned round"):
+        require_weight([0, 0, 98.1], 10.0)
+    with pytest.raises(SensorError, match="free joint reads 0"):
+        require_weight([0, 0, 0.0], 10.0)
+    with pytest.raises(SensorError, match="contradicts the scene's weight"):
+        require_weight([0, 0, -9810.0], 10.0)
+    with pytest.raises(SensorError):
+        require_weight([0, 0, np.nan], 10.0)
+
+
+def test_a_static_loop_that_may_ask_nothing_is_refused():
+    with pytest.raises(ValueError, match="most at least 1"):
+        mounted().settle(lambda R, p: WEIGHT, most=0)
+    with pytest.raises(ValueError, match="accuracy must be over 0"):
+        mounted().settle(lambda R, p: WEIGHT, accuracy=0.0)
+
+
+def test_the_callers_own_array_may_be_written_to_again():
+    mount, buffer = mounted(), WEIGHT.copy()
+    mount.step(buffer)
+    buffer[:] = 0.0
+    assert mount.last is not None
+    assert mount.last.wrench.tolist() == WEIGHT.tolist()
+
+
+def test_a_restart_forgets_what_was():
+    mount = mounted()
+    mount.step(WEIGHT)
+    mount.restart()
+    assert mount.coverage.answers == 0
+    assert mount.last is None
+    assert np.array_equal(mount.pose[1], POINT)
+
+
+def test_a_step_by_newton_without_the_scenes_stiffness_says_what_to_give():
+    with pytest.raises(ValueError, match="needs the scene's stiffness="):
+        mounted(relaxation="newton").step(WEIGHT)

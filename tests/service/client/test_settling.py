@@ -1,0 +1,214 @@
+"""The loop of scene and component: it comes to rest where the closed form says, or says why not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from scipy.optimize import root
+from scipy.spatial.transform import Rotation
+
+from service.client import Client, Table
+from service.client.mount import CouplingDiverged, Mount, spectral_radius, stable_factor
+from tests.service.client.answers import LinearTable, bar_compliance
+from tests.service.live import add_rows, as_rows, served
+
+WEIGHT = np.array([0.0, 0.0, -40.0])  # N, at the end of a lever
+LEVER = np.array([0.3, 0.1, 0.05])  # m, from the bar's end, turning with it
+STILL = (np.eye(3), np.zeros(3))
+
+
+def lever(R: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """A weight on a rigid lever on the bar's end: its moment about the undeformed end."""
+    return np.concatenate([WEIGHT, np.cross(p + R @ LEVER, WEIGHT)])
+
+
+def lever_at_rest(compliance: np.ndarray) -> np.ndarray:
+    """The coupled equilibrium u = C w(u), solved apart, (6,)."""
+
+    def off(u: np.ndarray) -> np.ndarray:
+        return compliance @ lever(Rotation.from_rotvec(u[3:]).as_matrix(), u[:3]) - u
+
+    found = root(off, np.zeros(6), tol=1e-15)
+    assert np.abs(off(found.x)).max() < 1e-15
+    return found.x
+
+
+@pytest.fixture(scope="module")
+def bar(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, Table]]:
+    """The shipped bar with its exact linear table, on a server and downloaded."""
+    with served(tmp_path_factory.mktemp("workspace")) as client:
+        compliance, wrench = bar_compliance(), np.full((1, 6), 1.0)
+        add_rows(client, "bar", as_rows(wrench, wrench @ compliance.T, compliance[None]))
+        yield client, client.download("bar")
+
+
+@pytest.mark.parametrize(("relaxation", "most"), [("newton", 4), ("aitken", 10)])
+@pytest.mark.parametrize("where", [0, 1], ids=["server", "table"])
+def test_a_lever_on_a_bar_comes_to_rest_at_the_closed_form(bar, relaxation, most, where):
+    mount = Mount(bar[where], "bar", *STILL, relaxation=relaxation)
+    settled = mount.settle(lever, accuracy=1e-7)
+    expected = lever_at_rest(bar_compliance())
+    off = np.abs(settled.displacement - expected).reshape(2, 3).max(axis=1)
+    assert (off <= 1e-9 * np.abs(expected).reshape(2, 3).max(axis=1)).all()
+    assert settled.iterations <= most
+    assert np.array_equal(settled.p, mount.pose[1])
+
+
+def press(G: float, direction: int = 2):
+    """A stop that gives way: 100 N less the stiffness that makes G with the bar."""
+    stiffness = G / bar_compliance()[direction, direction]
+
+    def read(R: np.ndarray, p: np.ndarray) -> np.ndarray:
+        wrench = np.zeros(6)
+        wrench[direction] = 100.0 - stiffness * p[direction]
+        return wrench
+
+    return read, 100.0 * bar_compliance()[direction, direction] / (1.0 + G)
+
+
+@pytest.mark.parametrize("relaxation", ["aitken", "newton", 0.3])
+def test_a_press_with_g_5_converges(relaxation):
+    read, expected = press(5.0)
+    settled = Mount(LinearTable(), "plate", *STILL, relaxation=relaxation).settle(read, most=200)
+    assert settled.displacement[2] == pytest.approx(expected, abs=1e-9)
+
+
+def test_newton_tells_g():
+    read, _ = press(5.0)
+    settled = Mount(LinearTable(), "plate", *STILL, relaxation="newton").settle(read)
+    assert settled.spectral_radius == pytest.approx(5.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("relaxation", ["off", 0.4])
+def test_a_press_with_g_5_is_reported_as_diverging_where_the_factor_is_too_large(relaxation):
+    read, _ = press(5.0)
+    mount = Mount(LinearTable(), "plate", *STILL, relaxation=relaxation)
+    with pytest.raises(CouplingDiverged, match=r"overshot its answer .* 2/\(1 \+ G\)") as caught:
+        mount.settle(read)
+    assert caught.value.residuals[-1] > caught.value.residuals[0]
+    assert not mount.displacement.any()
+
+
+@pytest.mark.parametrize("G", [0.5, 5.0, 40.0])
+def test_a_factor_just_below_the_stable_one_converges_and_one_just_above_does_not(G):
+    read, expected = press(G)
+    bound = 2.0 / (1.0 + G)
+    below = Mount(LinearTable(), "plate", *STILL, relaxation=min(1.0, 0.97 * bound))
+    found = below.settle(read, most=2000).displacement[2]
+    assert found == pytest.approx(expected, abs=1e-8)
+    if bound < 1.0:
+        above = Mount(LinearTable(), "plate", *STILL, relaxation=1.03 * bound)
+        with pytest.raises(CouplingDiverged):
+            above.settle(read, most=2000)
+
+
+def test_the_stable_factor_is_that_of_the_stiffest_direction():
+    stiffness = -np.diag([1e5, 2e5, 3e5, 10.0, 20.0, 30.0])
+    G = np.abs(np.linalg.eigvals(bar_compliance() @ stiffness)).max()
+    assert spectral_radius(bar_compliance(), stiffness) == pytest.approx(G)
+    assert stable_factor(bar_compliance(), stiffness) == pytest.approx(2 / (1 + G))
+
+
+def test_a_known_stiffness_spares_aitken_the_first_overshoot():
+    read, expected = press(5.0)
+    stiffness = np.zeros((6, 6))
+    stiffness[2, 2] = -5.0 / bar_compliance()[2, 2]
+    settled = Mount(LinearTable(), "plate", *STILL, stiffness=stiffness).settle(read)
+    assert settled.displacement[2] == pytest.approx(expected, abs=1e-9)
+    assert settled.iterations <= 4
+    assert max(settled.residuals) == settled.residuals[0]
+
+
+@pytest.mark.parametrize("relaxation", ["aitken", "newton"])
+@pytest.mark.parametrize("G", [2.0, 5.0, 30.0])
+def test_a_contact_that_opens_does_not_end_in_a_limit_cycle(relaxation, G):
+    read, expected = press(G)
+
+    def pushes_only(R: np.ndarray, p: np.ndarray) -> np.ndarray:
+        return np.maximum(read(R, p), 0.0)
+
+    settled = Mount(LinearTable(), "plate", *STILL, relaxation=relaxation).settle(pushes_only)
+    assert settled.displacement[2] == pytest.approx(expected, abs=1e-8)
+
+
+def test_that_contact_with_relaxation_off_is_a_named_failure_and_no_silent_limit_cycle():
+    read, _ = press(5.0)
+    mount = Mount(LinearTable(), "plate", *STILL, relaxation="off")
+    with pytest.raises(CouplingDiverged):
+        mount.settle(lambda R, p: np.maximum(read(R, p), 0.0))
+
+
+def test_many_stiff_directions_at_once_converge():
+    rng = np.random.default_rng(3)
+    root_ = np.linalg.cholesky(bar_compliance() + 1e-12 * np.eye(6))
+    turned = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    back = np.linalg.inv(root_)
+    stiffness = back.T @ turned @ np.diag([5.0, 3.0, 1.0, 0.5, 0.1, 0.0]) @ turned.T @ back
+    load = np.array([10.0, 20.0, -30.0, 1.0, 2.0, 3.0])
+    expected = np.linalg.solve(np.eye(6) + bar_compliance() @ stiffness, bar_compliance() @ load)
+
+    def scene(R: np.ndarray, p: np.ndarray) -> np.ndarray:
+        turn = Rotation.from_matrix(R).as_rotvec()
+        return load - stiffness @ np.concatenate([p, turn])
+
+    for relaxation in ("aitken", "newton"):
+        settled = Mount(LinearTable(), "plate", *STILL, relaxation=relaxation).settle(scene)
+        assert np.abs(settled.displacement - expected).max() < 1e-8, relaxation
+
+
+def test_a_scene_that_tips_is_told_from_one_that_overshoots():
+    read, _ = press(-1.5)
+    for relaxation in ("aitken", "off"):
+        mount = Mount(LinearTable(), "plate", *STILL, relaxation=relaxation)
+        with pytest.raises(CouplingDiverged, match="tips or buckles"):
+            mount.settle(read)
+
+
+def run(mount: Mount, read) -> None:
+    """Sixty syncs of a scene that has no time of its own."""
+    for _ in range(60):
+        mount.step(read(*mount.pose))
+
+
+@pytest.mark.parametrize("relaxation", ["aitken", "newton"])
+def test_in_a_time_loop_a_stiff_scene_is_held(relaxation):
+    read, expected = press(5.0)
+    stiffness = np.zeros((6, 6))
+    stiffness[2, 2] = -5.0 / bar_compliance()[2, 2]
+    given = {"stiffness": stiffness} if relaxation == "newton" else {}
+    mount = Mount(LinearTable(), "plate", *STILL, relaxation=relaxation, **given)
+    run(mount, read)
+    assert mount.displacement[2] == pytest.approx(expected, abs=1e-6)
+
+
+def test_in_a_time_loop_without_relaxation_the_same_scene_is_reported():
+    read, _ = press(5.0)
+    mount = Mount(LinearTable(), "plate", *STILL, relaxation="off")
+    with pytest.raises(CouplingDiverged, match="grows"):
+        run(mount, read)
+
+
+def test_in_a_time_loop_a_limit_cycle_is_reported():
+    read, _ = press(5.0)
+    mount = Mount(LinearTable(), "plate", *STILL, relaxation="off")
+    with pytest.raises(CouplingDiverged, match="does not decay"):
+        run(mount, lambda R, p: np.maximum(read(R, p), 0.0))
+
+
+@pytest.mark.parametrize("directions", [1, 6])
+def test_loads_that_are_noise_are_no_divergence(directions):
+    loads = np.zeros((20_000, 6))
+    loads[:, :directions] = np.random.default_rng(5).normal(size=(len(loads), directions))
+    mount = Mount(LinearTable(), "plate", *STILL)
+    for load in loads:
+        mount.step(load)
+
+
+def test_loads_that_change_smoothly_are_followed_without_lag():
+    mount = Mount(LinearTable(), "plate", *STILL)
+    for time in np.arange(0.0, 1.0, 0.01):
+        load = 50.0 * np.array([0, np.sin(20 * time), np.cos(13 * time), 0, 0, 0])
+        mount.step(load)
+        assert np.allclose(mount.displacement, bar_compliance() @ load, rtol=1e-12, atol=0)

@@ -1,0 +1,132 @@
+"""Tables, their FMUs, and instances of them through FMPy."""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi2 import FMU2Model, FMU2Slave
+
+from service.fmu.export import Fmu, find_compiler, make_fmu
+from surrogate.build import AnyTable, build
+from surrogate.table.rows import LoadRange, Rows
+
+LOADS, OUTPUTS, BARS = list(range(6)), list(range(6, 12)), list(range(12, 18))
+COVERAGE, TOLERANCE = [18], [19, 20]
+SOLVED = Path(__file__).parents[2] / "surrogate" / "tables"
+
+
+def need_compiler() -> None:
+    """Skip a test without a C compiler; where CI runs that is a failure."""
+    if find_compiler() is None:
+        told = "no C compiler (Debian packages gcc, libc6-dev)"
+        pytest.fail(told) if os.environ.get("CI") == "true" else pytest.skip(told)
+
+
+def solved(name: str, clean: int, full: int, *, tangents: bool = True, **more: object) -> AnyTable:
+    """A table of real solves of a shipped component."""
+    found = np.load(SOLVED / f"{name}.npz")
+    chosen = np.r_[:clean, found["clean"] : found["clean"] + full]
+    columns = {"compliance": found["compliance"][chosen]} if tangents else {}
+    rows = Rows.of(found["wrench"][chosen], found["displacement"][chosen], **columns)
+    return build(rows, LoadRange(found["low"], found["high"]), **more)
+
+
+def wrenches_of(table: AnyTable, count: int, span: float = 1.0, seed: int = 1) -> np.ndarray:
+    """Random wrenches, (count, 6), within so much of the load range."""
+    loads = table.load_range
+    x = np.random.default_rng(seed).uniform(-span, span, (count, 6))
+    return (loads.low + loads.high) / 2 + x * loads.scale
+
+
+def special(table: AnyTable, count: int) -> np.ndarray:
+    """Wrenches of few loads, of one, of none, and those of the table's rows."""
+    asked = wrenches_of(table, count, 1.2, seed=2)
+    for place in range(count):
+        asked[place] *= np.random.default_rng(place).random(6) < 0.5
+    asked[0] = 0.0
+    rows = table.rows.wrench[: count // 4]
+    return np.concatenate((asked, rows))
+
+
+class Opened:
+    """An FMU, unpacked, with its description."""
+
+    def __init__(self, made: Fmu, folder: Path, name: str = "plate") -> None:
+        self.path = folder / f"{name}.fmu"
+        self.path.write_bytes(made.content)
+        self.folder = Path(fmpy.extract(str(self.path), str(folder / "unpacked")))
+        self.description = fmpy.read_model_description(str(self.path))  # which validates it
+
+    @property
+    def guid(self) -> str:
+        return self.description.guid
+
+    @property
+    def library(self) -> Path:
+        return next((self.folder / "binaries" / "linux64").iterdir())
+
+    def instance(self, kind=FMU2Slave, *, guid: str | None = None, folder: Path | None = None):
+        """An instance, instantiated; its messages are in `.said`."""
+        identifier = self.description.coSimulation.modelIdentifier
+        found = kind(
+            guid=guid or self.guid,
+            unzipDirectory=str(folder or self.folder),
+            modelIdentifier=identifier,
+            instanceName="one",
+        )
+        found.said = []
+        callbacks = fmpy.fmi2.fmi2CallbackFunctions()
+
+        def say(environment, name, status, category, message):
+            found.said.append(message.decode())
+
+        callbacks.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(say)
+        callbacks.allocateMemory = fmpy.fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
+        callbacks.freeMemory = fmpy.fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free)
+        found.instantiate(callbacks=callbacks)
+        return found
+
+    @contextmanager
+    def running(self, kind=FMU2Slave, tolerance=(0.0, 0.0)):
+        """An instance that answers."""
+        found = self.instance(kind)
+        found.setReal(TOLERANCE, tolerance)
+        found.setupExperiment()
+        found.enterInitializationMode()
+        found.exitInitializationMode()
+        if kind is FMU2Model:
+            found.newDiscreteStates()
+            found.enterContinuousTimeMode()
+        yield found
+        found.freeInstance()
+
+
+def opened(table: AnyTable, folder: Path, method: str | None = None) -> Opened:
+    """The FMU of a table."""
+    need_compiler()
+    return Opened(make_fmu("plate", table, method), folder)
+
+
+def answers(instance, wrenches: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Displacements and bars, (n, 6), and coverage, (n,), that an instance gives."""
+    numbers, flags = np.empty((len(wrenches), 12)), np.empty(len(wrenches), dtype=int)
+    for place, wrench in enumerate(wrenches):
+        instance.setReal(LOADS, wrench)
+        numbers[place] = instance.getReal(OUTPUTS + BARS)
+        flags[place] = instance.getInteger(COVERAGE)[0]
+    return numbers[:, :6], numbers[:, 6:], flags
+
+
+def slopes(instance, wrenches: np.ndarray) -> np.ndarray:
+    """du/dw, (n, 6, 6), by directional derivatives along one load after another."""
+    found = np.empty((len(wrenches), 6, 6))
+    for place, wrench in enumerate(wrenches):
+        instance.setReal(LOADS, wrench)
+        for load in LOADS:
+            found[place, :, load] = instance.getDirectionalDerivative(OUTPUTS, [load], [1.0])
+    return found

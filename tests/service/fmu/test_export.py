@@ -1,0 +1,180 @@
+"""Making an FMU: names, tables that none can hold, no compiler, the command."""
+
+import subprocess
+import zipfile
+from io import BytesIO
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from typer import BadParameter
+
+from service.cli.main import app
+from service.fmu import packing, stream
+from service.fmu.description import identifier_of
+from service.fmu.export import CompilerError, Fmu, find_compiler, make_fmu
+from service.fmu.packing import NotExportableError
+from surrogate.answer import UnknownMethodError
+from surrogate.build import build
+from surrogate.table.rows import LoadRange, Rows
+from tests.service.fmu.made import LOADS, OUTPUTS, Opened, need_compiler, solved
+from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, served, tangents
+
+RANGE = LoadRange(-FULL, FULL)
+
+
+@pytest.fixture(scope="module")
+def table():
+    return solved("plate_thin", 18, 20)
+
+
+@pytest.mark.parametrize(
+    ("name", "identifier"),
+    [("plate-2", "plate_2"), ("1rig", "fmu_1rig"), ("plate_thin", "plate_thin"), ("-x", "fmu__x")],
+)
+def test_a_name_that_is_no_c_identifier_is_made_one(name, identifier):
+    assert identifier_of(name) == identifier
+
+
+@pytest.mark.parametrize("name", ["plate-2", "1rig"])
+def test_a_component_of_any_name_instantiates(table, tmp_path, name):
+    need_compiler()
+    made = Opened(make_fmu(name, table), tmp_path, name)
+    assert made.description.modelName == name
+    with made.running() as instance:
+        instance.setReal(LOADS, [1.0] * 6)
+        assert np.isfinite(instance.getReal(OUTPUTS)).all()
+
+
+def test_the_same_table_gives_the_same_guid_and_another_table_another(table):
+    first, again = (make_fmu("plate", table).content for _ in range(2))
+    assert guid(first) == guid(again)
+    assert guid(first) != guid(make_fmu("plate", table, "griddata").content)
+    assert guid(first) != guid(make_fmu("plate2", table).content)
+
+
+def guid(content):
+    with zipfile.ZipFile(BytesIO(content)) as archive:
+        text = archive.read("modelDescription.xml").decode()
+    return text.split('guid="')[1].split('"')[0]
+
+
+def test_a_table_without_rows_is_refused_with_what_to_do():
+    with pytest.raises(NotExportableError, match="no rows: fill or import"):
+        make_fmu("plate", build(Rows.empty(), RANGE))
+
+
+def test_a_table_with_rows_only_beyond_its_range_is_refused():
+    far = Rows.of([[1e6, 0, 0, 0, 0, 0]], [[1e-3, 0, 0, 0, 0, 0]])
+    with pytest.raises(NotExportableError, match="outside its load range"):
+        make_fmu("plate", build(far, RANGE))
+
+
+def test_a_table_that_is_too_large_is_refused_with_the_limit(table, monkeypatch):
+    monkeypatch.setattr(packing, "MOST_BYTES", 1_000_000)
+    with pytest.raises(NotExportableError, match=r"1 MB.*griddata"):
+        make_fmu("plate", table)
+    assert stream.MOST_BYTES == 256 * 1024 * 1024
+
+
+def test_a_kriging_by_nearest_rows_is_refused_and_griddata_exported():
+    need_compiler()
+    wrenches = np.random.default_rng(0).uniform(-1, 1, (2900, 6)) * FULL
+    table = build(Rows.of(wrenches, moved(wrenches)), RANGE)
+    assert not table.kriging.is_dense
+    with pytest.raises(NotExportableError, match="--method griddata"):
+        make_fmu("plate", table, "kriging")
+    assert make_fmu("plate", table).method == "griddata"
+
+
+def test_an_unknown_method_is_refused_by_name(table):
+    with pytest.raises(UnknownMethodError, match="magic"):
+        make_fmu("plate", table, "magic")
+
+
+def test_without_a_compiler_the_fmu_holds_sources_that_compile_elsewhere(
+    table, tmp_path, monkeypatch
+):
+    need_compiler()
+    compiler = find_compiler()
+    monkeypatch.setenv("CC", "/no/such/compiler")
+    made = make_fmu("plate-2", table)
+    monkeypatch.delenv("CC")
+    assert made.platform == ""
+    found = Opened(made, tmp_path)
+    assert not (found.folder / "binaries").exists()
+    sources = found.folder / "sources"
+    root = ElementTree.parse(found.folder / "modelDescription.xml")
+    named = [one.get("name") for one in root.findall("CoSimulation/SourceFiles/File")]
+    assert named == [one.get("name") for one in root.findall("ModelExchange/SourceFiles/File")]
+    assert set(named) < {path.name for path in sources.iterdir()}
+    assert "SHARED" in (sources / "CMakeLists.txt").read_text()
+    assert "2-Clause BSD License" in (sources / "fmi2Functions.h").read_text()
+    binary = found.folder / "binaries" / "linux64" / "plate_2.so"
+    binary.parent.mkdir(parents=True)
+    warn = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror"]
+    command = [compiler, *warn, "-fPIC", "-shared", "-o", str(binary), *named, "-lm"]
+    subprocess.run(command, cwd=sources, check=True, timeout=120)
+    asked = table.rows.wrench[3] * 0.7
+    with found.running() as instance:
+        instance.setReal(LOADS, asked)
+        told = instance.getReal(OUTPUTS)
+    np.testing.assert_allclose(told, table.batch([asked]).displacement[0], rtol=0, atol=1e-12)
+
+
+def test_a_compiler_that_fails_is_told_with_what_it_said(table, tmp_path, monkeypatch):
+    broken = tmp_path / "cc"
+    broken.write_text("#!/bin/sh\necho 'out of registers' >&2\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("CC", str(broken))
+    with pytest.raises(CompilerError, match="out of registers"):
+        make_fmu("plate", table)
+
+
+def test_undefined_behaviour_and_stray_reads_are_found_by_the_compilers_own_checks(table, tmp_path):
+    """The whole of it, answered by a program with address and undefined-behaviour sanitizers."""
+    need_compiler()
+    made = Opened(make_fmu("plate", table, "griddata"), tmp_path)
+    program, wrenches = tmp_path / "rate", tmp_path / "wrenches.bin"
+    asked = np.concatenate((full_wrenches(60) * 30, np.full((1, 6), 1e300), np.zeros((1, 6))))
+    asked.astype("<f8").tofile(wrenches)
+    sources = made.folder / "sources"
+    flags = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    library = tmp_path / "checked.so"
+    files = [str(path) for path in sources.glob("*.c")]
+    driver = str(Path(__file__).parent / "rate.c")
+    for extra in (
+        ["-fPIC", "-shared", *flags, "-o", str(library), *files, "-lm"],
+        [*flags, f"-I{sources}", "-rdynamic", "-o", str(program), driver, "-ldl"],
+    ):
+        subprocess.run([find_compiler(), *extra], check=True, timeout=200)
+    resources = (made.folder / "resources").as_uri()
+    command = [program, library, resources, made.guid, wrenches, "0.2"]
+    ran = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 0, ran.stderr[-3000:]
+
+
+def test_the_command_downloads_the_table_and_writes_the_fmu(tmp_path, capsys):
+    need_compiler()
+    wrenches = full_wrenches(30)
+    with served(tmp_path / "workspace") as client:
+        add_table(client, "1rig", as_rows(wrenches, moved(wrenches), tangents(wrenches)))
+        path = tmp_path / "rig.fmu"
+        run(["export", "1rig", str(path), "--server", client.url, "--method", "griddata"])
+        assert "griddata" in capsys.readouterr().out
+        there = client.displacements("1rig", wrenches * 0.5, on_thin="estimate", method="griddata")
+    with Opened(Fmu(path.read_bytes(), "", ""), tmp_path, "again").running() as instance:
+        instance.setReal(LOADS, wrenches[0] * 0.5)
+        told = instance.getReal(OUTPUTS)
+    np.testing.assert_allclose(told, there.displacements[0], rtol=0, atol=1e-12)
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_the_command_refuses_a_method_for_other_formats(tmp_path):
+    with pytest.raises(BadParameter, match=r"\.fmu"):
+        run(["export", "plate", str(tmp_path / "t.csv"), "--method", "griddata"])
+
+
+def run(words):
+    app(words, standalone_mode=False)

@@ -1,0 +1,286 @@
+"""How an FMU behaves in a simulation tool, and under attack."""
+
+import shutil
+import threading
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi2 import FMU2Model, FMU2Slave
+from fmpy.simulation import simulate_fmu
+from fmpy.validation import validate_fmu
+
+from tests.service.fmu.made import (
+    BARS,
+    COVERAGE,
+    LOADS,
+    OUTPUTS,
+    TOLERANCE,
+    answers,
+    opened,
+    solved,
+    wrenches_of,
+)
+
+NAMES = ["Fx", "Fy", "Fz", "Mx", "My", "Mz", "ux", "uy", "uz", "rx", "ry", "rz"]
+INNER = [150.0, -100.0, -600.0, 10.0, 20.0, 5.0]
+
+
+@pytest.fixture(scope="module")
+def table():
+    return solved("plate_thin", 18, 20)
+
+
+@pytest.fixture(scope="module")
+def fmu(table, tmp_path_factory):
+    return opened(table, tmp_path_factory.mktemp("fmu"))
+
+
+def test_fmpy_finds_nothing_to_object_to(fmu):
+    assert validate_fmu(str(fmu.path)) == []
+
+
+def test_the_variables_their_units_and_their_causality_are_those_of_the_contract(fmu):
+    told = {one.name: one for one in fmu.description.modelVariables}
+    assert list(told) == [
+        *NAMES,
+        *[f"error_{name}" for name in NAMES[6:]],
+        "coverage",
+        "tolerance_translation",
+        "tolerance_rotation",
+    ]
+    assert [told[name].unit for name in ("Fx", "Mz", "uz", "rx", "error_rz")] == [
+        "N",
+        "N.m",
+        "m",
+        "rad",
+        "rad",
+    ]
+    assert {told[name].causality for name in NAMES[:6]} == {"input"}
+    assert told["coverage"].type == "Integer"
+    assert told["coverage"].causality == "output"
+    units = {one.name: one.baseUnit for one in fmu.description.unitDefinitions}
+    assert (units["N.m"].kg, units["N.m"].m, units["N.m"].s) == (1, 2, -2)
+
+
+@pytest.mark.parametrize(("kind", "lag"), [("CoSimulation", 0.25), ("ModelExchange", 0.0)])
+def test_fmpy_simulates_it_either_way_with_the_tables_numbers(fmu, table, kind, lag):
+    asked = wrenches_of(table, 2)
+    names = [one.name for one in fmu.description.modelVariables]
+    columns = [(name, float) for name in ("time", *names[:6])]
+    ramp = np.array([(0.0, *asked[0]), (1.0, *asked[1])], dtype=columns)
+    outputs = names[6:12]
+    told = simulate_fmu(
+        str(fmu.path),
+        stop_time=1.0,
+        output_interval=0.25,
+        input=ramp,
+        output=outputs,
+        fmi_type=kind,
+    )
+    assert len(told) >= 5
+    for row in told[1:]:  # in co-simulation FMPy sets inputs before a step and reads after it
+        wrench = asked[0] + (row["time"] - lag) * (asked[1] - asked[0])
+        expected = table.batch([wrench]).displacement[0]
+        np.testing.assert_allclose([row[name] for name in outputs], expected, rtol=0, atol=1e-12)
+
+
+def test_inputs_are_zero_at_first_and_after_a_reset(fmu):
+    with fmu.running() as instance:
+        first = instance.getReal(LOADS + OUTPUTS)
+        instance.setReal(LOADS, INNER)
+        assert instance.getReal(OUTPUTS) != first[6:]
+        instance.reset()
+        instance.setupExperiment()
+        instance.enterInitializationMode()
+        assert instance.getReal(LOADS + OUTPUTS) == first
+
+
+def test_a_state_is_kept_put_back_and_written(fmu):
+    with fmu.running() as instance, fmu.running() as other:
+        instance.setReal(LOADS, INNER)
+        told = instance.getReal(OUTPUTS + BARS)
+        state = instance.getFMUstate()
+        written = instance.serializeFMUstate(state)
+        instance.setReal(LOADS, [0.0] * 6)
+        assert instance.getReal(OUTPUTS + BARS) != told
+        instance.setFMUstate(state)
+        assert instance.getReal(OUTPUTS + BARS) == told
+        instance.freeFMUstate(state)
+        again = other.deSerializeFMUstate(written)
+        other.setFMUstate(again)
+        assert other.getReal(LOADS + OUTPUTS) == INNER + told[:6]
+        other.freeFMUstate(again)
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[:-1], lambda b: b"x" + b[1:], lambda b: b"", bytes])
+def test_bytes_that_are_no_state_are_refused(fmu, damage):
+    with fmu.running() as instance:
+        state = instance.getFMUstate()
+        written = instance.serializeFMUstate(state)
+        wrong = bytes(len(written)) if damage is bytes else damage(written)
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            instance.deSerializeFMUstate(wrong)
+        instance.freeFMUstate(state)
+
+
+def test_instances_in_many_threads_do_not_disturb_each_other(fmu, table):
+    asked = [wrenches_of(table, 300, seed=seed) for seed in range(6)]
+    found = [None] * len(asked)
+
+    def run(place):
+        with fmu.running() as instance:
+            found[place] = answers(instance, asked[place])
+
+    threads = [threading.Thread(target=run, args=(place,)) for place in range(len(asked))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(120)
+    with fmu.running() as alone:
+        for told, wrenches in zip(found, asked, strict=True):
+            for mine, theirs in zip(answers(alone, wrenches), told, strict=True):
+                np.testing.assert_array_equal(mine, theirs)
+
+
+# --- attacks
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf])
+def test_an_input_that_is_not_finite_is_refused_and_nothing_is_set(fmu, number):
+    with fmu.running() as instance:
+        instance.setReal(LOADS, INNER)
+        before = instance.getReal(LOADS + OUTPUTS)
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            instance.setReal(LOADS, [1.0] * 5 + [number])
+        assert "finite" in instance.said[-1]
+        assert instance.getReal(LOADS + OUTPUTS) == before
+
+
+@pytest.mark.parametrize("method", ["kriging", "griddata", "tangent", "linear", "nearest"])
+def test_a_huge_or_tiny_load_is_flagged_and_never_ends_the_program(table, tmp_path, method):
+    with opened(table, tmp_path, method).running() as instance:
+        for load in LOADS:
+            for number in (1e300, -1e300, 1.7e308, 1e9):
+                instance.setReal(LOADS, [0.0] * load + [number] + [0.0] * (5 - load))
+                assert instance.getInteger(COVERAGE) == [2]
+                instance.getReal(OUTPUTS + BARS)
+                instance.getDirectionalDerivative(OUTPUTS, [load], [1.0])
+            instance.setReal(LOADS, [0.0] * load + [5e-324] + [0.0] * (5 - load))
+            assert np.isfinite(instance.getReal(OUTPUTS)).all()
+        instance.setReal(LOADS, [1e300] * 6)
+        assert instance.getInteger(COVERAGE) == [2]
+
+
+def test_nothing_is_set_once_it_is_terminated(fmu):
+    with fmu.running() as instance:
+        instance.setReal(LOADS, INNER)
+        told = instance.getReal(OUTPUTS)
+        instance.terminate()
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            instance.setReal(LOADS, INNER)
+        assert "reset" in instance.said[-1]
+        assert instance.getReal(OUTPUTS) == told
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            instance.doStep(0.0, 0.1)
+        instance.reset()
+        instance.setReal(LOADS, INNER)
+
+
+@pytest.mark.parametrize("step", [-1.0, np.nan, np.inf])
+def test_a_step_that_is_none_is_refused(fmu, step):
+    with fmu.running() as instance, pytest.raises(fmpy.fmi1.FMICallException):
+        instance.doStep(0.0, step)
+
+
+def test_calls_out_of_order_are_refused(fmu):
+    instance = fmu.instance()
+    for call in (instance.exitInitializationMode, instance.terminate):
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            call()
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        instance.doStep(0.0, 0.1)
+    instance.freeInstance()
+
+
+@pytest.mark.parametrize(
+    ("references", "numbers"),
+    [([6], [1.0]), ([18], [1.0]), ([99], [1.0]), ([2**32 - 1], [1.0]), ([0, 6], [1.0, 1.0])],
+)
+def test_what_is_no_input_is_not_set(fmu, references, numbers):
+    with fmu.running() as instance:
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            instance.setReal(references, numbers)
+        assert instance.getReal([0]) == [0.0]
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            instance.getReal([99])
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            instance.getInteger([0])
+
+
+@pytest.mark.parametrize("tolerance", [-1.0, np.nan, np.inf])
+def test_a_tolerance_is_a_number_above_zero_and_fixed_later(fmu, tolerance):
+    instance = fmu.instance()
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        instance.setReal(TOLERANCE, [tolerance, 1.0])
+    instance.freeInstance()
+    with fmu.running() as instance, pytest.raises(fmpy.fmi1.FMICallException):
+        instance.setReal(TOLERANCE, [1.0, 1.0])
+
+
+def test_a_wrong_guid_is_refused_by_name(fmu, capfd):
+    with pytest.raises(Exception, match="nstantiate"):
+        fmu.instance(guid="{00000000-0000-0000-0000-000000000000}")
+
+
+@pytest.mark.parametrize("damage", ["gone", "short", "long", "bit", "empty", "stranger"])
+def test_a_table_that_is_gone_or_damaged_is_refused(fmu, tmp_path, damage):
+    folder = tmp_path / "a folder ü%"
+    shutil.copytree(fmu.folder, folder)
+    table = folder / "resources" / "table.bin"
+    content = bytearray(table.read_bytes())
+    if damage == "bit":
+        content[len(content) // 2] ^= 1
+    kept = {
+        "short": content[:-8],
+        "long": content + bytes(8),
+        "bit": content,
+        "empty": b"",
+        "stranger": b"x" * 4096,
+    }
+    if damage == "gone":
+        table.unlink()
+    else:
+        table.write_bytes(kept[damage])
+    with pytest.raises(Exception, match="nstantiate"):
+        fmu.instance(folder=folder)
+
+
+def test_a_folder_with_blanks_and_letters_of_any_language_is_found(fmu, tmp_path):
+    folder = tmp_path / "a folder ü%20"
+    shutil.copytree(fmu.folder, folder)
+    instance = fmu.instance(folder=folder)
+    instance.setReal(LOADS, INNER)
+    assert instance.getInteger(COVERAGE)[0] in (0, 1)
+    instance.freeInstance()
+
+
+def test_a_change_of_coverage_is_an_event_of_model_exchange(fmu):
+    with fmu.running(FMU2Model) as instance:
+        assert instance.completedIntegratorStep() == (False, False)
+        instance.setReal(LOADS, [1e6] * 6)
+        assert instance.completedIntegratorStep() == (True, False)
+        instance.enterEventMode()
+        instance.newDiscreteStates()
+        instance.enterContinuousTimeMode()
+        assert instance.completedIntegratorStep() == (False, False)
+
+
+def test_instances_come_and_go_without_leaving_memory_behind(fmu):
+    resource = pytest.importorskip("resource")
+    for _ in range(3):
+        fmu.instance(FMU2Slave).freeInstance()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for _ in range(40):  # of some 3 MB each
+        fmu.instance(FMU2Slave).freeInstance()
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 40_000  # kB
