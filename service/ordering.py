@@ -108,10 +108,12 @@ class Orders:
             name, component.fingerprint, acting, priority=priority, asked_by=asked_by
         )[0]
 
-    def fill(self, name: str, wrenches: Floats, *, urgent: bool = False) -> list[Job]:
+    def fill(
+        self, name: str, wrenches: Floats, *, urgent: bool = False, asked_by: str = "fill"
+    ) -> list[Job]:
         """Accept a job for each different wrench, shape (n, 6), N and N·m, in one transaction.
 
-        Urgent ones start before those of a fill.
+        Urgent ones start before those of a fill. No limit holds: somebody has asked for them.
 
         Raises
         ------
@@ -124,7 +126,7 @@ class Orders:
             component.fingerprint,
             dict.fromkeys(map(tuple, component.acting(wrenches).tolist())),
             priority=1 if urgent else 0,
-            asked_by="fill",
+            asked_by=asked_by,
         )
 
     def queue(self, name: str, wrenches: Floats) -> list[Placed]:

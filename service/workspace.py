@@ -4,57 +4,50 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import threading
-from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
 from pathlib import Path
 
-from starlette.concurrency import run_in_threadpool
+import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from service.demand.demand import Demand
+from service.fields.deformed import DeformedShapes
+from service.fields.shape import Deformed
+from service.fields.store import FieldStore
 from service.jobs.attempt import Progress, attempt_folder, read_progress
 from service.jobs.dispatcher import Dispatcher
+from service.jobs.engines.engine import Engine
 from service.jobs.engines.registry import open_engine
+from service.jobs.polls import Polls
 from service.jobs.record_outcome import notes_of
+from service.jobs.waiting import Waiting, why_waiting
 from service.ledger import Change, Job, Ledger, LedgerUnavailableError, OpenJob
+from service.library.catalogue import Catalogue
+from service.library.checked import solver_error_of
 from service.library.component import Component
 from service.library.library import Library
-from service.ordering import QUEUE_LIMIT, Orders
+from service.ordering import Orders
 from service.report.queue import Reports
-from service.tables.live import TableBehindError, Tables
+from service.settings import Settings
+from service.tables.behind import TableBehindError
+from service.tables.live import Tables
+from service.tables.mapped import MappedTables
+from service.tables.past import PastTables
+from service.tables.shelf import FOLDER, Shelf
+from service.tables.solver_errors import SolverErrors
+from service.upkeep.disk import is_full
+from service.upkeep.housekeeping import Housekeeping
 from surrogate.build import AnyTable
 from surrogate.design.adaptive import Design, next_wrenches
-from surrogate.table.rows import LoadRange, Tolerance
+from surrogate.scene.need import Need
+from surrogate.scene.plan import design_of, plan_of
+from surrogate.solver_error import SolverError
+from surrogate.table.rows import Tolerance
 
 log = logging.getLogger(__name__)
 
-WAIT_POLL_S = 0.25
 CATCH_UP_S = 25.0  # below the patience of clients and proxies, usually 30 s
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Where a workspace lies and how many solves may run at once on this machine.
-
-    Parameters
-    ----------
-    folder:
-        The data directory; everything the server must not lose is in it.
-    solvers:
-        Solves at once; 0 leaves all solving to other processes (``wrenchbook work``).
-    engine:
-        Where they run, by name.
-    allow_decks:
-        Whether an uploaded bundle may have a deck: it names a command, which solvers then run.
-    queue_limit:
-        Open jobs of a component that queries may have; those of fills and solves do not count.
-    """
-
-    folder: Path
-    solvers: int = 2
-    engine: str = "local"
-    allow_decks: bool = False
-    queue_limit: int = QUEUE_LIMIT
 
 
 class Workspace:
@@ -75,12 +68,19 @@ class Workspace:
             allow_decks=settings.allow_decks,
             on_added=self._on_added,
         )
+        self.catalogue = Catalogue(settings.folder / "library.json")
+        self.demand = Demand(settings.folder / "demand.json")
         self.orders = Orders(self.ledger, self.library, settings.queue_limit)
-        self.tables = Tables(self.ledger, self.library, settings.folder / "tables")
+        self.errors = SolverErrors(settings.folder / "solver_errors")
+        self.tables = self._open_tables(settings.folder / "tables")
+        self.past = PastTables(self.ledger, self.library, self.tables, self.errors)
+        self._housekeeping = Housekeeping(self.ledger, self._jobs_folder, settings.keep)
+        self.fields = FieldStore(settings.folder / "fields")
+        self.shapes = DeformedShapes(self.fields)
         self.reports = Reports(settings.folder / "reports", settings.folder / "tables")
         self._dispatcher: Dispatcher | None = None
-        self._changed: set[asyncio.Event] = set()
-        self._changed_lock = threading.Lock()
+        self._engine: Engine | None = None
+        self._polls = Polls(self.ledger)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._unit_solves_asked: dict[str, tuple[str, int]] = {}
 
@@ -89,24 +89,35 @@ class Workspace:
         self._loop = loop
         # Threads of small matrix products only wait for each other, the more the busier the cores.
         threadpool_limits(limits=1)
+        with suppress(LedgerUnavailableError):
+            self.ledger.drop_abandoned()  # what a server left that was killed during an import
         self.ledger.on_change(self._on_change)
         self.tables.start()
+        self.demand.start()
         self.start_solving()
 
     def start_solving(self) -> None:
         """Run the jobs of the ledger, without tables: all that `wrenchbook work` needs."""
-        if not self.settings.solvers:
+        if not self.settings.solvers or self.settings.part == "answering":
             return
-        engine = open_engine(self.settings.engine, self.settings.solvers)
-        self._dispatcher = Dispatcher(self.ledger, engine, self._bundle, self._jobs_folder)
+        settings = self.settings
+        self._engine = open_engine(settings.engine, settings.solvers, scheduler=settings.scheduler)
+        where = self._bundle, self._jobs_folder, self.fields, self.errors
+        self._dispatcher = Dispatcher(self.ledger, self._engine, *where)
         self._dispatcher.start()
+        self._housekeeping.start()
 
     def close(self) -> None:
         """Stop; the solves that run are ended and wait again for the next start."""
-        if self._dispatcher:
+        self._housekeeping.stop()
+        if self._dispatcher and self._engine:
             self._dispatcher.stop()
+            self._engine.close()
+            log.info("solvers have ended; the jobs they were at wait for the next start")
         self.reports.close()
+        self.shapes.close()
         self.tables.stop()
+        self.demand.stop()
         self.ledger.close()
 
     def surrogate(self, name: str) -> AnyTable:
@@ -119,6 +130,14 @@ class Workspace:
         if surrogate.linear and not surrogate.fit.complete:
             self._ask_compliance(name, surrogate)
         return surrogate
+
+    def solver_error(self, name: str) -> SolverError | None:
+        """Return what a component's solver may be wrong by, as a row that came just now needs it.
+
+        The estimate is kept before the row is; the table's version with both may still be built.
+        """
+        known = self.tables.surrogate(name).solver_error
+        return known or self.errors.read(name, self.library[name].fingerprint)
 
     def first_open_job(self, name: str) -> OpenJob | None:
         """Return the oldest job of a component that waits or runs; None if there is none."""
@@ -144,13 +163,27 @@ class Workspace:
         await loop.run_in_executor(None, self.tables.catch_up, name, seconds)
         return self.tables.surrogate(name)
 
+    def deformed(self, name: str, wrench: NDArray[np.float64]) -> Deformed:
+        """Return a component's deformed surface under a wrench (6,), N and N·m.
+
+        It reads files: nothing for an event loop.
+
+        Raises
+        ------
+        UnknownComponentError, NoFieldsError, TooFarError
+            If there is no such component, if no row has a surface, or the wrench is far beyond
+            the load range.
+        """
+        table = self.surrogate(name)
+        held = table.kriging.hyperparameters if table.kriging else None
+        return self.shapes.answer(self.library[name], table.rows, wrench, held)
+
     def fill(
         self,
         name: str,
         budget: int,
         tolerance: Tolerance | None,
-        span: LoadRange | None = None,
-        outputs: Sequence[int] = range(6),
+        need: Need | None = None,
     ) -> tuple[Design, list[Job]]:
         """Design one round of solves on all rows there are, and accept them.
 
@@ -158,10 +191,8 @@ class Workspace:
         ----------
         tolerance : Tolerance or None, m and rad
             The component's own if None.
-        span : LoadRange, optional, N and N·m
-            The part of the load range that the table is wanted for; all of it by default.
-        outputs : sequence of int
-            The outputs that are wanted.
+        need : Need, optional
+            What a scene needs of the table, with its own tolerance; the fill then follows its plan.
 
         Raises
         ------
@@ -176,16 +207,13 @@ class Workspace:
         # The other way round it would be in neither, and be asked for again.
         asked = self.orders.asked_wrenches(name)
         surrogate = self.tables.caught_up(name, CATCH_UP_S)
-        design = next_wrenches(
-            surrogate,
-            budget,
-            pending=asked,
-            tolerance=tolerance,
-            span=span,
-            outputs=outputs,
-        )
+        if need is None:
+            span = self.library[name].acting_range
+            design = next_wrenches(surrogate, budget, pending=asked, tolerance=tolerance, span=span)
+        else:
+            design = design_of(surrogate, plan_of(surrogate, need), budget, asked)
         jobs = self.orders.fill(name, design.wrenches)
-        # A design knows no locked freedoms: what it tells apart may be one wrench, and known.
+        # A design tells apart by 1e-9 of the range, a queue by 1e-6: some may be known.
         return design, [job for job in jobs if job.status != "done"]
 
     async def wait(self, job_id: int, seconds: float) -> Job:
@@ -194,22 +222,23 @@ class Workspace:
 
     async def wait_all(self, job_ids: list[int], seconds: float) -> list[Job]:
         """Return the jobs once all have ended, or as they are after ``seconds``."""
-        loop = asyncio.get_running_loop()
-        deadline = loop.time() + seconds
-        changed = asyncio.Event()
-        with self._changed_lock:
-            self._changed.add(changed)
-        try:
-            while True:
-                changed.clear()
-                jobs = await run_in_threadpool(lambda: [self.ledger.job(one) for one in job_ids])
-                left = deadline - loop.time()
-                if left <= 0 or all(job.is_final for job in jobs):
-                    return jobs
-                await _wait_for(changed, min(left, WAIT_POLL_S))
-        finally:
-            with self._changed_lock:
-                self._changed.discard(changed)
+        return await self._polls.wait_all(job_ids, seconds)
+
+    def let_go(self) -> None:
+        """Let all who wait for jobs have them as they are: the server stops. For the loop."""
+        self._polls.let_go()
+
+    def why_waiting(self, job: Job) -> Waiting | None:
+        """Return why a job waits and for how long it may; None if it does not wait."""
+        if job.status != "waiting":
+            return None
+        return why_waiting(self.ledger, job, self.settings.solvers, self.trouble())
+
+    def trouble(self) -> str | None:
+        """Return why no job runs; None if nothing is wrong."""
+        if isinstance(self.tables, MappedTables):
+            return self.tables.trouble()
+        return self._dispatcher.trouble if self._dispatcher else None
 
     def progress(self, job: Job) -> Progress | None:
         """Return how far a running job is; None if its solver has not said anything yet."""
@@ -228,17 +257,32 @@ class Workspace:
         trouble = self.ledger.trouble()
         if trouble:
             return [f"nothing is accepted: {trouble}"]
-        trouble = self._dispatcher.trouble if self._dispatcher else None
+        if is_full(self.settings.folder):
+            return ["nothing is accepted: the disk is full; make room"]
+        trouble = self.trouble()
         return [f"jobs do not run: {trouble}"] if trouble else []
 
     def broken(self) -> dict[str, str]:
         """Return what is wrong with single components, by name; the others answer."""
         damaged: dict[str, str] = {}
+        if losses := self.ledger.losses():
+            damaged["(ledger)"] = f"{'; '.join(losses)}. Settle it with: wrenchbook doctor --mend"
         for seq, name in self.ledger.damaged.items():
             damaged[name] = f"row {seq} is damaged on the disk and left out of the table"
         return {**damaged, **self.tables.faults(), **self.library.broken()}
 
+    def _open_tables(self, folder: Path) -> Tables | MappedTables:
+        if self.settings.part == "all":
+            return Tables(self.ledger, self.library, folder, self.errors)
+        shelf = Shelf(self.settings.folder / FOLDER)
+        if self.settings.part == "answering":
+            return MappedTables(self.ledger, self.library, folder, shelf)
+        return Tables(self.ledger, self.library, folder, self.errors, shelf)
+
     def _on_added(self, component: Component) -> None:
+        told = solver_error_of(component.folder, component.fingerprint)
+        if told is not None:  # its check estimated it already: the first solve need not
+            self.errors.settle(component.name, component.fingerprint, told)
         try:
             self.surrogate(component.name)
         except TableBehindError:
@@ -267,14 +311,4 @@ class Workspace:
         loop = self._loop
         if loop is None or loop.is_closed():
             return
-        with self._changed_lock:
-            waiting = list(self._changed)
-        for event in waiting:
-            loop.call_soon_threadsafe(event.set)
-
-
-async def _wait_for(event: asyncio.Event, seconds: float) -> None:
-    try:
-        await asyncio.wait_for(event.wait(), seconds)
-    except TimeoutError:
-        return
+        loop.call_soon_threadsafe(self._polls.tell)

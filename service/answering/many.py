@@ -16,6 +16,7 @@ from service.answering.solved import read_row
 from service.ordering import Placed
 from service.workspace import Workspace
 from surrogate.answer import COVERED
+from surrogate.build import AnyTable
 from surrogate.derivative import derivatives_at
 from surrogate.methods.method import why_beyond
 
@@ -52,28 +53,51 @@ async def answer_or_submit_many(workspace: Workspace, name: str, batch: BatchQue
 
 def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcome:
     """Answer from the table, and place what it does not cover."""
-    surrogate = workspace.surrogate(name)
+    outcome = answered_many(name, workspace.surrogate(name), batch)
+    thin = np.flatnonzero(outcome.coverage)
+    if len(thin):
+        span = workspace.library.as_read(name).load_range
+        workspace.demand.note_batch(name, span, batch.wrenches, outcome.coverage)
+    if not len(thin) or batch.on_thin == "estimate":
+        return outcome
+    refuse_thin(batch, thin)
+    outcome.jobs = _placed(workspace, name, batch, thin)
+    _take_rows(workspace, batch, outcome)
+    return outcome
+
+
+def answered_many(name: str, surrogate: AnyTable, batch: BatchQuery) -> BatchOutcome:
+    """Answer by a table as it is."""
     started = perf_counter_ns()
     how = batch.tolerance, batch.method
     answers = surrogate.batch(batch.wrenches, *how)
     elapsed_us = (perf_counter_ns() - started) / 1e3
     method = batch.method or surrogate.default
     outcome = BatchOutcome(name, *answers, surrogate.version, elapsed_us, [], method)
+    if surrogate.bars_are_whole:
+        outcome.tolerance = batch.tolerance or surrogate.tolerance
+    if surrogate.solver_error is not None:
+        outcome.errors = surrogate.solver_error.widened_many(answers.error, batch.wrenches)
     drop_estimates(outcome)
     if batch.derivatives:
         outcome.derivatives = derivatives_at(surrogate, batch.wrenches, *how)
-    thin = np.flatnonzero(answers.coverage)
-    if not len(thin) or batch.on_thin == "estimate":
-        return outcome
+    return outcome
+
+
+def refuse_thin(batch: BatchQuery, thin: Places) -> None:
+    """Refuse a batch that wants no wrench but covered ones.
+
+    Raises
+    ------
+    NotCoveredError
+        If ``on_thin`` is ``reject``.
+    """
     if batch.on_thin == "reject":
         raise NotCoveredError(
             f"{len(thin)} of {len(batch.wrenches)} wrenches are not covered, the first is number "
             f"{thin[0]}. Ask with on_thin 'queue', 'wait' or 'estimate'.",
             uncovered=thin.tolist(),
         )
-    outcome.jobs = _placed(workspace, name, batch, thin)
-    _take_rows(workspace, batch, outcome)
-    return outcome
 
 
 def _placed(workspace: Workspace, name: str, batch: BatchQuery, thin: Places) -> list[WrenchJob]:
@@ -115,12 +139,16 @@ def _look_again(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) 
 def _take_rows(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) -> None:
     """Put the rows of the jobs that are done in the place of the table's estimates."""
     scale = workspace.library[outcome.component].load_range.scale
+    solver = workspace.solver_error(outcome.component)
     for one in outcome.jobs:
         if one.job is None or one.job.row is None or not one.own:
             continue
         row = workspace.ledger.row(one.job.row)
         asked = batch.wrenches[one.index]
-        outcome.displacements[one.index], outcome.errors[one.index] = read_row(row, asked, scale)
+        outcome.displacements[one.index], error = read_row(row, asked, scale)
+        if solver is not None:
+            error = solver.widened_many(error[None], asked[None])[0]
+        outcome.errors[one.index] = error
         outcome.coverage[one.index] = COVERED
         if outcome.derivatives is not None:
             known = row.compliance is not None

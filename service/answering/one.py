@@ -2,24 +2,47 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from time import perf_counter_ns
 
 import numpy as np
 from starlette.concurrency import run_in_threadpool
 
+from service.answering.error_parts import error_parts
 from service.answering.estimates import also, drop_estimate
 from service.answering.method_detail import detail_of
 from service.answering.queries import Outcome, Query
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
-from service.answering.solved import ROUNDED, read_row
-from service.client.replies import EXACT
+from service.answering.solved import read_row
+from service.client.replies import EXACT, ROUNDED
 from service.ledger import Job
 from service.ordering import Placed
 from service.workspace import Workspace
+from surrogate.answer import within_tolerance
 from surrogate.build import AnyTable
 from surrogate.derivative import derivative_at
 from surrogate.methods.method import why_beyond
+
+
+def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | None:
+    """Return what `answer_or_submit` does to a plain query, if the table alone says it.
+
+    None where that needs a solve, another thread or a refusal. Not for `solve`, another method
+    than the component's own, `detail` or `derivatives`.
+
+    Raises
+    ------
+    UnknownComponentError
+        If there is no such component.
+    """
+    surrogate = workspace.surrogate(name)
+    query = acting(workspace, name, query)
+    outcome = _from_table(name, surrogate, query)
+    if outcome.coverage != "covered":
+        if query.on_thin != "estimate" or (surrogate.linear and not surrogate.fit.complete):
+            return None
+        _note(workspace, query, outcome)
+        drop_estimate(outcome)
+    return outcome
 
 
 async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Outcome:
@@ -39,68 +62,105 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
         If the solve of this wrench failed.
     """
     surrogate = workspace.surrogate(name)
-    query = _acting(workspace, name, query)
+    query = acting(workspace, name, query)
     if query.on_thin == "solve":
         outcome = _unanswered(name, surrogate)
     else:
-        outcome = await _answered(name, surrogate, query)
+        outcome = await answered(name, surrogate, query)
+        if query.detail:
+            tell_parts(workspace, surrogate, query, outcome)
         if outcome.coverage != "covered":
+            _note(workspace, query, outcome)
             drop_estimate(outcome)
             if surrogate.linear and not surrogate.fit.complete:
                 await _name_awaited(workspace, query, outcome)
         if outcome.coverage == "covered" or query.on_thin == "estimate":
             return outcome
-        if query.on_thin == "reject":
-            raise NotCoveredError(
-                f"{outcome.reason}. Ask with on_thin 'queue' or 'wait' to have it solved, or "
-                "'estimate' for the best guess.",
-                coverage=outcome.coverage,
-            )
+        refuse_uncovered(query, outcome)
     return await _submitted(workspace, query, outcome)
 
 
-def _acting(workspace: Workspace, name: str, query: Query) -> Query:
+def refuse_uncovered(query: Query, outcome: Outcome) -> None:
+    """Refuse what is not covered to who wants nothing else.
+
+    Raises
+    ------
+    NotCoveredError
+        If ``on_thin`` is ``reject``.
+    """
+    if query.on_thin == "reject":
+        raise NotCoveredError(
+            f"{outcome.reason}. Ask with on_thin 'queue' or 'wait' to have it solved, or "
+            "'estimate' for the best guess.",
+            coverage=outcome.coverage,
+        )
+
+
+def _note(workspace: Workspace, query: Query, outcome: Outcome) -> None:
+    """Count what the table does not cover."""
+    span = workspace.library.as_read(outcome.component).load_range
+    workspace.demand.note(outcome.component, span, query.wrench, outcome.coverage)
+
+
+def acting(workspace: Workspace, name: str, query: Query) -> Query:
     """Leave out the loads on locked freedoms: the rest has the same answer."""
     component = workspace.library.as_read(name)
     if not component.idle:
         return query
-    return replace(query, wrench=tuple(component.acting(np.array(query.wrench)).tolist()))
+    return query._replace(wrench=tuple(component.acting(np.array(query.wrench)).tolist()))
 
 
-async def _answered(name: str, surrogate: AnyTable, query: Query) -> Outcome:
+async def answered(name: str, surrogate: AnyTable, query: Query) -> Outcome:
     """Answer here by the component's own method; others may have to be built first, elsewhere."""
-    started = perf_counter_ns()
     if query.method is None:
-        answer = surrogate.answer(query.wrench, query.tolerance)
+        outcome = _from_table(name, surrogate, query)
     else:
-        answer = await run_in_threadpool(
-            surrogate.answer, query.wrench, query.tolerance, query.method
+        outcome = await run_in_threadpool(_from_table, name, surrogate, query)
+    if query.derivatives and outcome.displacement:
+        outcome.derivative = derivative_at(
+            surrogate, query.wrench, query.method, by_row=outcome.method == "row"
         )
+    if query.detail:
+        asked = query.wrench, query.tolerance, query.method
+        outcome.axes = await run_in_threadpool(surrogate.explain, *asked)
+        outcome.method_detail = detail_of(surrogate, outcome.method or surrogate.default)
+    return outcome
+
+
+def tell_parts(workspace: Workspace, table: AnyTable, query: Query, outcome: Outcome) -> None:
+    """Say what the bars of an answer of the table's are the sum of."""
+    own = table.answer(query.wrench, query.tolerance, query.method).error
+    has_fea = workspace.library.as_read(outcome.component).has_fea
+    outcome.error_parts = error_parts(own, table.solver_error, query.wrench, has_fea=has_fea)
+
+
+def _from_table(name: str, surrogate: AnyTable, query: Query) -> Outcome:
+    """Answer by the table as it is."""
+    started = perf_counter_ns()
+    answer = surrogate.answer(query.wrench, query.tolerance, query.method)
     elapsed_us = (perf_counter_ns() - started) / 1e3
     displacement, error, coverage, reason, method, missing = answer
+    if surrogate.solver_error is not None:
+        error = surrogate.solver_error.widened(error, query.wrench)
+    source = "table" if displacement else None
+    if method == "row":
+        source = surrogate.source_of(query.wrench)
+        own = EXACT if surrogate.has_row(query.wrench) else ROUNDED
+        reason = f"{own} {reason}".rstrip()
     outcome = Outcome(
         name,
         displacement,
         error,
         coverage,
-        "table" if displacement else None,
+        source,
         method,
         surrogate.version,
         elapsed_us,
         reason,
     )
-    if method == "row":
-        outcome.source = surrogate.source_of(query.wrench)
-        outcome.reason = f"{EXACT} {reason}".rstrip()
     outcome.missing = missing
-    if query.derivatives and displacement:
-        outcome.derivative = derivative_at(
-            surrogate, query.wrench, query.method, by_row=method == "row"
-        )
-    if query.detail:
-        asked = query.wrench, query.tolerance, query.method
-        outcome.axes = await run_in_threadpool(surrogate.explain, *asked)
-        outcome.method_detail = detail_of(surrogate, method)
+    limit = query.tolerance or surrogate.tolerance
+    outcome.within_tolerance = within_tolerance(error, limit) if surrogate.bars_are_whole else None
     return outcome
 
 
@@ -168,7 +228,15 @@ def _take_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) ->
     displacement, error = read_row(row, np.array(query.wrench), scale)
     if query.derivatives:
         outcome.derivative = None if row.compliance is None else np.array(row.compliance)
-    outcome.displacement, outcome.error = tuple(displacement.tolist()), tuple(error.tolist())
+    own, solver = tuple(error.tolist()), workspace.solver_error(outcome.component)
+    outcome.displacement, outcome.error = tuple(displacement.tolist()), own
+    if solver is not None:
+        outcome.error = solver.widened(own, query.wrench)
+    limit = query.tolerance or workspace.library[outcome.component].tolerance
+    whole = solver is not None and solver.mesh is not None
+    outcome.within_tolerance = within_tolerance(outcome.error, limit) if whole else None
+    if query.detail:
+        outcome.error_parts = error_parts(own, solver, query.wrench, has_fea=True)
     outcome.coverage, outcome.method, outcome.source = "covered", "row", row.source
     outcome.reason = EXACT if row.wrench == query.wrench else ROUNDED
     outcome.method_detail = detail_of(None, "row") if query.detail else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,8 @@ Floats = NDArray[np.float64]
 Wanted = Literal["queue", "wait", "estimate", "reject", "solve"]
 
 
-@dataclass(frozen=True, slots=True)
-class Query:
-    """One question.
+class Query(NamedTuple):
+    """One question; a tuple, since the main call makes one each time, in a third of the time.
 
     Attributes
     ----------
@@ -95,6 +94,10 @@ class Outcome:
         du/dw if asked for; NaN, or None as a whole, where it is not known.
     method_detail : str
         How the method answers, in words, if asked for.
+    within_tolerance : bool or None
+        Whether the bars, the solver's share included, are within the tolerance; None if unknown.
+    error_parts : dict or None
+        What the bars are the sum of, by cause, if asked for (`service.answering.error_parts`).
     """
 
     component: str
@@ -114,6 +117,8 @@ class Outcome:
     missing: tuple[str, ...] = ()
     derivative: Floats | None = None
     method_detail: str | None = None
+    within_tolerance: bool | None = None
+    error_parts: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +132,7 @@ class WrenchJob:
     own : bool
         Whether the job solves this very wrench, not one near by.
     reason : str
-        ``beyond-range`` or ``queue-limit`` if there is no job.
+        ``beyond-range``, ``queue-limit`` or ``table-version`` if there is no job.
     """
 
     index: int
@@ -155,6 +160,8 @@ class BatchOutcome:
         How the table answers.
     derivatives : ndarray, shape (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None
         du/dw if asked for; NaN where it is not known.
+    tolerance : Tolerance or None
+        What the bars are held against: the query's, else the component's own.
     """
 
     component: str
@@ -166,6 +173,7 @@ class BatchOutcome:
     jobs: list[WrenchJob]
     method: str
     derivatives: Floats | None = None
+    tolerance: Tolerance | None = None
 
     @property
     def unsolved(self) -> bool:

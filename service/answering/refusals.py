@@ -35,7 +35,7 @@ class SolveFailedError(RefusedError):
     def __init__(self, job: Job) -> None:
         error = job.error or {}
         message, remedy = error.get("message", ""), error.get("remedy", "")
-        # A solver's own failures end in their remedy already.
+        # Failures that older versions stored end in their remedy already.
         told = message if message.endswith(remedy) else f"{message} {remedy}"
         mended = f"Once mended, POST /v1/jobs/{job.id}/retry."
         super().__init__(f"{told} {mended}".strip(), error=error)

@@ -9,8 +9,6 @@ from service.ledger import LedgerRow
 
 Floats = NDArray[np.float64]
 
-ROUNDED = "One row of the table has this wrench, rounded to 1e-6 of the load range."
-
 
 def read_row(row: LedgerRow, wrench: Floats, scale: Floats) -> tuple[Floats, Floats]:
     """Return the displacement and the error bar of a row for the wrench it was rounded from.

@@ -2,49 +2,156 @@
 
 from __future__ import annotations
 
+import importlib.util
 import subprocess
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
-from rich.console import Console
 
+from fea.bundle.read import FILE_NAME
+from fea.bundle.shipped import SHIPPED
+from service.cli.keys import make_first_key
+from service.cli.screen import Screen
 from service.files.child import child_command
+from service.files.cores import usable_cores
 
+CORES = usable_cores()
+LogLevel = Literal["debug", "info", "warning", "error"]
+LogFormat = Literal["text", "json"]
 DEFAULT_DATA = Path("wrenchbook-data")
+DEFAULT_PAPER = Path("wrenchbook-paper")
+
+
+Host = Annotated[str, typer.Option(help="address to listen on")]
+AllowHost = Annotated[
+    str | None, typer.Option(help="further names of this server, with commas: a proxy's, say")
+]
+AllowOrigin = Annotated[
+    str | None, typer.Option(help="other sites whose pages may call: https://..., with commas")
+]
+FirstKey = Annotated[
+    bool, typer.Option("--first-key", help="make a key for admin if there is none; printed once")
+]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one")]
+Solvers = Annotated[int, typer.Option(min=0, help="solves at once; by default one a core")]
+Processes = Annotated[
+    int, typer.Option(min=1, max=64, help="that answer; more than 1: one more builds and solves")
+]
+Follow = Annotated[
+    str | None,
+    typer.Option(help="answer from copies of the tables of the server at URL", metavar="URL"),
+]
+EngineName = Annotated[str, typer.Option(help="where solves run: local or dask")]
+Scheduler = Annotated[
+    str | None, typer.Option(help="with --engine dask: tcp://HOST:8786, or tls://")
+]
+AllowDecks = Annotated[
+    bool, typer.Option(help="take uploaded bundles with a deck: solvers run its command")
+]
+QueueLimit = Annotated[int, typer.Option(min=0, help="open jobs of a component from queries")]
+_DONE, _FAILED = "folders of done attempts are kept", "folders of failed and cancelled ones"
+KeepDays = Annotated[float, typer.Option(min=0, help=f"days that {_DONE}")]
+KeepCount = Annotated[int, typer.Option(min=0, help=f"most {_DONE}, 27 kB each")]
+KeepFailedDays = Annotated[float, typer.Option(min=0, help=f"days that {_FAILED} are kept")]
+KeepFailedCount = Annotated[int, typer.Option(min=0, help=f"most {_FAILED} that are kept")]
+Level = Annotated[LogLevel, typer.Option(help="how much the log tells")]
+Form = Annotated[LogFormat, typer.Option(help="lines for people or JSON for programs")]
+Config = Annotated[
+    Path | None, typer.Option(help="settings; otherwise wrenchbook.toml in the data directory")
+]
+ShowSettings = Annotated[
+    bool, typer.Option("--show-settings", help="print all settings, and where from, and end")
+]
+Folder = Annotated[Path, typer.Option(help="data directory", envvar="WRENCHBOOK_DATA")]
 
 
 def serve(
-    data: Annotated[Path, typer.Option(help="data directory", envvar="WRENCHBOOK_DATA")] = (
-        DEFAULT_DATA
-    ),
-    host: Annotated[str, typer.Option(help="address to listen on")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one")] = 8000,
-    solvers: Annotated[int, typer.Option(min=0, help="solves at once")] = 2,
-    engine: Annotated[str, typer.Option(help="where solves run: local")] = "local",
-    allow_decks: Annotated[
-        bool, typer.Option(help="take uploaded bundles with a deck: solvers run its command")
-    ] = False,
-    queue_limit: Annotated[
-        int, typer.Option(min=0, help="open jobs of a component that queries may have")
-    ] = 64,
-    log_level: Annotated[str, typer.Option(help="debug, info, warning or error")] = "info",
+    ctx: typer.Context,
+    data: Folder = DEFAULT_DATA,
+    host: Host = "127.0.0.1",
+    port: Port = 8000,
+    solvers: Solvers = CORES,
+    processes: Processes = 1,
+    follow: Follow = None,
+    engine: EngineName = "local",
+    scheduler: Scheduler = None,
+    allow_decks: AllowDecks = False,
+    queue_limit: QueueLimit = 64,
+    keep_days: KeepDays = 30.0,
+    keep_count: KeepCount = 2000,
+    keep_failed_days: KeepFailedDays = 180.0,
+    keep_failed_count: KeepFailedCount = 10_000,
+    log_level: Level = "info",
+    log_format: Form = "text",
+    allow_host: AllowHost = None,
+    allow_origin: AllowOrigin = None,
+    first_key: FirstKey = False,
+    config: Config = None,
+    show_settings: ShowSettings = False,
 ) -> None:
     """Serve the API and solve what is queued."""
-    from service.http.server import serve as run
-    from service.jobs.engines.registry import ENGINES
-    from service.workspace import Settings
+    from service.cli.settings import settings_of, shown
 
-    if engine not in ENGINES:
-        raise typer.BadParameter(f"there is no engine {engine!r}; there are: {', '.join(ENGINES)}")
-    run(Settings(data, solvers, engine, allow_decks, queue_limit), host, port, log_level)
+    found = settings_of(ctx, serve, config)
+    if show_settings:
+        typer.echo(shown(found), nl=False)
+    else:
+        _serve(**{name: setting.value for name, setting in found.items()})
+
+
+def _serve(**said: Any) -> None:
+    """Serve by settings as they hold."""
+    from service.http.door.opening import opening_of_options, require_keys
+    from service.jobs.engines.registry import EngineSettingsError, check_engine
+
+    try:
+        check_engine(said["engine"], said["scheduler"])
+    except EngineSettingsError as error:
+        raise typer.BadParameter(str(error)) from error
+    _make_folder(said["data"])
+    if said["first_key"]:
+        make_first_key(said["data"])
+    require_keys(said["host"], said["data"], following=said["follow"] is not None)
+    how = said["host"], said["port"], said["log_level"], said["log_format"]
+    if said["follow"] is not None:
+        from service.following.serve import follow
+
+        if said["processes"] > 1:
+            raise typer.BadParameter(
+                "--follow runs as one process; start several, each with --data"
+            )
+        follow(said["follow"], said["data"], *how, opening_of_options(said))
+    elif said["processes"] > 1:
+        from service.crew.supervisor import supervise
+
+        supervise(said)
+    else:
+        from service.http.server import serve as run
+        from service.settings import settings_of_options
+
+        opening = opening_of_options(said)
+        run(settings_of_options(said), *how, opening)
+
+
+def _make_folder(folder: Path) -> None:
+    """Refuse a data directory that is not there and cannot be made: nothing could be kept in it."""
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise typer.BadParameter(
+            f"the data directory {folder} cannot be made: {error.strerror}; name another with "
+            "--data, or make it for the user that serves"
+        ) from error
 
 
 def work(
     data: Annotated[Path, typer.Option(help="data directory", envvar="WRENCHBOOK_DATA")] = (
         DEFAULT_DATA
     ),
-    solvers: Annotated[int, typer.Option(min=1, help="solves at once")] = 2,
+    solvers: Annotated[
+        int, typer.Option(min=1, help="solves at once; by default one a core")
+    ] = CORES,
 ) -> None:
     """Only solve: take jobs from the data directory that a server accepts them in."""
     from service.cli.worker import work as run
@@ -58,27 +165,100 @@ def demo(
     """Show the main job end to end on real finite elements; about five minutes."""
     from service.cli.demo import run
 
-    raise typer.Exit(run(Console(), keep))
+    raise typer.Exit(run(Screen(), keep))
 
 
 def validate(
     topic: Annotated[
-        str, typer.Argument(help="patch, bar, plate, curved_beam, spring or all")
+        str,
+        typer.Argument(
+            help="patch, bar, plate, curved_beam, spring, material, all; paper; or, with --with, "
+            "a component or a bundle's folder"
+        ),
     ] = "all",
     markdown: Annotated[bool, typer.Option(help="print the tables as Markdown")] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="with paper: the folder of page and JSON")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="with paper: fewer loads, one plate")] = (
+        False
+    ),
+    beside: Annotated[
+        Literal["ccx"] | None, typer.Option("--with", help="solve a component by CalculiX too")
+    ] = None,
+    wrench: Annotated[
+        list[str] | None,
+        typer.Option(help="using --with: Fx,Fy,Fz,Mx,My,Mz in N and N·m; again for more"),
+    ] = None,
+    data: Folder = DEFAULT_DATA,
 ) -> None:
-    """Verify the solver against closed forms, published numbers and CalculiX; minutes for all."""
+    """Verify the solver against closed forms, published numbers and CalculiX; minutes for all.
+
+    `paper` runs the coupling paper's bar, spring and robot on a plate, MuJoCo and service included.
+    """
     # In a process of its own: this one never imports the finite elements.
+    if beside is not None:
+        loads = [f"--wrench={one}" for one in wrench or ()]
+        bundle = str(_bundle_named(topic, data))
+        words = child_command("fea.validation.second_opinion", *loads, "--", bundle)
+        raise typer.Exit(subprocess.run(words, check=False).returncode)
+    if wrench:
+        raise typer.BadParameter("--wrench goes with --with ccx")
+    if topic == "paper":
+        raise typer.Exit(_validate_paper(out or DEFAULT_PAPER, quick, markdown))
+    if out is not None or quick:
+        raise typer.BadParameter("--out and --quick go with the topic paper")
     words = child_command("fea.validation", topic, *(["--markdown"] * markdown))
     raise typer.Exit(subprocess.run(words, check=False).returncode)
+
+
+def _bundle_named(name: str, data: Path) -> Path:
+    """Return the folder of a component, the data directory's or a shipped one, or a folder."""
+    folders = [data / "components" / name, SHIPPED / name, Path(name)]
+    for folder in folders:
+        if (folder / FILE_NAME).is_file():
+            return folder
+    raise typer.BadParameter(
+        f'"{name}" is neither a component in {data} (--data) nor a shipped one, nor a folder with '
+        f"{FILE_NAME}"
+    )
+
+
+def _validate_paper(out: Path, quick: bool, markdown: bool) -> int:
+    """Reproduce the paper in a process of its own; return its exit status."""
+    if markdown:
+        raise typer.BadParameter("--markdown is for the other topics: paper writes a page and JSON")
+    if out.exists() and not out.is_dir():
+        raise typer.BadParameter(f"--out {out} is a file; name a folder")
+    if importlib.util.find_spec("mujoco") is None:
+        raise RuntimeError(
+            "validate paper runs MuJoCo, which is not installed: pip install 'wrenchbook[mujoco]'"
+        )
+    words = child_command("service.paper", *(["--quick"] * quick), "--", str(out))
+    return subprocess.run(words, check=False).returncode
 
 
 def check(
     bundle: Annotated[Path, typer.Argument(help="the bundle's folder")],
     as_json: Annotated[bool, typer.Option("--json", help="print the report as JSON")] = False,
+    mass: Annotated[
+        float | None, typer.Option(help="kg on the interface, for the natural frequency")
+    ] = None,
+    inertia: Annotated[
+        str | None, typer.Option(help="kg·m² about its centre: xx,yy,zz or xx,yy,zz,xy,xz,yz")
+    ] = None,
+    centre: Annotated[
+        str | None, typer.Option(help="m: x,y,z of that mass's centre from the interface point")
+    ] = None,
+    nonlinear: Annotated[
+        bool, typer.Option("--nonlinear", help="solve for the stresses under the full range")
+    ] = False,
 ) -> None:
     """Check a component bundle before it is uploaded: mesh, groups, supports, cost of a solve."""
-    words = child_command("fea.check", *(() if as_json else ("--text",)), str(bundle))
+    told = {"mass": mass, "inertia": inertia, "centre": centre}
+    carried = [f"--{name}={value}" for name, value in told.items() if value is not None]
+    flags = [*(() if as_json else ("--text",)), *(("--nonlinear",) if nonlinear else ())]
+    words = child_command("fea.check", *flags, *carried, "--", str(bundle))
     raise typer.Exit(subprocess.run(words, check=False).returncode)
 
 

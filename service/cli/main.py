@@ -2,48 +2,51 @@
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from service.cli import render
+from service.cli import plan_table, render
+from service.cli.connect import (
+    DEFAULT_SERVER,
+    AsJson,
+    BeyondRange,
+    Data,
+    Name,
+    Server,
+    connected,
+    print_json,
+)
+from service.cli.follow import follow_jobs
+from service.cli.gathering import GATHERING_COMMANDS
+from service.cli.keys import keys
 from service.cli.local import LOCAL_COMMANDS
-from service.client import Client, Displacement, Job, ProblemError, ServerUnreachable
-from service.client.library import table_format
+from service.cli.screen import Screen
+from service.cli.tables import TABLE_COMMANDS
+from service.cli.upkeep import UPKEEP_COMMANDS
+from service.client import Displacement, Job, ProblemError, Scene, ServerUnreachable
+from service.client.deformed import deformed_format
 
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Displacements of deformable components from tables of finite-element results.",
 )
-out = Console()
-for command in LOCAL_COMMANDS:
+out = Screen()
+for named, table_command in TABLE_COMMANDS.items():
+    app.command(named)(table_command)
+for command in (*LOCAL_COMMANDS, *GATHERING_COMMANDS, *UPKEEP_COMMANDS):
     app.command()(command)
+app.add_typer(keys, name="keys")
 
 Three = tuple[float, float, float]
 Six = tuple[float, float, float, float, float, float]
 ZERO: Three = (0.0, 0.0, 0.0)
 
-Name = Annotated[str, typer.Argument(help="the component")]
 Force = Annotated[Three, typer.Option(help="F_x F_y F_z, N", metavar="FX FY FZ")]
 Moment = Annotated[Three, typer.Option(help="M_x M_y M_z, N·m", metavar="MX MY MZ")]
-Server = Annotated[
-    str, typer.Option(envvar="WRENCHBOOK_SERVER", help="address of a running server")
-]
-Data = Annotated[
-    Path | None,
-    typer.Option(help="work on this data directory with a private server of its own instead"),
-]
-BeyondRange = Annotated[
-    bool, typer.Option(help="solve a wrench outside the component's load range all the same")
-]
-AsJson = Annotated[bool, typer.Option("--json", help="print the server's reply as JSON")]
 Budget = Annotated[int, typer.Option(min=1, help="most solves to spend")]
 Micro = Annotated[float | None, typer.Option(help="error bar to reach, translations, m")]
 MicroRad = Annotated[float | None, typer.Option(help="error bar to reach, rotations, rad")]
@@ -57,28 +60,15 @@ MomentRange = Annotated[
     typer.Option(help="only within, N·m", metavar="MX MX MY MY MZ MZ", show_default=False),
 ]
 
-DEFAULT_SERVER = "http://127.0.0.1:8000"
-
-
-@contextmanager
-def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Client]:
-    """Give a client of the running server, or of a private one on ``data``."""
-    if data is None:
-        with Client(server) as client:
-            yield client
-        return
-    from service.http.server import private_server
-
-    with private_server(data, solvers) as client:
-        yield client
-
 
 @app.command()
 def query(
     name: Name,
     force: Force = ZERO,
     moment: Moment = ZERO,
-    on_thin: Annotated[str, typer.Option(help="queue, wait, estimate or reject")] = "wait",
+    on_thin: Annotated[
+        str | None, typer.Option(help="queue, wait (the default), estimate or reject")
+    ] = None,
     wait_s: Annotated[float, typer.Option(help="with wait: seconds")] = 60.0,
     method: Annotated[
         str | None, typer.Option(help="such as griddata; the component's own choice otherwise")
@@ -88,6 +78,9 @@ def query(
         bool, typer.Option("--derivatives", help="add du/dw, 6 x 6, to what --json prints")
     ] = False,
     beyond_range: BeyondRange = False,
+    table_version: Annotated[
+        int | None, typer.Option(help="ask the table as it was; where it was thin, estimate")
+    ] = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
@@ -98,12 +91,13 @@ def query(
             name,
             force,
             moment,
-            on_thin=on_thin,
+            on_thin=on_thin or ("wait" if table_version is None else "estimate"),
             wait_s=wait_s,
             method=method,
             detail=detail,
             derivatives=derivatives,
             beyond_range=beyond_range,
+            table_version=table_version,
         )
         _print_answer(answer, as_json)
 
@@ -126,6 +120,23 @@ def solve(
             render.follow(out, client, [answer.job], wait_s)
             answer = client.solve(name, force, moment, beyond_range=beyond_range)
         _print_answer(answer, as_json)
+
+
+@app.command()
+def deformed(
+    name: Name,
+    file: Annotated[Path, typer.Argument(help="written: .glb, .vtu or .json")],
+    force: Force = ZERO,
+    moment: Moment = ZERO,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """Write the deformed surface under a wrench, for a viewer or a simulator."""
+    form = deformed_format(file)
+    with connected(server, data) as client:
+        content = client.deformed_file(name, force, moment, form)
+    file.write_bytes(content)
+    typer.echo(f"{file}: {len(content)} bytes")
 
 
 @app.command()
@@ -158,51 +169,23 @@ def fill(
         render.fill(out, client, name, budget, wanted)
 
 
-@app.command("import")
-def import_(
-    name: Name,
-    file: Annotated[
-        Path,
-        typer.Argument(help="a .csv, .json, .h5 or .hdf5 table", exists=True, dir_okay=False),
-    ],
-    dry_run: Annotated[bool, typer.Option(help="only check")] = False,
-    decimal: Annotated[
-        str | None, typer.Option(help="the decimal mark of a CSV: . or ,", metavar="MARK")
-    ] = None,
-    server: Server = DEFAULT_SERVER,
-    data: Data = None,
-) -> None:
-    """Load a table from outside: all its rows, or none and the reasons."""
-    table_format(file, reading=True)  # before a server is asked, or started, for nothing
-    with connected(server, data) as client:
-        reply = client.import_table(name, file, dry_run=dry_run, decimal=decimal)
-    render.row_errors(out, reply["errors"])
-    verb = "would be inserted" if dry_run else "inserted"
-    out.print(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
-    if not (dry_run or reply["errors"] or reply["in_use"]):
-        out.print("The server still builds its table; it answers from the new rows shortly.")
-    raise typer.Exit(1 if reply["errors"] else 0)
-
-
 @app.command()
-def export(
-    name: Name,
-    file: Annotated[Path, typer.Argument(help="a .csv, .json, .h5 or .hdf5 file; - prints CSV")],
+def plan(
+    scene: Annotated[
+        Path, typer.Argument(help="a scene's .toml file", exists=True, dir_okay=False)
+    ],
+    as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Write a table to a file; its ending chooses the format."""
-    printed = str(file) == "-"
-    format_ = "csv" if printed else table_format(file)
+    """Tell what a scene needs of its components: what is left out, and what that saves."""
+    wanted = Scene.read(scene)
     with connected(server, data) as client:
-        content = client.export_table(name, format_)
-    if printed:
-        sys.stdout.write(content)
-        return
-    partial = file.with_name(file.name + ".part")
-    partial.write_bytes(content if isinstance(content, bytes) else content.encode())
-    partial.replace(file)
-    out.print(f"{file} written.")
+        plans = wanted.plan(client)
+    if as_json:
+        print_json({"components": {name: one.raw for name, one in plans.items()}})
+    else:
+        plan_table.show(out, plans)
 
 
 @app.command()
@@ -230,7 +213,7 @@ def components(as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: D
     with connected(server, data) as client:
         found = client.components()
     if as_json:
-        _print_json(found)
+        print_json(found)
     else:
         out.print(render.component_table(found))
 
@@ -239,17 +222,27 @@ def components(as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: D
 def jobs(
     component: Annotated[str | None, typer.Option(help="only this component's")] = None,
     status: Annotated[str | None, typer.Option(help="only these, such as failed")] = None,
+    limit: Annotated[int, typer.Option(min=1, help="at most so many")] = 1000,
+    after: Annotated[int | None, typer.Option(help="go on after this job, to older ones")] = None,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="show what happens from now on, until Ctrl-C")
+    ] = False,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """List jobs, newest first."""
+    """List jobs, newest first, or follow them."""
     with connected(server, data) as client:
-        found: list[Job] = client.jobs(component, status)
+        if follow:
+            follow_jobs(out, client, component)
+            return
+        found: list[Job] = client.jobs(component, status, limit, after)
     if as_json:
-        _print_json([job.raw for job in found])
+        print_json([job.raw for job in found])
     else:
         out.print(render.job_table(found))
+        if len(found) == limit:
+            render.plain(out, f"Older ones: wrenchbook jobs --after {found[-1].id}")
 
 
 def main() -> None:
@@ -258,13 +251,13 @@ def main() -> None:
         # Named here, because a file run by its path would show that path.
         app(prog_name="wrenchbook")
     except ProblemError as error:
-        err = Console(stderr=True)
+        err = Screen(stderr=True)
         render.plain(err, error.title, style="red")
         render.plain(err, error.detail)
         render.body_errors(err, error.errors)
         sys.exit(1)
     except (ServerUnreachable, OSError, RuntimeError, ValueError) as error:
-        render.plain(Console(stderr=True), str(error), style="red")
+        render.plain(Screen(stderr=True), str(error), style="red")
         sys.exit(1)
 
 
@@ -275,13 +268,9 @@ def _pairs(ends: Six) -> list[list[float]]:
 
 def _print_answer(answer: Displacement, as_json: bool) -> None:
     if as_json:
-        _print_json(answer.raw)
+        print_json(answer.raw)
     else:
         out.print(render.answer_table(answer))
-
-
-def _print_json(reply: Any) -> None:
-    sys.stdout.write(json.dumps(reply, indent=2) + "\n")
 
 
 if __name__ == "__main__":

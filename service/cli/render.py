@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from service.cli.pace import Pace, error_bars
 from service.client import Client, Displacement, Job, ProblemError
 from service.contract import DISPLACEMENT_NAMES
 
@@ -19,7 +20,8 @@ POLL_S = 0.2
 
 def answer_table(answer: Displacement) -> Table:
     """Lay out one answer with its error bar."""
-    said = "\n".join([answer.reason, *answer.raw.get("notes", ())]).strip()
+    over = [_OVER] if answer.covered and answer.within_tolerance is False else []
+    said = "\n".join([answer.reason, *over, *answer.raw.get("notes", ())]).strip()
     table = Table(title=_headline(answer), title_justify="left", caption=escape(said) or None)
     for heading in ("", "value", "error bar", "unit"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
@@ -31,6 +33,17 @@ def answer_table(answer: Displacement) -> Table:
             "m" if place < 3 else "rad",
         )
     return table
+
+
+_OVER = (
+    "The bar is over the tolerance by the solver's own error (its mesh, say), which no more solves "
+    "lower: the component's warnings say what to do."
+)
+
+
+def own_error_lines(component: dict[str, Any]) -> list[str]:
+    """Say what of a component's tolerance its solver does not meet, however thick the table."""
+    return [one["message"] for one in component.get("warnings", ()) if one["where"] == "tolerance"]
 
 
 def _headline(answer: Displacement) -> str:
@@ -121,8 +134,12 @@ def bar(out: Console) -> Progress:
     )
 
 
-def follow(out: Console, client: Client, jobs: Sequence[Job], seconds: float) -> list[Job]:
+def follow(
+    out: Console, client: Client, jobs: Sequence[Job], seconds: float, pace: Pace | None = None
+) -> list[Job]:
     """Show a bar until all jobs have ended, and return them as they are then.
+
+    A pace has it say how fast they go.
 
     Raises
     ------
@@ -140,7 +157,9 @@ def follow(out: Console, client: Client, jobs: Sequence[Job], seconds: float) ->
                 now = client.job(job.id, wait_s=POLL_S)
                 if now.ended:
                     done[job.id] = now
-                progress.update(task, completed=len(done) + now.progress % 1, note=_state(now))
+                so_far = len(done) + now.progress % 1
+                note = " · ".join(filter(None, (pace.note(so_far) if pace else "", _state(now))))
+                progress.update(task, completed=so_far, note=note)
                 if not now.ended:
                     break
             if time.monotonic() > deadline:
@@ -190,20 +209,26 @@ def fill(
     RuntimeError
         If a round does not end in time.
     """
-    spent = 0
+    spent, pace = 0, Pace(budget)
     while spent < budget:
         order = client.fill(name, budget=min(round_size, budget - spent), **wanted)
         plain(out, f"{order.stage}: {order.reason}")
         if not order.jobs:
             break
-        ended = follow(out, client, order.jobs, seconds)
-        spent += len(ended)
+        ended = follow(out, client, order.jobs, seconds, pace)
+        pace.ended = spent = spent + len(ended)
+        now = client.component(name)
+        told = (f"{spent} solves", pace.note(), f"{now['rows']} rows", error_bars(now["coverage"]))
+        plain(out, "; ".join(filter(None, told)))
         failed = [job for job in ended if job.status == "failed"]
         for job in failed:
             plain(out, f"job {job.id} failed: {_state(job)}", style="red")
         if len(failed) == len(ended):
             raise RuntimeError("every solve of this round failed; look at the jobs' files")
-    out.print(f"{spent} solves; {name} has {client.component(name)['rows']} rows.")
+    now = client.component(name)
+    out.print(f"{spent} solves; {name} has {now['rows']} rows.")
+    for line in own_error_lines(now):
+        plain(out, f"warning: {line}", style="yellow")
     return spent
 
 

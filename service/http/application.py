@@ -2,18 +2,26 @@
 
 A simulator asks it a thousand times a second. Middleware, routing and dependencies of the framework
 cost several times what an answer does, so the call is told by its path before any of them; its
-route is there all the same, for the OpenAPI document and for servers mounted below a path.
+route is there all the same, for the OpenAPI document and for servers mounted below a path. Where
+`straight` is the server's protocol, a plain question that the table alone answers does not even
+come here as a request: `answer_at_once` is asked, which leaves all else to the ways above.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 from fastapi import FastAPI
 from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
+from service.answering.one import answer_at_once
+from service.http.door import Door
 from service.http.limited import read_limited
+from service.http.parsing import read_plain_query
 from service.http.problems import crash_of, problem_of
+from service.http.replies import plain_content
 from service.http.routes.displacement import reply_to
 
 _BEFORE, _AFTER = "/v1/components/", "/displacement"
@@ -23,7 +31,17 @@ class Application(FastAPI):
     """The web application; the main call goes past the framework."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, or run the lifespan."""
+        """Answer a request that the door lets in, or run the lifespan."""
+        if scope["type"] != "http":
+            await super().__call__(scope, receive, send)
+            return
+        door: Door = self.state.door
+        passed = await door.pass_on(scope, receive, send)
+        if passed is not None:
+            await self._inside(scope, *passed)
+
+    async def _inside(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request that was let in."""
         name = _asked_component(scope)
         if name is None:
             await super().__call__(scope, receive, send)
@@ -34,13 +52,35 @@ class Application(FastAPI):
         if crash is not None:
             raise crash  # to the server's log
 
+    def answer_at_once(
+        self, name: str, headers: Sequence[tuple[bytes, bytes]], body: bytes
+    ) -> bytes | None:
+        """Return the JSON of a 200 to the main call, or None: then it is to be called as an app.
+
+        None is also for all that is not in order, at the door or in the body: what it is is told
+        there. The headers are as those of a scope.
+        """
+        try:
+            if not self.state.door.admits(headers):
+                return None
+            query = read_plain_query(body)
+            if query is None:
+                return None
+            outcome = answer_at_once(self.state.workspace, name, query)
+            if outcome is None:
+                return None
+            self.state.counts.add(outcome.coverage, outcome.method, outcome.elapsed_us)
+            return plain_content(outcome)
+        except Exception:
+            return None
+
     async def _answered(
         self, scope: Scope, receive: Receive, name: str
     ) -> tuple[Response | None, Exception | None]:
         """Return the answer to the main call, and the mistake of ours that it is, if it is one."""
         try:
             body = await read_limited(receive)
-            return await reply_to(self.state.workspace, name, body), None
+            return await reply_to(self.state.workspace, name, body, self.state.counts, scope), None
         except ClientDisconnect:
             return None, None
         except Exception as error:
@@ -52,7 +92,7 @@ class Application(FastAPI):
 
 def _asked_component(scope: Scope) -> str | None:
     """Return the component that a main call is about; None for any other request."""
-    if scope["type"] != "http" or scope["method"] != "POST":
+    if scope["method"] != "POST":
         return None
     path: str = scope["path"]
     if not (path.startswith(_BEFORE) and path.endswith(_AFTER)):

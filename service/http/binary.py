@@ -8,6 +8,7 @@ import numpy as np
 from fastapi import Request
 from pydantic import Field, ValidationError
 
+from fea.bundle.tables import LARGEST_LOAD
 from service.answering.queries import BatchQuery
 from service.http.bodies import MAX_BATCH, Body, Derivatives, Flag, OnThin, Seconds
 from service.http.parsing import known_method
@@ -40,7 +41,8 @@ REPLY: Final[dict[str, Any]] = {
     "format": "binary",
     "description": "little-endian float64 (n, 13): displacement and error bar, m and rad; coverage "
     "0 covered, 1 thin, 2 outside; NaN where nothing can be said. With derivatives=true then "
-    "(n, 36): du/dw of each wrench, 6 x 6, an output a line",
+    "(n, 36): du/dw of each wrench, 6 x 6, an output a line. The header Wrenchbook-Tolerance says, "
+    "m and rad, what whole bars are to be held against",
 }
 
 
@@ -81,7 +83,7 @@ def read_binary(body: bytes, options: dict[str, str]) -> BatchQuery:
     if full.translation is not None and full.rotation is not None:
         limit = Tolerance(full.translation, full.rotation)
     return BatchQuery(
-        _wrenches(body),
+        read_wrenches(body),
         full.on_thin,
         full.wait_s,
         limit,
@@ -91,16 +93,25 @@ def read_binary(body: bytes, options: dict[str, str]) -> BatchQuery:
     )
 
 
-def _wrenches(body: bytes) -> np.ndarray:
+def read_wrenches(body: bytes, most: int = MAX_BATCH, largest: float = LARGEST_LOAD) -> np.ndarray:
+    """Read little-endian float64 as wrenches, shape (n, 6), N and N·m.
+
+    Raises
+    ------
+    ProblemError
+        422, if they are no whole wrenches, more than `most`, or a number is not finite.
+    """
     if len(body) % ROW_BYTES:
         message = f"{len(body)} bytes are no whole number of wrenches, {ROW_BYTES} bytes each"
         raise bad_body([{"loc": "body", "msg": message}])
-    if len(body) > MAX_BATCH * ROW_BYTES:
-        raise bad_body([{"loc": "body", "msg": f"at most {MAX_BATCH} wrenches a call"}])
+    if len(body) > most * ROW_BYTES:
+        raise bad_body([{"loc": "body", "msg": f"at most {most} wrenches a call"}])
     wrenches = np.frombuffer(body, dtype="<f8").reshape(-1, 6).astype(float) + 0.0
-    bad = np.argwhere(~np.isfinite(wrenches))
+    bad = np.argwhere(~(np.isfinite(wrenches) & (np.abs(wrenches) <= largest)))
     if len(bad):
         row, load = bad[0].tolist()
-        message = f"{LOADS[load]} is {wrenches[row, load]}, not finite"
+        found = wrenches[row, load]
+        why = f"beyond {largest:g}" if np.isfinite(found) else "not finite"
+        message = f"{LOADS[load]} is {found}, {why}"
         raise bad_body([{"loc": f"wrenches.{row}.{load}", "msg": message}])
     return wrenches

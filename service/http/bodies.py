@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, FailFast, Field, Tag, model_validator
+
+from fea.bundle.tables import LARGEST_LOAD
 
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
-Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
-Wrench = Annotated[list[Finite], Field(min_length=6, max_length=6)]
+Load = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST_LOAD, le=LARGEST_LOAD)]
+Vector = Annotated[list[Load], Field(min_length=3, max_length=3)]
+Wrench = Annotated[list[Load], Field(min_length=6, max_length=6)]
+# A list of a million mistakes is read by nobody, and takes gigabytes.
+Wrenches = Annotated[list[Wrench], FailFast()]
 Output = Literal["ux", "uy", "uz", "rx", "ry", "rz"]
 OnThin = Literal["queue", "wait", "estimate", "reject"]
 Flag = Annotated[
@@ -19,6 +24,11 @@ Derivatives = Annotated[bool, Field(description="whether to add du/dw, 6 x 6, to
 Seconds = Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)]
 
 MAX_BATCH = 1_000_000
+MAX_SCENE_COMPONENTS = 64  # each is measured, tenths of a second, while the caller waits
+MAX_BLOCK = 10_000  # as many as a recording keeps
+ClientName = Annotated[str, Field(min_length=1, max_length=64)]
+# The ledger's numbers are SQLite's: 64 bits with a sign.
+Sequence = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class Body(BaseModel):
@@ -67,7 +77,7 @@ class DisplacementBody(WrenchBody):
 class BatchBody(Body):
     """A batch of wrenches, each force then moment."""
 
-    wrenches: Annotated[list[Wrench], Field(max_length=MAX_BATCH)]
+    wrenches: Annotated[Wrenches, Field(max_length=MAX_BATCH)]
     on_thin: OnThin = "queue"
     wait_s: Seconds = 30.0
     tolerance: ToleranceBody | None = None
@@ -83,7 +93,16 @@ class SolveBody(WrenchBody):
     beyond_range: Flag = False
 
 
-Span = Annotated[list[Finite], Field(min_length=2, max_length=2)] | Positive
+def _span_form(given: object) -> str:
+    """Return which form a span has, so that its mistakes are told of that form alone."""
+    return "pair" if isinstance(given, list) else "number"
+
+
+Span = Annotated[
+    Annotated[Annotated[list[Finite], Field(min_length=2, max_length=2)], Tag("pair")]
+    | Annotated[Positive, Tag("number")],
+    Discriminator(_span_form),
+]
 
 
 class RangeBody(Body):
@@ -98,13 +117,34 @@ class RangeBody(Body):
         return [[-one, one] if isinstance(one, int | float) else list(one) for one in spans]
 
 
+Outputs = Annotated[
+    list[Output] | None,
+    Field(min_length=1, max_length=6, description="those that are read; all six if left out"),
+]
+
+
 class FillBody(Body):
     """How thick the table shall become, where and in what, and how many solves that may cost."""
 
     tolerance: ToleranceBody | None = None
     budget: Annotated[int, Field(ge=1, le=10_000)] = 24
     range: RangeBody | None = None
-    outputs: Annotated[list[Output], Field(min_length=1, max_length=6)] | None = None
+    outputs: Outputs = None
+
+
+class SceneComponent(RangeBody):
+    """What a scene needs of one component: its loads, the outputs it reads, its tolerance."""
+
+    outputs: Outputs = None
+    tolerance: ToleranceBody | None = None
+
+
+class SceneBody(Body):
+    """A scene: its components by name."""
+
+    components: Annotated[
+        dict[str, SceneComponent], Field(min_length=1, max_length=MAX_SCENE_COMPONENTS)
+    ]
 
 
 class TableOnlyComponent(Body):
@@ -114,3 +154,60 @@ class TableOnlyComponent(Body):
     title: str
     range: RangeBody
     tolerance: ToleranceBody | None = None
+
+
+class BlockKey(Body):
+    """What tells a block that is sent twice: who sends it, and the number they give it."""
+
+    client: ClientName | None = None
+    sequence: Sequence | None = None
+
+    @model_validator(mode="after")
+    def _both_or_none(self) -> BlockKey:
+        if (self.client is None) != (self.sequence is None):
+            raise ValueError("give 'client' and 'sequence' together, or neither")
+        return self
+
+
+class BlockBody(BlockKey):
+    """A block of wrenches that a loop has met, each force then moment."""
+
+    # Of any size: recorded is what a loop has met, and only a start looks at what can be solved.
+    wrenches: Annotated[
+        list[Annotated[list[Finite], Field(min_length=6, max_length=6)]],
+        FailFast(),
+        Field(max_length=MAX_BLOCK),
+    ]
+
+
+class StartBody(Body):
+    """How many new solves the start of a recording or an envelope may cost."""
+
+    budget: Annotated[int, Field(ge=1, le=MAX_BLOCK)] = MAX_BLOCK
+    beyond_range: Flag = False
+
+
+class EnvelopeStartBody(Body):
+    """Whether extremes outside the load range are solved as well."""
+
+    beyond_range: Flag = False
+
+
+class CopyBody(Body):
+    """The name of a component's copy, its title, and whether its rows come along."""
+
+    name: Annotated[str, Field(max_length=300)]
+    title: Annotated[str | None, Field(max_length=1000)] = None
+    rows: bool = True
+
+
+class RenameBody(Body):
+    """A component's new name."""
+
+    name: Annotated[str, Field(max_length=300)]
+
+
+class NotesBody(Body):
+    """What people want to remember about a component."""
+
+    text: Annotated[str, Field(max_length=100_000)]

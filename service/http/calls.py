@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
-from service.http import binary
-from service.http.bodies import BatchBody, DisplacementBody, FillBody, SolveBody, TableOnlyComponent
+from service.http import asked_version, binary
+from service.http.bodies import (
+    BatchBody,
+    DisplacementBody,
+    FillBody,
+    SceneBody,
+    SolveBody,
+    TableOnlyComponent,
+)
+from service.http.call import JSON, Call
+from service.http.event_schemas import EVENT_CALLS
+from service.http.gather_schemas import GATHER_CALLS
+from service.http.key_schemas import KEY_CALLS
+from service.http.library_schemas import LIBRARY_CALLS
 from service.http.schemas import (
     BYTES,
     CANCELLED,
@@ -15,58 +25,15 @@ from service.http.schemas import (
     DISPLACEMENTS,
     JOBS,
     OBJECT,
+    PLANS,
     TEXT,
     Schema,
     body_of,
 )
+from service.http.umbridge_schemas import UMBRIDGE_CALLS
 
-JSON: Final = "application/json"
-REFUSALS: Final[dict[int, str]] = {
-    404: "there is no such component, job or row",
-    409: "it cannot be done as things are; the detail says why",
-    413: "the body is too large",
-    415: "a content type that this call does not take",
-    422: "the request has mistakes; nothing was changed",
-    424: "the solve of this wrench failed",
-    500: "the server made a mistake; its log has the traceback",
-    503: "the ledger cannot be read or written now; nothing was changed",
-}
-_ALWAYS: Final = (500, 503)  # what any call may come to that asks the ledger
-
-
-@dataclass(frozen=True)
-class Call:
-    """One call.
-
-    Attributes
-    ----------
-    answers : mapping of int to str
-        What each status means that is not a problem.
-    refusals : tuple of int
-        The statuses that are problems, keys of `REFUSALS`.
-    always : tuple of int
-        Those of them that need no naming: 500 and 503.
-    replies : mapping of str to schema
-        What success answers, by content type; what FastAPI says of it if empty.
-    bodies : mapping of str to schema
-        What it takes, by content type.
-    parameters : tuple of dict
-        Query parameters that the call reads by hand.
-    """
-
-    answers: Mapping[int, str]
-    refusals: tuple[int, ...] = ()
-    replies: Mapping[str, Schema] = field(default_factory=dict)
-    bodies: Mapping[str, Schema] = field(default_factory=dict)
-    parameters: tuple[dict[str, Any], ...] = ()
-    always: tuple[int, ...] = _ALWAYS
-
-    @property
-    def all_refusals(self) -> tuple[int, ...]:
-        """All statuses that are problems, in order."""
-        return tuple(sorted({*self.refusals, *self.always}))
-
-
+_GLTF: Final = "model/gltf-binary"
+_VTU: Final = "application/vnd.vtk.unstructuredgrid+xml"
 _OF_A_COMPONENT = (404, 422)
 _OF_A_JOB = (404, 409, 422)
 _SOLVED = {200: "covered, solved or estimated", 202: "not solved yet: job tells, or reason"}
@@ -77,15 +44,24 @@ _BUNDLE: Final[Schema] = {
 }
 
 CALLS: Final[dict[tuple[str, str], Call]] = {
+    **GATHER_CALLS,
+    **EVENT_CALLS,
+    **LIBRARY_CALLS,
+    **UMBRIDGE_CALLS,
+    **KEY_CALLS,
     ("post", "/v1/components/{name}/displacement"): Call(
-        _SOLVED, (404, 409, 413, 422, 424), {JSON: DISPLACEMENT}, {JSON: body_of(DisplacementBody)}
+        _SOLVED,
+        (404, 409, 410, 413, 422, 424),
+        {JSON: DISPLACEMENT},
+        {JSON: body_of(DisplacementBody)},
+        (asked_version.PARAMETER,),
     ),
     ("post", "/v1/components/{name}/displacements"): Call(
         _SOLVED,
-        (404, 409, 413, 422),
+        (404, 409, 410, 413, 422),
         {JSON: DISPLACEMENTS, binary.MEDIA_TYPE: binary.REPLY},
         {JSON: body_of(BatchBody), binary.MEDIA_TYPE: binary.BODY},
-        binary.PARAMETERS,
+        (*binary.PARAMETERS, asked_version.PARAMETER),
     ),
     ("post", "/v1/components/{name}/solve"): Call(
         {200: "solved", 202: "not solved yet: job tells"},
@@ -99,7 +75,7 @@ CALLS: Final[dict[tuple[str, str], Call]] = {
         {JSON: JOBS},
         {JSON: body_of(FillBody)},
     ),
-    ("get", "/v1/components"): Call({200: "the library"}),
+    ("get", "/v1/components"): Call({200: "the library"}, (422,)),
     ("post", "/v1/components"): Call(
         {201: "added"},
         (409, 413, 415, 422),
@@ -113,6 +89,11 @@ CALLS: Final[dict[tuple[str, str], Call]] = {
     ("get", "/v1/components/{name}/compliance"): Call(
         {200: "the 6x6 and its checks"}, _OF_A_COMPONENT, {JSON: OBJECT}
     ),
+    ("get", "/v1/components/{name}/deformed"): Call(
+        {200: "the surface; outside the load range, or with too few rows, it is flagged"},
+        _OF_A_JOB,
+        {JSON: OBJECT, _GLTF: BYTES, _VTU: BYTES},
+    ),
     ("get", "/v1/components/{name}/report"): Call(
         {200: "the latest report", 202: "the first one is being made"},
         _OF_A_COMPONENT,
@@ -121,13 +102,27 @@ CALLS: Final[dict[tuple[str, str], Call]] = {
     ("post", "/v1/components/{name}/report"): Call(
         {200: "made already", 202: "being made"}, (404, 409, 422), {JSON: OBJECT}
     ),
-    ("get", "/v1/jobs"): Call({200: "jobs, newest first"}, (422,)),
+    ("post", "/v1/scenes/plan"): Call(
+        {200: "the plan of each component"},
+        (404, 413, 422),
+        {JSON: PLANS},
+        {JSON: body_of(SceneBody)},
+    ),
+    ("get", "/v1/components/{name}/scene"): Call(
+        {200: "what Client.download(name, scene=) reads", 304: "the sender has this version"},
+        _OF_A_COMPONENT,
+        {"application/x-wrenchbook-scene": BYTES},
+    ),
+    ("get", "/v1/jobs"): Call({200: "jobs, newest first"}, (404, 422)),
     ("delete", "/v1/jobs"): Call({200: "how many"}, (404, 422), {JSON: CANCELLED}),
     ("get", "/v1/jobs/{job_id}"): Call({200: "the job"}, (404, 422)),
     ("delete", "/v1/jobs/{job_id}"): Call({200: "cancelled"}, _OF_A_JOB),
     ("post", "/v1/jobs/{job_id}/retry"): Call({200: "waiting again"}, _OF_A_JOB),
     ("get", "/v1/jobs/{job_id}/files"): Call(
         {200: "the attempt's folder"}, (404, 422), {"application/zip": BYTES}
+    ),
+    ("get", "/metrics"): Call(
+        {200: "metrics in Prometheus' text form"}, (), {"text/plain": TEXT}, always=(500,)
     ),
     ("get", "/health/live"): Call({200: "the process answers"}, always=(500,)),
     ("get", "/health/ready"): Call(

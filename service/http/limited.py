@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from starlette.requests import ClientDisconnect
-from starlette.types import Receive
+from starlette.types import Message, Receive
 
 from service.http.problems import ProblemError
 
@@ -34,11 +34,31 @@ async def read_limited(receive: Receive, most: int = MOST_QUERY_BYTES) -> bytes:
         pieces += message.get("body", b"")
         more = message.get("more_body", False)
         if len(pieces) > most:
-            raise ProblemError(
-                413,
-                "too-large",
-                "The body is too large",
-                f"This call takes at most {most:,} bytes; nothing was changed. Leave out what it "
-                "does not need, or send parts.",
-            )
+            raise too_large(most)
     return bytes(pieces)
+
+
+def too_large(most: int) -> ProblemError:
+    """Return the refusal of a body of more than `most` bytes."""
+    detail = f"Send at most {most >> 20} MiB a call; send parts. Nothing was changed."
+    if most < 1 << 20:
+        detail = (
+            f"This call takes at most {most:,} bytes; nothing was changed. Leave out what it "
+            "does not need, or send parts."
+        )
+    return ProblemError(413, "too-large", "The body is too large", detail)
+
+
+def counted(receive: Receive, most: int) -> Receive:
+    """Return a `receive` that raises 413 as soon as more than `most` bytes have come."""
+    came = 0
+
+    async def count() -> Message:
+        nonlocal came
+        message = await receive()
+        came += len(message.get("body", b""))
+        if came > most:
+            raise too_large(most)
+        return message
+
+    return count

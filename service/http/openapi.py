@@ -8,7 +8,8 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from service.http.calls import CALLS, REFUSALS, Call
+from service.http.call import REFUSALS, Call
+from service.http.calls import CALLS
 from service.http.problems import MEDIA_TYPE
 from service.http.schemas import PROBLEM
 
@@ -18,16 +19,18 @@ _METHODS = ("get", "post", "put", "patch", "delete")
 
 def install(app: FastAPI) -> None:
     """Make ``/openapi.json`` say all that calls take and answer."""
+    made: dict[bool, dict[str, Any]] = {}
 
     def document() -> dict[str, Any]:
-        if app.openapi_schema is None:
-            app.openapi_schema = _document(app)
-        return app.openapi_schema
+        keys = app.state.door.keys_needed
+        if keys not in made:
+            made[keys] = _document(app, keys=keys)
+        return made[keys]
 
     app.openapi = document
 
 
-def _document(app: FastAPI) -> dict[str, Any]:
+def _document(app: FastAPI, *, keys: bool) -> dict[str, Any]:
     found = get_openapi(
         title=app.title,
         version=app.version,
@@ -37,10 +40,13 @@ def _document(app: FastAPI) -> dict[str, Any]:
     )
     schemas = found.setdefault("components", {}).setdefault("schemas", {})
     schemas["Problem"] = PROBLEM
+    if keys:
+        found["components"]["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
+        found["security"] = [{"key": []}]
     for path, operations in found["paths"].items():
         for method in operations.keys() & set(_METHODS):
             call = CALLS.get((method, path)) or _usual(path, operations[method])
-            _complete(path, operations[method], call)
+            _complete(path, operations[method], call, keys)
     for validation in ("HTTPValidationError", "ValidationError"):
         schemas.pop(validation, None)  # mistakes are problems here
     return found
@@ -53,11 +59,12 @@ def _usual(path: str, operation: dict[str, Any]) -> Call:
     return Call({}, (*refusals, *(code for code in told if code in REFUSALS)))
 
 
-def _complete(path: str, operation: dict[str, Any], call: Call) -> None:
+def _complete(path: str, operation: dict[str, Any], call: Call, keys: bool) -> None:
     """Add to an operation what it does not say by itself."""
     told = operation["responses"]
     operation["responses"] = _answers(told, call) | {
-        str(status): _refusal(told.get(str(status), {}), status) for status in call.all_refusals
+        str(status): _refusal(told.get(str(status), {}), status)
+        for status in call.all_refusals(keys=keys)
     }
     if call.bodies and "requestBody" not in operation:
         content = {kind: {"schema": schema} for kind, schema in call.bodies.items()}

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from math import hypot
 from typing import Any, get_args
 
 import numpy as np
 import orjson
 from pydantic import ValidationError
 
+from fea.bundle.tables import LARGEST_LOAD
 from service.answering.queries import BatchQuery, Query
-from service.http.bodies import BatchBody, Body, DisplacementBody, OnThin, SolveBody
-from service.http.problems import bad_body, plain_errors
+from service.http.bodies import (
+    MAX_BATCH,
+    MAX_BLOCK,
+    BatchBody,
+    BlockBody,
+    Body,
+    DisplacementBody,
+    OnThin,
+    SolveBody,
+)
+from service.http.problems import ProblemError, bad_body, plain_errors
 from surrogate.answer import METHODS
 from surrogate.table.rows import Tolerance
 
 _PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})
+_NUMBERS = frozenset({int, float})  # not bool, which is an int to isinstance
 _ON_THIN: dict[str, OnThin] = {word: word for word in get_args(OnThin)}
 
 
@@ -30,13 +41,10 @@ def read_query(body: bytes) -> Query:
     ProblemError
         422, with every mistake's place.
     """
-    fields = _json(body)
-    if isinstance(fields, dict) and fields.keys() <= _PLAIN_FIELDS:
-        wrench = _plain_wrench(fields.get("force"), fields.get("moment"))
-        word = fields.get("on_thin", "queue")
-        on_thin = _ON_THIN.get(word) if isinstance(word, str) else None
-        if wrench is not None and on_thin is not None:
-            return Query(wrench, on_thin)
+    fields = parsed_json(body)
+    plain = _plain_query(fields)
+    if plain is not None:
+        return plain
     full = _checked(DisplacementBody, fields)
     return Query(
         full.wrench(),
@@ -50,6 +58,14 @@ def read_query(body: bytes) -> Query:
     )
 
 
+def read_plain_query(body: bytes) -> Query | None:
+    """Read the main call's body if it is of only force, moment and on_thin; None if it is not."""
+    try:
+        return _plain_query(orjson.loads(body))
+    except orjson.JSONDecodeError:
+        return None
+
+
 def read_solve(body: bytes) -> Query:
     """Read DirectFEA's body.
 
@@ -58,34 +74,75 @@ def read_solve(body: bytes) -> Query:
     ProblemError
         422, with every mistake's place.
     """
-    full = _checked(SolveBody, _json(body))
+    full = _checked(SolveBody, parsed_json(body))
     return Query(full.wrench(), "solve", full.wait_s, beyond_range=full.beyond_range)
 
 
-def read_batch(body: bytes) -> BatchQuery:
-    """Read the batch call's JSON body.
+def batch_parts(body: bytes) -> tuple[dict[str, Any], np.ndarray]:
+    """Read the batch call's JSON body: its fields as checked, and its wrenches, N and N·m (n, 6).
+
+    Raises
+    ------
+    ProblemError
+        422, with mistakes' places.
+    """
+    _few_lists(body)
+    fields = parsed_json(body)
+    return checked_batch(fields, _plain_wrenches(fields))
+
+
+def checked_batch(fields: Any, wrenches: np.ndarray | None) -> tuple[dict[str, Any], np.ndarray]:
+    """Check a batch's fields, as `batch_parts` does.
+
+    Parameters
+    ----------
+    fields : object
+        As parsed from JSON.
+    wrenches : array or None
+        Those in it, shape (n, 6), N and N·m, if they have been found to be in order.
+    """
+    if wrenches is not None:
+        if len(wrenches) > MAX_BATCH:
+            raise _too_many()
+        fields = {**fields, "wrenches": []}
+    full = _checked(BatchBody, fields)
+    if wrenches is None:
+        wrenches = np.array(full.wrenches, dtype=float).reshape(-1, 6)
+    known_method(full.method)
+    return full.model_dump(exclude={"wrenches"}), wrenches + 0.0
+
+
+def batch_of(fields: dict[str, Any], wrenches: np.ndarray) -> BatchQuery:
+    """Return the query that a batch's parts are, see `batch_parts`; wrenches (n, 6), N and N·m."""
+    limit = fields["tolerance"]
+    told = {name: value for name, value in fields.items() if name != "tolerance"}
+    return BatchQuery(wrenches, tolerance=Tolerance(**limit) if limit else None, **told)
+
+
+def _few_lists(body: bytes) -> None:
+    """Refuse a batch of more lists than it may have, before a parser makes 64 bytes of each."""
+    if body.count(b"[") > MAX_BATCH + 64 or body.count(b"{") > 1024:
+        raise _too_many()
+
+
+def _too_many() -> ProblemError:
+    return bad_body([{"loc": "wrenches", "msg": f"at most {MAX_BATCH} wrenches a call"}])
+
+
+def read_block(body: bytes) -> tuple[np.ndarray, BlockBody]:
+    """Read a block of wrenches for a recording or an envelope: shape (n, 6), N and N·m; its key.
 
     Raises
     ------
     ProblemError
         422, with every mistake's place.
     """
-    fields = _json(body)
-    wrenches = _plain_wrenches(fields)
-    if wrenches is not None:
-        fields = {**fields, "wrenches": []}
-    full = _checked(BatchBody, fields)
-    if wrenches is None:
-        wrenches = np.array(full.wrenches, dtype=float).reshape(-1, 6)
-    return BatchQuery(
-        wrenches + 0.0,
-        full.on_thin,
-        full.wait_s,
-        _tolerance(full.tolerance),
-        known_method(full.method),
-        full.beyond_range,
-        full.derivatives,
-    )
+    fields = parsed_json(body)
+    wrenches = _plain_wrenches(fields, np.inf)
+    if wrenches is not None and len(wrenches) <= MAX_BLOCK:
+        return wrenches + 0.0, _checked(BlockBody, {**fields, "wrenches": []})
+    full = _checked(BlockBody, fields)
+    return np.array(full.wrenches, dtype=float).reshape(-1, 6) + 0.0, full
 
 
 def known_method(method: str | None) -> str | None:
@@ -110,13 +167,24 @@ def read_body(kind: type[Body], body: bytes) -> Any:
     ProblemError
         422, with every mistake's place.
     """
-    return _checked(kind, _json(body or b"{}"))
+    return _checked(kind, parsed_json(body or b"{}"))
 
 
-def _json(body: bytes) -> Any:
+def parsed_json(body: bytes) -> Any:
+    """Return what a body holds as JSON.
+
+    Raises
+    ------
+    ProblemError
+        422.
+    MemoryError
+        If it is too large for the parser.
+    """
     try:
         return orjson.loads(body)
     except orjson.JSONDecodeError as error:
+        if "memory" in str(error).lower():
+            raise MemoryError from None
         message = f"not valid JSON ({error}); note that JSON has no NaN and no Infinity"
         raise bad_body([{"loc": "body", "msg": message}]) from None
 
@@ -128,24 +196,30 @@ def _checked(kind: type[Body], fields: Any) -> Any:
         raise bad_body(plain_errors(error)) from None
 
 
-def _plain_wrench(force: Any, moment: Any) -> tuple[float, ...] | None:
-    """Return six finite floats, or None if anything about the two lists is unusual."""
-    if type(force) is not list or type(moment) is not list:
+def _plain_query(fields: Any) -> Query | None:
+    """Return the query that a well-formed plain body is, or None if anything is unusual."""
+    if type(fields) is not dict or not fields.keys() <= _PLAIN_FIELDS:
         return None
-    if len(force) != 3 or len(moment) != 3:
+    force, moment = fields.get("force"), fields.get("moment")
+    if type(force) is not list or type(moment) is not list or len(force) != 3 or len(moment) != 3:
         return None
-    numbers = force + moment
-    for number in numbers:
-        if type(number) is not float and type(number) is not int:
-            return None
-        if not isfinite(number):
-            return None
-    return tuple([float(number) + 0.0 for number in numbers])
+    numbers = (*force, *moment)
+    # Of finite loads too large together pydantic says which one is, if any.
+    if not _NUMBERS.issuperset(map(type, numbers)) or hypot(*numbers) > LARGEST_LOAD:
+        return None
+    word = fields.get("on_thin", "queue")
+    on_thin = _ON_THIN.get(word) if type(word) is str else None
+    # Adding zero makes floats of all, and 0 of -0.
+    return Query(tuple([number + 0.0 for number in numbers]), on_thin) if on_thin else None
 
 
-def _plain_wrenches(fields: Any) -> np.ndarray | None:
+def _plain_wrenches(fields: Any, largest: float = LARGEST_LOAD) -> np.ndarray | None:
     """Return the batch as an array of shape (n, 6), or None if anything is unusual."""
-    rows = fields.get("wrenches") if isinstance(fields, dict) else None
+    return plain_rows(fields.get("wrenches"), largest) if isinstance(fields, dict) else None
+
+
+def plain_rows(rows: Any, largest: float = LARGEST_LOAD) -> np.ndarray | None:
+    """Return wrenches as an array, (n, 6), N and N·m; None if there is anything unusual in them."""
     if not isinstance(rows, list) or not rows:
         return None
     try:
@@ -155,7 +229,8 @@ def _plain_wrenches(fields: Any) -> np.ndarray | None:
     if wrenches.dtype.kind not in "fi" or wrenches.ndim != 2 or wrenches.shape[1] != 6:
         return None
     wrenches = wrenches.astype(float)
-    return wrenches if np.isfinite(wrenches).all() else None
+    fine = np.isfinite(wrenches) & (np.abs(wrenches) <= largest)
+    return wrenches if fine.all() else None
 
 
 def _tolerance(body: Any) -> Tolerance | None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import islice
 from typing import Any
 
 import orjson
@@ -10,39 +11,65 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 
 from fea.bundle.read import BundleError
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
+from service.fence import FenceBusyError, FenceError
+from service.fields.deformed import NoFieldsError, TooFarError
+from service.files.discreet import discreetly
 from service.http.links import job_link
+from service.jobs.polls import TooManyPollsError
 from service.ledger import (
+    BlockKeyError,
     DamagedRowError,
+    ImportRunningError,
     InvalidTransitionError,
+    LedgerFullError,
     LedgerUnavailableError,
     UnknownJobError,
     UnknownRowError,
+    UnknownVersionError,
 )
+from service.library.catalogue import CatalogueError
 from service.library.component import (
     ComponentExistsError,
     LibraryUnavailableError,
     UnknownComponentError,
 )
 from service.ordering import NoSetupError
-from service.tables.live import TableBehindError
+from service.tables.behind import TableBehindError
+from service.tables.past import PastDamagedError, PastTooLargeError
 
 MEDIA_TYPE = "application/problem+json"
+CLIENT_GONE = 499  # as nginx counts it: the caller left before its request was whole
+MOST_ERRORS = 1000
+_MOST_TEXT = 1000  # characters of a message: a mistaken key or text is told back within it
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     UnknownComponentError: (404, "unknown-component", "No such component"),
     ComponentExistsError: (409, "component-exists", "The name is taken"),
+    CatalogueError: (507, "disk", "The library's notes cannot be written"),
     LibraryUnavailableError: (507, "disk", "The component cannot be written; nothing was added"),
     TableBehindError: (503, "table-behind", "The table is older than the ledger"),
     DamagedRowError: (500, "damaged-row", "A row is damaged on the disk"),
     NoSetupError: (409, "no-fea-setup", "The component has no finite-element setup"),
     UnknownJobError: (404, "unknown-job", "No such job"),
+    UnknownVersionError: (404, "unknown-version", "No such version of the table"),
+    PastTooLargeError: (409, "version-too-large", "This version of the table is too large to ask"),
+    PastDamagedError: (410, "version-damaged", "This version of the table cannot be repeated"),
+    ImportRunningError: (503, "importing", "Another table is being imported"),
     UnknownRowError: (404, "unknown-row", "No such row"),
+    NoFieldsError: (409, "no-surface", "No row has a deformed surface"),
+    TooFarError: (409, "beyond-range", "Outside the component's load range"),
     NotCoveredError: (409, "not-covered", "The table does not cover this"),
     BeyondRangeError: (409, "beyond-range", "Outside the component's load range"),
+    BlockKeyError: (409, "block-key", "The block's key does not tell whether it was recorded"),
     InvalidTransitionError: (409, "job-status", "The job's status does not allow this"),
+    TooManyPollsError: (503, "busy", "Too many callers wait for jobs"),
+    FenceError: (422, "too-costly", "The file cannot be read within its limits"),
+    FenceBusyError: (503, "busy", "Too many files are being read"),
+    LedgerFullError: (507, "disk", "The disk is full; nothing was accepted"),
     LedgerUnavailableError: (503, "ledger", "The ledger cannot be written; nothing was accepted"),
 }
 _TYPE_ROOT = "urn:wrenchbook:problem:"
@@ -59,13 +86,24 @@ class ProblemError(Exception):
         Short slug; becomes ``type`` as ``urn:wrenchbook:problem:<kind>``.
     title, detail:
         What is wrong in a few words; what it is exactly and what to do.
+    headers:
+        Header fields of the answer.
     extra:
         Further members of the answer, such as ``errors`` or ``job``.
     """
 
-    def __init__(self, status: int, kind: str, title: str, detail: str, **extra: Any) -> None:
+    def __init__(
+        self,
+        status: int,
+        kind: str,
+        title: str,
+        detail: str,
+        *,
+        headers: Mapping[str, str] | None = None,
+        **extra: Any,
+    ) -> None:
         super().__init__(detail)
-        self.status = status
+        self.status, self.headers = status, headers
         self.body = {
             "type": _TYPE_ROOT + kind,
             "title": title,
@@ -76,27 +114,41 @@ class ProblemError(Exception):
 
     def response(self) -> Response:
         """Return the answer."""
-        return Response(orjson.dumps(self.body), status_code=self.status, media_type=MEDIA_TYPE)
+        content = orjson.dumps(discreetly(self.body))
+        return Response(content, self.status, self.headers, MEDIA_TYPE)
 
 
 def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> ProblemError:
-    """Describe a body that is not of the call's form; ``errors`` are ``{loc, msg}``."""
+    """Describe a body that is not of the call's form; ``errors`` are ``{loc, msg}``.
+
+    No more of them are listed than anybody reads.
+    """
     first = f"{errors[0]['loc']}: {errors[0]['msg']}" if errors else "see the documentation"
     return ProblemError(
         422,
         "bad-request-body",
         "The request is not of this call's form",
         detail or f"Nothing was changed. {len(errors)} mistake(s); the first is {first}.",
-        errors=list(errors),
+        errors=list(errors[:MOST_ERRORS]),
     )
 
 
 def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[str, str]]:
     """Turn pydantic's errors into ``{loc, msg}`` with a dotted location."""
     return [
-        {"loc": ".".join(map(str, one["loc"])) or "body", "msg": one["msg"]}
-        for one in error.errors()
+        {
+            "loc": ".".join(map(str, one["loc"]))[:_MOST_TEXT] or "body",
+            "msg": one["msg"][:_MOST_TEXT],
+        }
+        for one in islice(_listed(error), MOST_ERRORS)
     ]
+
+
+def _listed(error: ValidationError | RequestValidationError) -> Sequence[Any]:
+    """Return pydantic's errors, without what was sent: it may be large."""
+    if isinstance(error, RequestValidationError):
+        return error.errors()
+    return error.errors(include_url=False, include_context=False, include_input=False)
 
 
 def problem_of(error: Exception) -> ProblemError:
@@ -106,7 +158,7 @@ def problem_of(error: Exception) -> ProblemError:
     if isinstance(error, ValidationError | RequestValidationError):
         return bad_body(plain_errors(error))
     if isinstance(error, BundleError):
-        errors = [{"loc": p.where, "msg": p.message} for p in error.problems]
+        errors = [{"loc": p.where, "msg": p.message} for p in error.problems[:MOST_ERRORS]]
         detail = f"Nothing was added. {error}"
         return ProblemError(
             422, "bad-bundle", "The component bundle has mistakes", detail, errors=errors
@@ -154,8 +206,12 @@ def install(app: FastAPI) -> None:
     def crash(request: Request, _: Exception) -> Response:
         return crash_of(request.method, request.url.path).response()
 
+    def gone(_: Request, __: Exception) -> Response:
+        return Response(status_code=CLIENT_GONE)  # nobody reads it, and no log needs it
+
     named = (BundleError, ValidationError, RequestValidationError, SolveFailedError, *_NAMED)
     for kind in (ProblemError, *named):
         app.add_exception_handler(kind, answer)
     app.add_exception_handler(HTTPException, http_answer)
+    app.add_exception_handler(ClientDisconnect, gone)
     app.add_exception_handler(Exception, crash)

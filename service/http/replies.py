@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import orjson
 from numpy.typing import NDArray
-from starlette.responses import Response
+from starlette.responses import Response, StreamingResponse
 
 from service.answering.queries import BatchOutcome, Outcome, WrenchJob
 from service.http.binary import MEDIA_TYPE
 from service.http.links import job_link
+from surrogate.answer import within_tolerance_many
 
 Floats = NDArray[np.float64]
 
+PIECE = 20_000  # wrenches laid out at once, in hundredths of a second
 COVERAGE = ("covered", "thin", "outside")
 
 
@@ -28,6 +31,30 @@ def json_reply(
 
 def write_outcome(outcome: Outcome, *, derivatives: bool = False) -> Response:
     """Answer one query, with du/dw if asked for: 200, or 202 while its solve has not answered."""
+    fields = _fields(outcome)
+    if derivatives:
+        fields["derivative"] = _known(outcome.derivative)
+    if outcome.axes is not None:
+        fields["axes"] = outcome.axes
+    if outcome.method_detail is not None:
+        fields["method_detail"] = outcome.method_detail
+    if outcome.error_parts is not None:
+        fields["error_parts"] = outcome.error_parts
+    if outcome.job is not None:
+        fields["job"] = job_link(outcome.job)
+    if not outcome.unsolved:
+        return json_reply(fields)
+    job = fields.setdefault("job", None)
+    return json_reply(fields, 202, {"Location": job["url"]} if job else None)
+
+
+def plain_content(outcome: Outcome) -> bytes:
+    """Return the body that `write_outcome` gives an outcome that is the table's alone."""
+    return orjson.dumps(_fields(outcome))
+
+
+def _fields(outcome: Outcome) -> dict[str, Any]:
+    """Return what every answer says."""
     value, error = outcome.displacement, outcome.error
     fields: dict[str, Any] = {
         "component": outcome.component,
@@ -35,6 +62,7 @@ def write_outcome(outcome: Outcome, *, derivatives: bool = False) -> Response:
         "rotation": value[3:] if value else None,
         "error": {"translation": error[:3], "rotation": error[3:]} if error else None,
         "coverage": outcome.coverage,
+        "within_tolerance": outcome.within_tolerance,
         "source": outcome.source,
         "method": outcome.method,
         "table_version": outcome.table_version,
@@ -48,35 +76,54 @@ def write_outcome(outcome: Outcome, *, derivatives: bool = False) -> Response:
         fields["row"] = outcome.row
     if outcome.notes:
         fields["notes"] = outcome.notes
-    if derivatives:
-        fields["derivative"] = _known(outcome.derivative)
-    if outcome.axes is not None:
-        fields["axes"] = outcome.axes
-    if outcome.method_detail is not None:
-        fields["method_detail"] = outcome.method_detail
-    if outcome.job is not None:
-        fields["job"] = job_link(outcome.job)
-    if not outcome.unsolved:
-        return json_reply(fields)
-    job = fields.setdefault("job", None)
-    return json_reply(fields, 202, {"Location": job["url"]} if job else None)
+    return fields
 
 
 def write_batch(outcome: BatchOutcome) -> Response:
-    """Answer a batch as JSON: 200, or 202 while a solve has not answered."""
-    fields = {
+    """Answer a batch as JSON: 200, or 202 while a solve has not answered.
+
+    A large one is written in pieces: laying out millions of numbers keeps all others waiting.
+    """
+    fields: dict[str, Any] = {
         "component": outcome.component,
-        "displacements": outcome.displacements,
-        "errors": outcome.errors,
-        "coverage": [COVERAGE[code] for code in outcome.coverage.tolist()],
         "jobs": [_wrench_job(one) for one in outcome.jobs],
         "method": outcome.method,
         "table_version": outcome.table_version,
         "elapsed_us": outcome.elapsed_us,
     }
-    if outcome.derivatives is not None:
-        fields["derivatives"] = [_known(one) for one in outcome.derivatives]
-    return json_reply(fields, _status(outcome))
+    if len(outcome.coverage) <= PIECE:
+        lists = {name: list_(0, PIECE) for name, list_ in _lists(outcome).items()}
+        return json_reply({**lists, **fields}, _status(outcome))
+    return StreamingResponse(_pieces(outcome, fields), _status(outcome), None, "application/json")
+
+
+def _lists(outcome: BatchOutcome) -> dict[str, Callable[[int, int], Any]]:
+    """Return what a batch says of each wrench, from one place to another."""
+    codes = outcome.coverage
+    lists: dict[str, Callable[[int, int], Any]] = {
+        "displacements": lambda start, end: outcome.displacements[start:end],
+        "errors": lambda start, end: outcome.errors[start:end],
+        "coverage": lambda start, end: [COVERAGE[code] for code in codes[start:end].tolist()],
+    }
+    if outcome.tolerance is not None:
+        lists["within_tolerance"] = lambda start, end: within_tolerance_many(
+            outcome.errors[start:end], outcome.tolerance
+        )
+    slopes = outcome.derivatives
+    if slopes is not None:
+        lists["derivatives"] = lambda start, end: [_known(one) for one in slopes[start:end]]
+    return lists
+
+
+def _pieces(outcome: BatchOutcome, fields: dict[str, Any]) -> Iterator[bytes]:
+    yield orjson.dumps(fields)[:-1]
+    for name, list_ in _lists(outcome).items():
+        yield b',"%b":[' % name.encode()
+        for start in range(0, len(outcome.coverage), PIECE):
+            some = orjson.dumps(list_(start, start + PIECE), option=orjson.OPT_SERIALIZE_NUMPY)
+            yield (b"," if start else b"") + some[1:-1]
+        yield b"]"
+    yield b"}"
 
 
 def write_binary(outcome: BatchOutcome) -> Response:
@@ -90,6 +137,9 @@ def write_binary(outcome: BatchOutcome) -> Response:
         "Wrenchbook-Elapsed-Us": f"{outcome.elapsed_us:.1f}",
         "Wrenchbook-Jobs": str(len({one.job.id for one in outcome.jobs if one.job})),
     }
+    if outcome.tolerance is not None:  # the block's form has no column for it
+        limit = outcome.tolerance
+        headers["Wrenchbook-Tolerance"] = f"{limit.translation!r}, {limit.rotation!r}"
     content = block.tobytes()
     if outcome.derivatives is not None:
         content += outcome.derivatives.astype("<f8").tobytes()

@@ -11,16 +11,22 @@ Schema = dict[str, Any]
 
 _NUMBER: Final[Schema] = {"type": ["number", "null"]}
 _THREE: Final[Schema] = {"type": "array", "items": _NUMBER, "minItems": 3, "maxItems": 3}
-_SIX: Final[Schema] = {"type": "array", "items": _NUMBER, "minItems": 6, "maxItems": 6}
+SIX: Final[Schema] = {"type": "array", "items": _NUMBER, "minItems": 6, "maxItems": 6}
 _DERIVATIVE: Final[Schema] = {
     "type": ["array", "null"],
-    "items": _SIX,
+    "items": SIX,
     "minItems": 6,
     "maxItems": 6,
     "description": "with derivatives: du/dw, a line an output, m and rad over N and N·m; null "
     "where it is not known",
 }
 _COVERAGE: Final[Schema] = {"enum": ["covered", "thin", "outside"]}
+_WITHIN: Final = (
+    "whether the whole bar is within the tolerance, the request's or else the component's own. "
+    "coverage asks that of the table's share alone, which more rows lower: covered and false means "
+    "that the solver's own error is over the tolerance, and the component's warnings say what to "
+    "do. null where there is no tolerance or no bar, or the solver's own error is not known"
+)
 _STATUS: Final = ["waiting", "running", "done", "failed", "cancelled"]
 _VERSION: Final = (
     "the version of the table that was asked; where source is fea the answer is that of row, which "
@@ -32,7 +38,7 @@ _LINK: Final[dict[str, Schema]] = {
     "status": {"enum": _STATUS},
     "url": {"type": "string"},
 }
-_JOB: Final[Schema] = {"type": "object", "properties": _LINK}
+JOB: Final[Schema] = {"type": "object", "properties": _LINK}
 _WRENCH_JOB: Final[Schema] = {
     "type": "object",
     "properties": {
@@ -40,7 +46,10 @@ _WRENCH_JOB: Final[Schema] = {
         "id": {"type": ["integer", "null"], "description": "null: no solve is queued"},
         "status": {"enum": [*_STATUS, None]},
         "url": {"type": ["string", "null"]},
-        "reason": {"enum": ["beyond-range", "queue-limit"], "description": "why none is queued"},
+        "reason": {
+            "enum": ["beyond-range", "queue-limit", "table-version"],
+            "description": "why none is queued",
+        },
     },
 }
 
@@ -84,6 +93,7 @@ DISPLACEMENT: Final[Schema] = _with_contract(
             "properties": {"translation": _THREE, "rotation": _THREE},
         },
         "coverage": _COVERAGE,
+        "within_tolerance": {"type": ["boolean", "null"], "description": _WITHIN},
         "source": {
             "type": ["string", "null"],
             "description": "table, or where the row that answers came from: fea, measured",
@@ -103,18 +113,29 @@ DISPLACEMENT: Final[Schema] = _with_contract(
             "items": {"type": "string"},
             "description": "the outputs that no row of the table holds",
         },
-        "job": {**_JOB, "type": ["object", "null"]},
+        "job": {**JOB, "type": ["object", "null"]},
         "axes": {"type": "array", "items": OBJECT, "description": "with detail"},
         "method_detail": {"type": "string", "description": "with detail: how the method answers"},
+        "error_parts": {
+            "type": "object",
+            "description": "with detail: what error is the sum of. table: what more rows lower; "
+            "mesh: what a finer mesh lowers; linearity: what a linear component leaves out. Each "
+            "as error is, null where it is not known",
+        },
         "derivative": _DERIVATIVE,
     }
 )
 DISPLACEMENTS: Final[Schema] = _with_contract(
     {
         "component": {"type": "string"},
-        "displacements": {"type": "array", "items": _SIX, "description": "m and rad"},
-        "errors": {"type": "array", "items": _SIX, "description": "95 % error bars, m and rad"},
+        "displacements": {"type": "array", "items": SIX, "description": "m and rad"},
+        "errors": {"type": "array", "items": SIX, "description": "95 % error bars, m and rad"},
         "coverage": {"type": "array", "items": _COVERAGE},
+        "within_tolerance": {
+            "type": "array",
+            "items": {"type": ["boolean", "null"]},
+            "description": f"{_WITHIN}; left out where there is no tolerance",
+        },
         "derivatives": {"type": "array", "items": _DERIVATIVE},
         "method": {"type": "string"},
         "jobs": {
@@ -130,10 +151,71 @@ JOBS: Final[Schema] = {
     "type": "object",
     "properties": {
         "component": {"type": "string"},
-        "jobs": {"type": "array", "items": _JOB},
+        "jobs": {"type": "array", "items": JOB},
         "stage": {"type": "string"},
         "reason": {"type": "string"},
     },
+}
+_NAMES: Final[Schema] = {"type": "array", "items": {"type": "string"}}
+_PLAN: Final[Schema] = {
+    "type": "object",
+    "properties": {
+        "decision": {
+            "enum": ["rigid", "linear", "table"],
+            "description": "leave the component out; one compliance answers; its table does",
+        },
+        "reason": {"type": "string"},
+        "loads": {**_NAMES, "description": "the loads that can occur"},
+        "axes": {
+            "type": "object",
+            "additionalProperties": {
+                "type": "object",
+                "properties": {"inputs": _NAMES, "dimensions": {"type": "integer"}},
+            },
+            "description": "the axes that are composed: their loads that can occur, and how many "
+            "of these vary",
+        },
+        "outputs": {**_NAMES, "description": "the outputs that are read"},
+        "tolerance": {
+            "type": ["object", "null"],
+            "description": "what is decided by, m and rad: the scene's, else the component's",
+        },
+        "displacement_bound": {
+            **SIX,
+            "description": "what no displacement within the scene exceeds, m and rad: by the "
+            "compliance and the answers at the scene's corners, bars included; null if not known",
+        },
+        "solves": {
+            "type": "object",
+            "properties": {"whole": {"type": "integer"}, "scene": {"type": "integer"}},
+            "description": "of the first design, from an empty table",
+        },
+        "saves": {
+            "type": "object",
+            "properties": {
+                "build_s": _NUMBER,
+                "memory_bytes": {"type": ["integer", "null"]},
+                "us_per_answer": _NUMBER,
+            },
+            "description": "what the scene's table needs less than the whole one",
+        },
+        "saves_from": {
+            "type": "object",
+            "additionalProperties": {"type": "string"},
+            "description": "where each number of saves and solves comes from",
+        },
+        "compliance": {
+            "type": "array",
+            "items": SIX,
+            "description": "with linear, where it is known: the displacement over the wrench, m "
+            "and rad over N and N·m; zero by loads that cannot occur",
+        },
+        "table_version": {"type": "integer"},
+    },
+}
+PLANS: Final[Schema] = {
+    "type": "object",
+    "properties": {"components": {"type": "object", "additionalProperties": _PLAN}},
 }
 CANCELLED: Final[Schema] = {"type": "object", "properties": {"cancelled": {"type": "integer"}}}
 

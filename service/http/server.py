@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import logging
 import os
+import resource
+import secrets
+import signal
 import socket
 import subprocess
 import tempfile
@@ -12,17 +17,34 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TextIO
+from types import FrameType
+from typing import Any, TextIO
 
 import uvicorn
 
 from service.client import Client
+from service.fence import warm_up
 from service.files.child import child_command
 from service.http.app import create_app
-from service.workspace import Settings
+from service.http.application import Application
+from service.http.door import Opening
+from service.http.door.opening import OWN_KEY, opening_for, require_keys
+from service.http.listen import bind_to
+from service.http.straight import StraightProtocol
+from service.settings import Settings
+from service.tables.memory import keep_few_heaps
+from service.telemetry.logs import LogFormat, set_up
+
+log = logging.getLogger(__name__)
 
 START_S = 60.0
 STOP_S = 30.0
+OPEN_FILES = 10_240  # more than connections and files together may be
+FINISH_S = 5  # what requests have to end in once the server stops
+# Objects made before the young, the middle and the old are looked through. A look at the old takes
+# as long as thousands of answers, which all wait for it: by Python's own (700, 10, 10) each build
+# of a large table brings about several.
+GARBAGE_AFTER = (10_000, 20, 50)
 _ANNOUNCEMENT = "wrenchbook serves "
 
 
@@ -30,24 +52,92 @@ class ServerDidNotStartError(RuntimeError):
     """The private server ended or hung before it was ready; carries the end of its log."""
 
 
-def serve(settings: Settings, host: str, port: int, log_level: str = "info") -> None:
-    """Serve until SIGINT or SIGTERM; port 0 takes a free one. The address is printed first.
+def serve(
+    settings: Settings,
+    host: str,
+    port: int,
+    log_level: str = "info",
+    log_format: LogFormat = "text",
+    opening: Opening | None = None,
+) -> None:
+    """Serve until SIGINT or SIGTERM; port 0 takes a free one. Its address is printed once up.
+
+    A first signal lets requests be finished and solves wait for the next start; a second one ends
+    the process at once, and leaves solvers running for the next start to find.
 
     Raises
     ------
     OSError
         If the address is taken or not this machine's.
+    KeysNeededError
+        If it is reached from elsewhere, and there is no key.
     """
-    bound = _bind(host, port)
-    shown = f"[{host}]" if ":" in host else host
-    print(f"{_ANNOUNCEMENT}http://{shown}:{bound.getsockname()[1]}", flush=True)
-    logging.basicConfig(
-        level=log_level.upper(), format="%(asctime)s %(levelname)s %(name)s: %(message)s"
+    opening = opening or opening_for(host, None, None, os.environ.get(OWN_KEY))
+    require_keys(host, settings.folder)
+    app = create_app(settings, opening)
+    raise_open_files()
+    bound, address = bind_to(host, port)
+    set_up(log_level, log_format)
+    config = server_config(app, log_level, log_config=None)
+    server = Server(config)
+    server.address = address
+    if opening.own_key is None:  # a command's own server ends before that pays
+        warm_up("service.library.bundle_zip", "service.tablefile.parts", "service.http.large")
+    server.run(sockets=[bound])
+
+
+def server_config(app: Any, log_level: str = "warning", **more: Any) -> uvicorn.Config:
+    """Return how the server speaks for an application: the main call goes straight."""
+    return uvicorn.Config(
+        app,
+        http=StraightProtocol,
+        log_level=log_level,
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=FINISH_S,
+        **more,
     )
-    config = uvicorn.Config(
-        create_app(settings), log_level=log_level, access_log=False, timeout_graceful_shutdown=5
-    )
-    uvicorn.Server(config).run(sockets=[bound])
+
+
+class Server(uvicorn.Server):
+    """uvicorn, settled once started, with listeners to events and those who wait going first.
+
+    Attributes
+    ----------
+    address : str or None
+        Printed once connections to it are taken: who reads it may connect at once.
+    """
+
+    address: str | None = None
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Stop at the first signal; at a second one end at once: the ledger survives that."""
+        if self._captured_signals:
+            log.warning("ended at once by a second signal; solvers that run go on by themselves")
+            logging.shutdown()
+            os._exit(128 + sig)
+        name = signal.Signals(sig).name
+        log.info("stopping on %s: finishing requests, for %d s at most", name, FINISH_S)
+        super().handle_exit(sig, frame)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, and no longer look through what is there to stay for garbage."""
+        keep_few_heaps()
+        await super().startup(sockets)
+        gc.collect()
+        gc.freeze()
+        gc.set_threshold(*GARBAGE_AFTER)
+        if self.address is not None and self.started:
+            print(f"{_ANNOUNCEMENT}{self.address}", flush=True)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Stop serving; uvicorn waits for connections to end, which listeners' would not."""
+        app = self.config.app
+        if isinstance(app, Application) and (watch := getattr(app.state, "watch", None)):
+            watch.feed.close()
+            app.state.workspace.let_go()
+        await super().shutdown(sockets)
+        log.info("stopped; %d requests were answered", self.server_state.total_requests)
 
 
 @contextmanager
@@ -61,29 +151,26 @@ def private_server(folder: Path, solvers: int) -> Iterator[Client]:
     """
     command = child_command("service.cli.main", "serve", "--data", str(folder))
     command += ["--port", "0", "--solvers", str(solvers), "--log-level", "warning"]
+    key = secrets.token_urlsafe(32)
     with tempfile.TemporaryFile("w+") as log:
         server = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=log, text=True, env=os.environ
+            command, stdout=subprocess.PIPE, stderr=log, text=True, env=os.environ | {OWN_KEY: key}
         )
         try:
-            with Client(_address(server, log), timeout=START_S) as client:
+            with Client(_address(server, log), timeout=START_S, key=key) as client:
                 _wait_until_ready(client, server, log)
                 yield client
         finally:
             _stop(server)
 
 
-def _bind(host: str, port: int) -> socket.socket:
-    """Bind before anything is opened, so that a taken port changes nothing."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    bound = socket.socket(family, socket.SOCK_STREAM)
-    bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        bound.bind((host, port))
-    except OSError:
-        bound.close()
-        raise
-    return bound
+def raise_open_files() -> None:
+    """Let this process have as many connections as the machine allows, not 1024 of them."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    # Where there is no end to them, macOS still takes no more than this.
+    wanted = OPEN_FILES if most == resource.RLIM_INFINITY else min(most, OPEN_FILES)
+    with contextlib.suppress(ValueError, OSError):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))
 
 
 def _address(server: subprocess.Popen[str], log: TextIO) -> str:

@@ -6,7 +6,6 @@ files of the solver appear whole or not at all.
 """
 
 import json
-import os
 import shutil
 import time
 from collections.abc import Mapping
@@ -15,7 +14,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-from service.files.durable import sync_folder
+from service.files.durable import write_whole_bytes
 
 SPEC, LOCK, LOG = "spec.json", "lock", "log.txt"
 PROGRESS, OUTCOME = "progress.json", "result.json"
@@ -29,7 +28,10 @@ class BadOutcomeError(Exception):
 
 @dataclass(frozen=True)
 class Spec:
-    """What one attempt solves: a wrench (N, N·m) on the component in the folder `bundle`."""
+    """What one attempt solves: a wrench (N, N·m) on the component in the folder `bundle`.
+
+    With `estimate` it also tells what the solver's own answers may be wrong by, once a set-up.
+    """
 
     job: int
     attempt: int
@@ -37,6 +39,7 @@ class Spec:
     bundle: str
     fingerprint: str
     wrench: tuple[float, ...]
+    estimate: bool = False
 
 
 @dataclass(frozen=True)
@@ -147,16 +150,7 @@ def write_whole(path: Path, content: Mapping[str, Any], *, durable: bool = False
 
     With `durable` it also survives a power cut.
     """
-    text = json.dumps(content, allow_nan=False)
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    with partial.open("w", encoding="utf-8") as file:
-        file.write(text)
-        if durable:
-            file.flush()
-            os.fsync(file.fileno())
-    partial.replace(path)
-    if durable:
-        sync_folder(path.parent)
+    write_whole_bytes(path, json.dumps(content, allow_nan=False).encode(), durable=durable)
 
 
 def _digest(content: Mapping[str, Any]) -> str:
@@ -166,7 +160,7 @@ def _digest(content: Mapping[str, Any]) -> str:
 
 
 def _question(spec: Spec) -> dict[str, Any]:
-    """Return what makes an answer another one: all but where the component's files are."""
+    """Return what makes an answer another one: not where files are, nor what else is told."""
     fields = asdict(spec) | {"wrench": list(spec.wrench)}
-    del fields["bundle"]
+    del fields["bundle"], fields["estimate"]
     return fields

@@ -5,50 +5,42 @@ import functools
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
-from service.jobs.attempt import LOCK, LOG, attempt_folder, last_words, prepare, solver_began
-from service.jobs.engines.engine import Engine
-from service.jobs.lease import Lease
-from service.jobs.record_outcome import settle, spec_of
+from service.fields.store import FieldStore
+from service.jobs.attempt import LOG, last_words, prepare, solver_began
+from service.jobs.engines.engine import ALIVE, Engine
+from service.jobs.lease import BEAT_SECONDS, Lease
+from service.jobs.needs import attempt_of, completed
+from service.jobs.record_outcome import component_missing, settle
+from service.jobs.recovery import Recovery
+from service.jobs.run import Run
 from service.ledger import Change, Job, Ledger, StaleAttemptError
+from service.tables.solver_errors import SolverErrors
 
 _log = logging.getLogger(__name__)
 
-LOOK_SECONDS = 0.01  # between looks at solvers and, for other processes' jobs, at the ledger
-RECOVER_SECONDS = 1.0  # between looks for jobs whose dispatcher has died
+# Between looks for what no event tells: commits of other processes, the end of solvers that another
+# dispatcher started, and the grace of those that are to end.
+LOOK_SECONDS = 0.02
+RECOVER_SECONDS = 1.0  # between looks at all attempts, and for jobs whose dispatcher has died
 TROUBLE_SECONDS = 1.0  # before trying again what failed: a full disk, no more processes
-ORPHANS = 200  # cancelled jobs looked at, at start-up, for solvers nobody has stopped
 # A death counts once its dispatcher has outlived it so long: what takes the solver and then the
 # server, one kill of both or a machine going down, is nothing the job has done.
 OUTLIVE_SECONDS = 1.0
 START_AGAIN_SECONDS = 5.0  # before the next attempt of a job whose solver could not even begin
 STOP_SECONDS = 15.0  # how long `stop` waits for solvers to end
-
-
-@dataclass
-class _Run:
-    """An attempt this dispatcher looks after.
-
-    `leaving` once nobody wants its answer, `witnessed` if its solver has lived in this
-    dispatcher's time, `died` is when it was first seen dead (monotonic seconds).
-    """
-
-    job: Job
-    folder: Path
-    leaving: bool = False
-    witnessed: bool = True
-    died: float | None = None
+MOST_CLAIMED = 100  # in one transaction, which takes a few milliseconds then
 
 
 class Dispatcher:
     """Runs the jobs of a ledger on an engine, in one thread of its own.
 
-    Several dispatchers, in one process or many, may share a ledger and its jobs folder on
-    one machine: each looks after the jobs it claimed, and takes over those of one that died,
-    whose solvers may well be still running.
+    Several dispatchers, in one process or many, may share a ledger and its jobs folder: each looks
+    after the jobs it claimed, and takes over those of one of the same engine that died, whose
+    solvers may well be still running.
 
     Parameters
     ----------
@@ -60,7 +52,12 @@ class Dispatcher:
         Gives the folder of a component by its name; what it raises fails the job.
     jobs_folder : path
         Holds the attempts' folders, ``<job>/<attempt>``, and ``owners``.
-
+    fields : FieldStore, optional
+        Where deformed surfaces are kept.
+    errors : SolverErrors, optional
+        Where estimates of the solver's own error are kept; without it none are made.
+    deadline : float, optional
+        Seconds a solve may take; by default what the component's check makes of it.
     """
 
     def __init__(
@@ -69,6 +66,10 @@ class Dispatcher:
         engine: Engine,
         bundles: Callable[[str], Path],
         jobs_folder: str | Path,
+        fields: FieldStore | None = None,
+        errors: SolverErrors | None = None,
+        *,
+        deadline: float | None = None,
     ) -> None:
         self._failing: str | None = None
         self._unstarted: str | None = None
@@ -76,19 +77,23 @@ class Dispatcher:
         self._engine = engine
         self._bundles = bundles
         self._jobs_folder = Path(jobs_folder).absolute()
+        self._fields, self._errors = fields, errors
+        self._deadline = deadline
         self._lease: Lease | None = None
-        self._runs: dict[tuple[int, int], _Run] = {}
+        self._runs: dict[tuple[int, int], Run] = {}
+        self._pressing: dict[tuple[int, int], Run] = {}
+        self._tasks: dict[str, Run] = {}
+        self._begun: dict[tuple[int, int], float] = {}
+        self._heard: deque[str] = deque()
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
-        self._seen: int | None = None
-        self._may_claim = True
-        self._next_recovery = 0.0
+        self._recovery = Recovery(ledger, engine, self._take_over)
 
     @property
     def trouble(self) -> str | None:
         """What keeps jobs from running at present, such as a full disk; None if nothing does."""
-        return self._failing or self._unstarted
+        return self._failing or self._unstarted or self._engine.trouble
 
     # -- from other threads -----------------------------------------------------------------
 
@@ -97,8 +102,10 @@ class Dispatcher:
         if self._thread is not None:
             raise RuntimeError("the dispatcher runs already")
         self._stopping.clear()
-        self._seen, self._may_claim, self._next_recovery = None, True, 0.0
-        self._unsubscribe = self._ledger.on_change(self._on_change)
+        self._seen, self._may_claim, self._news = None, True, True
+        self._next_look = self._next_sweep = self._next_beat = 0.0
+        self._orphans_stopped = False
+        self._ends = self._ledger.on_change(self._on_change), self._engine.listen(self._on_end)
         self._thread = threading.Thread(target=self._loop, name="dispatcher", daemon=True)
         self._thread.start()
 
@@ -114,7 +121,6 @@ class Dispatcher:
         """
         if self._thread is None:
             return
-        self._unsubscribe()
         self._stopping.set()
         self._wake.set()
         self._thread.join()
@@ -123,16 +129,23 @@ class Dispatcher:
             if not keep_solvers:
                 self._end_runs()
         finally:
+            for end in self._ends:
+                end()
             # What could not be settled is left to the next dispatcher.
-            self._runs.clear()
-            if self._lease is not None:
-                self._lease.close()
-                self._lease = None
-
-    # -- the loop ---------------------------------------------------------------------------
+            for one in (self._runs, self._pressing, self._tasks, self._begun):
+                one.clear()
+            self._close_lease()
 
     def _on_change(self, change: Change) -> None:
+        if threading.current_thread() is not self._thread:
+            self._news = True
+            self._wake.set()
+
+    def _on_end(self, task: str) -> None:
+        self._heard.append(task)
         self._wake.set()
+
+    # -- the loop ---------------------------------------------------------------------------
 
     def _loop(self) -> None:
         while not self._stopping.is_set():
@@ -146,129 +159,172 @@ class Dispatcher:
                 if str(error) != self._failing:
                     _log.exception("the dispatcher tries again every %s s", TROUBLE_SECONDS)
                 self._failing = str(error) or repr(error)
-                self._may_claim = True
+                self._may_claim, self._next_sweep = True, 0.0
                 self._stopping.wait(TROUBLE_SECONDS)
             else:
                 self._wake.wait(LOOK_SECONDS)
 
     def _step(self, lease: Lease) -> None:
-        if time.monotonic() >= self._next_recovery:
-            self._recover(lease)
-        version = self._ledger.version()
-        if version != self._seen:
-            self._leave_unwanted(lease)
-            self._seen, self._may_claim = version, True
-        for run in list(self._runs.values()):
+        now = time.monotonic()
+        if now >= self._next_sweep:
+            self._sweep(lease)
+            self._next_sweep = now + RECOVER_SECONDS
+        if self._news or now >= self._next_look:
+            self._read_news(lease)
+            self._next_look = now + LOOK_SECONDS
+        while self._heard:
+            run = self._tasks.get(self._heard.popleft())
+            if run is not None:
+                self._look(run)
+        for run in list(self._pressing.values()):
             self._look(run)
-        while self._may_claim and self._busy() < self._engine.slots:
-            self._claim(lease)
+        while self._may_claim and (free := self._engine.slots - self._busy()) > 0:
+            self._claim(lease, min(free, MOST_CLAIMED))
 
     def _busy(self) -> int:
-        return sum(run.died is None for run in self._runs.values())
+        return len(self._runs) - sum(run.died is not None for run in self._pressing.values())
 
-    def _recover(self, lease: Lease) -> None:
-        if self._next_recovery == 0.0:
-            self._stop_orphans()
-        for job in self._ledger.running():
-            dead = job.owner
-            if dead is None or dead == lease.name or lease.is_alive(dead):
-                continue
-            if self._ledger.adopt(job.id, job.attempt, dead, lease.name):
-                _log.info("job %d attempt %d taken over from %s", job.id, job.attempt, dead)
-                self._take_over(job)
-            lease.remove(dead)
+    def _sweep(self, lease: Lease) -> None:
+        if not self._orphans_stopped:
+            for job in self._recovery.orphans():
+                self._stop_orphan(job)
+            self._orphans_stopped = True
+        self._recovery.adopt_lost(lease)
+        for run in list(self._runs.values()):
+            self._look(run)
+        if self._begun or (self._runs and time.monotonic() >= self._next_beat):
+            self._ledger.beat(lease.name, self._engine.name, self._begun)
+            self._begun.clear()
+            self._next_beat = time.monotonic() + BEAT_SECONDS
         self._may_claim = True  # a job that had to wait may be due
-        self._next_recovery = time.monotonic() + RECOVER_SECONDS
 
-    def _take_over(self, job: Job) -> None:
-        folder = self._folder(job)
-        self._engine.attach(folder)
-        alive = self._engine.poll(folder) == "running"
-        self._runs[job.id, job.attempt] = _Run(job, folder, witnessed=alive)
-
-    def _stop_orphans(self) -> None:
-        # Cancelled while no dispatcher lived: the solver has not heard of it.
-        for job in self._ledger.jobs(status="cancelled", limit=ORPHANS):
-            folder = self._folder(job)
-            if job.attempt and self._engine.poll(folder) == "running":
-                self._engine.attach(folder)
-                self._engine.cancel(folder)
-                self._runs[job.id, job.attempt] = _Run(job, folder, leaving=True)
+    def _read_news(self, lease: Lease) -> None:
+        self._news = False
+        version = self._ledger.version()
+        if version != self._seen:
+            self._seen, self._may_claim = version, True
+            if self._runs:
+                self._leave_unwanted(lease)
 
     def _leave_unwanted(self, lease: Lease) -> None:
-        running = self._ledger.running()
-        mine = {(job.id, job.attempt) for job in running if job.owner == lease.name}
-        for key, run in self._runs.items():
-            if key not in mine and not run.leaving:
+        mine = self._ledger.attempts_of(lease.name)
+        for run in [one for one in self._runs.values() if one.key not in mine]:
+            if run.leaving:
+                continue
+            job = self._ledger.job(run.job.id)
+            if job.status == "running" and job.attempt == run.job.attempt:
+                _log.warning("job %d is looked after by %s: this one was late", job.id, job.owner)
+                self._drop(run)
+            else:
                 run.leaving = True
-                self._engine.cancel(run.folder)
+                self._pressing[run.key] = run
+                self._engine.cancel(run.attempt)
 
-    def _look(self, run: _Run) -> None:
+    # -- attempts ---------------------------------------------------------------------------
+
+    def _add(self, run: Run) -> None:
+        self._runs[run.key] = self._tasks[run.attempt.task] = run
+        if run.is_pressing:
+            self._pressing[run.key] = run
+
+    def _drop(self, run: Run) -> None:
+        self._engine.forget(run.attempt)
+        del self._runs[run.key]
+        for kept in (self._pressing, self._begun):
+            kept.pop(run.key, None)
+        self._tasks.pop(run.attempt.task, None)
+        self._may_claim = True
+
+    def _take_over(self, job: Job) -> None:
+        attempt = attempt_of(job, self._jobs_folder)
+        with contextlib.suppress(Exception):  # without it the attempt may still be found
+            attempt = completed(attempt, job, self._bundles(job.component), self._deadline)
+        self._engine.attach(attempt)
+        alive = self._engine.poll(attempt) in ALIVE
+        self._add(Run(job, attempt, taken=True, witnessed=alive, adopted=True))
+
+    def _stop_orphan(self, job: Job) -> None:
+        attempt = attempt_of(job, self._jobs_folder)
+        self._engine.cancel(attempt)
+        if self._engine.poll(attempt) in ALIVE:
+            self._add(Run(job, attempt, adopted=True, leaving=True))
+        else:
+            self._engine.forget(attempt)
+
+    def _look(self, run: Run) -> None:
+        state = self._engine.poll(run.attempt)
+        if state == "running" and not run.began:
+            run.began, self._begun[run.key] = True, time.time()
         if self._unstarted and solver_began(run.folder):
             self._unstarted = None
-        state = self._engine.poll(run.folder)
-        if state == "running":
+        if state in ALIVE:
             return
         if not run.leaving:
-            if run.died is None and state == "lost" and self._counts(run):
+            if run.died is None and state == "lost" and run.counts:
                 run.died = time.monotonic()
+                self._pressing[run.key] = run
                 self._may_claim = True
             if run.died is not None and time.monotonic() - run.died < OUTLIVE_SECONDS:
                 return
             with contextlib.suppress(StaleAttemptError):
-                settle(self._ledger, run.job, run.folder, died=self._died(run))
-        del self._runs[run.job.id, run.job.attempt]
-        self._may_claim = True
+                died = self._died(run)
+                self._settle(run, died)
+        self._drop(run)
 
-    def _counts(self, run: _Run) -> bool:
-        """Tell whether a solver that left nothing has died by itself, for all that is known."""
-        return run.witnessed and solver_began(run.folder)
+    def _settle(self, run: Run, died: Callable[[int, int], Job] | None = None) -> None:
+        kept = {"fields": self._fields, "errors": self._errors}
+        settle(self._ledger, run.job, run.folder, died=died, **kept)
 
-    def _died(self, run: _Run) -> Callable[[int, int], Job]:
-        if self._counts(run):
-            return self._ledger.lose
-        if not run.witnessed or not (run.folder / LOCK).exists():
+    def _died(self, run: Run) -> Callable[[int, int], Job]:
+        if run.counts:
+            return functools.partial(self._ledger.lose, cause=last_words(run.folder))
+        if not run.witnessed or not run.taken:
             return self._ledger.release
         words = last_words(run.folder) or "it printed nothing"
         self._unstarted = f"solvers end before they begin: {words}. See {run.folder / LOG}"
         _log.error("job %d: %s", run.job.id, self._unstarted)
         return functools.partial(self._ledger.release, delay=START_AGAIN_SECONDS)
 
-    def _claim(self, lease: Lease) -> None:
-        job = self._ledger.claim(lease.name)
-        if job is None:
-            self._may_claim = False
-            return
-        # Known from here on: whatever fails below, the next look finds an attempt without a
-        # solver and gives it back.
-        run = self._runs[job.id, job.attempt] = _Run(job, self._folder(job))
+    def _claim(self, lease: Lease, most: int) -> None:
+        jobs = self._ledger.claim_many(lease.name, self._engine.name, most)
+        self._may_claim = len(jobs) == most
+        # Known from here on: whatever fails below, the next look finds attempts without a
+        # solver and gives them back.
+        runs = [Run(job, attempt_of(job, self._jobs_folder)) for job in jobs]
+        for run in runs:
+            self._add(run)
+        for run in runs:
+            self._submit(run)
+
+    def _submit(self, run: Run) -> None:
         try:
-            bundle = self._bundles(job.component)
+            bundle = self._bundles(run.job.component)
         except Exception as error:
-            self._ledger.fail(job.id, job.attempt, _component_missing(job, error))
-            del self._runs[job.id, job.attempt]
+            self._ledger.fail(*run.key, component_missing(run.job, error))
+            self._drop(run)
             return
-        prepare(run.folder, spec_of(job, bundle))
-        self._engine.submit(run.folder)
+        named = run.job.component, run.job.fingerprint
+        estimate = self._errors is not None and self._errors.claim(*named)
+        run.attempt = completed(run.attempt, run.job, bundle, self._deadline, estimate=estimate)
+        prepare(run.folder, run.attempt.spec)
+        self._engine.submit(run.attempt)
+        run.taken = True
 
     def _end_runs(self) -> None:
         deadline = time.monotonic() + STOP_SECONDS
         for run in self._runs.values():
-            self._engine.cancel(run.folder)
+            self._engine.cancel(run.attempt)
         for run in self._runs.values():
-            while self._engine.poll(run.folder) == "running" and time.monotonic() < deadline:
-                time.sleep(LOOK_SECONDS)
-            if not run.leaving and self._engine.poll(run.folder) != "running":
+            while self._engine.poll(run.attempt) in ALIVE and time.monotonic() < deadline:
+                self._wake.clear()
+                self._wake.wait(LOOK_SECONDS)
+            if not run.leaving and self._engine.poll(run.attempt) not in ALIVE:
                 with contextlib.suppress(StaleAttemptError):
-                    settle(self._ledger, run.job, run.folder)
+                    self._settle(run)
 
-    def _folder(self, job: Job) -> Path:
-        return attempt_folder(self._jobs_folder, job.id, job.attempt)
-
-
-def _component_missing(job: Job, error: Exception) -> dict[str, str]:
-    return {
-        "kind": "component_missing",
-        "message": f"there is no component {job.component} to solve any more: {error}",
-        "remedy": "add the component again and retry the job, or leave it",
-    }
+    def _close_lease(self) -> None:
+        if self._lease is not None:
+            with contextlib.suppress(Exception):  # it dies all the same
+                self._ledger.end_lease(self._lease.name)
+            self._lease.close()
+            self._lease = None

@@ -6,8 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from service.fields.store import FieldStore
 from service.jobs.attempt import BadOutcomeError, Spec, read_outcome, tidy
 from service.ledger import Job, Ledger
+from service.tables.solver_errors import SolverErrors
 
 _log = logging.getLogger(__name__)
 
@@ -19,7 +21,13 @@ def spec_of(job: Job, bundle: Path | str = "") -> Spec:
 
 
 def settle(
-    ledger: Ledger, job: Job, folder: Path, *, died: Callable[[int, int], Job] | None = None
+    ledger: Ledger,
+    job: Job,
+    folder: Path,
+    *,
+    died: Callable[[int, int], Job] | None = None,
+    fields: FieldStore | None = None,
+    errors: SolverErrors | None = None,
 ) -> None:
     """Tell the ledger how a job's attempt ended; safe to repeat.
 
@@ -33,6 +41,10 @@ def settle(
         The attempt's folder; no solver works in it any more.
     died : callable, optional
         What to tell the ledger of a solver that left no outcome; `Ledger.release` by default.
+    fields : FieldStore, optional
+        Where the deformed surface goes that the solver left.
+    errors : SolverErrors, optional
+        The same for what the solver told of its own error.
 
     Raises
     ------
@@ -41,9 +53,13 @@ def settle(
     """
     outcome = _outcome(job, folder)
     status = None if outcome is None else outcome.get("status")
+    if errors is not None:  # before the row too: the table's version with the row then has it
+        errors.settle(job.component, job.fingerprint, (outcome or {}).get("solver_error"))
     if outcome is None:
         (died or ledger.release)(job.id, job.attempt)
     elif status == "done":
+        if fields is not None:  # without its row it does no harm, and is found by its wrench
+            fields.take(folder, job.component, job.fingerprint, job.wrench)
         _commit(ledger, job, folder, outcome)
     elif status == "failed":
         ledger.fail(job.id, job.attempt, _error(outcome))
@@ -82,6 +98,15 @@ def _error(outcome: dict[str, Any]) -> dict[str, str]:
     if isinstance(error, dict) and {"kind", "message", "remedy"} <= error.keys():
         return {name: str(error[name]) for name in ("kind", "message", "remedy")}
     return _bad_answer(ValueError(f"failed without a reason: {error!r}"))
+
+
+def component_missing(job: Job, error: Exception) -> dict[str, str]:
+    """Return the error of a job whose component the library does not give."""
+    return {
+        "kind": "component_missing",
+        "message": f"there is no component {job.component} to solve any more: {error}",
+        "remedy": "add the component again and retry the job, or leave it",
+    }
 
 
 def _bad_answer(error: Exception) -> dict[str, str]:

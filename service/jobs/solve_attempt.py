@@ -12,6 +12,7 @@ and ``remedy`` is reported with them.
 
 import argparse
 import contextlib
+import errno
 import functools
 import importlib
 import math
@@ -25,6 +26,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from service.fields.record import leave
 from service.files import lock as flock
 from service.jobs.attempt import (
     LOCK,
@@ -38,6 +40,10 @@ from service.jobs.attempt import (
 
 SOLVE_VARIABLE = "WRENCHBOOK_SOLVE"
 DONE, FAILED, IN_USE, CANCELLED = 0, 1, 75, 143  # exit codes
+
+# An outcome waits so long for room on the disk: somebody has to notice first, and to make some.
+FULL_DISK_SECONDS = 3600.0
+_AGAIN_SECONDS = 1.0
 
 Report = Callable[[float, str], None]
 Solve = Callable[[Spec, Report], Mapping[str, Any]]
@@ -71,35 +77,96 @@ def main(folder: str | Path, solve: Solve | None = None) -> int:
     try:
         with _hearing_sigterm():
             numbers = (solve or _chosen_solve(folder))(spec, _Reporter(folder))
-        write_outcome(folder, spec, {"status": "done", **_checked(numbers)})
+        _write_patiently(folder, spec, {"status": "done", **_checked(numbers)})
         return DONE
     except Cancelled:
         write_outcome(folder, spec, {"status": "cancelled"})
         return CANCELLED
     except Exception as error:
-        traceback.print_exc()
-        write_outcome(folder, spec, {"status": "failed", "error": _named(error)})
+        with contextlib.suppress(OSError):
+            traceback.print_exc()
+        _write_patiently(folder, spec, {"status": "failed", "error": _named(error)})
         return FAILED
+
+
+def _write_patiently(folder: Path, spec: Spec, outcome: Mapping[str, Any]) -> None:
+    """Write the outcome once there is room for it: on a full disk it is all there is of hours."""
+    for _ in range(round(FULL_DISK_SECONDS / _AGAIN_SECONDS)):
+        try:
+            write_outcome(folder, spec, outcome)
+            return
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                raise
+        time.sleep(_AGAIN_SECONDS)
+    write_outcome(folder, spec, outcome)
 
 
 def solve_embedded(spec: Spec, report: Report, folder: Path | None = None) -> Mapping[str, Any]:
     """Solve with the finite elements of this project, or a deck's solver in `folder`."""
     from fea.bundle.read import read_bundle
-    from fea.solve import solve
 
     bundle = read_bundle(Path(spec.bundle))
-    if bundle.fingerprint != spec.fingerprint:
+    require_same(spec, bundle.fingerprint)
+    return solve_ready(bundle, spec, report, folder)
+
+
+def require_same(spec: Spec, fingerprint: str) -> None:
+    """Refuse to solve a component that is not the one the job was accepted for."""
+    if fingerprint != spec.fingerprint:
         raise SolveRefusedError(
             "component_changed",
             f"component {spec.component} has changed since the job was accepted "
-            f"(fingerprint {spec.fingerprint} then, {bundle.fingerprint} now)",
+            f"(fingerprint {spec.fingerprint} then, {fingerprint} now)",
             "ask for the wrench again: that makes a job for the component as it is now",
         )
-    solution = solve(bundle, spec.wrench, progress=report, folder=folder)
-    for note in solution.notes:
-        print(note)
+
+
+def solve_ready(
+    ready: Any, spec: Spec, report: Report, folder: Path | None = None
+) -> dict[str, Any]:
+    """Solve a bundle, or the solver made ready for it, and return what an outcome tells."""
+    from fea.solve import solve
+
+    keep = None if folder is None else functools.partial(_leave_fields, folder, spec)
+    solution = solve(ready, spec.wrench, progress=report, folder=folder, on_fields=keep)
+    with contextlib.suppress(OSError):  # a full disk; the outcome holds them too
+        for note in solution.notes:
+            print(note)
     numbers = ("displacement", "compliance", "strain_energy", "work", "seconds", "unknowns")
-    return {name: getattr(solution, name) for name in (*numbers, "history", "notes")}
+    told = {name: getattr(solution, name) for name in (*numbers, "history", "notes")}
+    if spec.estimate:
+        report(1.0, "estimating the error of the mesh")
+        told["solver_error"] = _own_error(ready)
+    return told
+
+
+def _own_error(ready: Any) -> dict[str, Any]:
+    """Return what the solver's answers may be wrong by, or why that is not known.
+
+    An answer is worth having without it, so what goes wrong here is told and not raised.
+    """
+    from fea.accuracy.estimate import accuracy_or_why, unknown_of_deck
+    from fea.solve import Solver
+    from fea.spec.schema import Bundle
+
+    if not isinstance(ready, Bundle):
+        return accuracy_or_why(ready)
+    return accuracy_or_why(Solver(ready)) if ready.deck is None else unknown_of_deck(ready)
+
+
+def begin(lock: int) -> None:
+    """Write into an attempt's lock, which is held, who holds it: a solver is at it from here on."""
+    os.pwrite(lock, str(os.getpid()).encode(), 0)
+
+
+def _leave_fields(folder: Path, spec: Spec, fields: Any) -> None:
+    """Leave surface and stresses beside the outcome; an answer is worth having without them."""
+    try:
+        leave(folder, spec.wrench, fields)
+    except (OSError, ValueError, MemoryError) as error:
+        with contextlib.suppress(OSError):  # on a full disk the log has no room either
+            print(f"the deformed surface was not kept: {error}", file=sys.stderr)
 
 
 class _Reporter:
@@ -171,12 +238,19 @@ def _named(error: Exception) -> dict[str, str]:
         kind, remedy = "bad_component", "correct the component's bundle and ask again"
     if isinstance(error, MemoryError):
         kind, remedy = "out_of_memory", "use fewer solvers at a time or a coarser mesh"
-    message = str(error) or type(error).__name__
+    # A solver's own failure as text begins with its kind and ends in its remedy: each stands once.
+    message = str(getattr(error, "message", "") or error) or type(error).__name__
     return {
         "kind": str(kind or "internal_error"),
         "message": message if kind else f"{type(error).__name__}: {message}",
         "remedy": str(remedy or "see log.txt in the attempt's folder"),
     }
+
+
+def keep_sigterm_waiting() -> None:
+    """Let SIGTERM wait until `main` hears it; it then raises `Cancelled`."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    signal.signal(signal.SIGTERM, _raise_cancelled)
 
 
 def _raise_cancelled(signum: int, frame: object) -> None:
@@ -198,35 +272,20 @@ def _hearing_sigterm() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _hold_lock(folder: Path, inherited: int | None) -> int | None:
-    """Return the descriptor of the attempt's lock, held and with our pid in it."""
-    if inherited is None:
-        lock = flock.take(folder / LOCK)
-    else:
-        lock = inherited
-        # Programs that the solver starts must not keep the lock when the solver is gone.
-        os.set_inheritable(lock, False)
-    if lock is not None:
-        os.pwrite(lock, str(os.getpid()).encode(), 0)
-    return lock
-
-
 def command_line(arguments: Sequence[str] | None = None) -> int:
-    """Run as the program: hold the lock, lower the priority, end on SIGTERM."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
-    signal.signal(signal.SIGTERM, _raise_cancelled)
+    """Run as the program: hold the lock, end on SIGTERM."""
+    keep_sigterm_waiting()
     parser = argparse.ArgumentParser(
         prog="python -m service.jobs.solve_attempt", description=__doc__
     )
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--lock-descriptor", type=int, help="open file of the lock, held")
-    parser.add_argument("--niceness", type=int, default=0)
-    options = parser.parse_args(arguments)
-    if _hold_lock(options.folder, options.lock_descriptor) is None:
-        print(f"a solver is at work in {options.folder} already", file=sys.stderr)
+    folder = parser.parse_args(arguments).folder
+    lock = flock.take(folder / LOCK)
+    if lock is None:
+        print(f"a solver is at work in {folder} already", file=sys.stderr)
         return IN_USE
-    os.nice(options.niceness)
-    return main(options.folder)
+    begin(lock)
+    return main(folder)
 
 
 if __name__ == "__main__":

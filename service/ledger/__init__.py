@@ -1,20 +1,29 @@
 """The durable record of jobs and rows; see `Ledger`."""
 
 from service.ledger.errors import (
+    BlockKeyError,
     DamagedRowError,
+    ImportRunningError,
     InvalidTransitionError,
+    LedgerDamagedError,
     LedgerError,
     LedgerFileError,
+    LedgerFullError,
     LedgerUnavailableError,
     RowStatusError,
     StaleAttemptError,
     UnknownJobError,
     UnknownRowError,
+    UnknownVersionError,
 )
+from service.ledger.gathered import Block, Kept, Kind, Tally, block_of
+from service.ledger.imports import About, Import
 from service.ledger.ledger import Ledger
+from service.ledger.packing import PackedRow, packed_columns
 from service.ledger.records import (
     FINAL,
     STATUSES,
+    Beat,
     Change,
     Job,
     LedgerRow,
@@ -28,22 +37,37 @@ from service.ledger.records import (
 __all__ = [
     "FINAL",
     "STATUSES",
+    "About",
+    "Beat",
+    "Block",
+    "BlockKeyError",
     "Change",
     "DamagedRowError",
+    "Import",
+    "ImportRunningError",
     "InvalidTransitionError",
     "Job",
+    "Kept",
+    "Kind",
     "Ledger",
+    "LedgerDamagedError",
     "LedgerError",
     "LedgerFileError",
+    "LedgerFullError",
     "LedgerRow",
     "LedgerUnavailableError",
     "NewRow",
     "News",
     "OpenJob",
+    "PackedRow",
     "RowEdit",
     "RowStatusError",
     "StaleAttemptError",
     "Status",
+    "Tally",
     "UnknownJobError",
     "UnknownRowError",
+    "UnknownVersionError",
+    "block_of",
+    "packed_columns",
 ]

@@ -9,8 +9,16 @@ class LedgerFileError(LedgerError):
     """The file is not a ledger this program can read: foreign, damaged or newer."""
 
 
+class LedgerDamagedError(LedgerFileError):
+    """The file is a ledger, or was one, and its bytes are not those that were written."""
+
+
 class LedgerUnavailableError(LedgerError):
     """The ledger could not be read or written now (disk full, locked); nothing was changed."""
+
+
+class LedgerFullError(LedgerUnavailableError):
+    """The disk has no room for what was to be written; nothing was changed."""
 
 
 class UnknownJobError(LedgerError, LookupError):
@@ -35,3 +43,15 @@ class DamagedRowError(LedgerError):
 
 class RowStatusError(LedgerError):
     """The row is withdrawn already, or is not."""
+
+
+class BlockKeyError(LedgerError):
+    """A block of wrenches has a key that says nothing about whether it was recorded."""
+
+
+class ImportRunningError(LedgerError):
+    """Another import has the ledger for too long; nothing was loaded."""
+
+
+class UnknownVersionError(LedgerError, LookupError):
+    """The table has no such version, or none yet."""

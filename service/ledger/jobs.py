@@ -13,7 +13,7 @@ MOST_VALUES = 500  # of one statement; SQLite before 3.32 takes 999
 
 _COLUMNS = (
     "id, component, fingerprint, wrench, status, priority, attempt, lost, owner, "
-    "created, started, finished, error, row, not_before, asked_by"
+    "created, started, finished, error, row, not_before, asked_by, engine, task, began"
 )
 
 
@@ -48,12 +48,12 @@ def save(db: Connection, job: Job) -> Job:
     """Write all of a job that can change."""
     error = None if job.error is None else json.dumps(job.error)
     now = (job.status, job.priority, job.attempt, job.lost, job.owner)
-    times = (job.started, job.finished)
+    times, where = (job.started, job.finished), (job.engine, job.task, job.began)
     db.execute(
         "UPDATE jobs SET status = ?, priority = ?, attempt = ?, lost = ?, owner = ?,"
-        " started = ?, finished = ?, error = ?, row = ?, not_before = ?, asked_by = ?"
-        " WHERE id = ?",
-        (*now, *times, error, job.row, job.not_before, job.asked_by, job.id),
+        " started = ?, finished = ?, error = ?, row = ?, not_before = ?, asked_by = ?,"
+        " engine = ?, task = ?, began = ? WHERE id = ?",
+        (*now, *times, error, job.row, job.not_before, job.asked_by, *where, job.id),
     )
     return job
 
@@ -100,28 +100,51 @@ def opened(db: Connection, component: str, fingerprint: str) -> list[OpenJob]:
     return [OpenJob(*record) for record in found]
 
 
-def next_waiting(db: Connection, now: float) -> Job | None:
-    """Return the waiting job that is to start next."""
+def next_waiting(db: Connection, now: float, most: int) -> list[Job]:
+    """Return the waiting jobs that are to start next, at most so many."""
     where = (
         "WHERE status = 'waiting' AND coalesce(not_before, 0) <= ?"
-        " ORDER BY priority DESC, id LIMIT 1"
+        " ORDER BY priority DESC, id LIMIT ?"
     )
-    found = _select(db, where, (now,))
-    return found[0] if found else None
+    return _select(db, where, (now, most))
 
 
-def listed(db: Connection, component: str | None, status: str | None, limit: int) -> list[Job]:
-    """Return jobs, newest first."""
+def listed(
+    db: Connection,
+    component: str | None,
+    status: str | None,
+    limit: int,
+    below: int | None = None,
+) -> list[Job]:
+    """Return jobs, newest first, those of a number below `below` if given."""
     conditions = {"component": component, "status": status}
     used = {name: value for name, value in conditions.items() if value is not None}
-    where = " AND ".join(f"{name} = ?" for name in used)
-    tail = f"{'WHERE ' + where if where else ''} ORDER BY id DESC LIMIT ?"
-    return _select(db, tail, (*used.values(), limit))
+    terms = [f"{name} = ?" for name in used] + ["id < ?"] * (below is not None)
+    where = f"WHERE {' AND '.join(terms)}" if terms else ""
+    start = () if below is None else (below,)
+    return _select(db, f"{where} ORDER BY id DESC LIMIT ?", (*used.values(), *start, limit))
 
 
 def running(db: Connection) -> list[Job]:
     """Return all running jobs, oldest first."""
     return _select(db, "WHERE status = 'running' ORDER BY id", ())
+
+
+def unfinished(db: Connection, after: int | None) -> list[Job]:
+    """Return all jobs that wait or run, and those that ended of a number above `after`."""
+    newer = "" if after is None else " OR id > ?"
+    where = f"WHERE status IN ('waiting', 'running'){newer} ORDER BY id"
+    return _select(db, where, () if after is None else (after,))
+
+
+def ended(db: Connection, job_ids: Iterable[int]) -> set[int]:
+    """Return those of some jobs that neither wait nor run."""
+    wanted, found = list(job_ids), set()
+    for start in range(0, len(wanted), MOST_VALUES):
+        part = wanted[start : start + MOST_VALUES]
+        where = f"id IN ({', '.join('?' * len(part))}) AND status NOT IN ('waiting', 'running')"
+        found |= {one for (one,) in db.execute(f"SELECT id FROM jobs WHERE {where}", part)}
+    return found
 
 
 def counts(db: Connection, component: str | None) -> dict[str, int]:

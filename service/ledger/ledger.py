@@ -5,14 +5,19 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from service.ledger import jobs, rows, states
+from service.ledger.bulk import Imports
+from service.ledger.care import Care
+from service.ledger.connections import Connections
+from service.ledger.gatherings import Gatherings
+from service.ledger.job_log import log_jobs
+from service.ledger.leases import Leases, write_beat
 from service.ledger.listeners import Listener, Listeners
 from service.ledger.records import Change, Job, LedgerRow, NewRow, OpenJob, Status, pack6
-from service.ledger.schema import Connections
 from service.ledger.table_rows import TableRows
 
 
-class Ledger(TableRows):
-    """Jobs and rows in one SQLite file, for many threads and several processes at once.
+class Ledger(TableRows, Imports, Gatherings, Leases, Care):
+    """Jobs, rows and recordings in one SQLite file, for many threads and several processes at once.
 
     A method that returned has committed to disk; one that raised changed nothing.
 
@@ -119,19 +124,28 @@ class Ledger(TableRows):
         self._tell(*accepted)
         return accepted
 
-    def claim(self, owner: str) -> Job | None:
+    def claim(self, owner: str, engine: str = "local") -> Job | None:
         """Start the next waiting job's next attempt under `owner`; None if none waits."""
+        claimed = self.claim_many(owner, engine, 1)
+        return claimed[0] if claimed else None
+
+    def claim_many(self, owner: str, engine: str, most: int) -> list[Job]:
+        """Start the next attempts of the next waiting jobs, in one transaction.
+
+        Each gets a task key; it is submitted, not running, until `beat` says that it began. The
+        claim counts as a beat of the owner.
+        """
         now = time.time()
         with self._db.reading() as db:
-            if jobs.next_waiting(db, now) is None:
-                return None
+            if not jobs.next_waiting(db, now, 1):
+                return []
         with self._db.writing() as db:
-            waiting = jobs.next_waiting(db, now)
-            if waiting is None:
-                return None
-            job = jobs.save(db, states.claimed(waiting, owner, now))
-        self._tell(job)
-        return job
+            waiting = jobs.next_waiting(db, now, most)
+            claimed = [jobs.save(db, states.claimed(job, owner, engine, now)) for job in waiting]
+            if claimed:
+                write_beat(db, owner, engine, now)
+        self._tell(*claimed)
+        return claimed
 
     def adopt(self, job_id: int, attempt: int, previous: str, owner: str) -> Job | None:
         """Take a running attempt over from a dead owner; None if another one was faster."""
@@ -173,7 +187,7 @@ class Ledger(TableRows):
             new = NewRow(job.wrench, displacement, source, compliance, uncertainty, origin)
             now = time.time()
             row = rows.add(db, job.component, job.fingerprint, new, job.id, now)
-            jobs.save(db, states.committed(job, row.seq, now))
+            job = jobs.save(db, states.committed(job, row.seq, now))
         self._tell(job, rows=1)
         return row
 
@@ -181,9 +195,9 @@ class Ledger(TableRows):
         """End a running attempt as failed; `error` holds kind, message and remedy."""
         return self._end(job_id, attempt, lambda job: states.failed(job, error, time.time()))
 
-    def lose(self, job_id: int, attempt: int) -> Job:
+    def lose(self, job_id: int, attempt: int, cause: str = "") -> Job:
         """Record that an attempt's solver died: waiting for longer and longer, then failed."""
-        return self._end(job_id, attempt, lambda job: states.lost(job, time.time()))
+        return self._end(job_id, attempt, lambda job: states.lost(job, time.time(), cause))
 
     def release(self, job_id: int, attempt: int, *, delay: float = 0.0) -> Job:
         """Give an attempt back that did not die by itself; it does not count as lost.
@@ -224,11 +238,15 @@ class Ledger(TableRows):
             return jobs.get(db, job_id)
 
     def jobs(
-        self, component: str | None = None, status: Status | None = None, limit: int = 100
+        self,
+        component: str | None = None,
+        status: Status | None = None,
+        limit: int = 100,
+        below: int | None = None,
     ) -> list[Job]:
-        """Return jobs, newest first."""
+        """Return jobs, newest first, those of a number below `below` if given."""
         with self._db.reading() as db:
-            return jobs.listed(db, component, status, limit)
+            return jobs.listed(db, component, status, limit, below)
 
     def open_jobs(self, component: str, fingerprint: str) -> list[OpenJob]:
         """Return the waiting and running jobs of one setup, oldest first."""
@@ -246,6 +264,16 @@ class Ledger(TableRows):
         """Return all running jobs, oldest first."""
         with self._db.reading() as db:
             return jobs.running(db)
+
+    def unfinished(self, after: int | None = None) -> list[Job]:
+        """Return all open jobs, and with `after` also those that ended of a number above it."""
+        with self._db.reading() as db:
+            return jobs.unfinished(db, after)
+
+    def ended(self, job_ids: Iterable[int]) -> set[int]:
+        """Return those of some jobs that neither wait nor run."""
+        with self._db.reading() as db:
+            return jobs.ended(db, job_ids)
 
     def counts(self, component: str | None = None) -> dict[str, int]:
         """Return the number of jobs of each of the five statuses."""
@@ -292,5 +320,6 @@ class Ledger(TableRows):
 
     def _tell(self, *touched: Job, rows: int = 0) -> None:
         if touched:
+            log_jobs(touched)
             numbers = tuple(dict.fromkeys(job.id for job in touched))
             self._listeners.tell(Change(touched[0].component, numbers, rows))

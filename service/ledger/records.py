@@ -50,6 +50,11 @@ class Job:
         Seconds since the epoch before which a waiting job is not started: its solver has died.
     asked_by : str
         Which call the job comes from, such as ``query`` or ``fill``.
+    engine, task : str or None
+        Which engine has the latest attempt, and the key it has it under.
+    began : float or None
+        Seconds since the epoch: when a solver was first seen at the running attempt. Until then
+        it is submitted, no more.
     """
 
     id: int
@@ -68,11 +73,25 @@ class Job:
     row: int | None
     not_before: float | None = None
     asked_by: str = ""
+    engine: str | None = None
+    task: str | None = None
+    began: float | None = None
 
     @property
     def is_final(self) -> bool:
         """True if nothing more happens to the job by itself."""
         return self.status in FINAL
+
+
+class Beat(NamedTuple):
+    """The heartbeat of an owner of attempts: its engine, how many beats, the time of the last, s.
+
+    It lives as long as the number grows. The time is for people: clocks can be set.
+    """
+
+    engine: str
+    beat: int
+    at: float
 
 
 class OpenJob(NamedTuple):

@@ -4,16 +4,17 @@ Rows and edits (a withdrawal, its undoing) are numbered by one sequence, so that
 a follower how far it has read.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from hashlib import blake2b
 from typing import Any
 
+from service.ledger import imports
 from service.ledger.errors import DamagedRowError, RowStatusError, UnknownRowError
 from service.ledger.records import (
     LedgerRow,
     NewRow,
     News,
-    RowEdit,
     content_key,
     pack6,
     pack36,
@@ -23,18 +24,20 @@ from service.ledger.records import (
 )
 from service.ledger.schema import Connection
 
-_COLUMNS = (
+COLUMNS = (
     "seq, component, fingerprint, source, wrench, displacement, compliance, uncertainty, "
     "job, created, origin, key, seal"
 )
-_CONTENT = _COLUMNS.removeprefix("seq, ")
+_CONTENT = COLUMNS.removeprefix("seq, ")
 _PLACES = ", ".join("?" for _ in _CONTENT.split(","))
 _INSERT = f"INSERT INTO rows ({_CONTENT}) VALUES ({_PLACES}) ON CONFLICT (key) DO NOTHING"
-# The newest edit of a row says how it stands: beside max(), SQLite gives that record's columns.
-_LIVE = (
+# Beside max(), SQLite gives that record's columns: the newest edit of a row says how it stands.
+LIVE = (
     "seq NOT IN (SELECT row FROM (SELECT row, withdrawn, max(seq) FROM edits"
-    " WHERE component = :component GROUP BY row) WHERE withdrawn)"
+    " WHERE component = :component AND seq <= :until GROUP BY row) WHERE withdrawn)"
+    f" AND {imports.SHOWN}"
 )
+_EVER = 2**63 - 1
 
 
 def add(
@@ -47,7 +50,8 @@ def add(
     """
     values = _values(component, fingerprint, row, job, now)
     db.execute(_INSERT, values)
-    same, damaged = _sound(db.execute(f"SELECT {_COLUMNS} FROM rows WHERE key = ?", (values[-2],)))
+    same, damaged = sound(db.execute(f"SELECT {COLUMNS} FROM rows WHERE key = ?", (values[-2],)))
+    imports.show_one(db, same[0].seq if same else damaged[0])
     if damaged:
         db.execute(
             f"UPDATE rows SET ({_CONTENT}) = ({_PLACES}) WHERE key = ?", (*values, values[-2])
@@ -68,27 +72,53 @@ def packed(
 
 
 def add_many(db: Connection, rows: list[tuple[object, ...]]) -> int:
-    """Insert those of `packed` rows that are not there yet and return how many those were."""
-    return db.executemany(_INSERT, rows).rowcount if rows else 0
+    """Insert those of `packed` rows that are not there yet and return how many those were.
+
+    A row that an import has brought and not shown yet is there for nobody else: it is shown, and
+    counts as one of these.
+    """
+    if not rows:
+        return 0
+    inserted = db.executemany(_INSERT, rows).rowcount
+    return inserted + imports.show_many(db, [row[-2] for row in rows])
+
+
+def add_hidden(db: Connection, rows: list[tuple[object, ...]]) -> tuple[int, int, int]:
+    """Insert rows that nobody shall see yet; how many were new, the first and last of them."""
+    first = highest(db) + 1
+    inserted = db.executemany(_INSERT, rows).rowcount if rows else 0
+    return inserted, first, highest(db)
+
+
+def highest(db: Connection) -> int:
+    """Return the highest number given to a row or an edit."""
+    found = db.execute("SELECT seq FROM sqlite_sequence WHERE name = 'rows'").fetchone()
+    return found[0] if found else 0
 
 
 def get(db: Connection, seq: int) -> LedgerRow:
     """Return a row by its id; raises UnknownRowError, DamagedRowError."""
-    found = _select(db, "WHERE seq = ?", (seq,))
+    found = _select(db, f"WHERE seq = ? AND {imports.SHOWN}", (seq,))
     if not found:
         raise UnknownRowError(f"there is no row {seq}")
     return found[0]
+
+
+def numbered(db: Connection, seqs: Sequence[int]) -> list[LedgerRow]:
+    """Return those of some rows that are there and as they were written."""
+    marks = ", ".join("?" * len(seqs))
+    return sound(db.execute(f"SELECT {COLUMNS} FROM rows WHERE seq IN ({marks})", seqs))[0]
 
 
 def listed(
     db: Connection, component: str, fingerprint: str | None, after: int
 ) -> tuple[list[LedgerRow], list[int]]:
     """Return a component's rows above a seq but withdrawn ones, and the seqs of damaged ones."""
-    where = f"WHERE component = :component AND seq > :after AND {_LIVE}"
+    where = f"WHERE component = :component AND seq > :after AND {LIVE}"
     if fingerprint is not None:
         where += " AND fingerprint = :fingerprint"
-    values = {"component": component, "after": after, "fingerprint": fingerprint}
-    return _sound(db.execute(f"SELECT {_COLUMNS} FROM rows {where} ORDER BY seq", values))
+    values = {"component": component, "after": after, "fingerprint": fingerprint, "until": _EVER}
+    return sound(db.execute(f"SELECT {COLUMNS} FROM rows {where} ORDER BY seq", values))
 
 
 def news(db: Connection, component: str, after: int, most: int) -> tuple[News, list[int]]:
@@ -96,32 +126,41 @@ def news(db: Connection, component: str, after: int, most: int) -> tuple[News, l
 
     Of new rows only the first `most`; the news then end with the last of them.
     """
-    values = {"component": component, "after": after, "most": most}
-    touched = "SELECT row FROM edits WHERE component = :component AND seq > :after"
+    told = last_seq(db, component)
+    values = {"component": component, "after": after, "most": most, "until": told}
+    touched = (
+        "SELECT row FROM edits WHERE component = :component AND seq > :after AND seq <= :until"
+    )
     gone = frozenset(seq for (seq,) in db.execute(touched, values))
-    select = f"SELECT {_COLUMNS} FROM rows WHERE component = :component AND {_LIVE}"
+    select = f"SELECT {COLUMNS} FROM rows WHERE component = :component AND {LIVE}"
     again = f"{select} AND seq <= :after AND seq IN ({touched}) ORDER BY seq"
-    fresh = f"{select} AND seq > :after ORDER BY seq LIMIT :most"
-    old, broken = _sound(db.execute(again, values))
-    new, damaged = _sound(db.execute(fresh, values))
+    fresh = f"{select} AND seq > :after AND seq <= :until ORDER BY seq LIMIT :most"
+    old, broken = sound(db.execute(again, values))
+    new, damaged = sound(db.execute(fresh, values))
     whole = len(new) + len(damaged) < most
-    until = last_seq(db, component) if whole else max(damaged + [row.seq for row in new[-1:]])
+    until = told if whole else max(damaged + [row.seq for row in new[-1:]])
     return News(old + new, gone, until, whole), broken + damaged
 
 
 def last_seq(db: Connection, component: str | None) -> int:
-    """Return the number of the newest row or edit, 0 if there is none."""
+    """Return the number of the newest row or edit, 0 if there is none.
+
+    While an import of a component's rows is taken in, the numbers end before its first: whoever
+    follows the table has not passed its rows when they are shown.
+    """
     where = "" if component is None else "WHERE component = :component"
     newest = ", ".join(
         f"coalesce((SELECT max(seq) FROM {table} {where}), 0)" for table in ("rows", "edits")
     )
-    return db.execute(f"SELECT max({newest})", {"component": component}).fetchone()[0]
+    found = db.execute(f"SELECT max({newest})", {"component": component}).fetchone()[0]
+    hidden = imports.first_hidden(db, component)
+    return found if hidden is None else min(found, hidden - 1)
 
 
 def count(db: Connection, component: str) -> int:
     """Return how many rows a component has, withdrawn ones too."""
-    found = db.execute("SELECT count(*) FROM rows WHERE component = ?", (component,))
-    return found.fetchone()[0]
+    shown = f"SELECT count(*) FROM rows WHERE component = ? AND {imports.SHOWN}"
+    return db.execute(shown, (component,)).fetchone()[0]
 
 
 def digest(db: Connection, component: str, until: int) -> str:
@@ -145,50 +184,57 @@ def is_withdrawn(db: Connection, seq: int) -> bool:
 
 def is_usable(db: Connection, seq: int) -> bool:
     """Return whether a row is as it was written and not withdrawn."""
-    found, _ = _sound(db.execute(f"SELECT {_COLUMNS} FROM rows WHERE seq = ?", (seq,)))
+    shown = f"SELECT {COLUMNS} FROM rows WHERE seq = ? AND {imports.SHOWN}"
+    found, _ = sound(db.execute(shown, (seq,)))
     return bool(found) and not is_withdrawn(db, seq)
+
+
+def is_sound(db: Connection, seq: int) -> bool:
+    """Return whether there is a row of this number and it is as it was written."""
+    return bool(numbered(db, [seq]))
+
+
+def rewrite(
+    db: Connection,
+    component: str,
+    seq: int,
+    row: NewRow,
+    job: int | None,
+    created: float,
+    origin: object,
+) -> bool:
+    """Write a damaged row anew from another copy, with its own number, job and time.
+
+    Its old note is kept if its seal says that it is the one that was written. False if the same
+    row stands under another number already: it was solved or loaded again.
+    """
+    mark = db.execute("SELECT seal FROM rows WHERE seq = ?", (seq,)).fetchone()
+    if isinstance(origin, str):
+        own = _values(component, "", replace(row, origin=origin), job, created)
+        if mark and own[-1] == mark[0]:
+            row = replace(row, origin=origin)
+    values = (*_values(component, "", row, job, created), seq)
+    if db.execute("SELECT 1 FROM rows WHERE key = ? AND seq <> ?", (values[-3], seq)).fetchone():
+        return False
+    db.execute(f"UPDATE rows SET ({_CONTENT}) = ({_PLACES}) WHERE seq = ?", values)
+    return True
+
+
+def place(db: Connection, component: str, seq: int, row: NewRow, now: float) -> None:
+    """Insert a row under the number it had in a ledger that is gone."""
+    values = (seq, *_values(component, "", row, None, now))
+    db.execute(f"INSERT OR IGNORE INTO rows (seq, {_CONTENT}) VALUES (?, {_PLACES})", values)
 
 
 def edit(db: Connection, component: str, seq: int, *, withdrawn: bool, now: float) -> None:
     """Withdraw or restore a component's row; raises UnknownRowError, RowStatusError."""
-    same = "SELECT 1 FROM rows WHERE seq = ? AND component = ?"
+    same = f"SELECT 1 FROM rows WHERE seq = ? AND component = ? AND {imports.SHOWN}"
     if db.execute(same, (seq, component)).fetchone() is None:
         raise UnknownRowError(f"the table of {component!r} has no row {seq}")
     if is_withdrawn(db, seq) == withdrawn:
         raise RowStatusError(f"row {seq} is {'withdrawn already' if withdrawn else 'in the table'}")
     number = skip(db, 1)
     db.execute("INSERT INTO edits VALUES (?, ?, ?, ?, ?)", (number, component, seq, withdrawn, now))
-
-
-def newest_edits(db: Connection, component: str, until: int) -> list[RowEdit]:
-    """Return the newest edit, up to a seq, of each of a component's rows that had one."""
-    # Beside max(), SQLite gives that record's columns.
-    found = db.execute(
-        "SELECT rows.key, withdrawn, edits.created, max(edits.seq) FROM edits"
-        " JOIN rows ON rows.seq = row WHERE edits.component = ? AND edits.seq <= ?"
-        " GROUP BY row ORDER BY row",
-        (component, until),
-    )
-    return [RowEdit(key, bool(withdrawn), created) for key, withdrawn, created, _ in found]
-
-
-def replay(db: Connection, component: str, edits: Iterable[RowEdit]) -> int:
-    """Repeat edits that are newer than what a row has had; return how many changed a row.
-
-    Those of rows that are not there change nothing.
-    """
-    newest = "SELECT created FROM edits WHERE row = ? ORDER BY seq DESC LIMIT 1"
-    same = "SELECT seq FROM rows WHERE key = ? AND component = ?"
-    changed = 0
-    for key, withdrawn, created in edits:
-        found = db.execute(same, (key, component)).fetchone()
-        if found is None or is_withdrawn(db, found[0]) == withdrawn:
-            continue
-        last = db.execute(newest, found).fetchone()
-        if last is None or last[0] < created:
-            edit(db, component, found[0], withdrawn=withdrawn, now=created)
-            changed += 1
-    return changed
 
 
 def skip(db: Connection, count: int = 0, least: int = 0) -> int:
@@ -236,7 +282,7 @@ def _key(
 
 
 def _select(db: Connection, tail: str, values: tuple[object, ...]) -> list[LedgerRow]:
-    found, damaged = _sound(db.execute(f"SELECT {_COLUMNS} FROM rows {tail}", values))
+    found, damaged = sound(db.execute(f"SELECT {COLUMNS} FROM rows {tail}", values))
     if damaged:
         raise DamagedRowError(
             f"row {damaged[0]} is damaged on the disk and used nowhere; restore the ledger from a "
@@ -245,7 +291,7 @@ def _select(db: Connection, tail: str, values: tuple[object, ...]) -> list[Ledge
     return found
 
 
-def _sound(records: Iterable[tuple]) -> tuple[list[LedgerRow], list[int]]:
+def sound(records: Iterable[tuple]) -> tuple[list[LedgerRow], list[int]]:
     """Part the rows that are as they were written from the seqs of those that are not."""
     found, damaged = [], []
     for record in records:

@@ -1,199 +1,33 @@
-"""The ledger's SQLite file: its connections, its transactions, bringing it to today's schema.
+"""The ledger's SQLite file: opening and checking it, bringing it to today's schema, copying it.
 
 The one file that imports sqlite3. WAL with ``synchronous=FULL``: when a transaction has
 returned, it survives a power cut.
 """
 
+import os
 import sqlite3
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import suppress
 from pathlib import Path
 
 from service.files.durable import sync_folder
-from service.ledger.errors import LedgerError, LedgerFileError, LedgerUnavailableError
+from service.ledger.errors import LedgerDamagedError, LedgerFileError
 from service.ledger.records import seal
 from service.ledger.versions import APPLICATION_ID, SCRIPTS
 
 Connection = sqlite3.Connection
+# What using a file can come to; a damaged text need be no UTF-8.
+USE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 
 BUSY_SECONDS = 30.0  # a writer waits so long for another process: a bulk import takes seconds
+LOOK_AGAIN_SECONDS = 0.001  # of one that waits: a tenth of what a short transaction takes
+# The log is brought into the file each 1000 pages (4 MB) if nobody reads then; what is left of a
+# longer one, after a large import, is cut to this when that has been done.
+LOG_BYTES = 16 * 1024 * 1024
+CHECKPOINT_SECONDS = 0.2  # how long a checkpoint waits for readers, and writers for it
 
 
-class Connections:
-    """One writing connection, as many reading ones as are in use, one to watch for changes.
-
-    Readers never wait for the writer (WAL); writers of this process wait for each other here
-    and for other processes in SQLite.
-
-    Parameters
-    ----------
-    path : path
-    patient : bool
-        Whether to go on without a file that cannot be used now: it is tried again by each
-        `writing`, and until then every use raises LedgerUnavailableError.
-
-    Raises
-    ------
-    LedgerFileError
-        If the file is foreign, damaged or of a newer schema, and `patient` is false.
-    """
-
-    def __init__(self, path: Path, *, patient: bool = False) -> None:
-        self._path = path
-        self._closed = False
-        self._write_lock = threading.Lock()
-        self._watch_lock = threading.Lock()
-        self._idle: list[Connection] = []
-        self._writer: Connection | None = None
-        self._watcher: Connection | None = None
-        self._inode = (0, 0)
-        self._refused: LedgerFileError | None = None
-        self._frozen = False  # refused, but whole enough on the disk to be read as it lies there
-        try:
-            self._open()
-        except LedgerFileError as error:
-            if not patient:
-                raise
-            self._refuse(error)
-
-    @contextmanager
-    def writing(self, *, keep: bool = True) -> Iterator[Connection]:
-        """Give the writing connection in a transaction that is committed at the end.
-
-        Parameters
-        ----------
-        keep : bool
-            False tries the transaction and takes it back.
-
-        Raises
-        ------
-        LedgerUnavailableError
-            If SQLite could not write or commit; nothing of the transaction is kept.
-        """
-        with self._write_lock, self._named_errors():
-            self._check_open()
-            writer = self._present_writer()
-            writer.execute("BEGIN IMMEDIATE")
-            try:
-                yield writer
-                writer.execute("COMMIT" if keep else "ROLLBACK")
-            except BaseException:
-                if writer.in_transaction:
-                    writer.execute("ROLLBACK")
-                raise
-
-    @contextmanager
-    def reading(self) -> Iterator[Connection]:
-        """Give a reading connection; all its statements see one and the same committed state."""
-        with self._named_errors():
-            self._check_open()
-            frozen = self._frozen
-            if not frozen:
-                self._check_usable()
-            try:
-                connection = self._idle.pop()
-            except IndexError:
-                connection = _connect(self._path, frozen=frozen)
-            try:
-                connection.execute("BEGIN")
-                yield connection
-            finally:
-                if connection.in_transaction:
-                    connection.execute("ROLLBACK")
-                self._keep(connection, frozen)
-
-    def version(self) -> int:
-        """Return a number that changes with every commit of any process (microseconds)."""
-        with self._watch_lock, self._named_errors():
-            self._check_open()
-            if self._frozen:
-                return 0
-            self._check_usable()
-            if self._watcher is None:
-                self._watcher = _connect(self._path)
-            return self._watcher.execute("PRAGMA data_version").fetchone()[0]
-
-    def trouble(self) -> str | None:
-        """Return why the file can be neither read nor written now; None if it can."""
-        try:
-            self._check_usable()
-        except LedgerUnavailableError as error:
-            return str(error)
-        return None
-
-    def close(self) -> None:
-        """Close all connections; one in use is closed when it comes back."""
-        with self._write_lock, self._watch_lock:
-            if self._closed:
-                return
-            self._closed = True
-            for connection in (self._watcher, *self._idle, self._writer):
-                if connection is not None:
-                    connection.close()
-            self._idle.clear()
-
-    @contextmanager
-    def _named_errors(self) -> Iterator[None]:
-        try:
-            yield
-        except (sqlite3.Error, UnicodeDecodeError) as error:
-            if _tells_damage(error):  # what is damaged in one place is trusted in no other
-                self._refuse(_damaged(self._path, str(error)))
-            raise LedgerUnavailableError(
-                f"the ledger {self._path} could not be used: {error}. Nothing was changed; "
-                "see that its disk has space and is writable, then ask again"
-            ) from error
-
-    def _refuse(self, error: LedgerFileError) -> None:
-        self._refused = error
-        self._frozen = _can_be_read_frozen(self._path)
-
-    def _open(self) -> None:
-        if self._writer is not None:
-            self._writer.close()
-        self._writer = _open(self._path)
-        self._inode = _inode(self._path)
-        self._refused, self._frozen = None, False
-        while self._idle:
-            self._idle.pop().close()
-
-    def _present_writer(self) -> Connection:
-        if self._refused is not None:
-            try:
-                self._open()
-            except LedgerFileError as error:
-                raise LedgerUnavailableError(str(error)) from error
-        self._check_usable()
-        assert self._writer is not None
-        return self._writer
-
-    def _check_usable(self) -> None:
-        if self._refused is not None:
-            raise LedgerUnavailableError(str(self._refused))
-        # SQLite goes on writing into a file that nobody can open any more.
-        if _inode(self._path) != self._inode:
-            raise LedgerUnavailableError(
-                f"the ledger {self._path} was deleted or replaced under this server; nothing is "
-                "accepted. Put the file back if you moved it, then restart the server"
-            )
-
-    def _keep(self, connection: Connection, frozen: bool) -> None:
-        if frozen != self._frozen:  # it does not see what is written since
-            connection.close()
-            return
-        self._idle.append(connection)
-        if self._closed:
-            while self._idle:
-                self._idle.pop().close()
-
-    def _check_open(self) -> None:
-        if self._closed:
-            raise LedgerError("the ledger is closed")
-
-
-def _can_be_read_frozen(path: Path) -> bool:
+def can_be_read_frozen(path: Path) -> bool:
     """Return whether a ledger that cannot be opened for writing can be read as it lies there.
 
     SQLite then makes no files beside it, as a full disk needs, but does not see what a WAL file
@@ -203,7 +37,7 @@ def _can_be_read_frozen(path: Path) -> bool:
     try:
         if not path.is_file() or (wal.exists() and wal.stat().st_size):
             return False
-        connection = _connect(path, frozen=True)
+        connection = connect(path, frozen=True)
         try:
             _check_file(connection, path)
             return _schema_version(connection) == len(SCRIPTS)
@@ -213,7 +47,8 @@ def _can_be_read_frozen(path: Path) -> bool:
         return False
 
 
-def _inode(path: Path) -> tuple[int, int]:
+def inode(path: Path) -> tuple[int, int]:
+    """Return what tells a file from another one of its name; zeros if there is none."""
     try:
         found = path.stat()
     except OSError:
@@ -221,7 +56,8 @@ def _inode(path: Path) -> tuple[int, int]:
     return found.st_dev, found.st_ino
 
 
-def _connect(path: Path, *, frozen: bool = False) -> Connection:
+def connect(path: Path, *, frozen: bool = False) -> Connection:
+    """Open the file as it is; `frozen` only to read, with no file made beside it."""
     connection = sqlite3.connect(
         f"{path.as_uri()}?immutable=1" if frozen else path,
         timeout=BUSY_SECONDS,
@@ -234,16 +70,57 @@ def _connect(path: Path, *, frozen: bool = False) -> Connection:
         connection.text_factory = lambda word: word.decode("utf-8", "replace")
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA foreign_keys = ON")
+        connection.execute(f"PRAGMA journal_size_limit = {LOG_BYTES}")
     except BaseException:
         connection.close()
         raise
     return connection
 
 
-def _open(path: Path) -> Connection:
+def begin(connection: Connection) -> None:
+    """Begin to write, as soon as no other process does.
+
+    SQLite itself looks again after up to 100 ms, and an import begins its next transaction in the
+    meantime, again and again.
+    """
+    deadline = time.monotonic() + BUSY_SECONDS
+    connection.execute("PRAGMA busy_timeout = 0")
+    try:
+        while True:
+            try:
+                connection.execute("BEGIN IMMEDIATE")
+                return
+            except sqlite3.OperationalError as error:
+                busy = error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY
+                if not busy or time.monotonic() > deadline:
+                    raise
+            time.sleep(LOOK_AGAIN_SECONDS)
+    finally:
+        connection.execute(f"PRAGMA busy_timeout = {round(1000 * BUSY_SECONDS)}")
+
+
+def sync_log(path: Path) -> None:
+    """Bring what is in the log onto the disk, with nobody waiting for the ledger meanwhile."""
+    with suppress(OSError):  # no log, or a disk that fails: the next durable commit tells it
+        descriptor = os.open(path.with_name(f"{path.name}-wal"), os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def open_file(path: Path) -> Connection:
+    """Open a ledger that is whole, or a new one, and bring it to today's schema.
+
+    Raises
+    ------
+    LedgerFileError
+        If it is foreign, damaged or of a newer schema, or cannot be written.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        connection = _connect(path)
+        _check_log(path)
+        connection = connect(path)
         try:
             _check_file(connection, path)
             _check_whole(connection, path)
@@ -258,9 +135,21 @@ def _open(path: Path) -> Connection:
             "its disk has space and no program keeps it locked"
         ) from error
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
-        raise _damaged(path, str(error)) from error
+        raise damaged_file(path, str(error)) from error
     sync_folder(path.parent)
     return connection
+
+
+def _check_log(path: Path) -> None:
+    """Refuse a log without its file: SQLite would delete it, and with it what it holds."""
+    log = path.with_name(f"{path.name}-wal")
+    lost = not path.exists() or path.stat().st_size == 0
+    if lost and log.exists() and log.stat().st_size:
+        raise LedgerFileError(
+            f"there is {log.name} without {path}: the ledger's file was moved or deleted and its "
+            "log was not. Nothing is written beside it; put the file back. If it is gone for good, "
+            "wrenchbook doctor --mend moves the log aside and makes a new file from the tables"
+        )
 
 
 def _check_file(connection: Connection, path: Path) -> None:
@@ -287,24 +176,31 @@ def _check_whole(connection: Connection, path: Path) -> None:
     """
     found = connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
     if found != "ok":
-        raise _damaged(path, found)
+        raise damaged_file(path, found)
 
 
-def _damaged(path: Path, why: str) -> LedgerFileError:
-    return LedgerFileError(
+def damaged_file(path: Path, why: str) -> LedgerDamagedError:
+    """Return the error that tells of a damaged file."""
+    return LedgerDamagedError(
         f"cannot read {path} as a ledger: it is damaged ({why}). Nothing is written into it; "
         "tables answer from their files. Move it away with the server stopped, and put back a copy "
-        "or start with an empty one: the rows of the tables' files then come back into it"
+        "or make a new one of what can be read: wrenchbook doctor --mend"
     )
 
 
-def _tells_damage(error: Exception) -> bool:
+def tells_damage(error: Exception) -> bool:
     """Tell a damaged file from a disk that is full or a lock; its texts can be no UTF-8 either."""
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the rest says where it was noticed
     return isinstance(error, UnicodeDecodeError) or code in (
         sqlite3.SQLITE_CORRUPT,
         sqlite3.SQLITE_NOTADB,
     )
+
+
+def tells_full(error: Exception) -> bool:
+    """Tell a disk, or a quota, that has no room: SQLite itself, or a write that came up short."""
+    code = getattr(error, "sqlite_errorcode", 0)
+    return code & 0xFF == sqlite3.SQLITE_FULL or code == sqlite3.SQLITE_IOERR_WRITE
 
 
 def _use_wal(connection: Connection) -> None:
@@ -334,6 +230,51 @@ def _upgrade(connection: Connection) -> None:
     connection.execute(f"PRAGMA user_version = {len(SCRIPTS)}")
     connection.execute("COMMIT")
     connection.execute("PRAGMA foreign_keys = ON")
+
+
+def checkpoint(connection: Connection) -> bool:
+    """Bring the log into the file and empty it; False if somebody reads or writes just now."""
+    connection.execute(f"PRAGMA busy_timeout = {round(1000 * CHECKPOINT_SECONDS)}")
+    try:
+        busy, _, _ = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+    finally:
+        connection.execute(f"PRAGMA busy_timeout = {round(1000 * BUSY_SECONDS)}")
+    return not busy
+
+
+def copy_file(source: Connection, target: Path) -> None:
+    """Write all that is committed into a new file, checked: one read of SQLite's online backup.
+
+    In one step: taken in parts it would begin anew with each commit of another process.
+
+    Raises
+    ------
+    LedgerFileError
+        If the copy is not whole.
+    """
+    copy = sqlite3.connect(target, isolation_level=None)
+    try:
+        source.backup(copy)
+        _check_whole(copy, target)
+        copy.execute("PRAGMA journal_mode = DELETE")  # one file; it is WAL again once opened
+    finally:
+        copy.close()
+
+
+def sequences(connection: Connection) -> dict[str, int]:
+    """Return the highest numbers given out, by table."""
+    return dict(connection.execute("SELECT name, seq FROM sqlite_sequence").fetchall())
+
+
+def raise_sequences(connection: Connection, numbers: dict[str, int]) -> None:
+    """Give out no number again that was given out before."""
+    with_all = {**dict.fromkeys(numbers, 0), **sequences(connection)}
+    connection.execute("BEGIN IMMEDIATE")
+    for name, number in numbers.items():
+        connection.execute("DELETE FROM sqlite_sequence WHERE name = ?", (name,))
+        highest = max(number, with_all[name])
+        connection.execute("INSERT INTO sqlite_sequence VALUES (?, ?)", (name, highest))
+    connection.execute("COMMIT")
 
 
 def _schema_version(connection: Connection) -> int:

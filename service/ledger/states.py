@@ -3,6 +3,7 @@
 Pure functions from a job to the job after an event; nothing here reads or writes the ledger.
 """
 
+import secrets
 from dataclasses import replace
 
 from service.ledger.errors import InvalidTransitionError, StaleAttemptError
@@ -15,6 +16,7 @@ BACKOFF_SECONDS = (1.0, 10.0, 100.0)
 TRANSITIONS: dict[tuple[Status, str], Status] = {
     ("waiting", "claim"): "running",
     ("waiting", "cancel"): "cancelled",
+    ("running", "begin"): "running",
     ("running", "adopt"): "running",
     ("running", "commit"): "done",
     ("running", "fail"): "failed",
@@ -37,11 +39,19 @@ SOLVER_DIED = {
 }
 
 
-def claimed(job: Job, owner: str, now: float) -> Job:
-    """Return the job with a new attempt running under `owner`."""
+def claimed(job: Job, owner: str, engine: str, now: float) -> Job:
+    """Return the job with a new attempt under `owner`, submitted to an engine."""
     attempt = job.attempt + 1
-    fresh = {"started": now, "finished": None, "not_before": None}
-    return _moved(job, "claim", owner=owner, attempt=attempt, **fresh)
+    # Engines may serve many data directories, whose jobs have the same numbers.
+    task = f"{job.id}-{attempt}-{secrets.token_hex(6)}"
+    fresh = {"started": now, "finished": None, "not_before": None, "began": None}
+    where = {"owner": owner, "engine": engine, "task": task}
+    return _moved(job, "claim", attempt=attempt, **where, **fresh)
+
+
+def begun(job: Job, at: float) -> Job:
+    """Return the running job with a solver at its attempt since `at`."""
+    return _moved(job, "begin", began=at if job.began is None else job.began)
 
 
 def adopted(job: Job, owner: str) -> Job:
@@ -59,18 +69,24 @@ def failed(job: Job, error: dict[str, str], now: float) -> Job:
     return _moved(job, "fail", owner=None, error=error, finished=now)
 
 
-def lost(job: Job, now: float) -> Job:
-    """Return the job waiting for some time, or failed if its solver died too often."""
+def lost(job: Job, now: float, cause: str = "") -> Job:
+    """Return the job waiting for some time, or failed if its solver died too often.
+
+    `cause` is what is known of the latest death.
+    """
     count = job.lost + 1
     if job.lost < len(BACKOFF_SECONDS):
         later = now + BACKOFF_SECONDS[job.lost]
-        return _moved(job, "lose", owner=None, lost=count, started=None, not_before=later)
-    return _moved(job, "give up", owner=None, lost=count, error=SOLVER_DIED, finished=now)
+        return _moved(job, "lose", owner=None, lost=count, not_before=later, **_UNSTARTED)
+    error = dict(SOLVER_DIED)
+    if cause:
+        error["message"] += f"; the last time: {cause}"
+    return _moved(job, "give up", owner=None, lost=count, error=error, finished=now)
 
 
 def released(job: Job, not_before: float | None = None) -> Job:
     """Return the job waiting again after an attempt that was given back, not lost."""
-    return _moved(job, "release", owner=None, started=None, not_before=not_before)
+    return _moved(job, "release", owner=None, not_before=not_before, **_UNSTARTED)
 
 
 def cancelled(job: Job, now: float) -> Job:
@@ -112,9 +128,11 @@ def check_attempt(job: Job, attempt: int) -> None:
         )
 
 
+_UNSTARTED: dict[str, object] = {"started": None, "began": None}
+
 _FRESH: dict[str, object] = {
+    **_UNSTARTED,
     "lost": 0,
-    "started": None,
     "finished": None,
     "error": None,
     "not_before": None,

@@ -2,12 +2,16 @@
 
 import logging
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
-from service.ledger import rows
+from service.ledger import edits, rows
+from service.ledger.connections import Connections
+from service.ledger.errors import UnknownVersionError
 from service.ledger.listeners import Listeners
 from service.ledger.records import Change, LedgerRow, NewRow, News, RowEdit
-from service.ledger.schema import Connections
+from service.ledger.schema import Connection
+from service.ledger.table_at import TableAt, at_version, known_blocks
 
 _log = logging.getLogger(__name__)
 
@@ -96,10 +100,39 @@ class TableRows:
         self._note(component, damaged)
         return found
 
+    @contextmanager
+    def table_at(self, component: str, version: int | None = None) -> Iterator[TableAt]:
+        """Give a component's table as it was at a version, now if None, as one committed state.
+
+        Raises
+        ------
+        UnknownVersionError
+            If the table has not come to that version yet.
+        """
+        with self._db.reading() as db:
+            newest = rows.last_seq(db, component)
+            if version is not None and not 0 <= version <= newest:
+                raise UnknownVersionError(
+                    f"the table of {component!r} has the versions 0 to {newest}, not {version}"
+                )
+            until = newest if version is None else version
+            known = known_blocks(db, component, until)
+            yield TableAt(until, known, self._lots(db, component, until))
+
+    def _lots(self, db: Connection, component: str, until: int) -> Iterator[list[LedgerRow]]:
+        for found, damaged in at_version(db, component, until, MOST_NEWS):
+            self._note(component, damaged)
+            yield found
+
     def row(self, seq: int) -> LedgerRow:
         """Return a row by its seq, withdrawn or not; raises UnknownRowError, DamagedRowError."""
         with self._db.reading() as db:
             return rows.get(db, seq)
+
+    def is_withdrawn(self, seq: int) -> bool:
+        """Return whether a row is withdrawn."""
+        with self._db.reading() as db:
+            return rows.is_withdrawn(db, seq)
 
     def last_seq(self, component: str | None = None) -> int:
         """Return the number of the newest row, withdrawal or restoring (of one component)."""
@@ -119,15 +152,15 @@ class TableRows:
     def edits(self, component: str, until: int) -> list[RowEdit]:
         """Return how each of a component's rows that was withdrawn or restored stands at a seq."""
         with self._db.reading() as db:
-            return rows.newest_edits(db, component, until)
+            return edits.newest_edits(db, component, until)
 
-    def replay(self, component: str, edits: Iterable[RowEdit]) -> int:
+    def replay(self, component: str, wanted: Iterable[RowEdit]) -> int:
         """Withdraw and restore rows as edits say that are newer than the ledger's own.
 
         Returns how many rows changed; an edit of a row that is not there changes nothing.
         """
         with self._db.writing() as db:
-            changed = rows.replay(db, component, edits)
+            changed = edits.replay(db, component, wanted)
         if changed:
             self._listeners.tell(Change(component, rows=changed))
         return changed

@@ -77,4 +77,90 @@ SCRIPTS = (
     """,
     # Where a job comes from: those of queries are limited in number.
     "ALTER TABLE jobs ADD COLUMN asked_by TEXT NOT NULL DEFAULT ''",
+    # Recordings and envelopes: what a simulator's loop has met. Of each block only its key and a
+    # digest are kept, so that one sent twice counts once.
+    """
+    CREATE TABLE gatherings (
+        component TEXT NOT NULL,
+        kind TEXT NOT NULL CHECK (kind IN ('recording', 'envelope')),
+        revision INTEGER NOT NULL,
+        offered INTEGER NOT NULL,
+        merged INTEGER NOT NULL,
+        thinned INTEGER NOT NULL,
+        outside INTEGER NOT NULL,
+        reach REAL NOT NULL,
+        within REAL NOT NULL,
+        reach_outside REAL NOT NULL,
+        within_outside REAL NOT NULL,
+        scale BLOB CHECK (length(scale) = 48),
+        PRIMARY KEY (component, kind)
+    );
+    CREATE TABLE recorded (
+        id INTEGER PRIMARY KEY AUTOINCREMENT,
+        component TEXT NOT NULL,
+        wrench BLOB NOT NULL CHECK (length(wrench) = 48),
+        UNIQUE (component, wrench)
+    );
+    CREATE TABLE extremes (
+        component TEXT NOT NULL,
+        place INTEGER NOT NULL CHECK (place BETWEEN 0 AND 11),
+        wrench BLOB NOT NULL CHECK (length(wrench) = 48),
+        PRIMARY KEY (component, place)
+    );
+    CREATE TABLE blocks (
+        id INTEGER PRIMARY KEY AUTOINCREMENT,
+        component TEXT NOT NULL,
+        kind TEXT NOT NULL,
+        client TEXT NOT NULL,
+        sequence INTEGER NOT NULL,
+        digest BLOB NOT NULL,
+        UNIQUE (component, kind, client, sequence)
+    );
+    """,
+    # An attempt's record: which engine runs it, under which task, since when a solver is at it. Its
+    # owner's heartbeat stands once an owner, not once an attempt: a beat is one small write then,
+    # however many attempts run. What ran before was on the engine there was.
+    """
+    ALTER TABLE jobs ADD COLUMN engine TEXT;
+    ALTER TABLE jobs ADD COLUMN task TEXT;
+    ALTER TABLE jobs ADD COLUMN began REAL;
+    UPDATE jobs SET engine = 'local', task = id || '-' || attempt WHERE attempt > 0;
+    UPDATE jobs SET began = started WHERE status = 'running';
+    CREATE INDEX jobs_of_owner ON jobs (owner) WHERE owner IS NOT NULL;
+    CREATE TABLE leases (
+        owner TEXT PRIMARY KEY,
+        engine TEXT NOT NULL,
+        beat INTEGER NOT NULL,
+        at REAL NOT NULL
+    );
+    """,
+    # Jobs are listed by component, or by status, newest first, a page at a time.
+    """
+    CREATE INDEX IF NOT EXISTS jobs_listed_by_component ON jobs (component);
+    CREATE INDEX IF NOT EXISTS jobs_listed_by_status ON jobs (status);
+    """,
+    # Imports: who loaded which rows from what, as ranges of their numbers. Rows of a range that is
+    # hidden are there for nobody: an import is taken in piece by piece and shown at once.
+    """
+    CREATE TABLE imports (
+        id INTEGER PRIMARY KEY AUTOINCREMENT,
+        component TEXT NOT NULL,
+        created REAL NOT NULL,
+        who TEXT NOT NULL,
+        filename TEXT NOT NULL,
+        format TEXT NOT NULL,
+        digest TEXT NOT NULL,
+        note TEXT NOT NULL,
+        rows INTEGER NOT NULL
+    );
+    CREATE INDEX imports_of_component ON imports (component, id);
+    CREATE TABLE import_parts (
+        first INTEGER PRIMARY KEY,
+        last INTEGER NOT NULL,
+        import INTEGER NOT NULL REFERENCES imports (id),
+        component TEXT NOT NULL,
+        hidden INTEGER NOT NULL CHECK (hidden IN (0, 1))
+    );
+    CREATE INDEX hidden_parts ON import_parts (first) WHERE hidden = 1;
+    """,
 )

@@ -1,48 +1,89 @@
-"""A bundle on its way in: unpacking its zip, checking its mesh."""
+"""A bundle's zip, unpacked and read: runs behind the fence, see `service.library.arrival`."""
 
 from __future__ import annotations
 
 import errno
-import json
-import lzma
-import subprocess
+import struct
 import zipfile
-import zlib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Final
 
-from fea.bundle.read import BundleError, Problem
-from service.files.child import child_command
+from fea.bundle.read import BundleError, Problem, read_bundle
+from service.fence.parts import Part
+from surrogate.table.hdf5 import TableFileError, leads_out
 
-MAX_BUNDLE_BYTES = 512 * 1024 * 1024  # a mesh of some million cells
-CHECK_SECONDS = 300
-# A password or an unknown compression (RuntimeError), a damaged or an impossible member.
-_UNREADABLE = (RuntimeError, zlib.error, lzma.LZMAError, EOFError, ValueError)
-# A path no file can have, or a file that is a folder of another one.
-_BAD_PATH = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.EEXIST)
-_CANNOT_UNPACK = (
+MAX_BUNDLE_BYTES: Final = 512 * 1024 * 1024  # a mesh of some million cells
+MOST_FILES: Final = 1000  # a component is its component.toml, a mesh, and what a deck includes
+MOST_PROBLEMS: Final = 1000
+_PIECE: Final = 1 << 20
+_COMPRESSIONS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+# What the disk is to blame for; all else is the archive's fault.
+_OF_THE_DISK: Final = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EACCES)
+_CANNOT_UNPACK: Final = (
     "The zip cannot be unpacked: {why}. Zip the folder again, without a password, with the usual "
     "compression (deflate) and with short file names."
 )
 
 
-def extract(archive: BinaryIO, target: Path) -> Path:
-    """Unpack a bundle's zip and return the folder that holds component.toml."""
+def unpacked(archive: Path, target: str) -> Iterator[Part]:
+    """Unpack a bundle's zip into a folder and read it.
+
+    Parameters
+    ----------
+    archive : path
+        The zip.
+    target : str
+        An empty folder.
+
+    Yields
+    ------
+    Part
+        ``problems``, each ``[where, message]``; or ``folder``, which holds the bundle, relative to
+        `target`, and ``deck``, whether it names a command.
+    """
+    try:
+        folder = extract(archive, Path(target))
+        _refuse_links(folder)
+        bundle = read_bundle(folder)
+    except BundleError as error:
+        told = [[one.where, one.message] for one in error.problems[:MOST_PROBLEMS]]
+        yield Part({"problems": told})
+    else:
+        inside = folder.relative_to(target).as_posix()
+        yield Part({"problems": [], "folder": inside, "deck": bundle.deck is not None})
+
+
+def extract(archive: Path, target: Path) -> Path:
+    """Unpack a bundle's zip and return the folder that holds component.toml.
+
+    Raises
+    ------
+    BundleError
+        If it cannot be unpacked, leads out of the folder or is too large.
+    OSError
+        If the disk is full or cannot be written.
+    """
     try:
         with zipfile.ZipFile(archive) as bundle:
             _refuse_hostile(bundle)
-            bundle.extractall(target)
-    except zipfile.BadZipFile:
+            _unpack(bundle, target)
+    except zipfile.BadZipFile as error:
         raise one_problem(
             "bundle",
-            "This is not a zip file. Zip the folder that holds component.toml and send it.",
+            f"This is not a zip file that can be read ({error}). Zip the folder that holds "
+            "component.toml and send it.",
         ) from None
-    except _UNREADABLE as error:
-        raise one_problem("bundle", _CANNOT_UNPACK.format(why=error)) from None
+    except (BundleError, MemoryError):
+        raise
     except OSError as error:
-        if error.errno not in _BAD_PATH:
-            raise  # the disk's fault, not the bundle's
-        raise one_problem("bundle", _CANNOT_UNPACK.format(why=error.strerror)) from None
+        if error.errno in _OF_THE_DISK:
+            raise
+        raise one_problem(
+            "bundle", _CANNOT_UNPACK.format(why=error.strerror or "it is damaged")
+        ) from None
+    except (Exception, struct.error) as error:  # whatever zipfile comes to in a damaged archive
+        raise one_problem("bundle", _CANNOT_UNPACK.format(why=str(error)[:200])) from None
     folders = sorted(path.parent for path in target.rglob("component.toml"))
     if len(folders) != 1:
         raise one_problem(
@@ -51,51 +92,57 @@ def extract(archive: BinaryIO, target: Path) -> Path:
     return folders[0]
 
 
-def _refuse_hostile(bundle: zipfile.ZipFile) -> None:
-    size = sum(info.file_size for info in bundle.infolist())
-    if size > MAX_BUNDLE_BYTES:
-        raise one_problem(
-            "bundle", f"Unpacked, the zip is {size} bytes; at most {MAX_BUNDLE_BYTES} are accepted."
-        )
+def _unpack(bundle: zipfile.ZipFile, target: Path) -> None:
+    """Write each member, counting what comes out of it: its head may say anything."""
+    left = MAX_BUNDLE_BYTES
     for info in bundle.infolist():
+        path = target.joinpath(*Path(info.filename).parts)
+        if info.is_dir():
+            path.mkdir(parents=True, exist_ok=True)
+            continue
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with bundle.open(info) as packed, path.open("xb") as written:
+            while piece := packed.read(_PIECE):
+                left -= len(piece)
+                if left < 0:
+                    raise _too_large()
+                written.write(piece)
+
+
+def _refuse_hostile(bundle: zipfile.ZipFile) -> None:
+    entries = bundle.infolist()
+    if len(entries) > MOST_FILES:
+        message = f"The zip holds {len(entries)} files; at most {MOST_FILES} are accepted."
+        raise one_problem("bundle", message)
+    if sum(info.file_size for info in entries) > MAX_BUNDLE_BYTES:
+        raise _too_large()
+    for info in entries:
         parts = Path(info.filename).parts
         if info.filename.startswith(("/", "\\")) or ".." in parts or ":" in info.filename:
             raise one_problem(
                 "bundle",
-                f"The zip holds the path {info.filename!r}, which leads out of the bundle.",
+                f"The zip holds the path {info.filename[:200]!r}, which leads out of the bundle.",
             )
+        if info.compress_type not in _COMPRESSIONS:
+            why = f"{info.filename[:200]!r} is compressed by method {info.compress_type}"
+            raise one_problem("bundle", _CANNOT_UNPACK.format(why=why))
 
 
-def check_mesh(folder: Path) -> dict[str, Any]:
-    """Build the bundle's mesh and resolve its groups, in a process of its own.
+def _refuse_links(folder: Path) -> None:
+    """Refuse HDF5 files, as some meshes are, that have other files of this machine read."""
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        try:
+            outside = leads_out(path)
+        except TableFileError as error:
+            raise one_problem("bundle", f'"{path.name}" {error}') from None
+        if outside:
+            message = f'"{path.name}" has parts in other files; write it whole, without links'
+            raise one_problem("bundle", message)
 
-    The web process never imports the finite-element stack; a bad mesh file can cost that process
-    its life without costing the server anything.
 
-    Raises
-    ------
-    BundleError
-        With every problem found, or with what the check printed if it died.
-    """
-    command = child_command("fea.check", str(folder))
-    try:
-        run = subprocess.run(
-            command, capture_output=True, text=True, timeout=CHECK_SECONDS, check=False
-        )
-    except subprocess.TimeoutExpired:
-        raise one_problem(
-            "mesh", f"The mesh could not be read within {CHECK_SECONDS} s. Give a coarser one."
-        ) from None
-    try:
-        report = json.loads(run.stdout.strip().splitlines()[-1])
-    except (IndexError, ValueError):
-        tail = run.stderr.strip()[-500:]
-        raise one_problem(
-            "mesh", f"The mesh check stopped without an answer. It printed: {tail}"
-        ) from None
-    if not report["ok"]:
-        raise BundleError([Problem(p["where"], p["message"]) for p in report["problems"]])
-    return report
+def _too_large() -> BundleError:
+    most = MAX_BUNDLE_BYTES >> 20
+    return one_problem("bundle", f"Unpacked, the zip is larger than {most} MiB, the most accepted.")
 
 
 def one_problem(where: str, message: str) -> BundleError:

@@ -31,6 +31,28 @@ def warnings_of(folder: Path) -> list[dict[str, str]]:
     return _report(folder).get("warnings", [])
 
 
+def estimate_of(folder: Path) -> dict[str, Any]:
+    """Return what a solve takes by the check of a bundle (`fea.check.cost`); empty if unknown."""
+    found = _report(folder).get("estimate")
+    return found if isinstance(found, dict) else {}
+
+
+def solver_error_of(folder: Path, fingerprint: str) -> dict[str, Any] | None:
+    """Return what the check of a bundle estimated its solver to be wrong by, if of that set-up."""
+    report = _report(folder)
+    found = report.get("solver_error") if report.get("fingerprint") == fingerprint else None
+    return found if isinstance(found, dict) and found.get("mesh") is not None else None
+
+
+def vibration_of(folder: Path) -> dict[str, Any] | None:
+    """Return mass and first natural frequency as the check of a bundle found them.
+
+    By itself, without what it will carry: ``mass`` (kg), ``first_frequency`` (Hz), ``motion`` (six
+    numbers, m and rad). None where the bundle tells no density or no check has been stored.
+    """
+    return _report(folder).get("vibration") or None
+
+
 @lru_cache(maxsize=256)
 def _interface(folder: Path, _fingerprint: str) -> dict[str, Any] | None:
     """Read once for each fingerprint: reading a bundle hashes its mesh."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,8 @@ class Component:
         How these files were when they were read: see `file_stamp`.
     idle : tuple of int
         Which of the six loads act on a freedom of the interface that is locked.
+    yield_strengths : mapping
+        By a material's region, Pa; of those whose bundle says it.
     """
 
     name: str
@@ -43,6 +46,7 @@ class Component:
     files: tuple[Path, ...] = ()
     stamp: FileStamp = ()
     idle: tuple[int, ...] = ()
+    yield_strengths: Mapping[str, float] = field(default_factory=dict)
 
     def acting(self, wrenches: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return wrenches, shape (..., 6), N and N·m, without the loads on locked freedoms.
@@ -57,6 +61,17 @@ class Component:
         kept = np.array(wrenches, dtype=float)
         kept[..., list(self.idle)] = 0.0
         return kept
+
+    @property
+    def acting_range(self) -> LoadRange:
+        """The load range, N and N·m, with loads on locked freedoms held at 0.
+
+        What is designed varies no other load: one wrench would count as several, and a first
+        design, of which the queue drops the copies, would always have some to go.
+        """
+        if not self.idle:
+            return self.load_range
+        return LoadRange(self.acting(self.load_range.low), self.acting(self.load_range.high))
 
     def is_as_read(self) -> bool:
         """Return whether no file has changed since; takes microseconds."""
@@ -76,6 +91,9 @@ def _stamp(path: Path) -> tuple[int, int] | None:
     return found.st_mtime_ns, found.st_size
 
 
+MOST_NAMES = 20  # that a refusal tells; those most like the one that was asked for, if more
+
+
 class UnknownComponentError(KeyError):
     """No component of that name; carries the names there are."""
 
@@ -85,8 +103,15 @@ class UnknownComponentError(KeyError):
         self.known = known
 
     def __str__(self) -> str:
-        known = ", ".join(self.known) or "none yet"
-        return f"There is no component {self.name!r}. The library has: {known}."
+        some = self.known
+        if len(some) > MOST_NAMES:
+            some = get_close_matches(self.name, some, MOST_NAMES, 0.0)
+        known = ", ".join(some) or "none yet"
+        more = len(self.known) - len(some)
+        return (
+            f"There is no component {self.name!r}. The library has: {known}"
+            f"{f' and {more} more (GET /v1/components)' if more else ''}."
+        )
 
 
 class ComponentExistsError(ValueError):
@@ -132,4 +157,9 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
         files=files,
         stamp=file_stamp(files),
         idle=tuple(load for load, freedom in enumerate(FREEDOMS) if freedom in locked),
+        yield_strengths={
+            material.region: material.yield_strength
+            for material in bundle.materials
+            if material.yield_strength is not None
+        },
     )

@@ -18,7 +18,8 @@ from fea.bundle.read import read_bundle
 from fea.bundle.shipped import SHIPPED
 from fea.bundle.tables import is_slug
 from service.files.durable import sync_folder, sync_tree
-from service.library.bundle_zip import check_mesh, extract, one_problem
+from service.library.arrival import check_mesh, unpack
+from service.library.bundle_zip import one_problem
 from service.library.component import (
     BrokenComponentError,
     Component,
@@ -27,6 +28,7 @@ from service.library.component import (
     UnknownComponentError,
     component_of,
 )
+from service.library.copying import copy_bundle, toml_text
 
 log = logging.getLogger(__name__)
 
@@ -36,6 +38,9 @@ _DECKS_REFUSED = (
     "A deck names a command that the server's solvers run, and this server takes none from "
     "outside. Ask its operator to start it with: wrenchbook serve --allow-decks; or to put the "
     "bundle's folder into the data directory's components folder"
+)
+_NOT_BY_THIS_KEY = (
+    "A deck names a command that the server's solvers run: only a key for admin may add one"
 )
 _TAKEN = (
     "A component {name!r} is there already. Give the new one another name: "
@@ -74,7 +79,7 @@ class Library:
         self._on_added = on_added
         self._allow_decks = allow_decks
         self._lock = threading.Lock()
-        self._version, self._next_look = 0, 0.0
+        self._version, self._next_look, self._own_stamp = 0, 0.0, 0
         self._components: dict[str, Component] = {}
         self._broken: dict[str, str] = {}
         with contextlib.suppress(OSError):  # told when somebody adds a component
@@ -91,8 +96,10 @@ class Library:
     def version(self) -> int:
         """Return a number that differs after a component was added, changed or broken.
 
-        Files that nobody else asks for are looked at once in `LOOK_SECONDS`.
+        Files that nobody else asks for are looked at once in `LOOK_SECONDS`, what other processes
+        have added at once.
         """
+        self._take_up_new()
         if time.monotonic() >= self._next_look:
             self._next_look = time.monotonic() + LOOK_SECONDS
             self.names()
@@ -139,12 +146,32 @@ class Library:
                     self._try(folder, shipped=folder.parent == self._shipped)
         return self._components.get(name)
 
+    def _take_up_new(self) -> None:
+        """Take up the components that have come since the last look; takes microseconds."""
+        try:
+            stamp = os.stat(self._own).st_mtime_ns  # noqa: PTH116 (fifty times a second)
+        except OSError:
+            return
+        # What came within a tick of the last look, 10 ms at most, has left the time as it was.
+        if stamp == self._own_stamp and time.time_ns() - stamp > 1e8:
+            return
+        self._own_stamp = stamp
+        for folder in _bundle_folders(self._own):
+            if folder.name not in self._components and folder.name not in self._broken:
+                self._look_for(folder.name)
+
     def _folder_of(self, name: str) -> Path | None:
         folders = (parent / name for parent in (self._shipped, self._own) if is_slug(name))
         return next((one for one in folders if (one / "component.toml").is_file()), None)
 
-    def add_zip(self, archive: BinaryIO) -> Component:
+    def add_zip(self, archive: BinaryIO, *, decks: bool = True) -> Component:
         """Add a component from a zip of its bundle folder.
+
+        Parameters
+        ----------
+        archive : file
+        decks : bool
+            Whether whoever sends it may add a deck, if anybody may.
 
         Raises
         ------
@@ -156,9 +183,9 @@ class Library:
             If the disk is full or cannot be written.
         """
         with self._incoming() as incoming:
-            folder = extract(archive, incoming)
-            if read_bundle(folder).deck is not None and not self._allow_decks:
-                raise one_problem("deck", _DECKS_REFUSED)
+            folder, has_deck = unpack(archive, incoming)
+            if has_deck and not (self._allow_decks and decks):
+                raise one_problem("deck", _NOT_BY_THIS_KEY if self._allow_decks else _DECKS_REFUSED)
             report = check_mesh(folder)
             (folder / CHECK_FILE).write_text(json.dumps(report), encoding="utf-8")
             component = self._adopt(folder)
@@ -187,7 +214,7 @@ class Library:
         BundleError, ComponentExistsError, LibraryUnavailableError
             As `add_zip` does.
         """
-        lines = [f"name = {json.dumps(name)}", f"title = {json.dumps(title)}", "[range]"]
+        lines = [f"name = {toml_text(name)}", f"title = {toml_text(title)}", "[range]"]
         lines += [f"force = {json.dumps(force)}", f"moment = {json.dumps(moment)}"]
         if tolerance:
             lines += ["[tolerance]", *(f"{key} = {value!r}" for key, value in tolerance.items())]
@@ -195,6 +222,24 @@ class Library:
             folder = incoming / "bundle"
             folder.mkdir()
             (folder / "component.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+            component = self._adopt(folder)
+        self._on_added(component)
+        return component
+
+    def add_copy(self, name: str, new: str, title: str | None) -> Component:
+        """Add a component that is another one under a new name: the same setup, no rows.
+
+        Raises
+        ------
+        UnknownComponentError
+            If there is no component `name`.
+        BundleError, ComponentExistsError, LibraryUnavailableError
+            As `add_zip` does.
+        """
+        source = self[name]
+        with self._incoming() as incoming:
+            folder = incoming / "bundle"
+            copy_bundle(source, new, title, folder)
             component = self._adopt(folder)
         self._on_added(component)
         return component

@@ -7,7 +7,6 @@ the way; ``failure.json`` if it cannot.
 from __future__ import annotations
 
 import json
-import os
 import sys
 import traceback
 from dataclasses import asdict
@@ -15,6 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from fea.bundle.read import read_bundle
+from service.files.durable import write_whole_bytes
 from service.jobs.attempt import PROGRESS, Progress, write_whole
 from service.report.measure import measure
 from service.report.page import as_page
@@ -43,19 +43,13 @@ def main(folder: Path) -> int:
         report["made"] = datetime.now(UTC).isoformat(timespec="seconds")
         report["table_version"] = meta.last_seq
         for name, text in (("report.md", as_markdown(report)), ("report.html", as_page(report))):
-            _replace(folder / name, text)
+            write_whole_bytes(folder / name, text.encode(), durable=False)
         write_whole(folder / "report.json", report, durable=True)
     except Exception as error:
         traceback.print_exc()
         write_whole(folder / FAILURE, {"message": f"{type(error).__name__}: {error}"})
         return 1
     return 0
-
-
-def _replace(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
 
 
 if __name__ == "__main__":

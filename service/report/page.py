@@ -11,14 +11,14 @@ import plotly.graph_objects as go
 from service.report.measure import mesh_error, name_of, seconds_of, worst
 from service.report.text import OUTPUTS, Section, advice_of, sections, summary_of, title_of
 
-_STYLE = (
+STYLE = (
     "body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;"
     "color:#1b1f24}h1{font-size:1.6rem}h2{font-size:1.2rem;margin-top:2rem}"
     ".wide{overflow-x:auto}table{border-collapse:collapse;font-size:13px;white-space:nowrap}"
     "th,td{padding:.25rem .6rem;text-align:right;border-bottom:1px solid #d0d7de}"
-    "th:first-child,td:first-child{text-align:left}"
+    "th:first-child,td:first-child{text-align:left;white-space:normal;min-width:11rem}"
 )
-_LAYOUT = {"template": "plotly_white", "height": 460, "margin": {"t": 20, "r": 20}}
+LAYOUT = {"template": "plotly_white", "height": 460, "margin": {"t": 20, "r": 20}}
 # Colours that remain apart for the colour-blind (Okabe and Ito 2008), and a mark and a dash each.
 _LOOKS = {
     "kriging": ("#0072b2", "circle", "solid"),
@@ -41,17 +41,18 @@ def as_page(report: dict[str, Any]) -> str:
     for number, (title, figure) in enumerate(plots):
         drawn = figure.to_html(full_html=False, include_plotlyjs=number == 0)
         parts.append(f"<h2>{html.escape(title)}</h2>{drawn}")
-    parts += [_section(section) for section in sections(report)]
+    parts += [section_html(section) for section in sections(report)]
     heading = html.escape(title_of(report))
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{heading}</title>'
-        f"<style>{_STYLE}</style></head><body><h1>{heading}</h1>"
+        f"<style>{STYLE}</style></head><body><h1>{heading}</h1>"
         f"<p>{html.escape(summary_of(report))}</p>"
         f"<p><strong>{html.escape(advice_of(report))}</strong></p>{''.join(parts)}</body></html>"
     )
 
 
-def _section(section: Section) -> str:
+def section_html(section: Section) -> str:
+    """Lay out a section as HTML: heading, note, table."""
     head = _line("th", section.head) if section.head else ""
     body = "".join(_line("td", line) for line in section.lines)
     return (
@@ -93,7 +94,7 @@ def _with_mesh_line(figure: go.Figure, report: dict[str, Any]) -> go.Figure:
             xanchor="right",
             yanchor="top",
         )
-    return figure.update_layout(**_LAYOUT)
+    return figure.update_layout(**LAYOUT)
 
 
 def _front(report: dict[str, Any]) -> go.Figure:
@@ -145,4 +146,4 @@ def _calibration(report: dict[str, Any]) -> go.Figure:
             )
     figure.add_hline(y=0.9, line={"dash": "dash", "color": "#57606a"})
     figure.update_yaxes(title="share within the bar", tickformat=".0%", range=[0, 1.02])
-    return figure.update_layout(**_LAYOUT, barmode="group")
+    return figure.update_layout(**LAYOUT, barmode="group")

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from service.files import lock
 from service.files.child import child_command
 from service.jobs.attempt import write_whole
 from service.library.component import Component
 
 FILES = {"json": "report.json", "md": "report.md", "html": "report.html"}
+_LOCK = "lock"
 State = Literal["none", "running", "done", "failed"]
 
 
@@ -60,21 +62,27 @@ class Reports:
             )
         folder = self._folder / component.name
         with self._lock:
-            if self._is_alive(component.name):
-                return
             folder.mkdir(parents=True, exist_ok=True)
+            # Held by who makes it, whichever process of the server has started that.
+            held = None if self._is_alive(component.name) else lock.take(folder / _LOCK)
+            if held is None:
+                return
             order = {"bundle": str(component.folder), "table": str(table)}
             write_whole(folder / "order.json", {**order, "wrenches": wrenches, "seed": seed})
             (folder / "failure.json").unlink(missing_ok=True)
             environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-            with (folder / "log.txt").open("wb") as log:
-                self._making[component.name] = subprocess.Popen(
-                    child_command("service.report", str(folder.absolute())),
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=subprocess.STDOUT,
-                    env=environment,
-                )
+            try:
+                with (folder / "log.txt").open("wb") as log:
+                    self._making[component.name] = subprocess.Popen(
+                        child_command("service.report", str(folder.absolute())),
+                        stdin=subprocess.DEVNULL,
+                        stdout=log,
+                        stderr=subprocess.STDOUT,
+                        env=environment,
+                        pass_fds=(held,),
+                    )
+            finally:
+                os.close(held)
 
     def state(self, name: str) -> Making:
         """Return how far a component's report is."""
@@ -106,7 +114,9 @@ class Reports:
 
     def _is_alive(self, name: str) -> bool:
         making = self._making.get(name)
-        return making is not None and making.poll() is None
+        if making is not None and making.poll() is None:
+            return True
+        return lock.is_held(self._folder / name / _LOCK)
 
 
 def _read(path: Path) -> dict[str, Any] | None:

@@ -8,38 +8,35 @@ comments; blank lines count in the numbering but hold no row. See `header` for t
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
 
-from service.tablefile import header as head
-from service.tablefile.csvcolumns import Columns
 from service.tablefile.csvlines import (
     BrokenLineError,
+    Lines,
     UnreadableFileError,
-    decoded,
     delimiter_of,
     is_separator_line,
+    lines_of_file,
+    lines_of_text,
     records,
 )
-from service.tablefile.decimalmark import plain
 from service.tablefile.header import Header
-from service.tablefile.parsed import ParsedTable, RowError, refused
+from service.tablefile.mistakes import RowError
+from service.tablefile.options import Options, Told
+from service.tablefile.parsed import ParsedTable, joined
+from service.tablefile.sheet import Mark, Record, decimal_mark, holds_rows, tables
 from surrogate.table.rows import LoadRange
-
-_LINE_END = re.compile(r"\r\n|\r|\n")
-
-
-@dataclass
-class _Body:
-    """The lines below the header that have the right number of fields."""
-
-    line: list[int] = field(default_factory=list)
-    fields: list[list[str]] = field(default_factory=list)
-    errors: list[RowError] = field(default_factory=list)
 
 
 def read_csv(
-    text: str | bytes, *, decimal: str | None = None, load_range: LoadRange | None = None
+    text: str | bytes,
+    *,
+    decimal: Literal[".", ","] | None = None,
+    load_range: LoadRange | None = None,
+    missing_loads: Literal["zero"] | None = None,
 ) -> ParsedTable:
     r"""Read a CSV table into SI arrays.
 
@@ -51,6 +48,8 @@ def read_csv(
         The decimal mark; told from the numbers if not given.
     load_range : LoadRange, optional
         The component's, N and N·m: loads far beyond it are mistakes (see `limits`).
+    missing_loads : {"zero"}, optional
+        What the loads are that the file has no column for; without it such a file is refused.
 
     Returns
     -------
@@ -61,88 +60,61 @@ def read_csv(
 
     Examples
     --------
-    >>> table = read_csv("fz [lbf],ux [mm],uy [mm],uz [mm],rx [deg],ry [deg],rz [deg]\n"
-    ...                  "-100,0,0,-1.5,0,0,0\n")
+    >>> table = read_csv("fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],uz [mm]\n"
+    ...                  "0,0,-100,0,0,0,-1.5\n")
     >>> table.displacement[0, 2]
     np.float64(-0.0015)
     """
+    told = Told(format="csv")
+    said = Options(decimal=decimal, load_range=load_range, missing_loads=missing_loads)
+    return joined(list(csv_tables(lines_of_text(text), said, told)), told.mistakes)
+
+
+def csv_file(path: Path, options: Options, told: Told) -> Iterator[ParsedTable]:
+    """Yield the good rows of a CSV file piece by piece; `told` gets what is wrong."""
+    return csv_tables(lines_of_file(path), options, told)
+
+
+def csv_tables(lines: Lines, options: Options, told: Told) -> Iterator[ParsedTable]:
+    """Yield the good rows of lines that can be read more than once."""
     try:
-        content = decoded(text)
+        delimiter = delimiter_of(lines())
     except UnreadableFileError as error:
-        return refused([RowError(0, "file", str(error))])
-    delimiter = delimiter_of(content)
-    header, body = _split(content, delimiter)
-    if header.errors:
-        return refused(header.errors)
-    if not body.line and not body.errors:
-        body.errors.append(RowError(0, "file", "there is a header but no row below it"))
-    columns = Columns(header, body.line, body.fields, body.errors)
-    columns.take_decimal_mark(decimal, delimiter)
-    return columns.table(load_range)
-
-
-def _split(content: str, delimiter: str) -> tuple[Header, _Body]:
-    """Part the text into its header and the rows below."""
-    lines = records(content, delimiter)
-    header, body = Header(0), _Body()
-    try:
-        for line, fields in lines:
-            if not is_separator_line(fields, delimiter):
-                header = _header(fields, line)
-                break
-        else:
-            header.errors.append(RowError(0, "file", "the file is empty"))
-        for line, fields in lines:
-            _take(body, header, line, fields, delimiter)
+        told.mistakes.ruin(RowError(0, "file", str(error)))
+        return
     except BrokenLineError as error:
-        body.errors.append(RowError(error.line, "line", str(error)))
-    return header, body
+        told.mistakes.ruin(RowError(error.line, "line", str(error)))
+        return
+
+    def rows() -> Iterator[Record]:
+        found = records(lines(), delimiter)
+        for first in found:
+            if not is_separator_line(first[1], delimiter):
+                yield first
+            break
+        yield from found
+
+    def check(fields: list[str], header: Header) -> str:
+        return _problem(fields, header, delimiter)
+
+    if options.decimal is not None or delimiter == ",":
+        mark = Mark(options.decimal == ",")
+    else:
+        mark = decimal_mark(rows(), options)
+    yield from tables(rows(), options, told, replace(mark, escaped=True), check)
 
 
-def _header(fields: list[str], line: int) -> Header:
-    """Read the header, or say that there is none."""
-    if all(plain(cell.replace(",", "."), False) is not None for cell in fields if cell.strip()):
-        message = (
-            "there is no header; the first line must name the columns with units, such as "
-            "fx [N], ux [mm] (a line that begins with # is a comment)"
-        )
-        return Header(0, errors=[RowError(line, "header", message)])
-    return head.read_header(fields, line)
-
-
-def _take(body: _Body, header: Header, line: int, fields: list[str], delimiter: str) -> None:
-    """Add a line to the body if it has as many fields as the header, and is one line's."""
-    width = header.width
-    if len(fields) > width and not any(cell.strip() for cell in fields[width:]):
-        fields = fields[:width]  # a spreadsheet's empty columns on the right
-    message = ""
+def _problem(fields: list[str], header: Header, delimiter: str) -> str:
+    """Say what is wrong with a record as a line of its file; an empty text if nothing is."""
+    width, text = header.width, "".join(fields)
+    broken = "\n" in text or "\r" in text
     if len(fields) != width:
         message = f"has {len(fields)} fields, the header {width}"
-        if any("\n" in cell for cell in fields):
+        if broken:
             message += "; is a quotation mark left open?"
         elif len(fields) > width and delimiter == ",":
             message += "; decimal commas need ; between the fields, a comma in a note needs quotes"
-    elif any("\n" in cell or "\r" in cell for cell in fields) and _holds_rows(
-        fields, header, delimiter
-    ):
-        message = "a quoted text holds a whole row of the table; is a quotation mark left open?"
-    if message:
-        body.errors.append(RowError(line, "line", message))
-    else:
-        body.line.append(line)
-        body.fields.append(fields)
-
-
-def _holds_rows(fields: list[str], header: Header, delimiter: str) -> bool:
-    """Tell whether two lines of a record are rows by themselves: its quote has swallowed some.
-
-    A text of several lines leaves one such line at most, the one that its numbers stand on.
-    """
-    places = [column.place for name, column in header.columns.items() if name in head.NUMBERS]
-    rows = 0
-    for line in _LINE_END.split(delimiter.join(fields)):
-        cells = [cell.strip().replace(",", ".") for cell in line.split(delimiter)]
-        if len(cells) >= header.width:
-            numbers = [cells[place] for place in places if cells[place]]
-            rows += bool(numbers) and all(plain(number, False) is not None for number in numbers)
-    return rows > 1
+        return message
+    if broken and holds_rows(fields, header, delimiter):
+        return "a quoted text holds a whole row of the table; is a quotation mark left open?"
+    return ""

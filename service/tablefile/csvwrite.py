@@ -1,19 +1,13 @@
-"""Write a table as CSV text that `read_csv` reads back to the same numbers."""
+"""Write a table as CSV text that `read_csv` reads back to the same numbers and texts."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
-from decimal import Decimal
+from collections.abc import Iterable, Iterator, Mapping
 
-import numpy as np
-
-from service.tablefile import header as head
-from service.tablefile.exact import in_unit, quotient
-from service.tablefile.parsed import TableRows, texts_of
-from service.tablefile.units import Quantity, chosen_units
-
-_Chosen = dict[Quantity, tuple[str, Decimal]]
+from service.tablefile.layout import Layout, layout_of
+from service.tablefile.parsed import TableRows
+from service.tablefile.sheettext import guarded
 
 
 def write_csv(table: TableRows, units: Mapping[str, str] | None = None) -> str:
@@ -39,23 +33,28 @@ def write_csv(table: TableRows, units: Mapping[str, str] | None = None) -> str:
     UnitError
         If a unit does not measure its quantity.
     """
-    chosen = chosen_units(units)
-    labels: list[str] = []
-    columns: list[Sequence[str]] = []
-    for name, values in _numbers(table):
-        unit, factor = _unit(name, chosen)
-        labels.append(f"{name} [{unit}]")
-        columns.append(
-            ["" if number != number else in_unit(number, factor) for number in values.tolist()]
-        )
-    for name, texts in texts_of(table).items():
-        labels.append(name)
-        columns.append(texts)
+    return "".join(csv_text([table], layout_of(table, units)))
+
+
+def csv_text(
+    pieces: Iterable[TableRows], layout: Layout, comments: Iterable[str] = ()
+) -> Iterator[str]:
+    """Yield the text of a CSV: comments, header, and the rows of each piece.
+
+    A text that a spreadsheet would take for a formula has a ``'`` before it, which an import takes
+    off.
+    """
+    for comment in comments:
+        yield "# " + " ".join(comment.split()) + "\n"
     out = _Lines()
     writer = csv.writer(out, lineterminator="\r\n")
-    writer.writerow(labels)
-    writer.writerows(zip(*columns, strict=True))
-    return "".join(out)
+    writer.writerow(layout.labels())
+    yield out.taken()
+    for piece in pieces:
+        numbers = [column.digits(piece) for column in layout.numbers]
+        texts = [[guarded(word) for word in words] for words in layout.words(piece)]
+        writer.writerows(zip(*numbers, *texts, strict=True))
+        yield out.taken()
 
 
 class _Lines(list[str]):
@@ -67,22 +66,8 @@ class _Lines(list[str]):
     def write(self, line: str) -> None:
         self.append(line.removesuffix("\r\n") + "\n")
 
-
-def _numbers(table: TableRows) -> list[tuple[str, np.ndarray]]:
-    """Return the number columns of an export by name, each of shape (n,), SI."""
-    blocks = [(head.WRENCH, table.wrench), (head.DISPLACEMENT, table.displacement)]
-    if np.isfinite(table.uncertainty).any():
-        blocks.append((head.UNCERTAINTY, table.uncertainty))
-    if np.isfinite(table.compliance).any():
-        blocks.append((head.COMPLIANCE, table.compliance.reshape(-1, 36)))
-    return [
-        (name, values[:, index]) for names, values in blocks for index, name in enumerate(names)
-    ]
-
-
-def _unit(name: str, chosen: _Chosen) -> tuple[str, Decimal]:
-    """Return the unit a column is written in, and its SI factor."""
-    if name not in head.COMPLIANCE:
-        return chosen[head.quantity_of(name)]
-    (upper, above), (lower, below) = (chosen[of] for of in head.tangent_quantities(name))
-    return head.over(upper, lower), quotient(above, below)
+    def taken(self) -> str:
+        """Return what there is, and forget it."""
+        text = "".join(self)
+        self.clear()
+        return text

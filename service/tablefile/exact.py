@@ -47,8 +47,13 @@ def in_unit(value: float, factor: Decimal) -> str:
 
 
 def quotient(upper: Decimal, lower: Decimal) -> Decimal:
-    """Return the factor of a unit over a unit."""
-    return _WIDE.divide(upper, lower)
+    """Return the factor of a unit over a unit, or of one over a plain number."""
+    return upper if lower == _ONE else _WIDE.divide(upper, lower)
+
+
+def product(factor: Decimal, other: Decimal) -> Decimal:
+    """Return the factor of a unit times a plain number."""
+    return factor if other == _ONE else _WIDE.multiply(factor, other)
 
 
 def vanished(text: str, value: float) -> bool:

@@ -1,30 +1,26 @@
 """Tables as HDF5: the form of the table store, with what an upload may not be.
 
 The store's own file is what is sent and taken, so that one file serves both.
-Always SI. It holds no notes.
+Always SI.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from service.tablefile.header import DISPLACEMENT
 from service.tablefile.jsonform import place_of
 from service.tablefile.limits import excesses
-from service.tablefile.parsed import (
-    Array,
-    ParsedTable,
-    RowError,
-    TableRows,
-    listed,
-    refused,
-    text_problem,
-)
-from surrogate.table.hdf5 import TableMeta, read_foreign_table, write_table
+from service.tablefile.mistakes import RowError
+from service.tablefile.options import Options, Told
+from service.tablefile.parsed import Array, ParsedTable, TableRows, joined, text_problem
+from service.tablefile.spelling import DISPLACEMENT
+from surrogate.table.hdf5 import foreign_tables, write_table
+from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange, Rows
 
 
@@ -51,7 +47,7 @@ def write_hdf5(table: TableRows, seq: Sequence[int], meta: TableMeta) -> bytes:
     )
     with tempfile.TemporaryDirectory(prefix="wrenchbook-") as folder:
         path = Path(folder) / "table.h5"
-        write_table(path, rows, meta)
+        write_table(path, rows, meta, notes=[str(note) for note in getattr(table, "note", ())])
         return path.read_bytes()
 
 
@@ -71,20 +67,32 @@ def read_hdf5(content: bytes, *, load_range: LoadRange | None = None) -> ParsedT
         The rows without a mistake, and all mistakes. `RowError.row` is the place in the file's
         columns, from 1, `RowError.field` as for JSON.
     """
+    told = Told(format="hdf5")
     with tempfile.TemporaryDirectory(prefix="wrenchbook-") as folder:
         path = Path(folder) / "upload.h5"
         path.write_bytes(content)
-        try:
-            rows = read_foreign_table(path)
-        except (ValueError, RuntimeError, OSError) as error:
-            return refused([RowError(0, "file", str(error))])
-    if not len(rows):
-        return refused([RowError(0, "file", "there is no row")])
-    beyond = [
-        RowError(excess.at + 1, place_of(excess.name), excess.message)
-        for excess in excesses(rows.wrench, rows.displacement, load_range, rows.uncertainty)
-    ]
-    return _table(rows, [*_numbers(rows), *_texts(rows), *beyond])
+        pieces = list(hdf5_file(path, Options(load_range=load_range), told))
+    return joined(pieces, told.mistakes)
+
+
+def hdf5_file(path: Path, options: Options, told: Told) -> Iterator[ParsedTable]:
+    """Yield the good rows of an HDF5 file piece by piece; `told` gets what is wrong."""
+    try:
+        for rows, notes in foreign_tables(path):
+            beyond = (
+                ()
+                if options.tare
+                else excesses(rows.wrench, rows.displacement, options.load_range, rows.uncertainty)
+            )
+            errors = [*_numbers(rows), *_texts(rows, notes)]
+            errors += [RowError(x.at + 1, place_of(x.name), x.message) for x in beyond]
+            yield _table(rows, notes, errors, told)
+            told.read += len(rows)
+    except (ValueError, RuntimeError, OSError) as error:
+        told.mistakes.ruin(RowError(0, "file", str(error)))
+        return
+    if not told.read:
+        told.mistakes.ruin(RowError(0, "file", "there is no row"))
 
 
 def _numbers(rows: Rows) -> list[RowError]:
@@ -102,19 +110,22 @@ def _numbers(rows: Rows) -> list[RowError]:
     return errors
 
 
-def _texts(rows: Rows) -> list[RowError]:
+def _texts(rows: Rows, notes: Sequence[str]) -> list[RowError]:
+    columns = {"source": rows.source.tolist(), "fingerprint": rows.fingerprint.tolist()}
     return [
         RowError(at, name, problem)
-        for name in ("source", "fingerprint")
-        for at, text in enumerate(getattr(rows, name).tolist(), start=1)
+        for name, texts in {**columns, "note": notes}.items()
+        for at, text in enumerate(texts, start=1)
         if (problem := text_problem(text))
     ]
 
 
-def _table(rows: Rows, errors: list[RowError]) -> ParsedTable:
+def _table(rows: Rows, notes: Sequence[str], errors: list[RowError], told: Told) -> ParsedTable:
     """Keep the rows that no error names."""
     place = np.arange(1, len(rows) + 1)
     kept = ~np.isin(place, [error.row for error in errors])
+    told.mistakes.extend(replace(error, row=error.row + told.read) for error in errors)
+    told.mistakes.settle()
     good = rows.take(kept)
     return ParsedTable(
         wrench=good.wrench,
@@ -122,8 +133,8 @@ def _table(rows: Rows, errors: list[RowError]) -> ParsedTable:
         uncertainty=good.uncertainty,
         compliance=good.compliance,
         source=tuple(str(text).strip() for text in good.source),
-        note=("",) * len(good),
+        note=tuple(note.strip() for note, keep in zip(notes, kept, strict=True) if keep),
         fingerprint=tuple(str(text).strip() for text in good.fingerprint),
-        row=place[kept],
-        errors=listed(errors),
+        row=place[kept] + told.read,
+        errors=(),
     )

@@ -9,34 +9,36 @@ ledger, ``row``; they may stand in an import, which does not look at them.
 
 from __future__ import annotations
 
+import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from service.tablefile.exact import vanished
-from service.tablefile.header import DISPLACEMENT, TEXTS, UNCERTAINTY, WRENCH
+from service.tablefile.jsonstream import JsonError, members
 from service.tablefile.limits import excesses
+from service.tablefile.mistakes import RowError
+from service.tablefile.options import Options, Told
 from service.tablefile.parsed import (
     Array,
     ParsedTable,
-    RowError,
-    TableRows,
-    listed,
-    refused,
+    joined,
     text_problem,
-    texts_of,
 )
-from surrogate.table.rows import LoadRange
+from service.tablefile.spelling import CARRIED, DISPLACEMENT, TEXTS, UNCERTAINTY, WRENCH
+from surrogate.table.rows import LoadRange, unknown_column
 
-_AROUND = ("units", "rows", "component", "table_version")
-_KEYS = ("wrench", "displacement", "uncertainty", "compliance", *TEXTS, "row")
+_AROUND = ("units", "contract", "provenance", "rows", "component", "table_version")
+_KEYS = ("wrench", "displacement", "uncertainty", "compliance", *TEXTS, *CARRIED)
 _UNKNOWN = (math.nan,) * 6
 _NO_TANGENT = (math.nan,) * 36
 _WIDTH = 18 + 36  # wrench, displacement, uncertainty; compliance
+PIECE = 20_000  # rows at once
 
 
 @dataclass
@@ -47,6 +49,18 @@ class _Rows:
     numbers: list[tuple[float, ...]] = field(default_factory=list)  # 54 a row
     texts: list[tuple[str, ...]] = field(default_factory=list)
     errors: list[RowError] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Item:
+    """One entry of ``rows``."""
+
+    value: Any
+
+
+_NO_TABLE = RowError(
+    0, "rows", 'is not a table; write {"rows": [{"wrench": [6 numbers], "displacement": [6]}]}'
+)
 
 
 class _Vanished(float):
@@ -76,69 +90,55 @@ def read_json(text: str | bytes, *, load_range: LoadRange | None = None) -> Pars
         The rows without a mistake, and all mistakes. `RowError.row` is the place in ``rows``,
         from 1, `RowError.field` the key, with the index of a number: ``wrench[2]``.
     """
+    told = Told(format="json")
+    content = text.encode("utf-8", "surrogatepass") if isinstance(text, str) else text
+    pieces = list(_tables(io.BytesIO(content), Options(load_range=load_range), told))
+    return joined(pieces, told.mistakes)
+
+
+def json_file(path: Path, options: Options, told: Told) -> Iterator[ParsedTable]:
+    """Yield the good rows of a JSON file piece by piece; `told` gets what is wrong."""
+    with path.open("rb") as file:
+        yield from _tables(file, options, told)
+
+
+def _tables(file: BinaryIO, options: Options, told: Told) -> Iterator[ParsedTable]:
+    rows, listed = _Rows(), False
     try:
-        content = json.loads(text, parse_float=_parsed_float, object_pairs_hook=_once)
-    except (ValueError, RecursionError) as error:
-        return refused([RowError(0, "file", f"is not JSON: {error}")])
-    problem = _envelope(content)
-    if problem is not None:
-        return refused([problem])
-    rows = _Rows()
-    for place, row in enumerate(content["rows"], start=1):
-        _take(rows, place, row)
-    return _table(rows, load_range)
+        for key, value in members(file, "rows", item=_Item, parse_float=_parsed_float, pairs=_once):
+            if isinstance(value, _Item):
+                told.read += 1
+                _take(rows, told.read, value.value)
+                if told.read % PIECE == 0:
+                    yield _table(rows, options, told)
+                    rows = _Rows()
+                continue
+            problem = _problem(key, value)
+            if problem is not None:
+                told.mistakes.ruin(problem)
+                return
+            listed = listed or key == "rows"
+    except (JsonError, ValueError) as error:
+        place = told.read + 1 if told.read else 0
+        told.mistakes.ruin(RowError(place, "file", str(error)))
+        return
+    if not listed:
+        told.mistakes.ruin(_NO_TABLE)
+    elif not told.read:
+        told.mistakes.ruin(RowError(0, "rows", "there is no row"))
+    if rows.place or rows.errors:
+        yield _table(rows, options, told)
 
 
-def write_json(table: TableRows, about: Mapping[str, str | int] | None = None) -> str:
-    """Write rows as JSON, in SI, with the digits that give back the same floats.
-
-    Parameters
-    ----------
-    table : TableRows
-        Rows in SI. What was not measured and an unknown uncertainty (NaN) become null; six unknown
-        uncertainties, an unknown tangent and an empty text are left out. ``seq``, if it has that,
-        is the number of each row.
-    about : mapping, optional
-        ``component`` and ``table_version``, to stand beside the rows.
-    """
-    loads, motions = table.wrench.tolist(), table.displacement.tolist()
-    rows: list[dict[str, Any]] = [
-        {"wrench": load, "displacement": _nulls(motion)}
-        for load, motion in zip(loads, motions, strict=True)
-    ]
-    for row, seq in zip(rows, getattr(table, "seq", ()), strict=False):
-        row["row"] = int(seq)
-    for row, bounds in zip(rows, table.uncertainty.tolist(), strict=True):
-        if not all(map(math.isnan, bounds)):
-            row["uncertainty"] = _nulls(bounds)
-    for row, tangent in zip(rows, table.compliance.tolist(), strict=True):
-        if not math.isnan(tangent[0][0]):
-            row["compliance"] = tangent
-    for name, texts in texts_of(table).items():
-        for row, text in zip(rows, texts, strict=True):
-            if text:
-                row[name] = text
-    return json.dumps({**(about or {}), "units": "SI", "rows": rows}, allow_nan=False)
-
-
-def _nulls(values: list[float]) -> list[float | None]:
-    """Return the numbers with None for each NaN."""
-    return [None if math.isnan(value) else value for value in values]
-
-
-def _envelope(content: Any) -> RowError | None:
-    """Check what stands around the rows."""
-    if not isinstance(content, dict) or not isinstance(content.get("rows"), list):
-        message = 'is not a table; write {"rows": [{"wrench": [6 numbers], "displacement": [6]}]}'
-        return RowError(0, "rows", message)
-    if content.get("units", "SI") != "SI":
+def _problem(key: str, value: Any) -> RowError | None:
+    """Check a member that stands around the rows, or is them and no list."""
+    if key == "" or (key == "rows" and not isinstance(value, list)):
+        return _NO_TABLE
+    if key == "units" and value != "SI":
         return RowError(0, "units", "a JSON table is in SI; convert it, or send CSV with units")
-    other = [key for key in content if key not in _AROUND]
-    if other:
+    if key not in _AROUND:
         message = f"is not a key of a table; there are {', '.join(_AROUND)}"
-        return RowError(0, str(other[0]), message)
-    if not content["rows"]:
-        return RowError(0, "rows", "there is no row")
+        return RowError(0, str(key), message)
     return None
 
 
@@ -271,23 +271,35 @@ def _text(row: dict[str, Any], key: str, place: int, errors: list[RowError]) -> 
     return value.strip()
 
 
-def _table(rows: _Rows, load_range: LoadRange | None) -> ParsedTable:
+def _table(rows: _Rows, options: Options, told: Told) -> ParsedTable:
     """Make the arrays and check what concerns a row as a whole."""
     block: Array = np.array(rows.numbers, dtype=float).reshape(-1, _WIDTH)
     good = np.ones(len(block), dtype=bool)
-    for excess in excesses(block[:, :6], block[:, 6:12], load_range, block[:, 12:18]):
+    beyond = (
+        ()
+        if options.tare
+        else excesses(block[:, :6], block[:, 6:12], options.load_range, block[:, 12:18])
+    )
+    for excess in beyond:
         good[excess.at] = False
         place = rows.place[excess.at]
         rows.errors.append(RowError(place, place_of(excess.name), excess.message))
+    told.mistakes.extend(rows.errors)
+    told.mistakes.settle()
     kept = [texts for texts, keep in zip(rows.texts, good, strict=True) if keep]
     return ParsedTable(
         wrench=block[good, :6],
         displacement=block[good, 6:12],
-        uncertainty=block[good, 12:18],
-        compliance=block[good, 18:].reshape(-1, 6, 6),
+        uncertainty=_known(block[good, 12:18]),
+        compliance=_known(block[good, 18:].reshape(-1, 6, 6)),
         source=tuple(texts[0] for texts in kept),
         note=tuple(texts[1] for texts in kept),
         fingerprint=tuple(texts[2] for texts in kept),
         row=np.array(rows.place, dtype=np.int64)[good],
-        errors=listed(rows.errors),
+        errors=(),
     )
+
+
+def _known(column: Array) -> Array:
+    """Return a column as it is, or one of no memory if all of it is unknown."""
+    return unknown_column(*column.shape) if np.isnan(column).all() else column

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.tablefile.header import DISPLACEMENT, UNCERTAINTY, WRENCH
+from service.tablefile.spelling import DISPLACEMENT, UNCERTAINTY, WRENCH
 from surrogate.table.rows import LoadRange
 
 Array = np.ndarray

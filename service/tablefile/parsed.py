@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Protocol
 
 import numpy as np
 
-MOST_ERRORS = 1000
-"""Errors listed at most; one more line then says that there are more."""
+from service.tablefile.mistakes import Mistakes, RowError
+from surrogate.table.rows import unknown_column
 
 Array = np.ndarray
 
@@ -57,31 +58,6 @@ def texts_of(table: TableRows) -> dict[str, list[str]]:
     return {name: column for name, column in texts.items() if any(column)}
 
 
-@dataclass(frozen=True, order=True)
-class RowError:
-    """One mistake in a table file.
-
-    Parameters
-    ----------
-    row : int
-        CSV: the line of the file, from 1, as an editor counts. JSON, HDF5: the place in ``rows``,
-        from 1.
-        0: the file as a whole.
-    field : str
-        The column as the header writes it, or the JSON key with its index.
-    message : str
-        What is wrong and what to write.
-    """
-
-    row: int
-    field: str
-    message: str
-
-    def as_dict(self) -> dict[str, int | str]:
-        """Return the error as the HTTP reply carries it."""
-        return {"row": self.row, "field": self.field, "message": self.message}
-
-
 @dataclass(frozen=True)
 class ParsedTable:
     """The rows of a table file, in SI.
@@ -105,7 +81,9 @@ class ParsedTable:
     row : numpy.ndarray
         Shape (n,), where each row stood: see `RowError.row`.
     errors : tuple of RowError
-        Sorted by row.
+        Sorted by row; empty in a piece of a file, whose mistakes are collected elsewhere.
+    time : numpy.ndarray or None
+        Shape (n,), s; of logs that are joined by it.
     """
 
     wrench: Array
@@ -117,26 +95,72 @@ class ParsedTable:
     fingerprint: tuple[str, ...]
     row: Array
     errors: tuple[RowError, ...]
+    time: Array | None = None
 
     def __len__(self) -> int:
         return len(self.wrench)
 
+    def take(self, which: Array) -> ParsedTable:
+        """Return the rows that a mask of shape (n,) picks."""
+        if which.all():
+            return self
+        places = np.flatnonzero(which).tolist()
+        return replace(
+            self,
+            wrench=self.wrench[which],
+            displacement=self.displacement[which],
+            uncertainty=_picked(self.uncertainty, which),
+            compliance=_picked(self.compliance, which),
+            source=tuple(self.source[place] for place in places),
+            note=tuple(self.note[place] for place in places),
+            fingerprint=tuple(self.fingerprint[place] for place in places),
+            row=self.row[which],
+            time=None if self.time is None else self.time[which],
+        )
 
-def refused(errors: list[RowError]) -> ParsedTable:
-    """Return a table without rows: the file as a whole could not be read."""
+
+def nothing(errors: tuple[RowError, ...] = ()) -> ParsedTable:
+    """Return a table without rows."""
     none, tangents = np.empty((0, 6)), np.empty((0, 6, 6))
     row = np.empty(0, dtype=np.int64)
-    return ParsedTable(none, none, none, tangents, (), (), (), row, listed(errors))
+    return ParsedTable(none, none, none, tangents, (), (), (), row, errors)
 
 
-def listed(errors: list[RowError]) -> tuple[RowError, ...]:
-    """Sort the errors by row and cut a list that nobody would read."""
-    ordered = sorted(errors, key=lambda error: error.row)
-    if len(ordered) > MOST_ERRORS:
-        more = len(ordered) - MOST_ERRORS
-        message = f"{more} more errors are not listed; correct these first"
-        ordered[MOST_ERRORS:] = [RowError(ordered[MOST_ERRORS].row, "", message)]
-    return tuple(ordered)
+def joined(tables: list[ParsedTable], mistakes: Mistakes) -> ParsedTable:
+    """Return the rows of the pieces of a file, in this order, and its errors."""
+    if not tables or mistakes.whole:
+        return nothing(mistakes.listed())
+    return ParsedTable(
+        wrench=np.concatenate([table.wrench for table in tables]),
+        displacement=np.concatenate([table.displacement for table in tables]),
+        uncertainty=_joined_known([table.uncertainty for table in tables]),
+        compliance=_joined_known([table.compliance for table in tables]),
+        source=tuple(chain.from_iterable(table.source for table in tables)),
+        note=tuple(chain.from_iterable(table.note for table in tables)),
+        fingerprint=tuple(chain.from_iterable(table.fingerprint for table in tables)),
+        row=np.concatenate([table.row for table in tables]),
+        errors=mistakes.listed(),
+        time=_joined_times([table.time for table in tables]),
+    )
+
+
+def _picked(column: Array, which: Array) -> Array:
+    """Pick rows of a column; of an unknown one another of no memory."""
+    if any(column.strides):
+        return column[which]
+    return unknown_column(int(which.sum()), *column.shape[1:])
+
+
+def _joined_times(times: list[Array | None]) -> Array | None:
+    known = [time for time in times if time is not None]
+    return np.concatenate(known) if known else None
+
+
+def _joined_known(columns: list[Array]) -> Array:
+    """Join columns; what is unknown in all of them takes no memory (`unknown_column`)."""
+    if any(any(column.strides) for column in columns):
+        return np.concatenate(columns)
+    return unknown_column(sum(map(len, columns)), *columns[0].shape[1:])
 
 
 def text_problem(text: str) -> str | None:

@@ -43,7 +43,8 @@ FORCE = Quantity("force", "N", ("N", "kN", "lbf", "kgf"))
 MOMENT = Quantity("moment", "N*m", ("N*m", "N*mm", "kN*m", "lbf*in", "lbf*ft"))
 TRANSLATION = Quantity("translation", "m", ("m", "mm", "um", "in"))
 ROTATION = Quantity("rotation", "rad", ("rad", "mrad", "deg"))
-QUANTITIES = (FORCE, MOMENT, TRANSLATION, ROTATION)
+TIME = Quantity("time", "s", ("s", "ms", "us"))
+QUANTITIES = (FORCE, MOMENT, TRANSLATION, ROTATION)  # those that an export can choose a unit of
 
 # Words that mean something else to a unit library than to a test engineer.
 _HINTS = {

@@ -11,7 +11,8 @@ import numpy as np
 from service.contract import CONTRACT
 from service.ledger import Ledger, LedgerUnavailableError, NewRow, RowEdit
 from service.library.component import Component
-from surrogate.table.hdf5 import TableFileError, TableMeta, read_table, write_table
+from surrogate.table.hdf5 import TableFileError, read_table, write_table
+from surrogate.table.meta import TableMeta
 from surrogate.table.rows import Rows
 
 log = logging.getLogger(__name__)
@@ -47,6 +48,13 @@ class TableFiles:
             return 1 + self._path(name).stat().st_size // ROW_BYTES
         except OSError:
             return 0
+
+    def written(self, name: str) -> float | None:
+        """Return when a component's file was written, seconds since the epoch; None without."""
+        try:
+            return self._path(name).stat().st_mtime
+        except OSError:
+            return None
 
     def read(self, component: Component) -> tuple[Rows, TableMeta] | None:
         """Return what a component's file holds; None if it is missing, damaged or another's."""
@@ -118,7 +126,7 @@ class TableFiles:
 
     def _put_back(self, name: str, rows: Rows, meta: TableMeta) -> None:
         """Insert a file's rows and repeat its edits; the ledger knows what it has by content."""
-        lost = (_new_row(rows, place) for place in range(len(rows)))
+        lost = (new_row(rows, place) for place in range(len(rows)))
         inserted, _ = self._ledger.insert_rows(name, "", lost, above=meta.last_seq)
         if inserted:
             log.warning(
@@ -138,7 +146,8 @@ class TableFiles:
         return self._folder / f"{name}.h5"
 
 
-def _new_row(rows: Rows, place: int) -> NewRow:
+def new_row(rows: Rows, place: int) -> NewRow:
+    """Return a row of a table file as the ledger takes it."""
     compliance, uncertainty = rows.compliance[place], rows.uncertainty[place]
     return NewRow(
         wrench=rows.wrench[place].tolist(),

@@ -12,14 +12,18 @@ from pathlib import Path
 from service.ledger import Ledger, LedgerUnavailableError
 from service.library.component import Component
 from service.library.library import Library
+from service.tables.behind import TableBehindError
 from service.tables.builders import LARGE, Builders
 from service.tables.files import TableFiles
+from service.tables.making import ask_once, make
 from service.tables.memory import give_back
-from service.tables.news import with_news
+from service.tables.news import usable, without
+from service.tables.shelf import Shelf
+from service.tables.solver_errors import SolverErrors
 from service.tables.warm_up import use_compiled_code
-from surrogate.build import AnyTable, build
+from surrogate.build import AnyTable
 from surrogate.jit import warm_in_background
-from surrogate.table.rows import Rows
+from surrogate.table.rows import Rows, joined
 
 log = logging.getLogger(__name__)
 
@@ -30,10 +34,6 @@ START_S = 30.0  # how long a start waits for small tables; what takes longer ans
 # How long a thread that computes may keep the interpreter from one that answers: about what an
 # answer takes; Python's own 5 ms are felt by each call during a build.
 SWITCH_S = 0.0005
-
-
-class TableBehindError(Exception):
-    """The table does not hold yet all rows that the ledger has; ask again."""
 
 
 class Tables:
@@ -51,11 +51,22 @@ class Tables:
         Where rows come from and which components there are.
     folder:
         Folder of the HDF5 tables, one ``<name>.h5`` each.
+    errors:
+        What is known of the solver's own error.
+    shelf:
+        Where each version is put for other processes, if there are any.
     """
 
-    def __init__(self, ledger: Ledger, library: Library, folder: Path) -> None:
-        self._ledger = ledger
-        self._library = library
+    def __init__(
+        self,
+        ledger: Ledger,
+        library: Library,
+        folder: Path,
+        errors: SolverErrors | None = None,
+        shelf: Shelf | None = None,
+    ) -> None:
+        self._errors, self._shelf = errors, shelf
+        self._ledger, self._library = ledger, library
         self._files = TableFiles(folder, ledger)
         self._surrogates: dict[str, AnyTable] = {}
         self._seen: dict[str, int] = {}
@@ -119,6 +130,14 @@ class Tables:
         """Return why a component's table is not what the ledger says, by its name."""
         return {**self._files.doubts, **self._unwritten, **self._faults}
 
+    def present(self) -> dict[str, AnyTable]:
+        """Return the surrogates that answer now, by component."""
+        return self._surrogates.copy()
+
+    def written(self, name: str) -> float | None:
+        """Return when a component's file was written, seconds since the epoch; None without."""
+        return self._files.written(name)
+
     def building(self) -> list[str]:
         """Return the components that have no surrogate yet since the start: they answer 503."""
         return [name for name in self._builders.busy() if name not in self._surrogates]
@@ -157,11 +176,7 @@ class Tables:
         """
         if self.catch_up(name, timeout):
             return self.surrogate(name)
-        why = self._faults.get(name) or f"its newest rows are not in it after {timeout:g} s"
-        raise TableBehindError(
-            f"the table of {name!r} is older than the ledger: {why}. Nothing was asked for; "
-            "ask again in a while"
-        )
+        raise TableBehindError.late(name, self._faults.get(name), timeout)
 
     def _holds(self, name: str, goal: int) -> bool:
         """Tell whether a surrogate is of the component as it is now and has all rows up to goal."""
@@ -173,13 +188,11 @@ class Tables:
         component = self._library[name]
         if self._size(name):
             self._look(name)
-            why = self._faults.get(name) or "it is being built for the first time since the start"
-            raise TableBehindError(
-                f"the table of {name!r} has rows and cannot answer yet: {why}. Nothing was asked "
-                "for; ask again in a while"
-            )
+            raise TableBehindError.unbuilt(name, self._faults.get(name))
         with self._grown:
-            found = self._surrogates.setdefault(name, _surrogate(component, Rows.empty(), 0))
+            found = self._surrogates.setdefault(
+                name, make(component, Rows.empty(), 0, errors=self._errors)
+            )
         self._look(name)
         return found
 
@@ -226,7 +239,7 @@ class Tables:
         """Load the compiled code, and what the tables that are there need to use it."""
         use_compiled_code()
         for surrogate in list(self._surrogates.values()):
-            _ask(surrogate)
+            ask_once(surrogate)
 
     def _keep_files(self) -> None:
         while not self._stopping.wait(SAVE_AFTER_QUIET_S / 4):
@@ -277,11 +290,15 @@ class Tables:
 
     def _followed(self, component: Component, rows: Rows, after: int) -> tuple[Rows, int]:
         """Return rows with all that the ledger says of them after a seq, and up to which seq."""
+        fresh = [rows]  # joined at the end: a table of a million rows comes in fifty parts
         while True:
             news = self._ledger.news(component.name, after)
-            rows, after = with_news(component, rows, news), news.last_seq
+            if news.gone:
+                fresh = [without(joined(fresh), news)]
+            fresh.append(usable(component, news))
+            after = news.last_seq
             if news.whole:
-                return rows, after
+                return joined(fresh), after
 
     def _unchecked(self, component: Component) -> tuple[Rows, int]:
         """Return what a component's file holds, for as long as the ledger cannot be asked."""
@@ -292,8 +309,11 @@ class Tables:
 
     def _build(self, component: Component, rows: Rows, version: int) -> None:
         started = time.monotonic()
-        surrogate = _surrogate(component, rows, version)
-        _ask(surrogate)
+        before = self._surrogates.get(component.name)
+        surrogate = make(component, rows, version, before, self._errors)
+        ask_once(surrogate)
+        if self._shelf is not None:
+            surrogate = self._shelf.put(component, surrogate)
         with self._grown:
             self._surrogates[component.name] = surrogate
             self._built_for[component.name] = component
@@ -311,23 +331,3 @@ class Tables:
         surrogate = self._surrogates[name]
         self._files.save(self._library[name], surrogate.rows, surrogate.version)
         del self._unsaved[name]
-
-
-def _surrogate(component: Component, rows: Rows, version: int) -> AnyTable:
-    """Build the surrogate; its version is the number of the ledger's newest change in it.
-
-    It is made of the rows alone, not of the surrogate before: whoever has the same rows, a
-    simulator that has downloaded them or this server after a restart, has the same digits.
-    """
-    return build(
-        rows,
-        component.load_range,
-        tolerance=component.tolerance,
-        linear=component.linear,
-        version=version,
-    )
-
-
-def _ask(surrogate: AnyTable) -> None:
-    """Ask for one answer, so that what is made at the first one is made here, by no request."""
-    surrogate.answer((0.01 * surrogate.load_range.scale).tolist())

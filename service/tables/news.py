@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
-from service.ledger import LedgerRow, News
+from service.ledger import News
 from service.library.component import Component
 from surrogate.table.rows import Rows
 
 
-def with_news(component: Component, rows: Rows, news: News) -> Rows:
-    """Return a component's rows after the news of them."""
-    kept = rows.take(~np.isin(rows.seq, list(news.gone))) if news.gone else rows
-    return kept + _usable(component, news.rows)
+def without(rows: Rows, news: News) -> Rows:
+    """Return rows without those that the news take out, to come back or not."""
+    return rows.take(~np.isin(rows.seq, list(news.gone)))
 
 
-def _usable(component: Component, rows: Iterable[LedgerRow]) -> Rows:
-    """Keep rows of this setup and measured ones; FEA rows of another setup are never mixed in."""
+def usable(component: Component, news: News) -> Rows:
+    """Return the news' rows of this setup and measured ones.
+
+    FEA rows of another setup are never mixed in.
+    """
     return Rows.from_records(
         [
             {
@@ -30,7 +30,7 @@ def _usable(component: Component, rows: Iterable[LedgerRow]) -> Rows:
                 "source": row.source,
                 "fingerprint": row.fingerprint,
             }
-            for row in rows
+            for row in news.rows
             if row.fingerprint in ("", component.fingerprint)
         ]
     )

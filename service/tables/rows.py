@@ -1,19 +1,24 @@
-"""Rows between table files and the ledger: what an import may insert, what an export holds."""
+"""Rows between table files and the ledger: what an import inserts, what an export holds."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from datetime import UTC, datetime
 
 import numpy as np
 
 from service.contract import CONTRACT
-from service.ledger import Ledger, NewRow
+from service.ledger import Import, LedgerRow, PackedRow, packed_columns
 from service.library.component import Component
-from service.tablefile import ParsedTable, RowError
-from surrogate.table.hdf5 import TableMeta
+from service.tablefile import ParsedTable
+from surrogate.solver_error import SolverError
+from surrogate.table.meta import TableMeta
 
-FEA = "fea"
 MEASURED = "measured"
+CONTRACT_WORDS = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
 
 
 @dataclass(frozen=True)
@@ -30,8 +35,8 @@ class ExportRows:
     compliance : ndarray, shape (n, 6, 6), m and rad over N and N·m
         NaN where not known.
     source, note, fingerprint : list of str
-    version : int
-        The table's version: the number of the ledger's newest change of it.
+    when, who : list of str
+        When each came, UTC, and who sent it; who is empty for a solve.
     """
 
     seq: list[int]
@@ -42,14 +47,14 @@ class ExportRows:
     source: list[str]
     note: list[str]
     fingerprint: list[str]
-    version: int
+    when: list[str]
+    who: list[str]
 
 
-def usable_rows(ledger: Ledger, component: Component) -> ExportRows:
-    """Return a component's rows: those of its present setup and the measured ones."""
-    news = ledger.news(component.name, 0)  # rows and version as one committed state
-    rows = [row for row in news.rows if row.fingerprint in ("", component.fingerprint)]
+def export_rows(rows: Sequence[LedgerRow], spans: Sequence[tuple[int, int, Import]]) -> ExportRows:
+    """Return rows of the ledger as columns; `spans` are the imports' numbers, in order."""
     unknown, no_tangent = (np.nan,) * 6, ((np.nan,) * 6,) * 6
+    firsts = [first for first, _, _ in spans]
     return ExportRows(
         seq=[row.seq for row in rows],
         wrench=np.array([row.wrench for row in rows]).reshape(-1, 6),
@@ -59,71 +64,58 @@ def usable_rows(ledger: Ledger, component: Component) -> ExportRows:
         source=[row.source for row in rows],
         note=[row.origin for row in rows],
         fingerprint=[row.fingerprint for row in rows],
-        version=news.last_seq,
+        when=[told_time(row.created) for row in rows],
+        who=[_who(row.seq, firsts, spans) for row in rows],
     )
 
 
-def table_meta(component: Component, rows: ExportRows) -> TableMeta:
-    """Return what an HDF5 export says about its rows."""
+def joined_rows(pieces: Sequence[ExportRows]) -> ExportRows:
+    """Return the rows of pieces as one."""
+    columns = {}
+    for column in (field.name for field in fields(ExportRows)):
+        parts = [getattr(piece, column) for piece in pieces]
+        if isinstance(parts[0], np.ndarray):
+            columns[column] = np.concatenate(parts)
+        else:
+            columns[column] = [value for part in parts for value in part]
+    return ExportRows(**columns)
+
+
+def usable(rows: Sequence[LedgerRow], component: Component) -> list[LedgerRow]:
+    """Return those of a component's rows that are of its present setup, or measured."""
+    return [row for row in rows if row.fingerprint in ("", component.fingerprint)]
+
+
+def told_time(seconds: float) -> str:
+    """Return a time since the epoch as ISO 8601, UTC."""
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
+
+
+def table_meta(component: Component, version: int, error: SolverError | None = None) -> TableMeta:
+    """Return what an HDF5 export says about its rows, and what their solver may be wrong by."""
     return TableMeta(
         component=component.name,
-        last_seq=rows.version,
+        last_seq=version,
         load_range=component.load_range,
         fingerprint=component.fingerprint,
         title=component.title,
         tolerance=component.tolerance,
         linear=component.linear,
-        contract=" ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items()),
+        solver_error=error and error.told,
+        contract=CONTRACT_WORDS,
     )
 
 
-def misplaced_rows(component: Component, table: ParsedTable) -> list[RowError]:
-    """Name the rows of a file that may not stand in this component's table as what they say.
-
-    Rows of different setups are never mixed. A row with the component's own fingerprint is loaded
-    as what it says it is, with its tangent: so an export of solves comes back as solves. A row
-    with another fingerprint, or one that says it is a solve and names no setup, is refused rather
-    than loaded as measured: it would be a solve of another mesh under a false name, and whoever
-    knows better can write the other name into the file. A row without a fingerprint is a
-    measurement or a solve from elsewhere; its tangent is taken as its displacement is.
-    """
-    errors = []
-    for place in range(len(table)):
-        fingerprint, source = table.fingerprint[place], table.source[place]
-        row = int(table.row[place])
-        if fingerprint != component.fingerprint and (fingerprint or source == FEA):
-            errors.append(RowError(row, "fingerprint", _foreign(component, fingerprint)))
-        elif source == FEA and np.isnan(table.displacement[place]).any():
-            message = "a solve knows all six outputs; write them, or another source than fea"
-            errors.append(RowError(row, "source", message))
-    return errors
+def packed_pieces(component: Component, pieces: Iterator[ParsedTable]) -> Iterator[list[PackedRow]]:
+    """Yield the rows of a file as the ledger takes them."""
+    now = time.time()
+    for piece in pieces:
+        columns = piece.wrench, piece.displacement, piece.uncertainty, piece.compliance
+        sources = [source or MEASURED for source in piece.source]
+        texts = sources, piece.fingerprint, piece.note
+        yield packed_columns(component.name, columns, texts, now)
 
 
-def _foreign(component: Component, fingerprint: str) -> str:
-    other = f"the setup {fingerprint}" if fingerprint else "a setup that the row does not name"
-    return (
-        f"is a solve of {other}, this component's setup is {component.fingerprint}; rows "
-        "of different setups are never mixed. Leave the row out, or load it as measured: "
-        "an empty fingerprint and another source"
-    )
-
-
-def insert(
-    ledger: Ledger, component: Component, table: ParsedTable, *, dry_run: bool
-) -> tuple[int, int]:
-    """Insert a file's rows in one transaction; return how many were new and how many known."""
-    rows = (_new_row(table, place) for place in range(len(table)))
-    return ledger.insert_rows(component.name, "", rows, dry_run=dry_run)
-
-
-def _new_row(table: ParsedTable, place: int) -> NewRow:
-    uncertainty, compliance = table.uncertainty[place], table.compliance[place]
-    return NewRow(
-        wrench=table.wrench[place].tolist(),
-        displacement=table.displacement[place].tolist(),
-        source=table.source[place] or MEASURED,
-        compliance=compliance.tolist() if np.isfinite(compliance).all() else None,
-        uncertainty=uncertainty.tolist() if np.isfinite(uncertainty).any() else None,
-        origin=table.note[place],
-        fingerprint=table.fingerprint[place],
-    )
+def _who(seq: int, firsts: list[int], spans: Sequence[tuple[int, int, Import]]) -> str:
+    at = bisect_right(firsts, seq) - 1
+    return spans[at][2].who if at >= 0 and seq <= spans[at][1] else ""

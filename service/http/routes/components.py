@@ -2,40 +2,65 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import orjson
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.responses import Response
 
+from fea.accuracy.advice import WHERE, over_tolerance
 from service.contract import CONTRACT
-from service.http.bodies import FillBody, RangeBody, TableOnlyComponent
-from service.http.limited import read_limited
+from service.files.discreet import discreet
+from service.http.bodies import FillBody, TableOnlyComponent
+from service.http.door import grant_of
+from service.http.limited import MOST_QUERY_BYTES, counted, read_limited
 from service.http.links import job_link
+from service.http.needs import need_from
 from service.http.parsing import read_body
 from service.http.problems import ProblemError, bad_body
-from service.library.checked import interface_of, warnings_of
+from service.http.received import form_of
+from service.library.bundle_zip import MAX_BUNDLE_BYTES
+from service.library.checked import interface_of, vibration_of, warnings_of
 from service.library.component import Component
 from service.workspace import Workspace
-from surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUTS, LoadRange, Tolerance
+from surrogate.solver_error import UNKNOWN, SolverError
+from surrogate.table.rows import Tolerance
 
 router = APIRouter(prefix="/v1/components", tags=["components"])
 CATCH_UP_S = 25.0
 
 
-@router.get("", summary="The library")
-def list_components(request: Request) -> dict[str, Any]:
+@router.get(
+    "",
+    summary="The library",
+    responses={422: {"description": "A search that is too long, or a word that is none"}},
+)
+def list_components(
+    request: Request,
+    q: Annotated[str, Query(max_length=200, description="in name, title or notes")] = "",
+    archived: Annotated[bool, Query(description="with those that are put away")] = False,
+) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
     library = workspace.library
+    found = [_summary(workspace, library[name]) for name in library.names()]
     return {
-        "components": [_summary(workspace, library[name]) for name in library.names()],
+        "components": [
+            one for one in found if (archived or not one["archived"]) and _is_about(one, q)
+        ],
         "broken": [
-            {"name": name, "reason": reason} for name, reason in sorted(workspace.broken().items())
+            {"name": name, "reason": discreet(reason)}
+            for name, reason in sorted(workspace.broken().items())
         ],
     }
+
+
+def _is_about(summary: dict[str, Any], asked: str) -> bool:
+    """Tell whether all words of a search stand in what is said of a component."""
+    said = f"{summary['name']} {summary['title']} {summary['notes']}".casefold()
+    return all(word in said for word in asked.casefold().split())
 
 
 @router.get("/{name}", summary="One component: contract, range, rows, coverage")
@@ -68,11 +93,14 @@ async def add_component(request: Request) -> Response:
 
 
 async def _add_bundle(workspace: Workspace, request: Request) -> Component:
-    async with request.form(max_files=1) as form:
+    # Parsed as it comes, into a file; the archive may be as large as a bundle, and its form's head.
+    request = Request(request.scope, counted(request.receive, MAX_BUNDLE_BYTES + MOST_QUERY_BYTES))
+    async with form_of(request, most_files=1) as form:
         upload = form.get("bundle")
         if not isinstance(upload, UploadFile):
             raise bad_body([{"loc": "bundle", "msg": "send the zip as the form's file 'bundle'"}])
-        return await run_in_threadpool(workspace.library.add_zip, upload.file)
+        decks = grant_of(request.scope).allows("admin")
+        return await run_in_threadpool(workspace.library.add_zip, upload.file, decks=decks)
 
 
 def _add_table_only(workspace: Workspace, body: TableOnlyComponent) -> Component:
@@ -97,9 +125,11 @@ async def fill(name: str, request: Request) -> Response:
 def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
     """Design one round of solves on the newest table and accept them."""
     limit = Tolerance(**order.tolerance.model_dump()) if order.tolerance else None
-    span = _span_of(order.range, workspace.library[name].load_range) if order.range else None
-    outputs = range(6) if order.outputs is None else sorted(map(OUTPUTS.index, set(order.outputs)))
-    design, jobs = workspace.fill(name, order.budget, limit, span, outputs)
+    need = None
+    if order.range is not None or order.outputs is not None:
+        component = workspace.library[name]
+        need = need_from(component, order.range, order.outputs, order.tolerance, "range")
+    design, jobs = workspace.fill(name, order.budget, limit, need)
     return {
         "component": name,
         "jobs": [job_link(job) for job in jobs],
@@ -108,52 +138,59 @@ def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
     }
 
 
-def _span_of(wanted: RangeBody, whole: LoadRange) -> LoadRange:
-    """Return a fill's range, N and N·m.
-
-    Raises
-    ------
-    ProblemError
-        422, if an end is beyond the component's load range or the two ends are the wrong way round.
-    """
-    bounds = np.array(wanted.bounds())
-    errors = []
-    for load, (low, high) in enumerate(bounds.tolist()):
-        where, place = ("force", load) if load < 3 else ("moment", load - 3)
-        least, most = min(whole.low[load], 0.0), max(whole.high[load], 0.0)
-        unit = LOAD_UNITS[load]
-        if low > high:
-            message = f"the low end of {LOADS[load]}, {low:g}, is above the high end, {high:g}"
-        elif low < least or high > most:
-            message = f"{LOADS[load]} must lie within {least:g} to {most:g} {unit}, the load range"
-        else:
-            continue
-        errors.append({"loc": f"range.{where}.{place}", "msg": message})
-    if errors:
-        raise bad_body(errors)
-    return LoadRange(bounds[:, 0], bounds[:, 1])
-
-
 def component_body(workspace: Workspace, component: Component) -> dict[str, Any]:
     """Return all there is to say about a component."""
     surrogate = workspace.tables.surrogate(component.name)
+    own_error = workspace.solver_error(component.name) if component.has_fea else None
     sources, counts = np.unique(surrogate.rows.source, return_counts=True)
     return {
         **_summary(workspace, component),
         "fingerprint": component.fingerprint,
         "contract": CONTRACT,
         "interface": interface_of(component),
-        "warnings": warnings_of(component.folder),
+        "warnings": _warnings(component, own_error, told=surrogate.bars_are_whole),
+        "vibration": vibration_of(component.folder),
+        "solver_error": _solver_error(component, own_error),
         "sources": dict(zip(sources.tolist(), counts.tolist(), strict=True)),
         "coverage": surrogate.coverage_summary(),
         "jobs": workspace.ledger.counts(component.name),
     }
 
 
+def _warnings(
+    component: Component, error: SolverError | None, *, told: bool
+) -> list[dict[str, str]]:
+    """Return what its check warned of, and what the newest estimate of its solver's error does."""
+    checked = warnings_of(component.folder)
+    if not told:
+        return [*checked, {"where": WHERE, "message": UNKNOWN}]
+    limit = component.tolerance
+    if error is None or limit is None:
+        return checked
+    now = over_tolerance(error.told, limit.translation, limit.rotation)
+    return [
+        *(one for one in checked if one["where"] != WHERE),
+        *({"where": one.where, "message": one.message} for one in now),
+    ]
+
+
+def _solver_error(component: Component, error: SolverError | None) -> dict[str, Any] | None:
+    """Return what the solver's own answers may be wrong by; None of a measured table."""
+    if not component.has_fea:
+        return None
+    if error is None:
+        return {"mesh": None, "mesh_basis": UNKNOWN}
+    words = ("mesh_basis", "linearity_basis", "buckling")
+    said = {name: error.told[name] for name in words if name in error.told}
+    return {**error.at_full_range(), **said}
+
+
 def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
     surrogate = workspace.tables.surrogate(component.name)
     low, high = component.load_range.low.tolist(), component.load_range.high.tolist()
     limit = component.tolerance
+    card = workspace.catalogue[component.name]
+    solved = int((surrogate.rows.source == "fea").sum())
     return {
         "name": component.name,
         "title": component.title,
@@ -168,5 +205,11 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
             {"translation": limit.translation, "rotation": limit.rotation} if limit else None
         ),
         "rows": len(surrogate.rows),
+        "solved": solved,
+        "measured": len(surrogate.rows) - solved,
+        "archived": card.archived,
+        "notes": card.notes,
+        "renamed_to": card.renamed_to,
+        "copied_from": card.copied_from,
         "table_version": surrogate.version,
     }

@@ -3,20 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 from fastapi import APIRouter, Request
 from fastapi.routing import APIRoute
+from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
+from starlette.types import Scope
 
 from service.answering.many import answer_or_submit_many
 from service.answering.one import answer_or_submit
+from service.answering.past import answer_at, answer_many_at
+from service.answering.queries import BatchOutcome, BatchQuery, Query
 from service.contract import CONTRACT_TEXT
+from service.http.asked_version import check_version, split_version, version_of
 from service.http.binary import is_binary, read_binary
+from service.http.door import Grant, grant_of
+from service.http.door.door import beyond_scope
+from service.http.large import read_batch_body
 from service.http.limited import MOST_BATCH_BYTES, read_limited
-from service.http.parsing import read_batch, read_query, read_solve
+from service.http.parsing import read_query, read_solve
+from service.http.problems import ProblemError
 from service.http.replies import write_batch, write_binary, write_outcome
+from service.http.spooled import Spooled, few_large, spooled
+from service.telemetry.counts import Counts
 from service.workspace import Workspace
+
+Body = TypeVar("Body", bytes, Spooled)
+Asked = TypeVar("Asked", Query, BatchQuery)
 
 
 class DirectRoute(APIRoute):
@@ -30,11 +45,36 @@ class DirectRoute(APIRoute):
 router = APIRouter(prefix="/v1/components/{name}", tags=["displacement"], route_class=DirectRoute)
 
 
-async def reply_to(workspace: Workspace, name: str, body: bytes) -> Response:
-    """Answer the main call of a component from the call's body."""
-    query = read_query(body)
-    outcome = await answer_or_submit(workspace, name, query)
+async def reply_to(
+    workspace: Workspace, name: str, body: bytes, counts: Counts, scope: Scope
+) -> Response:
+    """Answer the main call of a component from the call's body, and count it."""
+    grant, version = grant_of(scope), version_of(scope["query_string"])
+    query = read_query(body) if grant.allows("write") else _asking(grant, read_query, body)
+    if version is None:
+        outcome = await answer_or_submit(workspace, name, query)
+    else:
+        check_version(query)
+        outcome = await answer_at(workspace, name, query, version)
+    counts.add(outcome.coverage, outcome.method, outcome.elapsed_us)
     return write_outcome(outcome, derivatives=query.derivatives)
+
+
+def _asking(grant: Grant, read: Callable[[Body], Asked], body: Body) -> Asked:
+    """Read the body of one who may only ask: what could queue a solve is refused.
+
+    Raises
+    ------
+    ProblemError
+        403.
+    """
+    try:
+        query = read(body)
+    except ProblemError:
+        raise beyond_scope(grant, "write") from None
+    if query.on_thin not in ("estimate", "reject"):
+        raise beyond_scope(grant, "write")
+    return query
 
 
 @router.post(
@@ -42,19 +82,42 @@ async def reply_to(workspace: Workspace, name: str, body: bytes) -> Response:
 )
 async def displacement(request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
-    body = await read_limited(request.receive)
-    return await reply_to(workspace, request.path_params["name"], body)
+    body, counts = await read_limited(request.receive), request.app.state.counts
+    return await reply_to(workspace, request.path_params["name"], body, counts, request.scope)
 
 
 @router.post(
     "/displacements", summary="The displacements under many wrenches", description=CONTRACT_TEXT
 )
 async def displacements(request: Request) -> Response:
-    binary, body = is_binary(request), await read_limited(request.receive, MOST_BATCH_BYTES)
-    batch = read_binary(body, dict(request.query_params)) if binary else read_batch(body)
+    binary, grant = is_binary(request), grant_of(request.scope)
     workspace: Workspace = request.app.state.workspace
-    outcome = await answer_or_submit_many(workspace, request.path_params["name"], batch)
-    return write_binary(outcome) if binary else write_batch(outcome)
+    read: Callable[[Spooled], BatchQuery] = read_batch_body
+    if binary:
+        version, options = split_version(request.query_params)
+        read = partial(_read_binary, options=options)
+    else:
+        version = version_of(request.scope["query_string"])
+    async with spooled(request.receive, MOST_BATCH_BYTES) as body:
+        asking = read if grant.allows("write") else partial(_asking, grant, read)
+        batch = await run_in_threadpool(asking, body)
+        async with few_large(len(batch.wrenches)):
+            outcome = await _answered(workspace, request.path_params["name"], batch, version)
+    request.app.state.counts.add_batch(outcome.coverage, outcome.method, outcome.elapsed_us)
+    return await run_in_threadpool(write_binary if binary else write_batch, outcome)
+
+
+async def _answered(
+    workspace: Workspace, name: str, batch: BatchQuery, version: int | None
+) -> BatchOutcome:
+    if version is None:
+        return await answer_or_submit_many(workspace, name, batch)
+    check_version(batch)
+    return await answer_many_at(workspace, name, batch, version)
+
+
+def _read_binary(body: Spooled, options: dict[str, str]) -> BatchQuery:
+    return read_binary(body.read(), options)
 
 
 @router.post(

@@ -7,7 +7,9 @@ from typing import Any
 from fastapi import APIRouter, Request
 from starlette.responses import JSONResponse
 
+from service.files.discreet import discreetly
 from service.workspace import Workspace
+from surrogate import jit
 
 router = APIRouter(prefix="/health", tags=["health"])
 
@@ -31,5 +33,6 @@ def ready(request: Request) -> JSONResponse:
         "faults": faults,
         "broken": workspace.broken(),
         "building": workspace.tables.building(),
+        "compiled_code": jit.state(),
     }
-    return JSONResponse(body, 200 if not faults else 503)
+    return JSONResponse(discreetly(body), 200 if not faults else 503)

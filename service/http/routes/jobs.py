@@ -2,33 +2,48 @@
 
 from __future__ import annotations
 
-import io
 import pathlib
-import zipfile
+from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Path, Query, Request
+from pydantic import AfterValidator
 from starlette.concurrency import run_in_threadpool
-from starlette.responses import Response
+from starlette.responses import Response, StreamingResponse
 
+from service.files.discreet import discreetly
 from service.http.links import job_link
 from service.http.problems import ProblemError
-from service.ledger import Job, Status
+from service.jobs.attempt_zip import pieces_of, zipped
+from service.ledger import Job, LedgerRow, Status, UnknownJobError
 from service.workspace import Workspace
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
-# SQLite's integers end at 2**63.
-JobId = Annotated[int, Path(ge=1, lt=2**63, description="the job's id")]
+
+def _within(job_id: int) -> int:
+    """Return a number that a job could have: SQLite's integers end at 2**63."""
+    if job_id >= 2**63:
+        raise UnknownJobError("there is no job of that number")
+    return job_id
+
+
+JobId = Annotated[int, Path(ge=1, description="the job's id"), AfterValidator(_within)]
 WaitSeconds = Annotated[
     float, Query(ge=0, le=600, description="wait up to this long for the job to end")
 ]
 
 
-def job_body(workspace: Workspace, job: Job) -> dict[str, Any]:
-    """Return the full form of a job, with its progress and, when done, its displacement."""
+def job_body(
+    workspace: Workspace, job: Job, rows: Mapping[int, LedgerRow] | None = None
+) -> dict[str, Any]:
+    """Return the full form of a job, with its progress and, when done, its displacement.
+
+    `rows` are those of many jobs, read together; one alone reads its own.
+    """
     body: dict[str, Any] = {
         **job_link(job),
         "component": job.component,
@@ -40,40 +55,55 @@ def job_body(workspace: Workspace, job: Job) -> dict[str, Any]:
         "started": _time(job.started),
         "finished": _time(job.finished),
         "seconds": job.finished - job.started if job.finished and job.started else None,
-        "error": job.error,
+        "error": discreetly(job.error),
     }
     if job.status == "running":
         progress = workspace.progress(job)
         body["progress"] = asdict(progress) if progress else None
     if job.status == "done" and job.row is not None:
-        row = workspace.ledger.row(job.row)
-        body |= {
-            "row": row.seq,
-            "translation": row.displacement[:3],
-            "rotation": row.displacement[3:],
-        }
+        body["row"] = job.row
+        row = workspace.ledger.row(job.row) if rows is None else rows.get(job.row)
+        if row is not None:  # a damaged one is told of by GET /health/ready
+            body |= {"translation": row.displacement[:3], "rotation": row.displacement[3:]}
     return body
 
 
-@router.get("", summary="List jobs, newest first")
+@router.get("", summary="List jobs, newest first, a page at a time")
 def list_jobs(
     request: Request,
+    response: Response,
     component: str | None = None,
     status: Status | None = None,
     limit: Annotated[int, Query(ge=1, le=100_000)] = 1000,
+    after: Annotated[
+        int | None, Query(ge=1, lt=2**63, description="go on after this job, to older ones")
+    ] = None,
 ) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
     _check_known(workspace, component)
-    jobs = workspace.ledger.jobs(component, status, limit)
-    return {"jobs": [job_body(workspace, job) for job in jobs]}
+    jobs = workspace.ledger.jobs(component, status, limit + 1, below=after)
+    more, jobs = len(jobs) > limit, jobs[:limit]
+    rows = workspace.ledger.rows_of([job.row for job in jobs if job.row is not None])
+    following = None
+    if more:
+        words = {"component": component, "status": status, "limit": limit, "after": jobs[-1].id}
+        following = f"/v1/jobs?{urlencode({k: v for k, v in words.items() if v is not None})}"
+        response.headers["Link"] = f'<{following}>; rel="next"'
+    return {"jobs": [job_body(workspace, job, rows) for job in jobs], "next": following}
 
 
 @router.get("/{job_id}", summary="One job; with wait_s, once it has ended or the time is up")
 async def one_job(job_id: JobId, request: Request, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
     job = await workspace.wait(job_id, wait_s)
-    body = await run_in_threadpool(job_body, workspace, job)
-    return body | {"notes": await run_in_threadpool(workspace.notes, job)}
+    return await run_in_threadpool(_whole_body, workspace, job)
+
+
+def _whole_body(workspace: Workspace, job: Job) -> dict[str, Any]:
+    """Return what one job's own reply says beside what lists do: its notes, why it waits."""
+    body = job_body(workspace, job) | {"notes": discreetly(workspace.notes(job))}
+    waiting = workspace.why_waiting(job)
+    return body | {"waiting": discreetly(asdict(waiting)) if waiting else None}
 
 
 @router.delete("", summary="Cancel all jobs that wait, or that run")
@@ -106,14 +136,9 @@ def attempt_files(job_id: JobId, request: Request) -> Response:
     folder = workspace.attempt_folder(job)
     if not folder.is_dir():
         raise _no_files(job, folder)
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in sorted(folder.rglob("*")):
-            if path.is_file():
-                archive.write(path, path.relative_to(folder))
     name = f"job-{job_id}.zip"
     disposition = {"Content-Disposition": f'attachment; filename="{name}"'}
-    return Response(buffer.getvalue(), 200, disposition, "application/zip")
+    return StreamingResponse(pieces_of(zipped(folder)), 200, disposition, "application/zip")
 
 
 def _no_files(job: Job, folder: pathlib.Path) -> ProblemError:
@@ -123,8 +148,8 @@ def _no_files(job: Job, folder: pathlib.Path) -> ProblemError:
     where = f"jobs/{folder.parent.name}/{folder.name}"
     why = (
         f"Job {job.id} is {job.status} and the folder of its attempt {job.attempt}, {where} in the "
-        "data directory, is not there: it was deleted or not copied with the ledger. The job's row "
-        "needs no files."
+        "data directory, is not there: it was old and pruned (see serve --keep-days), deleted, or "
+        "not copied with the ledger. The job's row needs no files."
     )
     return ProblemError(404, "no-files", "The files are gone", why)
 

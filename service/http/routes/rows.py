@@ -1,4 +1,4 @@
-"""One row of a component's table: withdraw it, restore it."""
+"""One row of a component's table: where it comes from; withdraw it, restore it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Request
 
 from service.http.problems import ProblemError
+from service.http.provenance import row_told
 from service.ledger import RowStatusError
 from service.workspace import Workspace
 
@@ -21,6 +22,12 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
     409: {"description": "The row is withdrawn already, or is in the table already"},
     503: {"description": "The ledger cannot be written; nothing was changed"},
 }
+
+
+@router.get("", summary="A row, and where it comes from", responses={404: RESPONSES[404]})
+def one_row(name: str, row: RowId, request: Request) -> dict[str, Any]:
+    workspace: Workspace = request.app.state.workspace
+    return row_told(workspace, workspace.library[name], row)
 
 
 @router.delete(

@@ -8,7 +8,11 @@ MEDIA_TYPES: Final = {
     "csv": "text/csv",
     "json": "application/json",
     "hdf5": "application/x-hdf5",
+    "xlsx": "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
+    "parquet": "application/vnd.apache.parquet",
+    "mat": "application/x-matlab-data",
 }
+_BYTES: Final = {"schema": {"type": "string", "format": "binary"}}
 
 _ROW_ERROR: Final = {
     "type": "object",
@@ -64,15 +68,56 @@ _TABLE: Final = {
 _FILES: Final = {
     MEDIA_TYPES["json"]: {"schema": _TABLE},
     MEDIA_TYPES["csv"]: {"schema": {"type": "string", "description": "units in the header"}},
-    MEDIA_TYPES["hdf5"]: {"schema": {"type": "string", "format": "binary"}},
+    MEDIA_TYPES["hdf5"]: _BYTES,
+    MEDIA_TYPES["xlsx"]: _BYTES,
+    MEDIA_TYPES["parquet"]: _BYTES,
+}
+_LOGS: Final = {
+    "schema": {
+        "type": "object",
+        "description": "one 'table', or two logs that are joined by their time columns",
+        "properties": dict.fromkeys(("table", "loads", "displacements"), _BYTES["schema"]),
+    }
 }
 _REPLY: Final = {
     "type": "object",
     "properties": {
         "inserted": {"type": "integer"},
         "existing": {"type": "integer", "description": "rows that were there already"},
-        "errors": {"type": "array", "items": _ROW_ERROR, "description": "with dry_run only"},
+        "errors": {"type": "array", "items": _ROW_ERROR, "description": "1,000 at most"},
         "dry_run": {"type": "boolean"},
+        "partial": {"type": "boolean"},
+        "format": {"type": "string", "description": "told from the content"},
+        "gzip": {"type": "boolean"},
+        "import": {"type": ["integer", "null"], "description": "its number, in imports"},
+        "rows": {
+            "type": "object",
+            "description": "read = loaded + refused + tare + unmatched, but of a dry run",
+            "properties": {
+                word: {"type": "integer"}
+                for word in ("read", "loaded", "refused", "tare", "unmatched")
+            },
+        },
+        "columns": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {word: {"type": "string"} for word in ("column", "name", "unit")},
+            },
+            "description": "what each column was taken for",
+        },
+        "ignored": {"type": "array", "items": {"type": "string"}},
+        "preview": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {
+                    "row": {"type": "integer"},
+                    "wrench": _numbers(6, "N and N·m"),
+                    "displacement": _numbers(6, "m and rad; null where not measured"),
+                },
+            },
+        },
         "table_version": {"type": "integer", "description": "the version that holds these rows"},
         "in_use": {"type": "boolean", "description": "whether the rows answer already"},
     },
@@ -84,13 +129,31 @@ _ETAG: Final = {
 }
 
 EXPORT_REPLIES: Final[dict[int | str, dict[str, Any]]] = {
-    200: {"description": "the table", "content": _FILES, "headers": _ETAG},
+    200: {
+        "description": "the table",
+        "content": {**_FILES, MEDIA_TYPES["mat"]: _BYTES},
+        "headers": _ETAG,
+    },
+    409: {"description": "this form cannot hold this table"},
     304: {"description": "the version named by If-None-Match is the present one", "headers": _ETAG},
 }
 IMPORT_REPLIES: Final[dict[int | str, dict[str, Any]]] = {
-    200: {"description": "all rows are in", "content": {"application/json": {"schema": _REPLY}}},
+    200: {
+        "description": "the rows are in, or were counted",
+        "content": {"application/json": {"schema": _REPLY}},
+    },
     413: {"description": "the table is too large; send it in parts"},
     415: {"description": "the content type is no form of a table"},
     422: {"description": "the table has mistakes; nothing was loaded"},
 }
-IMPORT_BODY: Final[dict[str, Any]] = {"requestBody": {"required": True, "content": _FILES}}
+IMPORT_BODY: Final[dict[str, Any]] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            **_FILES,
+            "application/octet-stream": _BYTES,
+            "application/gzip": _BYTES,
+            "multipart/form-data": _LOGS,
+        },
+    }
+}

@@ -1,21 +1,75 @@
 """Engines by name."""
 
 from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 
 from service.jobs.engines.engine import Engine
 from service.jobs.engines.local import LocalEngine
 
-ENGINES: Mapping[str, Callable[[int | None], Engine]] = {"local": LocalEngine}
+ENGINES = ("local", "dask")
+_SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")  # that Dask connects to other machines by
 
 
-def open_engine(name: str = "local", slots: int | None = None) -> Engine:
-    """Return the engine of that name; `slots` defaults to the number of usable cores.
+class EngineSettingsError(ValueError):
+    """An engine cannot be opened with these settings; the text says what to do."""
+
+
+def open_engine(
+    name: str = "local", slots: int | None = None, *, scheduler: str | None = None
+) -> Engine:
+    """Return the engine of that name.
+
+    Parameters
+    ----------
+    name : str
+        ``local`` or ``dask``.
+    slots : int, optional
+        Solves at once of ``local``, the number of usable cores by default; the workers of a Dask
+        cluster have as many as they have threads.
+    scheduler : str, optional
+        Address of the Dask scheduler, such as ``tcp://10.0.0.1:8786``.
 
     Raises
     ------
-    ValueError
-        If there is none of that name.
+    EngineSettingsError
+        If there is none of that name, or it lacks its scheduler or its packages.
     """
+    check_engine(name, scheduler)
+    return _OPEN[name](slots, scheduler or "")
+
+
+def check_engine(name: str, scheduler: str | None) -> None:
+    """Refuse, before anything is opened, settings that `open_engine` would refuse."""
     if name not in ENGINES:
-        raise ValueError(f"there is no engine {name!r}; there are: {', '.join(ENGINES)}")
-    return ENGINES[name](slots)
+        raise EngineSettingsError(f"there is no engine {name!r}; there are: {', '.join(ENGINES)}")
+    if name != "dask":
+        if scheduler:
+            raise EngineSettingsError(f"the engine {name} has no scheduler; add --engine dask")
+        return
+    if not scheduler:
+        raise EngineSettingsError("the engine dask needs --scheduler tcp://HOST:8786 (or tls://)")
+    if "://" not in scheduler:
+        raise EngineSettingsError(f"{scheduler!r} is no address; write tcp://{scheduler}")
+    if scheduler.split("://")[0] not in _SCHEMES:
+        begins = " or ".join(f"{one}://" for one in _SCHEMES)
+        raise EngineSettingsError(
+            f"{scheduler!r} is no address of a Dask scheduler: it begins with {begins}"
+        )
+    if find_spec("distributed") is None:
+        raise EngineSettingsError(
+            "the engine dask is not installed: pip install wrenchbook[cluster]"
+        )
+
+
+def _local(slots: int | None, scheduler: str) -> Engine:
+    return LocalEngine(slots)
+
+
+def _dask(slots: int | None, scheduler: str) -> Engine:
+    # Only who uses a cluster has Dask, and waits for its import.
+    from service.jobs.engines.dask import DaskEngine
+
+    return DaskEngine(scheduler)
+
+
+_OPEN: Mapping[str, Callable[[int | None, str], Engine]] = {"local": _local, "dask": _dask}

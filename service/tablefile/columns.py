@@ -8,12 +8,17 @@ from decimal import Decimal
 import numpy as np
 
 from service.tablefile import header as head
-from service.tablefile.decimalmark import evidence, plain, shown, why
+from service.tablefile.clock import seconds
+from service.tablefile.decimalmark import plain, shown, why
 from service.tablefile.exact import to_si, vanished
 from service.tablefile.header import Column, Header
 from service.tablefile.limits import excesses
-from service.tablefile.parsed import Array, ParsedTable, RowError, listed, text_problem
-from surrogate.table.rows import LoadRange
+from service.tablefile.mistakes import Mistakes, RowError
+from service.tablefile.options import Options
+from service.tablefile.parsed import Array, ParsedTable, text_problem
+from service.tablefile.sheettext import unguarded
+from service.tablefile.spelling import TIME_COLUMN
+from surrogate.table.rows import unknown_column
 
 
 class Columns:
@@ -26,75 +31,65 @@ class Columns:
         Where each row stands in the file.
     fields : list of list of str
         As many a row as the header has columns.
-    errors : list of RowError
+    mistakes : Mistakes
         What is wrong so far; grows.
+    comma : bool
+        Whether the decimal mark is a comma.
+    escaped : bool
+        Whether a text that a spreadsheet would take for a formula has a ``'`` before it.
     """
 
     def __init__(
-        self, header: Header, line: list[int], fields: list[list[str]], errors: list[RowError]
+        self,
+        header: Header,
+        line: list[int],
+        fields: list[list[str]],
+        mistakes: Mistakes,
+        comma: bool = False,
+        escaped: bool = False,
     ) -> None:
         self._header = header
         self._line = line
-        self._errors = errors
+        self._mistakes = mistakes
         self._good = np.ones(len(line), dtype=bool)
-        self._comma = False
+        self._comma = comma
+        self._escaped = escaped
+        self._fields = fields
         cells = list(zip(*fields, strict=True)) or [()] * header.width
         self._cells: dict[str, tuple[str, ...]] = {
             name: cells[column.place] for name, column in header.columns.items()
         }
 
-    def take_decimal_mark(self, decimal: str | None, delimiter: str) -> None:
-        """Take the decimal mark as told, or else from the numbers; if neither tells, ask."""
-        if decimal is not None or delimiter == ",":
-            self._comma = decimal == ","
-            return
-        numbers = [self._cells[name] for name in self._cells if name in head.NUMBERS]
-        sure, doubtful = evidence(cell for cells in numbers for cell in cells if cell)
-        # One decimal comma makes the comma the file's mark; a point beside it is then an error.
-        self._comma = "," in sure or (not sure and "," in (doubtful or ""))
-        if doubtful and not sure:
-            self._ask(doubtful)
-
-    def table(self, load_range: LoadRange | None) -> ParsedTable:
-        """Return the good rows and all errors."""
+    def table(self, options: Options) -> ParsedTable:
+        """Return the good rows; what is wrong with the others joins the mistakes."""
         wrench = self._block(head.WRENCH, missing=0.0)
         displacement = self._block(head.DISPLACEMENT, missing=np.nan)
         uncertainty = self._block(head.UNCERTAINTY, missing=np.nan)
         compliance = self._block(head.COMPLIANCE, missing=np.nan)
-        self._check_measured(displacement)
+        time = self._time() if options.role != "table" else None
+        self._check_status()
+        if options.role != "loads":
+            self._check_measured(displacement)
         self._check_tangents(compliance)
-        for excess in excesses(wrench, displacement, load_range, uncertainty):
-            self._spoil(excess.at, self._header.columns[excess.name].label, excess.message)
+        # A reading without its tare may lie anywhere.
+        if options.role == "table" and not options.tare:
+            for excess in excesses(wrench, displacement, options.load_range, uncertainty):
+                self._spoil(excess.at, self._header.columns[excess.name].label, excess.message)
         for name in head.TEXTS:
             self._check_texts(name)
         good = self._good
         return ParsedTable(
             wrench=wrench[good],
             displacement=displacement[good],
-            uncertainty=uncertainty[good],
-            compliance=compliance[good].reshape(-1, 6, 6),
+            uncertainty=self._known(uncertainty, head.UNCERTAINTY, 6),
+            compliance=self._known(compliance, head.COMPLIANCE, 6, 6),
             source=self._texts("source"),
             note=self._texts("note"),
             fingerprint=self._texts("fingerprint"),
             row=np.array(self._line, dtype=np.int64)[good],
-            errors=listed(self._errors),
+            errors=(),
+            time=None if time is None else time[good],
         )
-
-    def _ask(self, doubtful: str) -> None:
-        """Name the first field whose mark is a decimal one or parts thousands."""
-        at, label = next(
-            (cells.index(cell), self._header.columns[name].label)
-            for name, cells in self._cells.items()
-            for cell in cells
-            if name in head.NUMBERS and cell.strip() == doubtful
-        )
-        mark = "," if "," in doubtful else "."
-        one, other = doubtful.replace(",", "."), doubtful.replace(mark, "")
-        message = (
-            f"'{doubtful}' is {one} or {other}, and no number in the file tells which; say "
-            f"decimal={mark} for {one}, or write {other} without the mark"
-        )
-        self._spoil(at, label, message)
 
     def _block(self, names: tuple[str, ...], missing: float) -> Array:
         """Return shape (n, 6) or (n, 36), SI, of columns that belong together."""
@@ -104,14 +99,22 @@ class Columns:
                 block[:, index] = self._numbers(self._header.columns[name])
         return block
 
+    def _known(self, block: Array, names: tuple[str, ...], *shape: int) -> Array:
+        """Return the good rows of a block; of one that the file has not, a column of no memory."""
+        if not any(name in self._header.columns for name in names):
+            return unknown_column(int(self._good.sum()), *shape)
+        return block[self._good].reshape(-1, *shape)
+
     def _numbers(self, column: Column) -> Array:
         """Convert one column, fast when all of it is plain, field by field when not."""
         cells = self._cells[column.name]
         values = _all_at_once(cells, self._comma, column.factor)
         if values is None:
             values = np.array([self._number(column, at) for at in range(len(cells))])
-        for at in np.flatnonzero(values == 0.0).tolist():
-            if vanished(cells[at], 0.0):
+        zeros = np.flatnonzero(values == 0.0).tolist()
+        gone = {cell for cell in {cells[at] for at in zeros} if vanished(cell, 0.0)}
+        for at in zeros if gone else ():
+            if cells[at] in gone:
                 message = f"{shown(cells[at])} is too small a number and would become 0; write 0"
                 self._spoil(at, column.label, message)
         if column.name in head.UNCERTAINTY:
@@ -130,6 +133,40 @@ class Columns:
             self._spoil(at, column.label, why(cell, self._comma))
             return np.nan
         return value
+
+    def _time(self) -> Array:
+        """Return when each row was, s: a column of numbers or of clock times, or a sequence."""
+        sequence, rate = self._header.sequence, self._header.preamble.rate
+        column = self._header.columns.get(TIME_COLUMN)
+        if sequence is not None and rate:
+            cells, label = self._status_cells(sequence), sequence.label
+            values = np.array([_plain_number(cell) for cell in cells]) / rate
+        elif column is not None:
+            cells, label = self._cells[TIME_COLUMN], column.label
+            values = np.array(
+                [
+                    seconds(cell, self._comma, column.factor if column.unit else None)
+                    for cell in cells
+                ]
+            )
+        else:
+            return np.full(len(self._line), np.nan)
+        for at in np.flatnonzero(~np.isfinite(values)).tolist():
+            self._spoil(at, label, f"{shown(cells[at])} is no time; write seconds with time [s]")
+        return values
+
+    def _status_cells(self, column: Column) -> list[str]:
+        return [fields[column.place].strip() for fields in self._fields]
+
+    def _check_status(self) -> None:
+        """Refuse readings that the sensor itself says are not good."""
+        column = self._header.status
+        if column is None:
+            return
+        for at, cell in enumerate(self._status_cells(column)):
+            if cell.lower().removeprefix("0x").strip("0"):
+                message = f"the sensor's status is {shown(cell)}, not 0: leave the row out"
+                self._spoil(at, column.label, message)
 
     def _check_measured(self, displacement: Array) -> None:
         for at in np.flatnonzero(np.isnan(displacement).all(axis=1)).tolist():
@@ -159,11 +196,12 @@ class Columns:
 
     def _texts(self, name: str) -> tuple[str, ...]:
         cells = self._cells.get(name) or ("",) * len(self._line)
-        return tuple(cell.strip() for cell, good in zip(cells, self._good, strict=True) if good)
+        texts = [cell.strip() for cell, good in zip(cells, self._good, strict=True) if good]
+        return tuple(map(unguarded, texts) if self._escaped and any(texts) else texts)
 
     def _spoil(self, at: int, label: str, message: str) -> None:
         self._good[at] = False
-        self._errors.append(RowError(self._line[at], label, message))
+        self._mistakes.append(RowError(self._line[at], label, message))
 
 
 def _all_at_once(cells: tuple[str, ...], comma: bool, factor: Decimal) -> Array | None:
@@ -179,3 +217,10 @@ def _all_at_once(cells: tuple[str, ...], comma: bool, factor: Decimal) -> Array 
     if factor != 1:
         values = np.fromiter((to_si(text, factor) for text in texts), float, len(texts))
     return values if np.isfinite(values).all() else None
+
+
+def _plain_number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

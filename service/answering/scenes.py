@@ -1,0 +1,92 @@
+"""What a scene needs of its components: plans, and tables cut to them."""
+
+from __future__ import annotations
+
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from service.library.component import Component
+from service.workspace import Workspace
+from surrogate.build import AnyTable
+from surrogate.scene.need import Need
+from surrogate.scene.plan import Plan, plan_of
+from surrogate.scene.savings import Savings, measured
+from surrogate.scene.scene_table import SceneTable, scene_table
+
+SOLVES_TIMED = 32  # the last done ones, whose median is what a solve takes
+
+
+def scene_reply(
+    workspace: Workspace, component: Component, table: AnyTable, need: Need
+) -> dict[str, Any]:
+    """Return a scene's plan of one component, JSON-able."""
+    plan = plan_of(table, need, solved=component.has_fea)
+    _, savings = measured(table, plan)
+    return _told(workspace, component, plan, savings, table.version)
+
+
+def scene_file_table(
+    workspace: Workspace, component: Component, table: AnyTable, need: Need
+) -> SceneTable:
+    """Return a component's table cut to a scene, with the plan that it follows.
+
+    Also of a component that is rigid or linear in the scene: who asks for its table gets it.
+    """
+    plan = plan_of(table, need, solved=component.has_fea)
+    _, savings = measured(table, plan)
+    told = _told(workspace, component, plan, savings, table.version)
+    return scene_table(table, plan.need, told)
+
+
+def _told(
+    workspace: Workspace, component: Component, plan: Plan, savings: Savings, version: int
+) -> dict[str, Any]:
+    need, (whole, scene) = plan.need, plan.solves
+    limit = need.tolerance
+    told: dict[str, Any] = {
+        "decision": plan.decision,
+        "reason": plan.reason,
+        "loads": need.loads,
+        "axes": need.axes(),
+        "outputs": need.output_names(),
+        "tolerance": limit and {"translation": limit.translation, "rotation": limit.rotation},
+        "displacement_bound": [_number(one) for one in plan.bound.tolist()],
+        "solves": {"whole": whole, "scene": scene},
+        "saves": {
+            "build_s": savings.build_s,
+            "memory_bytes": savings.memory_bytes,
+            "us_per_answer": savings.us_per_answer,
+        },
+        "saves_from": savings.origin | {"solves": _solves_from(workspace, component, plan)},
+        "table_version": version,
+    }
+    if plan.compliance is not None:
+        told["compliance"] = plan.compliance.tolist()
+    return told
+
+
+def _number(value: float) -> float | None:
+    """Return a number, None for one that nothing tells."""
+    return value if np.isfinite(value) else None
+
+
+def _solves_from(workspace: Workspace, component: Component, plan: Plan) -> str:
+    """Return what the numbers of solves are, and what those saved would take."""
+    whole, scene = plan.solves
+    if not component.has_fea:
+        return "the component has no finite-element setup: nothing is solved"
+    counted = (
+        f"counted: the first design of an empty table has {whole} wrenches for the whole load range"
+        f" and {scene} for the scene"
+    )
+    jobs = workspace.ledger.jobs(component.name, "done", SOLVES_TIMED)
+    took = [job.finished - job.started for job in jobs if job.finished and job.started]
+    if not took:
+        return f"{counted}; no solve of it has been timed here yet"
+    each = median(took)
+    return (
+        f"{counted}; at {each:.3g} s a solve, the median of the last {len(took)}, that is "
+        f"{(whole - scene) * each:.3g} s less"
+    )

@@ -1,0 +1,72 @@
+"""``wrenchbook keys``: the keys of a data directory; servers take changes up within a second."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from rich.table import Table
+
+from service.cli.connect import AsJson, print_json
+from service.cli.screen import Screen
+from service.keys import Keyring
+from service.keys.record import MEGABYTES, RATE
+
+DEFAULT_DATA = Path("wrenchbook-data")
+FIRST = "first"
+
+keys = typer.Typer(no_args_is_help=True, help="Keys that let in: list, add, revoke.")
+
+Folder = Annotated[Path, typer.Option(help="data directory", envvar="WRENCHBOOK_DATA")]
+KeyName = Annotated[str, typer.Argument(help="whose the key is")]
+ScopeName = Annotated[
+    Literal["read", "write", "admin"],
+    typer.Option(help="read: look and ask; write: also change; admin: also keys and decks"),
+]
+Rate = Annotated[float, typer.Option(help="most requests a second")]
+Megabytes = Annotated[int, typer.Option(help="largest body, MiB")]
+
+
+@keys.command("add")
+def add(
+    name: KeyName,
+    scope: ScopeName = "write",
+    rate: Rate = RATE,
+    megabytes: Megabytes = MEGABYTES,
+    data: Folder = DEFAULT_DATA,
+) -> None:
+    """Make a key and print it, this once."""
+    typer.echo(Keyring(data).add(name, scope, rate=rate, megabytes=megabytes))
+    typer.echo(f"The key {name} for {scope}; it is kept nowhere and not shown again.", err=True)
+
+
+@keys.command("list")
+def list_(as_json: AsJson = False, data: Folder = DEFAULT_DATA) -> None:
+    """List the keys there are, without their secrets."""
+    told = [key.told() for key in Keyring(data).listed()]
+    if as_json:
+        print_json(told)
+        return
+    table = Table("name", "scope", "made", "a second", "MiB")
+    for key in told:
+        made = time.strftime("%Y-%m-%d", time.gmtime(key["created"]))
+        table.add_row(key["name"], key["scope"], made, f"{key['rate']:g}", str(key["megabytes"]))
+    Screen().print(table)
+
+
+@keys.command("revoke")
+def revoke(name: KeyName, data: Folder = DEFAULT_DATA) -> None:
+    """Take a key away; whoever has it is refused within a second."""
+    Keyring(data).revoke(name)
+    typer.echo(f"The key {name} is revoked.")
+
+
+def make_first_key(data: Path) -> None:
+    """Make a key for admin in a data directory that has none, and print it, this once."""
+    keyring = Keyring(data)
+    if len(keyring):
+        return
+    secret = keyring.add(FIRST, "admin")
+    typer.echo(f"The first key, for admin, shown this once: {secret}")

@@ -1,0 +1,71 @@
+"""Commands of whoever keeps a server: backup, restore, doctor. They work on its data directory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.connect import AsJson, print_json
+from service.cli.local import DEFAULT_DATA, Folder
+from service.cli.render import plain
+from service.cli.screen import Screen
+
+_out = Screen()
+
+
+def backup(
+    file: Annotated[Path, typer.Argument(help="the backup to write", dir_okay=False)],
+    data: Folder = DEFAULT_DATA,
+) -> None:
+    """Write all of a data directory into one file, while a server uses it."""
+    from service.upkeep.backup import back_up
+
+    manifest = back_up(data, file)
+    size = sum(length for length, _ in manifest.files.values())
+    plain(_out, f"{file}: {len(manifest.files)} files, {size / 1e6:.1f} MB, read again and whole.")
+
+
+def restore(
+    file: Annotated[Path, typer.Argument(help="the backup", exists=True, dir_okay=False)],
+    data: Folder = DEFAULT_DATA,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="move aside what is in the data directory")
+    ] = False,
+) -> None:
+    """Make a data directory from a backup."""
+    from service.upkeep.restore import restore as run
+
+    manifest, aside = run(file, data, overwrite=overwrite)
+    plain(_out, f"{data}: {len(manifest.files)} files restored. Start it with: wrenchbook serve")
+    if aside is not None:
+        plain(_out, f"What was there is in {aside}; remove it once you need it no more.")
+
+
+def doctor(
+    data: Folder = DEFAULT_DATA,
+    mend: Annotated[
+        bool, typer.Option("--mend", help="mend what can be from whichever copy is whole")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Check the ledger against the tables, files, disk and leftovers; nothing is ever deleted."""
+    from service.upkeep.doctor import examine
+
+    findings = examine(data, mend=mend)
+    if as_json:
+        print_json({"findings": [vars(one) for one in findings]})
+    else:
+        for one in findings:
+            colour = {"fault": "red", "mended": "yellow", "note": None}[one.kind]
+            plain(_out, f"{one.kind}: {one.what}", style=colour)
+            if one.remedy:
+                plain(_out, f"  {one.remedy}")
+    faults = sum(one.kind == "fault" for one in findings)
+    if not as_json:
+        plain(_out, f"{faults} faults." if faults else f"{data} is in order.")
+    raise typer.Exit(1 if faults else 0)
+
+
+UPKEEP_COMMANDS = (backup, restore, doctor)

@@ -1,0 +1,80 @@
+"""A process that takes requests: it maps tables, and writes what it accepts into the ledger."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import sys
+
+import uvicorn
+
+from service.crew.pulse import BEAT_S, Pulse
+from service.crew.sharing import OpenCounts, Taker
+from service.crew.supervisor import follow_supervisor
+from service.http.app import create_app
+from service.http.door.opening import opening_of_options
+from service.http.server import Server, server_config
+from service.http.straight import StraightProtocol
+from service.settings import settings_of_options
+from service.tables.shelf import FOLDER
+from service.telemetry.logs import set_up
+
+_OPEN = "connections"  # beside the tables: how many each process has
+
+
+class AnsweringServer(Server):
+    """A server on a socket that others listen on too; it tells its supervisor once it is up.
+
+    Parameters
+    ----------
+    config : uvicorn.Config
+    counts : OpenCounts
+    pulse : Pulse
+        Beats from the loop that answers, once it does.
+    """
+
+    def __init__(self, config: uvicorn.Config, counts: OpenCounts, pulse: Pulse) -> None:
+        super().__init__(config)
+        self._counts, self._pulse = counts, pulse
+        self._taker: Taker | None = None
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, and take connections as the others leave them."""
+        await super().startup([])  # uvicorn's own listening takes all there are
+        if not self.started or not sockets:
+            return
+        self._taker = Taker(sockets[0], self._counts, self.server_state.connections, self._speak)
+        self._taker.start()
+        self._beat()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Take no more connections, then stop as any server."""
+        if self._taker is not None:
+            self._taker.stop()
+        await super().shutdown([])
+
+    def _beat(self) -> None:
+        self._pulse.beat()
+        asyncio.get_running_loop().call_later(BEAT_S, self._beat)
+
+    def _speak(self) -> asyncio.Protocol:
+        return StraightProtocol(
+            self.config, self.server_state, self.lifespan.state, asyncio.get_running_loop()
+        )
+
+
+def main() -> None:
+    """Run as a process of the supervisor's."""
+    said, number, listening, ready = json.loads(sys.argv[1]), *map(int, sys.argv[2:])
+    set_up(said["log_level"], said["log_format"])
+    settings = settings_of_options(said, "answering", number)
+    app = create_app(settings, opening_of_options(said))
+    counts = OpenCounts(settings.folder / FOLDER / _OPEN, number, said["processes"])
+    config = server_config(app, said["log_level"], log_config=None)
+    follow_supervisor()
+    AnsweringServer(config, counts, Pulse(ready)).run(sockets=[socket.socket(fileno=listening)])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Events for listeners: jobs that change, new versions of tables."""

@@ -1,0 +1,1 @@
+"""Deformed surfaces and stresses of solved rows: kept, and answered between rows."""

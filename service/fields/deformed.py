@@ -1,0 +1,300 @@
+"""The deformed surface of a component under any wrench, from the fields that its rows have."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fea.element.equivalent_stress import von_mises
+from service.fields.blend import Blend
+from service.fields.codec import DamagedFieldsError
+from service.fields.record import Geometry, RowFields
+from service.fields.shape import Deformed, largest_stress, rounding, stress_of_row
+from service.fields.store import FieldStore
+from service.library.component import Component
+from surrogate.field_weights import FieldWeights, nearest_rows
+from surrogate.kriging import Hyperparameters, SingularCovarianceError
+from surrogate.methods.method import why_beyond
+from surrogate.table.rows import Rows
+
+Floats = NDArray[np.float64]
+
+MOST_ROWS = 60
+"""Rows that a field is interpolated of: with slopes as good as all, and a factor of 0.02 s."""
+
+BLEND_BYTES = 128 << 20
+"""Of the fields that one component's interpolation holds; larger surfaces take fewer rows."""
+
+LEAST_ROWS = 8
+"""Rows taken however large their fields are: fewer tell neither an answer nor an error."""
+
+MOST_BLENDS = 2
+"""Components whose interpolation is kept at once."""
+
+THREADS = 2
+"""Surfaces made at once: each may take a processor."""
+
+FARTHEST = 2.0
+"""Half ranges beyond an end of the load range: further out no row says anything of a surface."""
+
+SAME = 1e-6
+"""Of the load range: a wrench so near to a row's is the one that row was rounded from."""
+
+WITHOUT_TOLERANCE = 0.01
+"""Of the largest displacement of any row: a vertex's bar where the component tells no tolerance."""
+
+
+class NoFieldsError(Exception):
+    """No row of the component has a deformed surface; says how to get one."""
+
+    def __init__(self, component: Component, why: str) -> None:
+        super().__init__(_how_to(component, why))
+
+
+class TooFarError(ValueError):
+    """The wrench is so far beyond the load range that nothing is known there."""
+
+
+class DeformedShapes:
+    """Answers deformed surfaces, and keeps what the last ones were made of.
+
+    Parameters
+    ----------
+    store : FieldStore
+        Where the fields of rows are.
+
+    Attributes
+    ----------
+    threads : ThreadPoolExecutor
+        For those who must not wait themselves: `answer` may take a second.
+    """
+
+    def __init__(self, store: FieldStore) -> None:
+        self._store = store
+        self._kept: OrderedDict[str, tuple[Any, Blend]] = OrderedDict()
+        self._lock = threading.Lock()
+        self.threads = ThreadPoolExecutor(THREADS, thread_name_prefix="deformed")
+
+    def close(self) -> None:
+        """Let go of the threads; questions that have not begun are dropped."""
+        self.threads.shutdown(cancel_futures=True)
+
+    def answer(
+        self, component: Component, rows: Rows, wrench: Floats, held: Hyperparameters | None = None
+    ) -> Deformed:
+        """Return the deformed surface under a wrench (6,), N and N·m.
+
+        It reads files and may take a second: nothing for an event loop.
+
+        Parameters
+        ----------
+        rows : Rows
+            All rows of the component's table.
+        held : Hyperparameters, optional
+            Of the table's kriging.
+
+        Raises
+        ------
+        NoFieldsError
+            If no row has fields.
+        TooFarError
+            If a load is over `FARTHEST` of the range beyond it.
+        """
+        acting = component.acting(np.asarray(wrench, dtype=float))
+        _require_near(component, acting)
+        if component.linear:
+            found = self._linear(component, acting)
+        else:
+            found = self._own(component, rows, acting) or self._between(
+                component, rows, acting, held
+            )
+        beyond = why_beyond(component.load_range, acting)
+        if beyond and found.source != "row":
+            return replace(found, coverage="outside", reason=beyond)
+        return found
+
+    def _linear(self, component: Component, wrench: Floats) -> Deformed:
+        try:
+            row = self._store.linear(component.name, component.fingerprint)
+            if row is None:
+                raise NoFieldsError(component, "no solve has left its six unit fields yet")
+            geometry = self._geometry(component, row)
+        except DamagedFieldsError as error:
+            raise NoFieldsError(component, str(error)) from error
+        moved = row.displacement_slopes @ wrench
+        stress = largest_stress(component, geometry, row.stress_slopes @ wrench, 0.0)
+        wrench_told = tuple(wrench.tolist())
+        return Deformed(
+            component.name, wrench_told, geometry, moved, rounding(moved), stress, "linear"
+        )
+
+    def _own(self, component: Component, rows: Rows, wrench: Floats) -> Deformed | None:
+        """Return what the solve of this wrench says; None if there is none with fields."""
+        apart = np.abs(rows.wrench - wrench) / component.load_range.scale
+        near = apart.max(axis=1, initial=0.0) <= SAME
+        for place in np.flatnonzero(near & (rows.fingerprint == component.fingerprint)).tolist():
+            for row in self._readable(component, rows.wrench[place : place + 1]):
+                return self._stepped(component, row, wrench, int(rows.seq[place]))
+        return None
+
+    def _stepped(
+        self, component: Component, row: RowFields, wrench: Floats, number: int
+    ) -> Deformed | None:
+        """Return a row's fields, led by their slopes over the step from its wrench."""
+        try:
+            geometry = self._geometry(component, row)
+        except DamagedFieldsError:
+            return None
+        step = wrench - np.array(row.meta["wrench"])
+        moved = row.displacement_slopes @ step
+        stress = stress_of_row(component, row)
+        if step.any() and len(row.stress):
+            change = row.stress_slopes @ step
+            error = float(von_mises(change).max())
+            stress = largest_stress(component, geometry, row.stress + change, error)
+        whole = row.displacement + moved
+        bar = rounding(whole) + np.linalg.norm(moved, axis=1)
+        told = tuple(wrench.tolist())
+        return Deformed(component.name, told, geometry, whole, bar, stress, "row", (number,))
+
+    def _between(
+        self, component: Component, rows: Rows, wrench: Floats, held: Hyperparameters | None
+    ) -> Deformed:
+        """Return the interpolation of the rows that have fields."""
+        places = self._having_fields(component, rows)
+        with self._lock:  # one at a time: a new interpolation takes a processor and its memory
+            blend = self._blend(component, rows.take(places), wrench, held)
+        told = blend.at(wrench)
+        error = told.error
+        if error is not None:
+            error = np.maximum(error, rounding(told.displacement))
+        coverage, reason = _judged(component, blend, error)
+        stress = None
+        if told.stress is not None:
+            stress = largest_stress(component, blend.geometry, told.stress, told.stress_error)
+        return Deformed(
+            component=component.name,
+            wrench=tuple(wrench.tolist()),
+            geometry=blend.geometry,
+            displacement=told.displacement,
+            error=error,
+            stress=stress,
+            source="rows",
+            rows=blend.rows,
+            coverage=coverage,
+            reason=reason,
+        )
+
+    def _having_fields(self, component: Component, rows: Rows) -> NDArray[np.intp]:
+        """Return the places of rows with fields, one for each wrench within the load range."""
+        if not len(rows):
+            raise NoFieldsError(component, "its table has no rows")
+        inside = component.load_range.holds(rows.wrench)
+        solved = np.flatnonzero((rows.fingerprint == component.fingerprint) & inside)
+        wrenches = rows.wrench[solved]
+        having = self._store.has(component.name, component.fingerprint, wrenches.tolist())
+        if not having:
+            why = f"none of its {len(rows)} rows has one; they were imported or solved before"
+            raise NoFieldsError(component, why)
+        grains = np.rint(wrenches[having] / (2 * SAME * component.load_range.scale))
+        _, first = np.unique(grains, axis=0, return_index=True)
+        return solved[having][np.sort(first)]
+
+    def _blend(
+        self, component: Component, rows: Rows, wrench: Floats, held: Hyperparameters | None
+    ) -> Blend:
+        """Return the interpolation of the rows nearest to a wrench; the last one if it is that."""
+        chosen = nearest_rows(
+            rows.wrench, wrench, component.load_range, self._most_rows(component, rows)
+        )
+        near, lengths = rows.take(chosen), None if held is None else held.logarithms.tobytes()
+        key = component.fingerprint, near.seq.tobytes(), lengths
+        kept = self._kept.get(component.name)
+        if kept is not None and kept[0] == key:
+            self._kept.move_to_end(component.name)
+            return kept[1]
+        self._kept.pop(component.name, None)  # before its like takes as much memory again
+        blend = self._made(component, near, held)
+        self._kept[component.name] = key, blend
+        while len(self._kept) > MOST_BLENDS:
+            self._kept.popitem(last=False)
+        return blend
+
+    def _most_rows(self, component: Component, rows: Rows) -> int:
+        """Return of how many rows the fields may be held at once."""
+        for row in self._readable(component, rows.wrench):
+            size = 7 * 8 * (row.displacement.size + row.stress.size)
+            return min(MOST_ROWS, max(LEAST_ROWS, BLEND_BYTES // max(size, 1)))
+        raise NoFieldsError(component, "the files of all rows are damaged")
+
+    def _made(self, component: Component, rows: Rows, held: Hyperparameters | None) -> Blend:
+        found: list[tuple[int, RowFields]] = []
+        for place, wrench in enumerate(rows.wrench):
+            found += [(place, row) for row in self._readable(component, wrench[None])]
+        if not found:
+            raise NoFieldsError(component, "the files of the nearest rows are damaged")
+        digest = found[-1][1].meta["geometry"]  # a mesher of another version makes another mesh
+        like = [(place, row) for place, row in found if row.meta["geometry"] == digest]
+        kept = rows.take([place for place, _ in like])
+        try:
+            geometry = self._geometry(component, like[0][1])
+            weights = FieldWeights.of(kept.wrench, component.load_range, held)
+        except (DamagedFieldsError, SingularCovarianceError) as error:
+            raise NoFieldsError(component, str(error)) from error
+        return Blend.of(geometry, weights, [row for _, row in like], tuple(kept.seq.tolist()))
+
+    def _readable(self, component: Component, wrenches: Floats) -> Iterator[RowFields]:
+        """Yield the fields of rows; those whose file is gone or damaged have none."""
+        for wrench in wrenches.tolist():
+            try:
+                yield self._store.row(component.name, component.fingerprint, wrench)
+            except DamagedFieldsError:
+                continue
+
+    def _geometry(self, component: Component, row: RowFields) -> Geometry:
+        return self._store.geometry(component.name, component.fingerprint, row.meta["geometry"])
+
+
+def _require_near(component: Component, wrench: Floats) -> None:
+    loads = component.load_range
+    room = FARTHEST * loads.scale
+    low, high = np.minimum(loads.low, 0.0) - room, np.maximum(loads.high, 0.0) + room
+    if ((wrench < low) | (wrench > high)).any():
+        beyond = why_beyond(loads, wrench)
+        raise TooFarError(f"{beyond}: too far beyond it for a surface; ask nearer to the range")
+
+
+def _judged(component: Component, blend: Blend, error: Floats | None) -> tuple[str, str]:
+    """Return the coverage of an interpolation, and the reason if it is not covered."""
+    if error is None:
+        count = len(blend.rows)
+        return "thin", f"{count} row(s) with a surface: too few to tell how far this is wrong"
+    limit = component.tolerance
+    allowed = limit.translation if limit else WITHOUT_TOLERANCE * blend.largest
+    worst = float(error.max(initial=0.0))
+    if worst > allowed:
+        return "thin", f"a vertex may be wrong by {worst:.3g} m, over {allowed:.3g} m"
+    return "covered", ""
+
+
+def _how_to(component: Component, why: str) -> str:
+    """Say why there is no surface, and how to get one."""
+    name = component.name
+    if not component.has_fea:
+        return (
+            f"{name!r} is a table without a finite-element setup: there is no surface to deform. "
+            "Add the component as a bundle with a mesh."
+        )
+    return (
+        f"{name!r} has no deformed surface yet: {why}. Each solve by the embedded solver leaves "
+        f"one (a deck's own solver leaves none): POST this wrench to /v1/components/{name}/solve, "
+        f"or ask for several by /v1/components/{name}/fill. A row without a surface gets one by "
+        "being solved again: DELETE it from the table, then POST its wrench to /solve."
+    )

@@ -1,0 +1,182 @@
+"""The fields of solved rows in a folder: ``<component>/<fingerprint>/<wrench's digest>.fields``.
+
+A row's file is found by its wrench, not by its number: a row that was exported and imported again,
+or withdrawn and restored, has its fields all the same. A linear component has one file, whose six
+unit fields are the whole answer. Nothing else is needed to answer: a file that is missing or
+damaged is a row without fields.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import shutil
+from collections.abc import Iterator, Sequence
+from hashlib import blake2b
+from pathlib import Path
+
+import numpy as np
+
+from service.fields.codec import DamagedFieldsError, read_meta
+from service.fields.record import (
+    GEOMETRY,
+    ROW,
+    Geometry,
+    RowFields,
+    digest_of,
+    read_geometry,
+    read_row,
+)
+from service.files.durable import sync_folder
+
+MOST_BYTES = 1 << 30
+"""Kept of one component, some thousand rows of 1,000 vertices; later rows have no fields."""
+
+_LINEAR = "linear"
+_HEADER_BYTES = 1 << 20  # what is read for a file's header, which is far shorter
+
+_log = logging.getLogger(__name__)
+
+
+class FieldStore:
+    """The kept fields of all components of a data directory.
+
+    Several processes may use it: files appear whole and are never changed.
+
+    Parameters
+    ----------
+    folder : path
+        Made when the first fields are kept.
+    most_bytes : int
+        Of one component.
+    """
+
+    def __init__(self, folder: Path, most_bytes: int = MOST_BYTES) -> None:
+        self._folder = folder
+        self._most_bytes = most_bytes
+
+    def take(
+        self, attempt: Path, component: str, fingerprint: str, wrench: Sequence[float]
+    ) -> bool:
+        """Move what a solver left in an attempt's folder here; return whether it is kept.
+
+        A solver that left nothing, a full disk or a full share costs a row its fields and nothing
+        else: this never raises.
+        """
+        row, geometry = attempt / ROW, attempt / GEOMETRY
+        try:
+            if not (row.exists() and geometry.exists()):
+                return False
+            linear = bool(_meta_of(row).get("linear"))
+            place = self._place(component, fingerprint)
+            place.mkdir(parents=True, exist_ok=True)
+            size = row.stat().st_size + geometry.stat().st_size
+            if not self._has_room(component, fingerprint, size):
+                _log.warning("%s: no room for more fields; this row has none", component)
+                return False
+            geometry.replace(place / f"{digest_of(geometry.read_bytes())}.geometry")
+            row.replace(place / f"{_LINEAR if linear else key_of(wrench)}.fields")
+            sync_folder(place)
+        except (OSError, DamagedFieldsError) as error:
+            _log.warning("%s: a row's fields were not kept: %s", component, error)
+            return False
+        return True
+
+    def has(
+        self, component: str, fingerprint: str, wrenches: Sequence[Sequence[float]]
+    ) -> list[int]:
+        """Return which of the wrenches, each six numbers, N and N·m, have fields here."""
+        names = self._names(component, fingerprint)
+        if not names:
+            return []
+        return [i for i, wrench in enumerate(wrenches) if f"{key_of(wrench)}.fields" in names]
+
+    def row(self, component: str, fingerprint: str, wrench: Sequence[float]) -> RowFields:
+        """Return the fields of one row.
+
+        Raises
+        ------
+        DamagedFieldsError
+            If the file is not as it was written, or gone, or of another wrench.
+        """
+        key = key_of(wrench)
+        found = self._read(self._place(component, fingerprint) / f"{key}.fields")
+        if key_of(found.meta["wrench"]) != key:
+            raise DamagedFieldsError(f"{key}.fields holds another wrench")
+        return found
+
+    def linear(self, component: str, fingerprint: str) -> RowFields | None:
+        """Return the six unit fields of a linear component; None before its first solve.
+
+        Raises
+        ------
+        DamagedFieldsError
+            If the file is not as it was written.
+        """
+        path = self._place(component, fingerprint) / f"{_LINEAR}.fields"
+        return self._read(path) if path.exists() else None
+
+    def geometry(self, component: str, fingerprint: str, digest: str) -> Geometry:
+        """Return the geometry that a row's fields belong to.
+
+        Raises
+        ------
+        DamagedFieldsError
+            If the file is not as it was written, or gone.
+        """
+        path = self._place(component, fingerprint) / f"{digest}.geometry"
+        found = read_geometry(_content(path))
+        if found.digest != digest:
+            raise DamagedFieldsError(f"{path.name} holds another geometry")
+        return found
+
+    def _read(self, path: Path) -> RowFields:
+        try:
+            return read_row(_content(path))
+        except DamagedFieldsError as error:
+            raise DamagedFieldsError(f"{path.name}: {error}") from error
+
+    def _place(self, component: str, fingerprint: str) -> Path:
+        return self._folder / component / fingerprint
+
+    def _names(self, component: str, fingerprint: str) -> set[str]:
+        try:
+            return {path.name for path in self._place(component, fingerprint).iterdir()}
+        except FileNotFoundError:
+            return set()
+
+    def _has_room(self, component: str, fingerprint: str, size: int) -> bool:
+        """Return whether so many bytes more may be kept, after older set-ups have made room."""
+        if self._bytes_of(component) + size <= self._most_bytes:
+            return True
+        for old in self._folder.joinpath(component).iterdir():
+            if old.name != fingerprint:
+                shutil.rmtree(old, ignore_errors=True)
+        return self._bytes_of(component) + size <= self._most_bytes
+
+    def _bytes_of(self, component: str) -> int:
+        return sum(_sizes(self._folder / component))
+
+
+def key_of(wrench: Sequence[float]) -> str:
+    """Return the name of a row's file, from its wrench of six numbers, N and N·m."""
+    exact = (np.asarray(wrench, dtype="<f8") + 0.0).tobytes()  # no difference between 0 and -0
+    return blake2b(exact, digest_size=16).hexdigest()
+
+
+def _sizes(folder: Path) -> Iterator[int]:
+    for path in folder.glob("*/*"):
+        with contextlib.suppress(OSError):
+            yield path.stat().st_size
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise DamagedFieldsError(f"{path.name} cannot be read: {error}") from error
+
+
+def _meta_of(path: Path) -> dict[str, object]:
+    with path.open("rb") as file:
+        return read_meta(file.read(_HEADER_BYTES))

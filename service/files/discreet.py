@@ -1,0 +1,44 @@
+"""Texts without the paths of this machine: what replies say goes to strangers."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+# What is no folder of the machine but a path of the service's own.
+_OURS: Final = frozenset({"v1", "health", "metrics", "umbridge", "docs", "openapi.json"})
+_TRACEBACK: Final = re.compile(
+    r"Traceback \(most recent call last\):.*?(?=^\S(?!raceback))", re.MULTILINE | re.DOTALL
+)
+
+
+def discreet(text: str) -> str:
+    """Return a text with absolute paths cut to their last names, and no traceback.
+
+    Only what begins with a folder that this machine has is taken for a path; ``N/m`` and
+    ``/v1/jobs/3`` stay.
+    """
+    if "/" not in text:
+        return text
+    return _paths().sub(lambda found: f".../{found[1]}", _TRACEBACK.sub("", text))
+
+
+def discreetly(told: Any) -> Any:
+    """Return JSON's values with all their texts made `discreet`."""
+    if isinstance(told, str):
+        return discreet(told)
+    if isinstance(told, dict):
+        return {key: discreetly(value) for key, value in told.items()}
+    if isinstance(told, list | tuple):
+        return [discreetly(value) for value in told]
+    return told
+
+
+@cache
+def _paths() -> re.Pattern[str]:
+    names = {path.name for path in Path("/").iterdir() if path.is_dir()} - _OURS
+    roots = "|".join(sorted(map(re.escape, names))) or "tmp"
+    name = r"[^/\s'\"<>|:;,()]*"
+    return re.compile(rf"(?<![\w.:/-])/(?:{roots})(?=/)(?:/{name})*/({name})")

@@ -1,0 +1,1 @@
+"""A server elsewhere that answers from copies of another's tables, and hands on all else."""

@@ -1,0 +1,109 @@
+"""How far an envelope's wrenches can move the component, and whether that can be left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gathering.gathering import Envelope
+from surrogate.answer import COVERED, NAMES, OUTSIDE
+from surrogate.build import AnyTable
+from surrogate.table.rows import Tolerance
+
+Floats = NDArray[np.float64]
+
+EXACT: Final = (
+    "bound: of a linear table, max over the box of |u(0) + C w|, at the corner that the signs of "
+    "C choose for each output, plus the error bar"
+)
+ESTIMATE: Final = (
+    "estimate: the largest |answer| + error bar of the table at the 64 corners of the box, its "
+    "centre, zero load and the wrenches that reached the extremes"
+)
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The largest displacement over an envelope's box.
+
+    Attributes
+    ----------
+    displacement : ndarray, shape (6,), m and rad
+        NaN where nothing is known.
+    kind : str
+        ``bound``, ``estimate`` or ``unknown``.
+    formula : str
+    coverage : str
+        The worst of the answers it is made of.
+    negligible : bool or None
+        Whether it is within the tolerance; None if that cannot be told.
+    reason : str
+        Why it cannot be told, or what it rests on.
+    """
+
+    displacement: Floats
+    kind: str
+    formula: str
+    coverage: str
+    negligible: bool | None
+    reason: str
+
+
+def bound_of(surrogate: AnyTable, envelope: Envelope, tolerance: Tolerance | None) -> Bound:
+    """Return how far a table says an envelope's wrenches move the component."""
+    low, high = envelope.box
+    unknown = np.full(6, np.nan)
+    if np.isnan(low).any():
+        return Bound(unknown, "unknown", "", "outside", None, "no wrench has come yet")
+    exact = surrogate.linear and surrogate.fit.complete
+    points = np.concatenate([_corners(low, high), envelope.lowest, envelope.highest])
+    answers = surrogate.batch(points)
+    if surrogate.solver_error is not None:
+        widened = surrogate.solver_error.widened_many(answers.error, points)
+        answers = answers._replace(error=widened)
+    coverage = int(answers.coverage.max(initial=COVERED))
+    if exact:
+        most = _over_box(surrogate.fit.matrix, low, high) + answers.error.max(axis=0)
+        at_rest = surrogate.batch(np.zeros((1, 6)))
+        most = most + np.abs(at_rest.displacement[0])
+    else:
+        # NaN stays: what is not known at one point is no estimate of the largest.
+        most = (np.abs(answers.displacement) + answers.error).max(axis=0)
+    kind = "unknown" if np.isnan(most).any() else "bound" if exact else "estimate"
+    negligible, reason = _judged(most, coverage, kind, tolerance)
+    formula = EXACT if exact else ESTIMATE
+    return Bound(most, kind, formula, NAMES[coverage], negligible, reason)
+
+
+def _corners(low: Floats, high: Floats) -> Floats:
+    """Return the corners, the centre and zero load, shape (66, 6), N and N·m."""
+    corners = np.array(list(product(*zip(low, high, strict=True))))
+    with np.errstate(over="ignore"):
+        centre = low / 2 + high / 2
+    return np.concatenate([corners, centre[None], np.zeros((1, 6))])
+
+
+def _over_box(matrix: Floats, low: Floats, high: Floats) -> Floats:
+    """Return max |C w| over a box of wrenches, shape (6,), m and rad."""
+    ends = np.stack([matrix * low, matrix * high])
+    return np.maximum(np.abs(ends.max(axis=0).sum(axis=1)), np.abs(ends.min(axis=0).sum(axis=1)))
+
+
+def _judged(
+    most: Floats, coverage: int, kind: str, tolerance: Tolerance | None
+) -> tuple[bool | None, str]:
+    """Tell whether the largest displacement is within the tolerance, and why that is not told."""
+    if tolerance is None:
+        return None, "the component has no tolerance: ask with ?translation=...&rotation=..."
+    allowed = np.repeat([tolerance.translation, tolerance.rotation], 3)
+    if (most > allowed).any():
+        return False, ""
+    if kind == "unknown":
+        return None, "the table does not answer over all of the box; start the envelope's solves"
+    if coverage == OUTSIDE and kind != "bound":
+        return None, "part of the box is outside the table, where an estimate is no proof"
+    return True, "" if kind == "bound" else "an estimate by the table, see formula"

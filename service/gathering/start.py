@@ -1,0 +1,195 @@
+"""LM_start: the solves of what a recording or an envelope holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gathering.gathering import Gathering
+from service.gathering.net import farthest_first, scaled_loads
+from service.ledger import Job
+from service.library.component import Component
+from service.ordering import NoSetupError, packed
+from service.workspace import CATCH_UP_S, Workspace
+from surrogate.answer import COVERED
+
+Floats = NDArray[np.float64]
+
+OPEN = ("waiting", "running")
+UNIT_SOLVES = 6  # the most that tell a linear component
+
+
+@dataclass(frozen=True)
+class Started:
+    """What was queued, and what of the rest.
+
+    Attributes
+    ----------
+    jobs : list of Job
+        Those that wait or run for these wrenches, new ones and those there were.
+    solved, covered, failed, beyond_range, left : int
+        Wrenches that a row of the table has, that the table covers, whose solve has failed before,
+        that lie outside the load range, and that the budget leaves.
+    reason : str
+        Why not all, or why none; empty if all are queued.
+    """
+
+    jobs: list[Job]
+    solved: int = 0
+    covered: int = 0
+    failed: int = 0
+    beyond_range: int = 0
+    left: int = 0
+    reason: str = ""
+
+
+def start_recording(
+    workspace: Workspace, gathering: Gathering, name: str, budget: int, *, beyond_range: bool
+) -> Started:
+    """Queue the solves of recorded wrenches that the table does not cover.
+
+    The one farthest from all that is solved or queued comes first, so that a budget is spent where
+    it tells most. The recording stays as it is.
+
+    Raises
+    ------
+    UnknownComponentError
+        If there is no such component.
+    NoSetupError
+        If nothing can be solved for it.
+    TableBehindError
+        If the table does not hold all rows yet.
+    """
+    component = _solvable(workspace, name)
+    wrenches = gathering.recording(name).wrenches
+    if component.linear:
+        return _start_linear(workspace, component, wrenches, beyond_range)
+    # First what is queued, then what is known: see `Workspace.fill`.
+    asked = workspace.orders.asked_wrenches(name)
+    surrogate = workspace.tables.caught_up(name, CATCH_UP_S)
+    inside, beyond = _within(component, wrenches, beyond_range)
+    rows = set(packed(surrogate.rows.wrench))
+    solved = np.array([key in rows for key in packed(inside)], dtype=bool)
+    covered = np.zeros(len(inside), dtype=bool)
+    if len(inside):
+        covered = (surrogate.batch(inside).coverage == COVERED) & ~solved
+    return _ordered(
+        workspace,
+        component,
+        inside[~solved & ~covered],
+        np.concatenate([surrogate.rows.wrench, asked]),
+        budget,
+        Started([], int(solved.sum()), int(covered.sum()), beyond_range=beyond),
+        "recording",
+    )
+
+
+def start_envelope(
+    workspace: Workspace, gathering: Gathering, name: str, *, beyond_range: bool
+) -> Started:
+    """Queue the solves of the wrenches that reached an envelope's extremes, covered or not.
+
+    Raises as `start_recording` does.
+    """
+    component = _solvable(workspace, name)
+    envelope = gathering.envelope(name)
+    both = np.concatenate([envelope.lowest, envelope.highest])
+    wrenches = np.unique(both, axis=0) if len(both) else both
+    if component.linear:
+        return _start_linear(workspace, component, wrenches, beyond_range)
+    surrogate = workspace.tables.caught_up(name, CATCH_UP_S)
+    inside, beyond = _within(component, wrenches, beyond_range)
+    rows = set(packed(surrogate.rows.wrench))
+    solved = np.array([key in rows for key in packed(inside)], dtype=bool)
+    counted = Started([], int(solved.sum()), beyond_range=beyond)
+    known = surrogate.rows.wrench
+    return _ordered(workspace, component, inside[~solved], known, len(inside), counted, "envelope")
+
+
+def _solvable(workspace: Workspace, name: str) -> Component:
+    component = workspace.library[name]
+    if not component.has_fea:
+        raise NoSetupError(
+            f"{name!r} has rows loaded from outside and no finite-element setup, so nothing was "
+            "queued; what was gathered stays. GET it, measure or solve these wrenches elsewhere, "
+            f"and load the rows: POST /v1/components/{name}/table."
+        )
+    return component
+
+
+def _within(component: Component, wrenches: Floats, beyond_range: bool) -> tuple[Floats, int]:
+    """Return the wrenches, shape (n, 6), N and N·m, that may be solved, and how many may not."""
+    if beyond_range or not len(wrenches):
+        return wrenches, 0
+    holds = component.load_range.holds(wrenches)
+    return wrenches[holds], int((~holds).sum())
+
+
+def _ordered(
+    workspace: Workspace,
+    component: Component,
+    wanted: Floats,
+    known: Floats,
+    budget: int,
+    counted: Started,
+    asked_by: str,
+) -> Started:
+    """Accept the jobs of wrenches, shapes (n, 6), N and N·m; what is queued costs no budget."""
+    keys, ledger = packed(wanted), workspace.ledger
+    jobs = ledger.jobs_for(component.name, component.fingerprint, keys)
+    status = [jobs[key].status if key in jobs else "" for key in keys]
+    fresh = np.flatnonzero([one in ("", "cancelled", "done") for one in status])
+    scale = component.load_range.scale
+    order = farthest_first(scaled_loads(wanted[fresh], scale), scaled_loads(known, scale), budget)
+    accepted = workspace.orders.fill(component.name, wanted[fresh[order]], asked_by=asked_by)
+    queued = [jobs[key] for key, one in zip(keys, status, strict=True) if one in OPEN]
+    failed, left = status.count("failed"), len(fresh) - len(order)
+    return Started(
+        queued + [job for job in accepted if not job.is_final],
+        counted.solved,
+        counted.covered,
+        failed,
+        counted.beyond_range,
+        left,
+        _reason(len(wanted), counted, failed, left),
+    )
+
+
+def _reason(wanted: int, counted: Started, failed: int, left: int) -> str:
+    """Say what is not queued and what to do about it."""
+    told = []
+    if left:
+        told.append(f"{left} are left by the budget: start again once these are solved")
+    if failed:
+        told.append(f"{failed} have failed before: see GET /v1/jobs?status=failed and retry them")
+    if counted.beyond_range:
+        beyond = f"{counted.beyond_range} are outside the load range"
+        told.append(f"{beyond}: start with beyond_range true to solve them all the same")
+    if not wanted and not told:
+        any_kept = counted.solved + counted.covered
+        told.append("the table covers all of them" if any_kept else "nothing was gathered yet")
+    return "; ".join(told)
+
+
+def _start_linear(
+    workspace: Workspace, component: Component, wrenches: Floats, beyond_range: bool
+) -> Started:
+    """Queue what tells a linear component's compliance: it answers every wrench."""
+    if not len(wrenches):
+        return Started([], reason="nothing was gathered yet")
+    inside, beyond = _within(component, wrenches, beyond_range)
+    if workspace.tables.caught_up(component.name, CATCH_UP_S).fit.complete:
+        reason = "the component is linear and its compliance known: it answers every wrench"
+        return Started([], covered=len(inside), beyond_range=beyond, reason=reason)
+    workspace.fill(component.name, UNIT_SOLVES, None)
+    queued = workspace.ledger.open_jobs(component.name, component.fingerprint)
+    reason = "the component is linear: its compliance, once solved, answers every wrench"
+    if not queued:
+        reason = (
+            "the component is linear and the solves of its compliance have failed: see "
+            "GET /v1/jobs?status=failed and retry them"
+        )
+    jobs = [workspace.ledger.job(one.id) for one in queued]
+    return Started(jobs, beyond_range=beyond, reason=reason)

@@ -1,0 +1,109 @@
+"""How a server is opened: for whom, under which names, for which other sites."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from service.keys.keyring import Keyring
+
+OWN_KEY = "WRENCHBOOK_OWN_KEY"  # a private server's, in its environment
+_WITHOUT_KEYS = (
+    "{host} is reached from other machines, and {folder} has no keys: anybody there could change "
+    "tables and run solves. Make a key with: wrenchbook keys add NAME --scope admin --data "
+    "{folder}; or start with --first-key, which makes one and prints it once. To serve this "
+    "machine alone, leave --host out."
+)
+_FOLLOWING = (
+    "{host} is reached from other machines, and a server that follows another asks nobody for a "
+    "key: it answers this machine alone. Leave --host out, and start one on each machine that asks."
+)
+LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
+
+
+class KeysNeededError(RuntimeError):
+    """A server that others reach needs keys, and there are none."""
+
+
+@dataclass(frozen=True)
+class Opening:
+    """How the door of a server stands.
+
+    Parameters
+    ----------
+    keys_needed : bool
+        Whether a key is needed even while there is none; one is needed anyway once there is one.
+    hosts : frozenset of str, optional
+        Names it answers to, as Host has them, without a port; to any if None.
+    origins : frozenset of str
+        Other sites whose pages may call it, such as ``https://lab.example``.
+    own_key : str, optional
+        A secret that is good for all, and kept nowhere.
+    """
+
+    keys_needed: bool = False
+    hosts: frozenset[str] | None = None
+    origins: frozenset[str] = field(default_factory=frozenset)
+    own_key: str | None = None
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether an address to listen on is reached from this machine alone."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def opening_for(
+    host: str, hosts: str | None, origins: str | None, own_key: str | None = None
+) -> Opening:
+    """Return how a server that listens on an address is opened.
+
+    On loopback it answers to loopback's names and those listed: a page of another site whose name
+    is made to mean this machine (DNS rebinding) is not let in. Elsewhere it needs keys, and answers
+    to any name unless some are listed.
+
+    Parameters
+    ----------
+    host : str
+        The address.
+    hosts, origins : str, optional
+        Further names and other sites, with commas between them.
+    """
+    listed = _listed(hosts)
+    local = is_loopback(host)
+    names = LOOPBACK_NAMES | {host} | listed if local or listed else None
+    own = frozenset(one.rstrip("/").lower() for one in _listed(origins))
+    return Opening(not local, names, own, own_key)
+
+
+def opening_of_options(said: Mapping[str, Any]) -> Opening:
+    """Return how a server is opened by the options of `serve`, and by its environment."""
+    own = os.environ.get(OWN_KEY)
+    return opening_for(said["host"], said["allow_host"], said["allow_origin"], own)
+
+
+def require_keys(host: str, folder: Path, *, following: bool = False) -> None:
+    """Refuse to be reached from elsewhere without keys.
+
+    Raises
+    ------
+    KeysNeededError
+        If others reach the address, and the data directory has no key or the server, which follows
+        another, asks for none.
+    """
+    if is_loopback(host):
+        return
+    if following:
+        raise KeysNeededError(_FOLLOWING.format(host=host))
+    if not len(Keyring(folder)):
+        raise KeysNeededError(_WITHOUT_KEYS.format(host=host, folder=folder))
+
+
+def _listed(text: str | None) -> frozenset[str]:
+    return frozenset(one.strip().lower() for one in (text or "").split(",") if one.strip())

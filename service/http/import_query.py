@@ -1,0 +1,115 @@
+"""What a sender says about a table in the query of an import."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import orjson
+from pydantic import ConfigDict, Field, field_validator
+
+from service.http.bodies import Body
+from service.tablefile import MOST_PREVIEW, Options
+from service.tablefile.options import MOST_TARE
+from service.tables.importing import Wish
+
+_MOST_COLUMNS = 1000
+_Text = Annotated[str, Field(max_length=1000)]
+
+
+class ImportQuery(Body):
+    """The query of an import; what is not named is refused."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    format: Annotated[
+        Literal["csv", "xlsx", "parquet", "hdf5", "json"] | None,
+        Field(description="checked against the content, which tells it"),
+    ] = None
+    dry_run: Annotated[bool, Field(description="check and count; nothing is changed")] = False
+    partial: Annotated[bool, Field(description="load the good rows of a file with mistakes")] = (
+        False
+    )
+    preview: Annotated[
+        int, Field(ge=0, le=MOST_PREVIEW, description="so many first good rows come back")
+    ] = 0
+    decimal: Annotated[
+        Literal[".", ","] | None, Field(description="csv: the decimal mark; told if not given")
+    ] = None
+    ignore: Annotated[
+        list[_Text],
+        Field(default_factory=list, max_length=_MOST_COLUMNS, description="columns to leave out"),
+    ]
+    ignore_extra: Annotated[bool, Field(description="leave out all unknown columns")] = False
+    mapping: Annotated[
+        str | None,
+        Field(
+            max_length=100_000,
+            description='JSON: from columns of the file to what they are, {"Load cell": "fz [N]"}; '
+            "a - before it turns the sign",
+        ),
+    ] = None
+    missing_loads: Annotated[
+        Literal["zero"] | None, Field(description="loads without a column were zero")
+    ] = None
+    tare: Annotated[
+        int, Field(ge=0, le=MOST_TARE, description="rows whose mean is taken off all others")
+    ] = 0
+    sheet: Annotated[str | None, Field(max_length=200, description="xlsx: its name")] = None
+    time_offset_s: Annotated[
+        float, Field(allow_inf_nan=False, description="added to the displacements' times, s")
+    ] = 0.0
+    max_gap_s: Annotated[
+        float | None,
+        Field(gt=0, allow_inf_nan=False, description="between loads that a row lies between, s"),
+    ] = None
+    note: Annotated[str, Field(max_length=10_000, description="kept with the import")] = ""
+    filename: Annotated[str, Field(max_length=1000, description="kept with the import")] = ""
+
+    @field_validator("mapping")
+    @classmethod
+    def _is_a_mapping(cls, text: str | None) -> str | None:
+        if text is not None:
+            _pairs(text)
+        return text
+
+    @field_validator("note", "filename")
+    @classmethod
+    def _can_be_kept(cls, text: str) -> str:
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            raise ValueError("holds half a character (a lone surrogate)") from None
+        if "\0" in text:
+            raise ValueError("holds a zero byte")
+        return text
+
+    def options(self) -> Options:
+        """Return what reading the file has to know."""
+        return Options(
+            format=self.format,
+            decimal=self.decimal,
+            ignore=tuple(self.ignore),
+            ignore_extra=self.ignore_extra,
+            mapping=_pairs(self.mapping) if self.mapping else {},
+            missing_loads=self.missing_loads,
+            tare=self.tare,
+            sheet=self.sheet,
+            time_offset_s=self.time_offset_s,
+            max_gap_s=self.max_gap_s,
+        )
+
+    def wish(self) -> Wish:
+        """Return what is to become of the rows."""
+        return Wish(self.dry_run, self.partial, self.preview)
+
+
+def _pairs(text: str) -> dict[str, str]:
+    try:
+        pairs = orjson.loads(text)
+    except orjson.JSONDecodeError as error:
+        raise ValueError(f"is not JSON: {error}") from None
+    if not isinstance(pairs, dict) or not all(isinstance(one, str) for one in pairs.values()):
+        raise ValueError('is not of the form {"column in the file": "fz [N]"}')
+    if len(pairs) > _MOST_COLUMNS:
+        raise ValueError(f"names more than {_MOST_COLUMNS} columns")
+    return pairs

@@ -1,0 +1,100 @@
+"""The deformed surface of a component under a wrench, with its largest stress."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from fastapi import APIRouter, Query, Request
+from starlette.responses import Response
+
+from service.fields import gltf, vtu
+from service.fields.shape import Deformed
+from service.http.problems import bad_body
+from service.http.replies import json_reply
+from service.library.checked import interface_of
+from service.workspace import Workspace
+
+router = APIRouter(prefix="/v1/components/{name}", tags=["components"])
+CATCH_UP_S = 25.0
+
+_NAMES = ("fx", "fy", "fz", "mx", "my", "mz", "format")
+_FORCE = Query(allow_inf_nan=False, description="N, in the undeformed interface frame")
+_MOMENT = Query(allow_inf_nan=False, description="N·m, about the undeformed interface point")
+
+
+@router.get("/deformed", summary="The deformed surface, and the largest stress, under a wrench")
+async def deformed(
+    name: str,
+    request: Request,
+    fx: Annotated[float, _FORCE] = 0.0,
+    fy: Annotated[float, _FORCE] = 0.0,
+    fz: Annotated[float, _FORCE] = 0.0,
+    mx: Annotated[float, _MOMENT] = 0.0,
+    my: Annotated[float, _MOMENT] = 0.0,
+    mz: Annotated[float, _MOMENT] = 0.0,
+    format: Literal["json", "gltf", "vtu"] = "json",  # noqa: A002 (the contract's word)
+) -> Response:
+    _require_known_names(request)
+    workspace: Workspace = request.app.state.workspace
+    await workspace.newest(name, CATCH_UP_S)
+    loads = np.array([fx, fy, fz, mx, my, mz])
+    # On threads of its own, few: it reads files and multiplies large arrays.
+    loop = asyncio.get_running_loop()
+    return await loop.run_in_executor(
+        workspace.shapes.threads, _reply, workspace, name, loads, format
+    )
+
+
+def _require_known_names(request: Request) -> None:
+    """Refuse parameters that this call has not: a misspelt load would be a zero one."""
+    asked = [key for key, _ in request.query_params.multi_items()]
+    errors = [
+        {"loc": key, "msg": f"no such parameter; there are {', '.join(_NAMES)}"}
+        for key in dict.fromkeys(asked)
+        if key not in _NAMES
+    ]
+    errors += [
+        {"loc": key, "msg": "given more than once"}
+        for key in dict.fromkeys(asked)
+        if key in _NAMES and asked.count(key) > 1
+    ]
+    if errors:
+        raise bad_body(errors)
+
+
+def _reply(workspace: Workspace, name: str, loads: Any, form: str) -> Response:
+    shape = workspace.deformed(name, loads)
+    if form == "json":
+        return json_reply(_body(workspace, shape))
+    write, kind, ending = (
+        (gltf.write_gltf, gltf.MEDIA_TYPE, "glb")
+        if form == "gltf"
+        else (vtu.write_vtu, vtu.MEDIA_TYPE, "vtu")
+    )
+    headers = {"Content-Disposition": f'attachment; filename="{name}.{ending}"'}
+    return Response(write(shape), 200, headers, kind)
+
+
+def _body(workspace: Workspace, shape: Deformed) -> dict[str, Any]:
+    geometry, stress = shape.geometry, shape.stress
+    interface = interface_of(workspace.library[shape.component]) or {}
+    count = len(geometry.vertices)
+    simplified = {"from": geometry.whole_vertices, "to": count}
+    return {
+        "component": shape.component,
+        "force": shape.wrench[:3],
+        "moment": shape.wrench[3:],
+        "frame": {"point": interface.get("point"), "axes": interface.get("axes")},
+        "vertices": geometry.vertices,
+        "triangles": geometry.triangles,
+        "displacement": np.ascontiguousarray(shape.displacement),
+        "error": shape.error,
+        "simplified": simplified if count < geometry.whole_vertices else None,
+        "stress": None if stress is None else stress._asdict(),
+        "source": shape.source,
+        "rows": shape.rows,
+        "coverage": shape.coverage,
+        **({"reason": shape.reason} if shape.reason else {}),
+    }

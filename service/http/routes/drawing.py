@@ -1,0 +1,143 @@
+"""What a page draws of a table: bounded, whatever its size; nothing is counted or queued."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from fastapi import APIRouter, Query, Request
+from numpy.typing import NDArray
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
+
+from service.answering.drawn import grid_of, sample_of, shares_of, sweep_of
+from service.http.replies import COVERAGE, json_reply
+from service.workspace import Workspace
+from surrogate.build import AnyTable
+from surrogate.table.axes import AXES
+from surrogate.table.rows import CLEAN, LOADS, OUTPUTS
+
+router = APIRouter(prefix="/v1/components/{name}", tags=["components"])
+CATCH_UP_S = 25.0
+# What a browser turns in 3-D without delay; the reply is then some 1 MB.
+MOST = 5_000
+
+Load = Literal["fx", "fy", "fz", "mx", "my", "mz"]
+Force = Annotated[float, Query(allow_inf_nan=False, description="N")]
+Moment = Annotated[float, Query(allow_inf_nan=False, description="N·m")]
+Places = NDArray[np.intp]
+
+
+@router.get("/glance", summary="What parts of the load range are covered, thin and outside")
+async def glance(name: str, request: Request) -> Response:
+    workspace: Workspace = request.app.state.workspace
+    table = workspace.tables.surrogate(name)
+    return json_reply(await run_in_threadpool(_glance, name, table))
+
+
+def _glance(name: str, table: AnyTable) -> dict[str, Any]:
+    axes = {axis.name: shares_of(table, grid_of(table.load_range, axis)) for axis in AXES}
+    whole = shares_of(table, sample_of(table.load_range))
+    about = {"component": name, "table_version": table.version, "shares": COVERAGE}
+    return {**about, "whole": whole, "axes": axes}
+
+
+@router.get("/drawing", summary="Rows to draw, at most as many as asked for, and what covers")
+async def drawing(
+    name: str,
+    request: Request,
+    axis: Annotated[
+        Literal["x", "y", "z"] | None, Query(description="rows that load it alone first; its grid")
+    ] = None,
+    along: Annotated[Load | None, Query(description="only rows that have no other load")] = None,
+    most: Annotated[int, Query(ge=1, le=MOST)] = 2_000,
+) -> Response:
+    workspace: Workspace = request.app.state.workspace
+    table = await workspace.newest(name, CATCH_UP_S)
+    return json_reply(await run_in_threadpool(_rows, name, table, axis, along, most))
+
+
+def _rows(
+    name: str, table: AnyTable, axis: str | None, along: str | None, most: int
+) -> dict[str, Any]:
+    rows, drawn = table.rows, next((one for one in AXES if one.name == axis), None)
+    loaded = _loaded(table)
+    chosen = np.arange(len(rows))
+    clean: NDArray[np.bool_] = np.zeros(len(rows), dtype=bool)
+    if along is not None:
+        chosen = np.flatnonzero(~loaded[:, np.arange(6) != LOADS.index(along)].any(axis=1))
+    if drawn is not None:
+        clean = np.logical_not(loaded[:, drawn.others].any(axis=1))
+    some = rows.take(shown := _spread(chosen, clean[chosen], most))
+    told = {
+        "component": name,
+        "table_version": table.version,
+        "of": len(chosen),
+        "shown": len(shown),
+        "row": some.seq,
+        "wrench": np.ascontiguousarray(some.wrench),
+        "displacement": np.ascontiguousarray(some.displacement),
+        "clean": clean[shown],
+        "source": [str(one) for one in some.source],
+    }
+    if drawn is None:
+        return told
+    grid = grid_of(table.load_range, drawn)
+    covers = {"wrench": grid, "coverage": table.batch(grid).coverage.tolist()}
+    return told | {"inputs": [LOADS[load] for load in drawn.inputs], "grid": covers}
+
+
+def _loaded(table: AnyTable) -> NDArray[np.bool_]:
+    """Return which loads each row has, shape (n, 6)."""
+    return np.asarray(np.abs(table.rows.wrench) > CLEAN * table.load_range.scale)
+
+
+def _spread(chosen: Places, first: NDArray[np.bool_], most: int) -> Places:
+    """Return at most `most` of the chosen places, those that go first before others, in order."""
+    picked = _every(chosen[first], most)
+    rest = _every(chosen[~first], most - len(picked))
+    return np.sort(np.concatenate((picked, rest)))
+
+
+def _every(places: Places, most: int) -> Places:
+    """Return evenly spread places, the first and the last among them."""
+    if len(places) <= most:
+        return places
+    return places[np.linspace(0, len(places) - 1, most).astype(np.intp)]
+
+
+@router.get("/response", summary="What the table answers along one load, with its error bars")
+async def response(
+    name: str,
+    request: Request,
+    load: Load,
+    fx: Force = 0.0,
+    fy: Force = 0.0,
+    fz: Force = 0.0,
+    mx: Moment = 0.0,
+    my: Moment = 0.0,
+    mz: Moment = 0.0,
+    points: Annotated[int, Query(ge=2, le=501)] = 121,
+) -> Response:
+    workspace: Workspace = request.app.state.workspace
+    table = await workspace.newest(name, CATCH_UP_S)
+    at = np.array([fx, fy, fz, mx, my, mz])
+    return json_reply(await run_in_threadpool(_sweep, workspace, name, table, load, at, points))
+
+
+def _sweep(
+    workspace: Workspace, name: str, table: AnyTable, load: str, at: Any, points: int
+) -> dict[str, Any]:
+    wrenches = sweep_of(table.load_range, LOADS.index(load), at, points)
+    found = table.batch(workspace.library[name].acting(wrenches))
+    return {
+        "component": name,
+        "table_version": table.version,
+        "method": table.default,
+        "load": load,
+        "at": wrenches[:, LOADS.index(load)].tolist(),
+        "outputs": OUTPUTS,
+        "displacement": np.ascontiguousarray(found.displacement),
+        "error": np.ascontiguousarray(found.error),
+        "coverage": found.coverage.tolist(),
+    }

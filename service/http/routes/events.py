@@ -1,0 +1,84 @@
+"""Server-sent events: jobs that change, new versions of tables."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Query, Request
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+
+from service.events.feed import Feed, Listener, TooManyListenersError
+from service.events.watch import Watch
+from service.http.problems import ProblemError
+from service.workspace import Workspace
+
+router = APIRouter(prefix="/v1/events", tags=["events"])
+
+HEARTBEAT_S = 15.0  # below the idle limits of proxies, usually 60 s
+SEND_S = 20.0  # how long a listener may leave unread what the sockets have no room for
+HEADERS: Mapping[str, str] = {
+    "Content-Type": "text/event-stream; charset=utf-8",
+    "Cache-Control": "no-store",
+    "X-Accel-Buffering": "no",  # nginx would gather events until a buffer is full
+}
+
+
+@router.get("", summary="Server-sent events", response_class=Response)
+async def events(
+    request: Request,
+    component: Annotated[str | None, Query(description="only about this component")] = None,
+    last_event_id: Annotated[
+        str | None, Header(max_length=64, description="go on after this event")
+    ] = None,
+) -> Response:
+    workspace: Workspace = request.app.state.workspace
+    watch: Watch = request.app.state.watch
+    if component is not None:
+        _ = workspace.library[component]
+    try:
+        listener = await watch.listen(component, last_event_id)
+    except TooManyListenersError as error:
+        raise ProblemError(
+            503, "too-many-listeners", "Too many listeners", f"{error}. Nothing was changed."
+        ) from None
+    return EventStream(watch.feed, listener)
+
+
+class EventStream(Response):
+    """Events for as long as somebody reads them."""
+
+    def __init__(self, feed: Feed, listener: Listener) -> None:
+        super().__init__(headers=dict(HEADERS))
+        del self.headers["content-length"]
+        self._feed, self._listener = feed, listener
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send events until the listener goes, is let go, or no longer reads."""
+        head = {"type": "http.response.start", "status": 200, "headers": self.raw_headers}
+        gone = asyncio.create_task(_gone(receive))
+        try:
+            await send(head)
+            sending = asyncio.create_task(self._send(send))
+            await asyncio.wait((gone, sending), return_when=asyncio.FIRST_COMPLETED)
+            sending.cancel()
+            await asyncio.gather(sending, return_exceptions=True)
+        finally:
+            gone.cancel()
+            self._feed.leave(self._listener)
+
+    async def _send(self, send: Send) -> None:
+        listener, more = self._listener, True
+        while more:
+            lines = await listener.read(HEARTBEAT_S)
+            more = not listener.ended
+            body = {"type": "http.response.body", "body": lines or b":\n\n", "more_body": more}
+            # One who does not read holds the connection, not the server: it is closed after this.
+            await asyncio.wait_for(send(body), SEND_S)
+
+
+async def _gone(receive: Receive) -> None:
+    while (await receive())["type"] != "http.disconnect":
+        pass

@@ -1,0 +1,227 @@
+"""Recordings (LM_direct) and envelopes (LM_max) of a component, and their solves (LM_start)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Query, Request
+from numpy.typing import NDArray
+from pydantic import ValidationError
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
+
+from service.contract import CONTRACT_TEXT
+from service.gathering.bound import bound_of
+from service.gathering.gathering import Envelope, Gathering, Took
+from service.gathering.start import Started, start_envelope, start_recording
+from service.http.binary import is_binary, read_wrenches
+from service.http.bodies import MAX_BLOCK, BlockKey, EnvelopeStartBody, StartBody
+from service.http.limited import read_limited
+from service.http.links import job_link
+from service.http.parsing import read_block, read_body
+from service.http.problems import bad_body, plain_errors
+from service.http.replies import json_reply
+from service.http.routes.displacement import DirectRoute
+from service.ledger import Block, Tally, block_of
+from service.ledger.gathered import MERGE
+from service.ordering import packed
+from service.workspace import Workspace
+from surrogate.table.rows import Tolerance
+
+Floats = NDArray[np.float64]
+Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
+
+# Each wrench six numbers of 17 digits and a comma, and some blanks.
+MOST_BLOCK_BYTES = MAX_BLOCK * 6 * 40
+
+blocks = APIRouter(prefix="/v1/components/{name}", tags=["gathering"], route_class=DirectRoute)
+router = APIRouter(prefix="/v1/components/{name}", tags=["gathering"])
+
+
+@blocks.post("/recording", summary="LM_direct: save wrenches for later", description=CONTRACT_TEXT)
+async def record(request: Request) -> Response:
+    wrenches, block = await _block(request)
+    gathering: Gathering = request.app.state.gathering
+    name = request.path_params["name"]
+    took = await run_in_threadpool(gathering.record, name, wrenches, block)
+    body = {**_took(name, len(wrenches), took), **_standing(took.tally)}
+    return json_reply(body, 200 if took.known else 201)
+
+
+@router.get("/recording", summary="What is recorded")
+def recording(name: str, request: Request) -> Response:
+    found = _gathering(request).recording(name)
+    stands = {"component": name, "outside": found.tally.outside, **_standing(found.tally)}
+    return json_reply({**stands, "reason": _thinning(found.tally), "wrenches": found.wrenches})
+
+
+@router.delete("/recording", summary="Forget what is recorded")
+def clear_recording(name: str, request: Request) -> Response:
+    before = _gathering(request).clear(name, "recording")
+    return json_reply({"component": name, "cleared": before.offered})
+
+
+@blocks.post("/recording/start", summary="LM_start: solve what is recorded and not covered")
+async def start_of_recording(request: Request) -> Response:
+    order = read_body(StartBody, await read_limited(request.receive))
+    name, workspace = request.path_params["name"], request.app.state.workspace
+    started = await run_in_threadpool(
+        start_recording,
+        workspace,
+        request.app.state.gathering,
+        name,
+        order.budget,
+        beyond_range=order.beyond_range,
+    )
+    return _started(name, started)
+
+
+@blocks.post(
+    "/envelope", summary="LM_max: widen the extremes by wrenches", description=CONTRACT_TEXT
+)
+async def widen(request: Request) -> Response:
+    wrenches, block = await _block(request)
+    gathering: Gathering = request.app.state.gathering
+    name = request.path_params["name"]
+    took = await run_in_threadpool(gathering.widen, name, wrenches, block)
+    envelope = await run_in_threadpool(gathering.envelope, name)
+    return json_reply({**_took(name, len(wrenches), took), **_box(envelope)})
+
+
+@router.get("/envelope", summary="The extremes, and how far they can move the component")
+def envelope(
+    name: str,
+    request: Request,
+    translation: Positive = None,
+    rotation: Positive = None,
+) -> Response:
+    workspace: Workspace = request.app.state.workspace
+    component = workspace.library[name]
+    tolerance = _tolerance(translation, rotation) or component.tolerance
+    found = _gathering(request).envelope(name)
+    bound = bound_of(workspace.tables.surrogate(name), found, tolerance)
+    limit = tolerance and {"translation": tolerance.translation, "rotation": tolerance.rotation}
+    body = {
+        "component": name,
+        **_box(found),
+        "outside": found.tally.outside,
+        "at_min": found.lowest,
+        "at_max": found.highest,
+        "displacement_bound": bound.displacement,
+        "bound": {"kind": bound.kind, "formula": bound.formula, "coverage": bound.coverage},
+        "negligible": bound.negligible,
+        "tolerance": limit,
+        "reason": bound.reason,
+    }
+    return json_reply(body)
+
+
+@router.delete("/envelope", summary="Forget the extremes")
+def clear_envelope(name: str, request: Request) -> Response:
+    before = _gathering(request).clear(name, "envelope")
+    return json_reply({"component": name, "cleared": before.offered})
+
+
+@blocks.post("/envelope/start", summary="LM_start: solve the wrenches at the extremes")
+async def start_of_envelope(request: Request) -> Response:
+    order = read_body(EnvelopeStartBody, await read_limited(request.receive))
+    name, workspace = request.path_params["name"], request.app.state.workspace
+    started = await run_in_threadpool(
+        start_envelope,
+        workspace,
+        request.app.state.gathering,
+        name,
+        beyond_range=order.beyond_range,
+    )
+    return _started(name, started)
+
+
+def _gathering(request: Request) -> Gathering:
+    return request.app.state.gathering
+
+
+async def _block(request: Request) -> tuple[Floats, Block | None]:
+    """Return a block's wrenches, shape (n, 6), N and N·m, and its key if it has one."""
+    binary, body = is_binary(request), await read_limited(request.receive, MOST_BLOCK_BYTES)
+    if binary:
+        wrenches, key = read_wrenches(body, MAX_BLOCK, np.inf), _key_of(dict(request.query_params))
+    else:
+        wrenches, key = await run_in_threadpool(read_block, body)
+    if key.client is None or key.sequence is None:
+        return wrenches, None
+    return wrenches, block_of(key.client, key.sequence, packed(wrenches))
+
+
+def _key_of(query: dict[str, str]) -> BlockKey:
+    try:
+        return BlockKey.model_validate(query)
+    except ValidationError as error:
+        raise bad_body(plain_errors(error)) from None
+
+
+def _tolerance(translation: float | None, rotation: float | None) -> Tolerance | None:
+    if (translation is None) != (rotation is None):
+        missing = "rotation" if rotation is None else "translation"
+        raise bad_body([{"loc": missing, "msg": "a tolerance is translation and rotation, both"}])
+    if translation is None or rotation is None:
+        return None
+    return Tolerance(translation, rotation)
+
+
+def _took(name: str, count: int, took: Took) -> dict[str, Any]:
+    """Return what a block's reply says of recordings and envelopes alike."""
+    told = [_thinning(took.tally)]
+    if took.known:
+        told.append("this block was recorded before; nothing has changed")
+    if took.outside:
+        told.append(
+            f"{took.outside} of these are outside the load range: they are kept, and solved only "
+            "by a start with beyond_range true"
+        )
+    return {
+        "component": name,
+        "recorded": count,
+        "duplicate": took.known,
+        "outside": took.tally.outside,
+        "reason": "; ".join(filter(None, told)),
+    }
+
+
+def _standing(tally: Tally) -> dict[str, Any]:
+    return {
+        "total": tally.offered,
+        "kept": tally.offered - tally.merged - tally.thinned,
+        "merged": tally.merged,
+        "thinned": tally.thinned,
+        "within": tally.within,
+        "within_outside": tally.within_outside,
+    }
+
+
+def _thinning(tally: Tally) -> str:
+    if not tally.thinned:
+        return ""
+    near = f"each differs by at most {tally.within:.2g} of the load range from one kept"
+    if tally.within_outside > MERGE:
+        near += f", or, outside the range, by {tally.within_outside:.2g} of itself"
+    return f"{tally.thinned} wrenches were thinned out: {near}"
+
+
+def _box(envelope: Envelope) -> dict[str, Any]:
+    low, high = envelope.box
+    return {"count": envelope.tally.offered, "min": low, "max": high}
+
+
+def _started(name: str, started: Started) -> Response:
+    body = {
+        "component": name,
+        "jobs": [job_link(job) for job in started.jobs],
+        "solved": started.solved,
+        "covered": started.covered,
+        "failed": started.failed,
+        "beyond_range": started.beyond_range,
+        "left": started.left,
+        "reason": started.reason,
+    }
+    return json_reply(body, 202 if started.jobs else 200)

@@ -1,0 +1,84 @@
+"""Keys over HTTP, for whoever has one for admin: list, add, revoke."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import orjson
+from fastapi import APIRouter, Request
+from pydantic import Field
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
+
+from service.http.bodies import Body
+from service.http.limited import read_limited
+from service.http.parsing import read_body
+from service.http.problems import ProblemError, bad_body
+from service.keys import Keyring, KeysError
+from service.keys.record import MEGABYTES, RATE
+
+router = APIRouter(prefix="/v1/keys", tags=["keys"])
+
+
+class KeyBody(Body):
+    """A key to be made."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}$")]
+    scope: Literal["read", "write", "admin"] = "write"
+    rate: Annotated[float, Field(gt=0, lt=1e9, description="most requests a second")] = RATE
+    megabytes: Annotated[
+        int, Field(strict=True, gt=0, lt=2**20, description="largest body, MiB")
+    ] = MEGABYTES
+
+
+@router.get("", summary="The keys there are, without their secrets; needs a key for admin")
+def list_keys(request: Request) -> dict[str, Any]:
+    return {"keys": [key.told() for key in _keyring(request).listed()]}
+
+
+@router.post("", status_code=201, summary="Make a key; its secret is told this once")
+async def add_key(request: Request) -> Response:
+    keyring = _keyring(request)
+    body: KeyBody = read_body(KeyBody, await read_limited(request.receive))
+    secret = await run_in_threadpool(_added, keyring, body)
+    told = {"name": body.name, "scope": body.scope, "key": secret}
+    return Response(orjson.dumps(told), 201, None, "application/json")
+
+
+@router.delete(
+    "/{name}", summary="Revoke a key", responses={409: {"description": "This server has no keys"}}
+)
+def revoke_key(name: str, request: Request) -> dict[str, Any]:
+    keyring = _keyring(request)
+    try:
+        keyring.revoke(name)
+    except KeysError as error:
+        raise ProblemError(404, "unknown-key", "No such key", str(error)) from None
+    return {"revoked": name}
+
+
+def _keyring(request: Request) -> Keyring:
+    """Return the server's keys.
+
+    Raises
+    ------
+    ProblemError
+        409, while it needs none: whoever could ask would lock all others out.
+    """
+    door = request.app.state.door
+    if not door.keys_needed:
+        raise ProblemError(
+            409,
+            "no-keys",
+            "This server has no keys",
+            "Everybody on this machine may ask it. Make the first key on the machine itself: "
+            "wrenchbook keys add NAME --scope admin; from then on every call needs one.",
+        )
+    return door.keyring
+
+
+def _added(keyring: Keyring, body: KeyBody) -> str:
+    try:
+        return keyring.add(body.name, body.scope, rate=body.rate, megabytes=body.megabytes)
+    except KeysError as error:
+        raise bad_body([{"loc": "name", "msg": str(error)}]) from None

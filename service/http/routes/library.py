@@ -1,0 +1,144 @@
+"""The library: copies, names, notes, what is put away; imports, disagreement and demand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import orjson
+from fastapi import APIRouter, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
+
+from service.http.bodies import CopyBody, NotesBody, RenameBody
+from service.http.door.grant import grant_of
+from service.http.limited import read_limited
+from service.http.parsing import read_body
+from service.http.problems import ProblemError, bad_body
+from service.http.routes.components import component_body
+from service.ledger import About
+from service.tablefile.parsed import text_problem
+from service.tables.copying import copy_rows
+from service.tables.disagreement import disagreement
+from service.tables.rows import told_time
+from service.workspace import Workspace
+
+router = APIRouter(prefix="/v1/components/{name}", tags=["library"])
+CATCH_UP_S = 25.0
+MOST_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
+
+
+@router.post("/copy", status_code=201, summary="Copy a component, with its rows if wanted")
+async def copy(name: str, request: Request) -> Response:
+    body = read_body(CopyBody, await read_limited(request.receive))
+    return await run_in_threadpool(_copied, request, name, body)
+
+
+@router.post(
+    "/rename", status_code=201, summary="Copy under another name, and put the old one away"
+)
+async def rename(name: str, request: Request) -> Response:
+    body = read_body(RenameBody, await read_limited(request.receive))
+    return await run_in_threadpool(_copied, request, name, CopyBody(name=body.name), True)
+
+
+@router.post("/archive", summary="Put away: left out of the list, answers all the same")
+def archive(name: str, request: Request) -> dict[str, Any]:
+    return _put(request, name, archived=True)
+
+
+@router.post("/unarchive", summary="Back into the list")
+def unarchive(name: str, request: Request) -> dict[str, Any]:
+    return _put(request, name, archived=False)
+
+
+@router.put("/notes", summary="What people want to remember about it")
+async def write_notes(name: str, request: Request) -> dict[str, Any]:
+    text = read_body(NotesBody, await read_limited(request.receive, MOST_NOTES_BYTES)).text
+    if problem := text_problem(text):
+        raise bad_body([{"loc": "text", "msg": problem}])
+    return await run_in_threadpool(_put, request, name, notes=text)
+
+
+@router.get("/imports", summary="Who loaded which rows from what, newest first")
+def imports(name: str, request: Request) -> dict[str, Any]:
+    workspace: Workspace = request.app.state.workspace
+    found = workspace.ledger.imports(workspace.library[name].name)
+    versions = {one.id: last for _, last, one in workspace.ledger.import_spans(name)}
+    return {
+        "imports": [
+            {
+                "id": one.id,
+                "when": told_time(one.created),
+                "who": one.who,
+                "filename": one.filename,
+                "format": one.format,
+                "sha256": one.digest,
+                "note": one.note,
+                "rows": one.rows,
+                "table_version": versions.get(one.id),
+            }
+            for one in found
+        ]
+    }
+
+
+@router.get("/disagreement", summary="Measured rows beside what the solved ones say")
+def disagree(name: str, request: Request) -> dict[str, Any]:
+    workspace: Workspace = request.app.state.workspace
+    component = workspace.library[name]
+    table = workspace.tables.caught_up(name, CATCH_UP_S)
+    found = disagreement(table.rows, component.load_range, component.tolerance, component.linear)
+    return {"component": name, "table_version": table.version, **found}
+
+
+@router.get("/demand", summary="What was asked and not covered")
+def demand(name: str, request: Request) -> dict[str, Any]:
+    workspace: Workspace = request.app.state.workspace
+    component = workspace.library[name]
+    return {"component": name, **workspace.demand.told(name, component.load_range)}
+
+
+@router.delete("/demand", summary="Begin the demand map anew")
+def forget_demand(name: str, request: Request) -> dict[str, Any]:
+    workspace: Workspace = request.app.state.workspace
+    workspace.demand.forget(workspace.library[name].name)
+    return {"component": name, "asked": 0}
+
+
+def _put(request: Request, name: str, **fields: Any) -> dict[str, Any]:
+    workspace: Workspace = request.app.state.workspace
+    card = workspace.catalogue.change(workspace.library[name].name, **fields)
+    return {"component": name, "archived": card.archived, "notes": card.notes}
+
+
+def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) -> Response:
+    """Copy a component; a copy whose rows could not be copied says so and stays without them."""
+    workspace: Workspace = request.app.state.workspace
+    source = workspace.library[name]
+    if renamed and source.shipped:
+        raise ProblemError(
+            409,
+            "shipped",
+            "A shipped component keeps its name",
+            f"{name!r} comes with the program. Copy it: POST /v1/components/{name}/copy.",
+        )
+    if renamed and (newer := workspace.catalogue[name].renamed_to):
+        raise ProblemError(
+            409,
+            "renamed",
+            "The component was renamed already",
+            f"{name!r} is {newer!r} now. Rename that, or copy: POST /v1/components/{name}/copy.",
+        )
+    made = workspace.library.add_copy(name, body.name, body.title)
+    card = workspace.catalogue[name]
+    workspace.catalogue.change(made.name, notes=card.notes, copied_from=name)
+    if body.rows:
+        key = grant_of(request.scope).key
+        about = About(who=key.name if key else "", format="copy", note=f"copied from {name}")
+        copy_rows(workspace.ledger, source, made, about)
+    if renamed:
+        workspace.catalogue.change(name, archived=True, renamed_to=made.name)
+    workspace.tables.catch_up(made.name, CATCH_UP_S)
+    content = orjson.dumps(component_body(workspace, made))
+    headers = {"Location": f"/v1/components/{made.name}"}
+    return Response(content, 201, headers, "application/json")

@@ -1,0 +1,104 @@
+"""The page at `/` and the calls' documentation at `/docs`: files that need no other host.
+
+The page's own files lie in service/page. What it draws with and what shows the calls are large and
+are not kept here: they are read from the Python packages that carry them, plotly and
+fastapi-offline.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, Final
+
+from fastapi import APIRouter, Header, Request
+from starlette.responses import Response
+
+from service.http.problems import ProblemError
+
+router = APIRouter(include_in_schema=False)
+
+FOLDER: Final = Path(__file__).parents[2] / "page"
+MEDIA_TYPES: Final = {
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+# Package and file in it, by the name it is served under.
+BORROWED: Final = {
+    "plotly.min.js": ("plotly", "package_data/plotly.min.js"),
+    "swagger-ui-bundle.js": ("fastapi_offline", "static/swagger-ui-bundle.js"),
+    "swagger-ui.css": ("fastapi_offline", "static/swagger-ui.css"),
+}
+# A browser asks again each time, and is told in a few bytes that nothing has changed.
+CACHE: Final = "no-cache"
+
+
+@dataclass(frozen=True)
+class PageFile:
+    """A file as it is sent: compressed once, named by its content."""
+
+    packed: bytes
+    media_type: str
+    tag: str
+
+
+@router.get("/")
+def page(request: Request, if_none_match: Annotated[str | None, Header()] = None) -> Response:
+    return _answer("index.html", request, if_none_match)
+
+
+@router.get("/docs")
+def docs(request: Request, if_none_match: Annotated[str | None, Header()] = None) -> Response:
+    return _answer("docs.html", request, if_none_match)
+
+
+@router.get("/page/{name:path}")
+def page_file(
+    name: str, request: Request, if_none_match: Annotated[str | None, Header()] = None
+) -> Response:
+    return _answer(name, request, if_none_match)
+
+
+def _answer(name: str, request: Request, held: str | None) -> Response:
+    path = _paths().get(name)
+    if path is None:
+        raise ProblemError(404, "no-file", "No such file", "The page is at /, the calls at /docs.")
+    file = _read(path, path.stat().st_mtime_ns)
+    headers = {"Cache-Control": CACHE, "ETag": file.tag, "Vary": "Accept-Encoding"}
+    if held is not None and file.tag in held:
+        return Response(status_code=304, headers=headers)
+    content = file.packed
+    if "gzip" in request.headers.get("accept-encoding", ""):
+        headers["Content-Encoding"] = "gzip"
+    else:
+        content = gzip.decompress(content)
+    return Response(content, 200, headers, file.media_type)
+
+
+@cache
+def _paths() -> dict[str, Path]:
+    """Return all files there are, by name: nothing else is ever opened."""
+    own = {
+        path.relative_to(FOLDER).as_posix(): path
+        for path in FOLDER.rglob("*")
+        if path.suffix in MEDIA_TYPES and path.is_file()
+    }
+    for name, (package, inside) in BORROWED.items():
+        found = find_spec(package)
+        if found is not None and found.origin is not None:
+            own[name] = Path(found.origin).parent / inside
+    return own
+
+
+@lru_cache(maxsize=256)
+def _read(path: Path, changed: int) -> PageFile:
+    """Return a file as it was at a time of change, ns; an edited one is read anew."""
+    content = path.read_bytes()
+    tag = hashlib.blake2b(content, digest_size=12).hexdigest()
+    return PageFile(gzip.compress(content, 6, mtime=0), MEDIA_TYPES[path.suffix], f'"{tag}"')

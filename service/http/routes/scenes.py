@@ -1,0 +1,73 @@
+"""Scenes: what a simulation needs of its components, and its components' tables cut to that."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Annotated
+
+import orjson
+from fastapi import APIRouter, Header, Query, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
+
+from service.answering.scenes import scene_file_table, scene_reply
+from service.http.bodies import SceneBody, SceneComponent
+from service.http.limited import read_limited
+from service.http.needs import need_from
+from service.http.parsing import read_body
+from service.http.replies import json_reply
+from service.http.versions import holds, naming
+from service.library.component import Component
+from service.workspace import Workspace
+from surrogate.build import AnyTable
+from surrogate.scene.file import write_scene
+from surrogate.scene.need import Need
+
+router = APIRouter(prefix="/v1", tags=["scenes"])
+CATCH_UP_S = 25.0
+MEDIA_TYPE = "application/x-wrenchbook-scene"
+
+
+@router.post("/scenes/plan", summary="What a scene needs of its components, and what that saves")
+async def plan(request: Request) -> Response:
+    workspace: Workspace = request.app.state.workspace
+    scene = read_body(SceneBody, await read_limited(request.receive))
+    needs = {name: _need(workspace, name, wanted) for name, wanted in scene.components.items()}
+    told = {}
+    for name, need in needs.items():
+        component, table = workspace.library[name], await workspace.newest(name, CATCH_UP_S)
+        told[name] = await run_in_threadpool(scene_reply, workspace, component, table, need)
+    return json_reply({"components": told})
+
+
+@router.get("/components/{name}/scene", summary="The table cut to a scene, as one file")
+async def scene_table(
+    name: str,
+    request: Request,
+    wanted: Annotated[
+        str, Query(max_length=8192, description="JSON: what /v1/scenes/plan takes a component")
+    ],
+    if_none_match: Annotated[str | None, Header()] = None,
+) -> Response:
+    workspace: Workspace = request.app.state.workspace
+    component = workspace.library[name]
+    body = read_body(SceneComponent, wanted.encode())
+    need = need_from(component, body, body.outputs, body.tolerance, "wanted")
+    table = await workspace.newest(name, CATCH_UP_S)
+    told = orjson.dumps(body.model_dump(), option=orjson.OPT_SORT_KEYS)
+    what = hashlib.sha256(told + component.fingerprint.encode()).hexdigest()[:16]
+    tag = f'"{table.version}-{what}"'
+    if holds(if_none_match, tag):
+        return Response(None, 304, naming(tag))
+    content = await run_in_threadpool(_file, workspace, component, table, need)
+    return Response(content, 200, naming(tag), MEDIA_TYPE)
+
+
+def _file(workspace: Workspace, component: Component, table: AnyTable, need: Need) -> bytes:
+    return write_scene(scene_file_table(workspace, component, table, need))
+
+
+def _need(workspace: Workspace, name: str, wanted: SceneComponent) -> Need:
+    where = f"components.{name}"
+    component = workspace.library[name]
+    return need_from(component, wanted, wanted.outputs, wanted.tolerance, where)

@@ -1,0 +1,143 @@
+"""Each component as a model of the UM-Bridge protocol 1.0, for its clients in any language."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import orjson
+from fastapi import APIRouter, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect
+from starlette.responses import Response
+
+from service.answering.one import answer_or_submit
+from service.http import umbridge
+from service.http.limited import read_limited
+from service.http.problems import problem_of
+from service.http.routes.displacement import DirectRoute
+from service.http.umbridge import Call, UmBridgeError
+from service.library.component import UnknownComponentError
+from service.tables.behind import TableBehindError
+from service.workspace import Workspace
+
+log = logging.getLogger(__name__)
+
+router = APIRouter(prefix="/umbridge", tags=["umbridge"], route_class=DirectRoute)
+
+
+@router.get("/Info", summary="UM-Bridge: the protocol's version and the components")
+async def info(request: Request) -> Response:
+    workspace: Workspace = request.app.state.workspace
+    names = await run_in_threadpool(_names, workspace)
+    return _reply({"protocolVersion": umbridge.PROTOCOL, "models": names})
+
+
+@router.post("/ModelInfo", summary="UM-Bridge: which calls a component supports")
+async def model_info(request: Request) -> Response:
+    return await _told(request, {"support": umbridge.SUPPORT})
+
+
+@router.post("/InputSizes", summary="UM-Bridge: one vector in, the wrench, N and N·m")
+async def input_sizes(request: Request) -> Response:
+    return await _told(request, {"inputSizes": umbridge.SIZES})
+
+
+@router.post("/OutputSizes", summary="UM-Bridge: one vector out, the displacement, m and rad")
+async def output_sizes(request: Request) -> Response:
+    return await _told(request, {"outputSizes": umbridge.SIZES})
+
+
+@router.post("/Evaluate", summary="UM-Bridge: the displacement under a wrench")
+async def evaluate(request: Request) -> Response:
+    return await _answered(request, "Evaluate")
+
+
+@router.post("/Gradient", summary="UM-Bridge: J^T sens, J being du/dw")
+async def gradient(request: Request) -> Response:
+    return await _answered(request, "Gradient")
+
+
+@router.post("/ApplyJacobian", summary="UM-Bridge: J vec, J being du/dw")
+async def apply_jacobian(request: Request) -> Response:
+    return await _answered(request, "ApplyJacobian")
+
+
+@router.post("/ApplyHessian", summary="UM-Bridge: not offered; answers UnsupportedFeature")
+async def apply_hessian(request: Request) -> Response:
+    return await _told(request, None)
+
+
+async def _told(request: Request, body: dict[str, Any] | None) -> Response:
+    """Answer what is the same of every component; None: a call that no component supports."""
+    try:
+        await _named(request)
+        if body is None:
+            told = "ApplyHessian is not supported: tables tell first derivatives only"
+            raise UmBridgeError("UnsupportedFeature", told)
+        return _reply(body)
+    except UmBridgeError as error:
+        return _reply(error.body(), error.status)
+    except Exception as error:
+        return _refused(error)
+
+
+async def _answered(request: Request, call: Call) -> Response:
+    try:
+        fields, name = await _named(request)
+        query = umbridge.read_query(fields, call)
+        direction = umbridge.read_direction(fields, call)
+        outcome = await answer_or_submit(request.app.state.workspace, name, query)
+        output = umbridge.output_of(call, outcome, direction)
+    except UmBridgeError as error:
+        return _reply(error.body(), error.status)
+    except Exception as error:
+        return _refused(error)
+    # The protocol allows no further keys; headers tell what an answer is worth to whom looks.
+    headers = {
+        "Wrenchbook-Coverage": outcome.coverage,
+        "Wrenchbook-Method": str(outcome.method),
+        "Wrenchbook-Table-Version": str(outcome.table_version),
+    }
+    return _reply({"output": output}, headers=headers)
+
+
+async def _named(request: Request) -> tuple[dict[str, Any], str]:
+    """Return a body's fields and its component: the name is looked at before anything else."""
+    fields = umbridge.read_fields(await read_limited(request.receive))
+    workspace: Workspace = request.app.state.workspace
+    name = fields.get("name")
+    if isinstance(name, str) and name in workspace.library:
+        return fields, name
+    names = await run_in_threadpool(workspace.library.names)
+    return fields, umbridge.model_name(fields, names)
+
+
+def _names(workspace: Workspace) -> list[str]:
+    """Return the components, those that have rows first: programs try the first of a list."""
+    return sorted(workspace.library.names(), key=lambda name: not _has_rows(workspace, name))
+
+
+def _has_rows(workspace: Workspace, name: str) -> bool:
+    try:
+        return len(workspace.tables.surrogate(name).rows) > 0
+    except (TableBehindError, UnknownComponentError):  # still being built, or just removed
+        return False
+
+
+def _refused(error: Exception) -> Response:
+    """Answer an error that has no word of its own in this protocol."""
+    if isinstance(error, ClientDisconnect):
+        raise error
+    try:
+        told = umbridge.error_of(problem_of(error))
+    except Exception:
+        log.exception("a call of /umbridge failed")
+        told = UmBridgeError("InvalidOutput", "the server made a mistake; its log tells which")
+    return _reply(told.body(), told.status)
+
+
+def _reply(
+    body: dict[str, Any], status: int = 200, headers: dict[str, str] | None = None
+) -> Response:
+    return Response(orjson.dumps(body), status, headers, "application/json")

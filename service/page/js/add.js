@@ -1,0 +1,52 @@
+// Add a component: a bundle's zip, or a table without finite elements.
+
+import { post, send, trouble } from "./api.js";
+import { el, field, put } from "./dom.js";
+
+export async function show(root, _, signal) {
+  document.title = "Add a component · wrenchbook";
+  put(root,
+    el("div", { class: "head" }, el("div", {}, el("span", { class: "crumb" }, el("a", { href: "#/" }, "Library"), " /"), el("h1", {}, "Add a component"))),
+    el("div", { class: "halves" },
+      el("section", { class: "card" }, el("h2", {}, "A bundle, with finite elements"),
+        el("p", { class: "muted" }, "The zip of a folder with a component.toml: mesh, materials, supports, interface, load range."), bundle(signal)),
+      el("section", { class: "card" }, el("h2", {}, "A table only"),
+        el("p", { class: "muted" }, "For measured rows: nothing is solved, the table answers what you import."), tableOnly(signal))));
+}
+
+const goTo = (name) => { location.hash = `#/c/${encodeURIComponent(name)}`; };
+
+function bundle(signal) {
+  const state = el("div", { "aria-live": "polite" });
+  const input = el("input", { type: "file", accept: ".zip", id: "bundle", required: true, "aria-label": "A bundle's zip" });
+  const add = async (event) => {
+    event.preventDefault();
+    const body = new FormData();
+    body.append("bundle", input.files[0]);
+    try {
+      put(state, el("p", { class: "muted" }, "Checking it …"));
+      goTo((await (await send("POST", "v1/components", { body, signal })).json()).name);
+    } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
+  };
+  return el("form", { class: "stack", onsubmit: add }, el("div", { class: "drop" }, input), el("div", {}, el("button", { class: "first" }, "Add the bundle")), state);
+}
+
+function tableOnly(signal) {
+  const state = el("div", { "aria-live": "polite" });
+  const name = el("input", { required: true, id: "new-name", autocomplete: "off" });
+  const title = el("input", { id: "new-title", autocomplete: "off" });
+  const size = (label) => el("input", { type: "number", step: "any", min: 0, required: true, "aria-label": label });
+  const force = ["x", "y", "z"].map((axis) => size(`Largest force ${axis}`)), moment = ["x", "y", "z"].map((axis) => size(`Largest moment ${axis}`));
+  const add = async (event) => {
+    event.preventDefault();
+    const range = { force: force.map((one) => Number(one.value)), moment: moment.map((one) => Number(one.value)) };
+    try {
+      goTo((await post("v1/components", { name: name.value.trim(), title: title.value.trim() || name.value.trim(), range }, signal)).name);
+    } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
+  };
+  const three = (inputs) => el("div", { class: "three" }, inputs.map((one, place) => field("xyz"[place], one)));
+  return el("form", { class: "stack", onsubmit: add }, field("Name", name), field("Title", title),
+    el("fieldset", {}, el("legend", {}, "Largest force either way, N"), three(force)),
+    el("fieldset", {}, el("legend", {}, "Largest moment either way, N·m"), three(moment)),
+    el("div", {}, el("button", { class: "first" }, "Add the table")), state);
+}

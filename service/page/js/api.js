@@ -1,0 +1,64 @@
+// The service's calls: JSON in and out, problems as errors, events as they come.
+
+import { note, el } from "./dom.js";
+
+const KEY = "wrenchbook-key";
+export const base = new URL(".", document.baseURI);
+
+export class Problem extends Error {
+  constructor(status, body) {
+    super(body.detail || body.title || `The server answered ${status}.`);
+    this.status = status;
+    this.body = body;
+  }
+}
+
+export function key() {
+  return sessionStorage.getItem(KEY) || "";
+}
+
+export function setKey(text) {
+  if (text) sessionStorage.setItem(KEY, text);
+  else sessionStorage.removeItem(KEY);
+}
+
+export async function send(method, path, { json, body, headers = {}, signal, quiet } = {}) {
+  const sent = { ...headers };
+  if (json !== undefined) sent["Content-Type"] = "application/json";
+  if (key()) sent.Authorization = `Bearer ${key()}`;
+  let reply;
+  try {
+    reply = await fetch(new URL(path, base), {
+      method, headers: sent, body: json === undefined ? body : JSON.stringify(json), signal,
+    });
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new Problem(0, { title: "No connection", detail: "The server does not answer. Is it running?" });
+  }
+  if (reply.ok) return reply;
+  const told = await reply.json().catch(() => ({}));
+  if (reply.status === 401 && !quiet) window.dispatchEvent(new Event("key-wanted"));
+  throw new Problem(reply.status, told);
+}
+
+export async function get(path, signal) {
+  return (await send("GET", path, { signal })).json();
+}
+
+export async function post(path, json, signal) {
+  return (await send("POST", path, { json, signal })).json();
+}
+
+export const of = (name) => `v1/components/${encodeURIComponent(name)}`;
+
+// Waits until a table answers with all rows there are.
+export const caughtUp = (name, signal) => get(`${of(name)}/drawing?most=1`, signal);
+
+// What is shown where a call has failed: the server's own words, which say what to do.
+export function trouble(error) {
+  const title = error instanceof Problem ? error.body.title : "The page made a mistake";
+  const mistakes = error.body?.errors || [];
+  return note("outside",
+    el("strong", {}, title || "It did not work"), el("span", {}, error.message),
+    mistakes.length > 1 ? el("ul", {}, mistakes.slice(0, 20).map((one) => el("li", {}, `${one.loc}: ${one.msg}`))) : null);
+}

@@ -1,0 +1,60 @@
+// The fitted compliance and what physics says about the rows.
+
+import { get, of } from "./api.js";
+import { el, facts, note, pill, put } from "./dom.js";
+import { LOADS, OUTPUTS, count, number, percent, symbol } from "./format.js";
+
+const CHECKS = {
+  zero_at_zero_load: ["Nothing moves without load", (one) => one.reason],
+  symmetric: ["The compliance is symmetric (Maxwell, Betti)", (one) => `asymmetry ${percent(one.asymmetry)} of ${percent(one.allowed)} allowed`],
+  positive: ["Loads do positive work", (one) => `smallest over largest eigenvalue ${number(one.smallest_over_largest_eigenvalue, 3)}`],
+  linear: ["One 6 × 6 suffices", (one) => one.says],
+  work: ["Work grows from row to row", (one) => `${count(one.pairs_that_give_work_back ?? 0)} pairs give work back`],
+  tangents: ["Tangents lead to the neighbours", (one) => one.largest_miss !== undefined && one.largest_miss !== null ? `largest miss ${percent(one.largest_miss)}` : one.reason],
+};
+
+export async function show(root, about, signal) {
+  const told = await get(`${of(about.name)}/compliance`, signal);
+  const beside = await get(`${of(about.name)}/disagreement`, signal).catch(() => null);
+  put(root,
+    el("section", { class: "card" }, el("h2", {}, "Compliance at no load"),
+      told.origin === "none" ? el("p", { class: "muted" }, "No rows tell it yet.") : matrix(told)),
+    el("section", { class: "card" }, el("h2", {}, "What physics asks of the rows"), checks(told)),
+    beside?.compared ? el("section", { class: "card" }, el("h2", {}, "Measured beside solved"), disagreement(beside)) : null);
+}
+
+// Shades compare entries that have one unit only: each cell against its 3 x 3 block.
+function matrix(told) {
+  const largest = (i, j) => Math.max(...[0, 1, 2].flatMap((a) => [0, 1, 2].map((b) => Math.abs(told.matrix[3 * Math.floor(i / 3) + a][3 * Math.floor(j / 3) + b]))));
+  const cell = (value, i, j) => {
+    const made = el("td", {}, told.known_loads.includes(LOADS[j]) ? number(value, 3) : "–");
+    const part = largest(i, j) ? Math.abs(value) / largest(i, j) : 0;
+    made.style.background = `color-mix(in srgb, var(--accent) ${Math.round(26 * part)}%, transparent)`;
+    return made;
+  };
+  const units = ["m", "rad"];
+  return [
+    el("div", { class: "wide", tabindex: "0", role: "region", "aria-label": "Compliance, 6 by 6" }, el("table", { class: "matrix" },
+      el("thead", {}, el("tr", {}, el("th", {}), LOADS.map((load) => el("th", { class: "number", scope: "col" }, symbol(load))))),
+      el("tbody", {}, told.matrix.map((line, i) => el("tr", {}, el("th", { scope: "row" }, symbol(OUTPUTS[i])), line.map((value, j) => cell(value, i, j))))))),
+    el("p", { class: "muted small" }, `${units[0]} and ${units[1]} over N and N·m, ${told.origin} from ${count(told.rows_checked)} rows. Each block of one unit is shaded by its largest entry.`),
+  ];
+}
+
+function checks(told) {
+  if (!told.rows_checked) return el("p", { class: "muted" }, "There are no whole rows to check.");
+  const lines = Object.entries(told.checks).map(([name, one]) => {
+    const [title, words] = CHECKS[name] || [name, () => ""];
+    const verdict = one.ok === null ? pill("unknown", "") : one.ok ? pill("holds", "ok") : pill(name === "linear" ? "no" : "broken", name === "linear" ? "thin" : "wrong");
+    const rows = one.rows?.length && name !== "linear" ? el("span", { class: "muted small" }, `rows ${one.rows.slice(0, 12).join(", ")}${one.rows.length > 12 ? " …" : ""}`) : null;
+    return el("tr", {}, el("td", {}, verdict), el("td", { class: "whole" }, title), el("td", { class: "muted small whole" }, words(one) || ""), el("td", { class: "whole" }, rows));
+  });
+  return el("table", { class: "folds" }, el("tbody", {}, lines));
+}
+
+function disagreement(told) {
+  return [
+    told.outside ? note("thin", `${told.outside} of ${told.compared} measured values lie outside the bar of the solved rows.`) : note("covered", `All ${told.compared} measured values lie within the bar of the solved rows.`),
+    (told.rows || []).length ? facts(told.rows.slice(0, 20).map((one) => [`row ${one.row}, ${one.output}`, `${number(one.measured)} measured, ${number(one.expected)} ± ${number(one.bar, 2)} expected: ${number(one.ratio, 2)} bars off`])) : null,
+  ];
+}

@@ -1,0 +1,71 @@
+// Demand: what was asked that the table did not cover.
+
+import { Problem, get, of, send } from "./api.js";
+import { el, notify, pill, put, table } from "./dom.js";
+import { count, plain, wrench, LOADS, unitOfLoad } from "./format.js";
+import { choice } from "./dom.js";
+import { box } from "./load_box.js";
+import { draw } from "./plot.js";
+import { figure } from "./view3d.js";
+
+const AXES = { x: ["fx", "my", "mz"], y: ["fy", "mz", "mx"], z: ["fz", "mx", "my"] };
+
+export async function show(root, about, signal) {
+  let told;
+  try {
+    told = await get(`${of(about.name)}/demand`, signal);
+  } catch (error) {
+    if (!(error instanceof Problem) || error.status !== 404) throw error;
+    put(root, el("p", { class: "empty" }, "This server does not keep what was asked."));
+    return;
+  }
+  if (!told.cells?.length) {
+    put(root, el("p", { class: "empty" }, "All that was asked was covered."));
+    return;
+  }
+  const place = el("div", { class: "plot", id: "demand" });
+  const view = figure(place, `What was asked of ${about.name}`);
+  const state = { axis: "z" };
+  let drawing = null;
+  const forget = async () => { await send("DELETE", `${of(about.name)}/demand`); notify("Forgotten."); await show(root, about, signal); };
+  put(root,
+    el("section", { class: "card" },
+      el("div", { class: "line bottom ends" }, choice("demand-axis", "Loads of", Object.keys(AXES).map((one) => [one, `axis ${one}`]), "z", (value) => { state.axis = value; drawing?.again(); }),
+        el("button", { type: "button", class: "small", onclick: forget }, "Forget it")),
+      el("p", { class: "muted" }, `${count(told.asked)} answers were thin or outside. The larger a mark, the more often its loads were asked for; the frame is the load range.`), view.root),
+    el("section", { class: "card" }, el("h2", {}, "Asked most often"), most(told)));
+  drawing = await draw(place, (shade) => picture(about, told, state.axis, shade, view.camera()), signal, `${told.cells.length} places that were asked and not covered`);
+  view.hold(drawing);
+}
+
+function picture(about, told, axis, shade, camera) {
+  const inputs = AXES[axis], largest = Math.max(...told.cells.map((one) => one.count));
+  const [x, y, z] = inputs.map((load) => told.cells.map((one) => one.wrench[LOADS.indexOf(load)]));
+  const data = [{
+    type: "scatter3d", mode: "markers", x, y, z, text: told.cells.map((one) => `${one.count} times, ${one.coverage}`),
+    marker: { size: told.cells.map((one) => 4 + 12 * Math.sqrt(one.count / largest)), color: told.cells.map((one) => shade[one.coverage] || shade.accent), opacity: 0.75 },
+    hovertemplate: "%{text}<br>%{x:.4~g}, %{y:.4~g}, %{z:.4~g}<extra></extra>",
+  }];
+  const spans = [...about.range.force, ...about.range.moment];
+  const reach = (load) => { // of the load range, and of what was asked beyond it
+    const place = LOADS.indexOf(load), asked = told.cells.map((one) => one.wrench[place]);
+    return wide([Math.min(spans[place][0], ...asked), Math.max(spans[place][1], ...asked)]);
+  };
+  data.push(box(about, inputs.map((load) => LOADS.indexOf(load)), shade));
+  const axis_ = (load) => ({ title: { text: `${plain(load)}, ${unitOfLoad(load)}` }, range: reach(load), nticks: 5 });
+  return { data, layout: { scene: { xaxis: axis_(inputs[0]), yaxis: axis_(inputs[1]), zaxis: axis_(inputs[2]), aspectmode: "cube", camera } } };
+}
+
+const wide = ([low, high]) => [low - 0.05 * (high - low), high + 0.05 * (high - low)];
+
+const share = (times) => (times ? count(times) : "–");
+
+function most(told) {
+  const lines = [...told.cells].sort((a, b) => b.count - a.count).slice(0, 15)
+    .map((one) => [count(one.count), pill(one.coverage), el("span", { class: "small" }, wrench(one.wrench.slice(0, 3), one.wrench.slice(3))), el("span", { class: "small" }, share(one.thin)), el("span", { class: "small" }, share(one.outside))]);
+  const half = told.cell_size.map((one) => one / 2);
+  return [
+    table(["#times", "coverage", "loads about", "#thin", "#outside"], lines, { scrolls: true }),
+    el("p", { class: "muted small" }, `Loads that are close are counted together: ± ${wrench(half.slice(0, 3), half.slice(3))}.${told.elsewhere ? ` ${count(told.elsewhere)} more were asked elsewhere.` : ""}`),
+  ];
+}

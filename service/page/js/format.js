@@ -1,0 +1,91 @@
+// Numbers with units, as people read them. All that comes in is SI.
+
+export const LOADS = ["fx", "fy", "fz", "mx", "my", "mz"];
+export const OUTPUTS = ["ux", "uy", "uz", "rx", "ry", "rz"];
+export const unitOfLoad = (load) => (load.startsWith("f") ? "N" : "N·m");
+export const unitOfOutput = (output) => (output.startsWith("u") ? "m" : "rad");
+
+// F_x as people write it, with a real subscript.
+export function symbol(name) {
+  const made = document.createElement("span");
+  const lower = document.createElement("sub");
+  lower.textContent = name[1];
+  made.append(/[fm]/.test(name[0]) ? name[0].toUpperCase() : name[0], lower);
+  return made;
+}
+
+export const plain = (name) => (/[fm]/.test(name[0]) ? name[0].toUpperCase() : name[0]) + name[1];
+
+const PREFIXES = [[1, ""], [1e-3, "m"], [1e-6, "µ"], [1e-9, "n"], [1e-12, "p"]];
+
+export function prefixOf(size) {
+  return PREFIXES.find(([scale]) => Math.abs(size) >= scale) || (size ? PREFIXES.at(-1) : PREFIXES[0]);
+}
+
+const minus = (text) => text.replaceAll("-", "\u2212");
+
+// A number with so many digits as tell something, never in the form 1e-7.
+export function number(value, digits = 4) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  if (size >= 1e6 || size < 1e-4) {
+    const [mantissa, power] = value.toExponential(digits - 1).split("e");
+    return minus(`${Number(mantissa)}·10`) + superscript(Number(power));
+  }
+  return minus(String(Number(value.toPrecision(digits))));
+}
+
+const POWERS = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
+const superscript = (power) => [...String(power)].map((one) => POWERS[one]).join("");
+
+// A value and its bar: of the value as many digits as the bar leaves, three to seven.
+export function withBar(value, bar, unit) {
+  if (value === null || value === undefined) return { value: "–", bar: "–" };
+  if (value === 0 && !bar) return { value: `0 ${unit}`, bar: bar === 0 ? "± 0" : "–" };
+  const known = bar !== null && bar !== undefined && bar > 0;
+  const hidden = known && Math.abs(value) < bar; // it may as well be zero: one digit of the bar's size
+  const [scale, prefix] = prefixOf(hidden ? bar : value);
+  const digits = known && !hidden ? Math.min(7, Math.max(3, 2 + Math.floor(Math.log10(Math.abs(value) / bar)))) : 3;
+  const size = value === 0 ? 0 : Math.floor(Math.log10(Math.abs(value / scale)));
+  const shown = hidden ? (value / scale).toFixed(1) : (value / scale).toFixed(Math.max(0, digits - 1 - size));
+  return {
+    value: `${minus(shown.replace(/^-(0(\.0*)?)$/, "$1"))} ${prefix}${unit}`,
+    bar: bar === null || bar === undefined ? "–" : `± ${quantity(bar, unit, 2)}`,
+  };
+}
+
+export function quantity(value, unit, digits = 3) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  const [scale, prefix] = prefixOf(value);
+  return `${number(value / scale, digits)} ${prefix}${unit}`;
+}
+
+export function stress(value) {
+  if (value === null || value === undefined) return "–";
+  return value >= 1e6 ? `${number(value / 1e6, 4)} MPa` : `${number(value / 1e3, 3)} kPa`;
+}
+
+export function percent(fraction, digits = 2) {
+  return `${number(100 * fraction, digits)} %`;
+}
+
+export function seconds(value) {
+  if (value === null || value === undefined) return "–";
+  if (value < 120) return `${number(value, 3)} s`;
+  return `${number(value / 60, 3)} min`;
+}
+
+export function time(text) {
+  if (!text) return "–";
+  const when = new Date(text);
+  const today = when.toDateString() === new Date().toDateString();
+  return when.toLocaleString(undefined, today ? { timeStyle: "medium" } : { dateStyle: "medium", timeStyle: "short" });
+}
+
+export function wrench(force, moment) {
+  const said = (values) => values.map((one) => number(one, 3)).join(", ");
+  return `F (${said(force)}) N, M (${said(moment)}) N·m`;
+}
+
+export const count = (value) => value.toLocaleString("en").replaceAll(",", "\u202f");

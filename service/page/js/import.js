@@ -1,0 +1,135 @@
+// Import: a dropped file is checked first; bad rows are named and can be mended here.
+
+import { caughtUp, of, send, trouble } from "./api.js";
+import { isLines, lineOf, readText, withLine } from "./csv_text.js";
+import { el, note, put, table } from "./dom.js";
+import { LOADS, OUTPUTS, count, number, plain, unitOfLoad, unitOfOutput } from "./format.js";
+import { importOptions } from "./import_options.js";
+
+const MENDED = 50; // bad rows that are offered for mending at a time
+const SHOWN = 5; // good rows that are shown before an import
+const TYPES = { csv: "text/csv", txt: "text/csv", tsv: "text/csv", json: "application/json", h5: "application/x-hdf5", hdf5: "application/x-hdf5" };
+
+export function importForm(about, signal) {
+  const state = { file: null, text: null, about, signal, place: el("div", { class: "stack", "aria-live": "polite", id: "checked" }) };
+  state.options = importOptions(() => { if (state.file) check(state); });
+  const take = async (file) => {
+    if (!file) return;
+    state.file = file;
+    state.options.columns.forget();
+    const text = await readText(file);
+    state.text = isLines(text) ? text : null;
+    await check(state);
+  };
+  const input = el("input", { type: "file", id: "file", "aria-label": "A table file", onchange: () => take(input.files[0]) });
+  const drop = el("div", { class: "drop" }, el("strong", {}, "Drop a table here, or choose a file"),
+    el("span", { class: "small" }, "CSV with a header such as Fz [N], ux [mm]; Excel, Parquet; the JSON or HDF5 of an export; each gzipped or not. It is checked first; nothing is loaded before you say so."), input);
+  const over = (event) => { event.preventDefault(); drop.classList.add("over"); };
+  drop.addEventListener("dragenter", over);
+  drop.addEventListener("dragover", over);
+  drop.addEventListener("dragleave", () => drop.classList.remove("over"));
+  drop.addEventListener("drop", (event) => { event.preventDefault(); drop.classList.remove("over"); take(event.dataTransfer.files[0]); });
+  return [drop, state.options.root, state.place];
+}
+
+async function post(state, dry) {
+  const ending = state.file.name.toLowerCase().replace(/\.gz$/, "").split(".").at(-1);
+  const type = state.file.name.endsWith(".gz") ? "application/octet-stream" : TYPES[ending] || "application/octet-stream";
+  const asked = state.options.query();
+  asked.set("dry_run", dry);
+  asked.set("filename", state.file.name.slice(0, 1000));
+  if (dry) asked.set("preview", SHOWN);
+  const reply = await send("POST", `${of(state.about.name)}/table?${asked}`, {
+    body: state.text ?? state.file, headers: { "Content-Type": type }, signal: state.signal,
+  });
+  return reply.json();
+}
+
+async function check(state) {
+  state.check = (state.check || 0) + 1;
+  const mine = state.check; // of two at once the later one counts
+  put(state.place, el("p", { class: "muted" }, `Checking ${state.file.name} …`));
+  let shown;
+  try {
+    const told = await post(state, true);
+    shown = told.errors.length ? mistakes(state, told.errors, told) : ready(state, told);
+  } catch (error) {
+    if (state.signal.aborted) return;
+    const errors = error.body?.errors;
+    shown = errors?.[0]?.row !== undefined ? mistakes(state, errors, error.body) : trouble(error);
+  }
+  if (mine === state.check) put(state.place, shown);
+}
+
+function ready(state, told) {
+  return [
+    note("covered", el("strong", {}, `${state.file.name}: every row is in order.`), tallies(told)),
+    preview(told), state.options.columns.draw(told), again(state), el("div", {}, importButton(state, told)),
+  ];
+}
+
+function importButton(state, told) {
+  const button = el("button", { type: "button", class: "first", id: "import", onclick: () => load(state) }, `Import ${count(told.inserted)} rows`);
+  button.disabled = told.inserted === 0;
+  return button;
+}
+
+function again(state, mend = () => {}) {
+  return el("div", {}, el("button", { type: "button", id: "check-again", onclick: () => { mend(); check(state); } }, "Check again"));
+}
+
+// Each row of the file is counted once.
+function tallies(told) {
+  const { read, refused, tare, unmatched } = told.rows;
+  return [
+    el("span", {}, `${count(told.inserted)} new rows${told.existing ? `, ${count(told.existing)} are in the table already` : ""}; ${count(read)} read${refused ? `, ${count(refused)} refused` : ""}${tare ? `, ${count(tare)} taken as tare` : ""}${unmatched ? `, ${count(unmatched)} without a partner` : ""}.`),
+    told.ignored?.length ? el("span", {}, `Columns left out: ${told.ignored.join(", ")}.`) : null,
+  ];
+}
+
+function preview(told) {
+  if (!told.preview?.length) return null;
+  const head = ["#row", ...LOADS.map((one) => `#${plain(one)}, ${unitOfLoad(one)}`), ...OUTPUTS.map((one) => `#${one}, ${unitOfOutput(one)}`)];
+  const lines = told.preview.map((one) => [String(one.row), ...[...one.wrench, ...one.displacement].map((value) => number(value, 6))]);
+  const shown = table(head, lines, { scrolls: true, caption: "The first good rows, in SI" });
+  shown.id = "preview";
+  return shown;
+}
+
+async function load(state) {
+  put(state.place, el("p", { class: "muted" }, "Importing …"));
+  try {
+    const told = await post(state, false);
+    await caughtUp(state.about.name, state.signal);
+    const name = encodeURIComponent(state.about.name);
+    put(state.place, note("covered", el("strong", {}, `${count(told.inserted)} rows are in the table.`), told.errors.length || told.existing || told.rows.tare ? tallies(told) : null,
+      el("span", {}, el("a", { href: `#/c/${name}/query` }, "Ask it"), ", or look at ", el("a", { href: `#/c/${name}/rows` }, "the rows"), ". This is ", el("a", { href: `#/c/${name}/entry` }, `version ${told.table_version}`), ".")));
+  } catch (error) { if (!state.signal.aborted) put(state.place, trouble(error)); }
+}
+
+// The mistakes by row, each row with its line to mend where the file is text.
+function mistakes(state, errors, told) {
+  const byRow = new Map();
+  for (const one of errors) byRow.set(one.row, [...(byRow.get(one.row) || []), one]);
+  const shown = [...byRow].slice(0, MENDED), edits = new Map();
+  const mend = () => { for (const [row, input] of edits) state.text = withLine(state.text, row, input.value); };
+  const named = `${count(byRow.size)} ${byRow.size === 1 ? "row has a mistake" : "rows have mistakes"}`;
+  return [
+    note("outside", el("strong", {}, `${state.file.name}: ${named}; nothing was loaded.`), told.inserted ? tallies(told) : null,
+      byRow.size > MENDED ? el("span", {}, `The first ${MENDED} are shown.`) : null),
+    el("div", { class: "stack", id: "mistakes" }, shown.map(([row, list]) => mistake(state, row, list, edits))),
+    told.columns || byRow.has(1) || byRow.has(0) ? state.options.columns.draw(told, errors) : null,
+    edits.size ? null : el("p", { class: "muted" }, "Mend them in the file and drop it again, or say otherwise here."),
+    again(state, mend),
+    told.partial && told.inserted ? [preview(told), el("div", {}, importButton(state, told))] : null,
+  ];
+}
+
+function mistake(state, row, list, edits) {
+  const words = el("ul", {}, list.map((one) => el("li", {}, one.field ? el("code", {}, one.field) : null, one.field ? ": " : "", one.message)));
+  const title = el("strong", {}, row === 0 ? "The file" : state.text ? `Line ${row}` : `Row ${row}`);
+  if (!state.text || row === 0) return el("div", { class: "note" }, title, words);
+  const input = el("input", { value: lineOf(state.text, row), class: "mono", "aria-label": `Line ${row}`, spellcheck: "false" });
+  edits.set(row, input);
+  return el("div", { class: "note" }, title, words, input);
+}

@@ -1,0 +1,92 @@
+// What an import is told beside the file: what its columns are, what to leave out, tare.
+
+import { el, field, select } from "./dom.js";
+
+const LEFT_OUT = "leave out";
+const COLUMNS = { fx: "N", fy: "N", fz: "N", mx: "N*m", my: "N*m", mz: "N*m", ux: "mm", uy: "mm", uz: "mm", rx: "deg", ry: "deg", rz: "deg" };
+const UNITS = {
+  f: ["force", ["N", "kN", "lbf", "kgf"]], m: ["moment", ["N*m", "N*mm", "kN*m", "lbf*ft", "lbf*in"]],
+  u: ["translation", ["m", "mm", "um", "inch", "thou"]], r: ["rotation", ["rad", "mrad", "deg"]],
+};
+const MEANINGS = "column-meanings";
+
+// `changed()` is called when anything is said otherwise.
+export function importOptions(changed) {
+  const check = (text) => {
+    const input = el("input", { type: "checkbox", onchange: changed });
+    return [input, el("label", { class: "check" }, input, text)];
+  };
+  const [zero, zeroLine] = check("Loads without a column were zero");
+  const [extra, extraLine] = check("Leave out all unknown columns");
+  const [partial, partialLine] = check("Load the good rows though others have mistakes");
+  const tare = el("input", { type: "number", min: 0, step: 1, value: 0, onchange: changed, id: "tare" });
+  const decimal = select([["", "as the file tells"], [".", "point"], [",", "comma"]], "", changed);
+  const sheet = el("input", { autocomplete: "off", placeholder: "the first", onchange: changed, id: "sheet" });
+  const said = el("input", { autocomplete: "off", maxlength: 10000, id: "import-note" });
+  const root = el("details", { id: "import-options" }, el("summary", {}, "Options"),
+    el("div", { class: "stack" }, zeroLine, extraLine, partialLine,
+      el("div", { class: "few" }, field("Tare: first rows, whose mean is taken off", tare), field("Decimal mark (CSV)", decimal), field("Sheet (Excel)", sheet)),
+      field("Note, kept with the import", said)));
+  const columns = columnTable();
+  const query = () => {
+    const asked = new URLSearchParams();
+    if (zero.checked) asked.set("missing_loads", "zero");
+    if (extra.checked) asked.set("ignore_extra", "true");
+    if (partial.checked) asked.set("partial", "true");
+    if (Number(tare.value) > 0) asked.set("tare", tare.value);
+    if (decimal.value) asked.set("decimal", decimal.value);
+    if (sheet.value.trim()) asked.set("sheet", sheet.value.trim());
+    if (said.value.trim()) asked.set("note", said.value.trim());
+    columns.tell(asked);
+    return asked;
+  };
+  return { root, query, columns };
+}
+
+// One input a column of the file: empty is as the file says.
+function columnTable() {
+  let inputs = new Map();
+  const tell = (asked) => {
+    const mapping = {};
+    for (const [name, input] of inputs) {
+      const meaning = input.value.trim();
+      if (meaning === LEFT_OUT) asked.append("ignore", name);
+      else if (meaning) mapping[name] = meaning;
+    }
+    if (Object.keys(mapping).length) asked.set("mapping", JSON.stringify(mapping));
+  };
+  const forget = () => { inputs = new Map(); };
+  // `told` is the reply of a check, `errors` what it found: those of the header name their column.
+  const draw = (told, errors = []) => {
+    const before = inputs, known = new Map((told.columns || []).map((one) => [one.column, `${one.name}${one.unit ? ` [${one.unit}]` : ""}`]));
+    const wrong = new Map(errors.filter((one) => one.row <= 1 && !["header", "file", "line", "form", "rows"].includes(one.field)).map((one) => [one.field, one.message]));
+    const names = [...new Set([...known.keys(), ...(told.ignored || []), ...wrong.keys(), ...before.keys()])];
+    inputs = new Map(names.map((name) => [name, el("input", {
+      value: before.get(name)?.value ?? "", placeholder: known.get(name) || (wrong.has(name) ? "say what it is" : LEFT_OUT),
+      list: MEANINGS, "aria-label": `What ${name} is`, autocomplete: "off", spellcheck: "false",
+    })]));
+    const bare = [...wrong].map(([name, message]) => [name, message.match(/has no unit; write for example (\w+) \[/)?.[1]]).filter(([, one]) => one);
+    return el("details", { id: "columns", open: wrong.size > 0 || [...before.values()].some((one) => one.value) },
+      el("summary", {}, "What the columns are"),
+      el("p", { class: "muted small" }, `Empty: as the file says. Otherwise a name with its unit, such as fz [kN]; a - before it turns the sign; or “${LEFT_OUT}”.`),
+      bare.length ? unitsOf(bare, inputs) : null,
+      meanings(), el("div", { class: "few columns" }, names.map((name) => field(name, inputs.get(name)))));
+  };
+  return { draw, tell, forget };
+}
+
+// The units of all columns that name none, at once.
+function unitsOf(bare, inputs) {
+  const kinds = [...new Set(bare.map(([, name]) => name[0]))].filter((one) => UNITS[one]);
+  const chosen = kinds.map((kind) => [kind, select([["", "–"], ...UNITS[kind][1].map((one) => [one, one.replace("*", "·").replace("um", "µm")])], "", () => {
+    for (const [column, name] of bare) if (name[0] === kind) inputs.get(column).value = chosen_(kind) ? `${name} [${chosen_(kind)}]` : "";
+  })]);
+  const chosen_ = (kind) => chosen.find(([one]) => one === kind)[1].value;
+  return el("fieldset", {}, el("legend", {}, "Units of the columns that name none"),
+    el("div", { class: "few" }, chosen.map(([kind, one]) => field(UNITS[kind][0][0].toUpperCase() + UNITS[kind][0].slice(1), one))));
+}
+
+function meanings() {
+  const some = Object.entries(COLUMNS).flatMap(([name, unit]) => [`${name} [${unit}]`, `-${name} [${unit}]`]);
+  return el("datalist", { id: MEANINGS }, [LEFT_OUT, ...some].map((value) => el("option", { value })));
+}

@@ -1,0 +1,79 @@
+// The library: each component with what its table covers.
+
+import { get, of } from "./api.js";
+import { el, pill, put, note } from "./dom.js";
+import { listen } from "./events.js";
+import { count } from "./format.js";
+import { sharesOf } from "./shares.js";
+
+const AT_ONCE = 4; // glances asked for at a time
+const BUILDING_MS = 3000; // between looks at a table that is being built
+
+export async function show(root, _, signal, archived = false) {
+  const { components, broken } = await get(`v1/components${archived ? "?archived=true" : ""}`, signal);
+  const cards = new Map(components.map((one) => [one.name, card(one)]));
+  const list = el("div", { class: "cards" }, [...cards.values()].map((one) => one.root));
+  const search = el("input", {
+    type: "search", placeholder: "Search", "aria-label": "Search the library",
+    oninput: () => filter(components, cards, search.value),
+  });
+  const box = el("input", { type: "checkbox", checked: archived, id: "archived", onchange: async () => {
+    await show(root, _, signal, box.checked);
+    document.getElementById("archived")?.focus();
+  } });
+  const away = el("label", { class: "check" }, box, "Archived too");
+  put(root,
+    el("div", { class: "head" },
+      el("div", {}, el("h1", {}, "Library"),
+        el("p", { class: "muted" }, "Deformable parts, and how much of each load range their tables answer within the tolerance.")),
+      el("div", { class: "line" }, el("div", { class: "search" }, search), away, el("a", { class: "button", href: "#/add" }, "Add a component"))),
+    broken.length ? note("outside", el("strong", {}, "Not usable"), broken.map((one) => el("span", {}, `${one.name}: ${one.reason}`))) : null,
+    components.length ? list : el("p", { class: "empty" }, "No components yet."));
+  listen(null, signal, (kind, body) => {
+    if (kind === "table" && cards.has(body.component)) refresh(body.component, cards, signal, body.rows);
+  });
+  const names = [...cards.keys()];
+  const workers = Array.from({ length: AT_ONCE }, async () => {
+    for (let name = names.shift(); name; name = names.shift()) await refresh(name, cards, signal);
+  });
+  await Promise.all(workers);
+}
+
+function card(one) {
+  const kind = !one.has_fea ? "measured" : one.linear ? "linear" : "finite elements";
+  const rows = el("span", { class: "muted small" }, rowsText(one.rows));
+  const covered = el("div", { class: "muted small" }, "…");
+  const root = el("a", { class: "card", href: `#/c/${encodeURIComponent(one.name)}` },
+    el("div", { class: "line ends" }, el("h2", {}, one.name), el("span", { class: "line" }, one.archived ? pill("archived", "thin") : null, pill(kind, ""))),
+    el("p", { class: "small" }, one.title),
+    covered, rows);
+  return { root, rows, covered, all: one.rows, has_fea: one.has_fea };
+}
+
+const rowsText = (rows) => (rows === 1 ? "1 row" : `${count(rows)} rows`);
+
+async function refresh(name, cards, signal, rows) {
+  const shown = cards.get(name);
+  if (rows !== undefined) { shown.rows.textContent = rowsText(rows); shown.all = rows; }
+  if (!shown.all) { // none, or none yet
+    put(shown.covered, shown.has_fea ? "The table is empty: the first query starts a solve." : "The table is empty: import measured rows.");
+    return;
+  }
+  try {
+    put(shown.covered, sharesOf(await get(`${of(name)}/glance`, signal)));
+    shown.covered.className = "";
+  } catch (error) {
+    if (signal.aborted) return;
+    const building = error.status === 503;
+    put(shown.covered, building ? "The table is being built …" : error.message);
+    if (building) setTimeout(() => { if (!signal.aborted) refresh(name, cards, signal, rows); }, BUILDING_MS);
+  }
+}
+
+function filter(components, cards, text) {
+  const words = text.toLowerCase().split(/\s+/).filter(Boolean);
+  for (const one of components) {
+    const said = `${one.name} ${one.title} ${one.notes}`.toLowerCase();
+    cards.get(one.name).root.hidden = !words.every((word) => said.includes(word));
+  }
+}

@@ -1,0 +1,127 @@
+// Which view an address shows, the bar on top, the key and the colours.
+
+import { key, send, setKey, trouble } from "./api.js";
+import { el, put } from "./dom.js";
+
+const VIEWS = [
+  [/^\/$/, "library.js"],
+  [/^\/add$/, "add.js"],
+  [/^\/c\/([^/]+)(?:\/([a-z]+))?$/, "component.js"],
+  [/^\/jobs(?:\/(\d+))?$/, "jobs.js"],
+  [/^\/scene$/, "scene.js"],
+];
+const main = document.getElementById("main");
+let leaving = new AbortController();
+
+async function show() {
+  const address = location.hash.slice(1) || "/";
+  leaving.abort();
+  leaving = new AbortController();
+  const { signal } = leaving;
+  markWhereWeAre(address);
+  const [file, found] = viewOf(address);
+  document.title = "wrenchbook";
+  if (!file) {
+    put(main, el("h1", {}, "Nothing here"), el("p", {}, el("a", { href: "#/" }, "Go to the library")));
+    return;
+  }
+  try {
+    const view = await import(`./${file}`);
+    if (!signal.aborted) await view.show(main, found.map((one) => one && decodeURIComponent(one)), signal);
+  } catch (error) {
+    if (error.name === "AbortError" || signal.aborted) return;
+    put(main, trouble(error));
+  }
+}
+
+function viewOf(address) {
+  for (const [pattern, file] of VIEWS) {
+    const found = address.match(pattern);
+    if (found) return [file, found.slice(1)];
+  }
+  return [null, []];
+}
+
+function markWhereWeAre(address) {
+  const room = address.startsWith("/jobs") ? "#/jobs" : address.startsWith("/scene") ? "#/scene" : "#/";
+  for (const link of document.querySelectorAll(".main-nav a")) {
+    if (link.getAttribute("href") === room) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+}
+
+async function tellState() {
+  if (document.hidden) return;
+  const place = document.getElementById("state");
+  const set = (text, kind) => { if (place.textContent !== text) place.textContent = text; place.className = `state ${kind}`; };
+  try {
+    const state = await (await send("GET", "health/ready", { quiet: true })).json();
+    const building = state.building.length ? `building ${state.building.join(", ")}` : "ready";
+    set(building, "ready");
+  } catch (error) {
+    const fault = error.body?.faults?.[0];
+    set(fault ? "not ready" : error.status === 401 ? "needs a key" : "no answer", "faulty");
+    place.title = fault || error.message;
+  }
+}
+
+function askForKey() {
+  const input = el("input", { type: "password", autocomplete: "off", value: key(), "aria-label": "Key" });
+  const close = () => { dialog.close(); dialog.remove(); };
+  const form = el("form", {
+    method: "dialog", class: "stack",
+    onsubmit: (event) => { event.preventDefault(); setKey(input.value.trim()); close(); markKey(); show(); },
+  },
+    el("h2", {}, "Key"),
+    el("p", {}, "A server that is not on this machine alone asks for one. It is kept until this tab is closed and is sent to this server only."),
+    input,
+    el("div", { class: "line" },
+      el("button", { class: "first" }, "Use this key"),
+      el("button", { type: "button", onclick: () => { input.value = ""; form.requestSubmit(); } }, "Forget it"),
+      el("button", { type: "button", class: "quiet", onclick: close }, "Cancel")));
+  const dialog = el("dialog", { "aria-label": "Key", onclose: () => dialog.remove() }, form);
+  document.body.append(dialog);
+  dialog.showModal();
+}
+
+function markKey() {
+  document.getElementById("key").textContent = key() ? "Key ✓" : "Key";
+}
+
+const THEMES = { auto: ["◐ Auto", "light dark"], light: ["○ Light", "light"], dark: ["● Dark", "dark"] };
+
+function setTheme(name) {
+  const [text, scheme] = THEMES[name] || THEMES.auto;
+  document.documentElement.style.colorScheme = scheme;
+  const button = document.getElementById("theme");
+  button.textContent = text;
+  button.title = `Colours: ${text}. Press for the next.`;
+  button.setAttribute("aria-label", `Colours: ${text}`);
+  window.dispatchEvent(new Event("theme"));
+}
+
+function nextTheme() {
+  const names = Object.keys(THEMES);
+  const now = localStorage.getItem("wrenchbook-theme") || "auto";
+  const next = names[(names.indexOf(now) + 1) % names.length];
+  localStorage.setItem("wrenchbook-theme", next);
+  setTheme(next);
+}
+
+document.getElementById("skip").addEventListener("click", (event) => { event.preventDefault(); main.focus(); });
+document.getElementById("key").addEventListener("click", askForKey);
+document.getElementById("theme").addEventListener("click", nextTheme);
+window.addEventListener("key-wanted", () => { if (!document.querySelector("dialog")) askForKey(); });
+window.addEventListener("hashchange", async () => {
+  window.scrollTo(0, 0);
+  await show();
+  // The link that was pressed may be gone: the next Tab leads on from the view, not from the top.
+  if (!document.activeElement || document.activeElement === document.body) main.focus({ preventScroll: true });
+});
+document.addEventListener("visibilitychange", tellState);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => window.dispatchEvent(new Event("theme")));
+setTheme(localStorage.getItem("wrenchbook-theme") || "auto");
+markKey();
+show();
+tellState();
+setInterval(tellState, 15000);

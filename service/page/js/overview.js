@@ -1,0 +1,94 @@
+// What a component is: contract, range, method, how well its table covers.
+
+import { caughtUp, get, of, post } from "./api.js";
+import { el, facts, field, note, notify, put, table } from "./dom.js";
+import { listen } from "./events.js";
+import { LOADS, count, number, quantity, symbol, unitOfLoad, percent } from "./format.js";
+import { sharesOf } from "./shares.js";
+
+export async function show(root, { name }, signal) {
+  put(root, el("p", { class: "muted" }, "…"));
+  const about = await get(of(name), signal);
+  const glance = el("div", { class: "stack" }, el("p", { class: "muted" }, "…"));
+  put(root,
+    about.warnings.length ? note("thin", el("strong", {}, "What the check of its bundle says"), el("ul", {}, about.warnings.map((one) => el("li", {}, textOf(one))))) : null,
+    el("div", { class: "halves" },
+      el("section", { class: "card" }, el("h2", {}, "How much is answered"), glance),
+      el("section", { class: "card" }, el("h2", {}, "How it answers"), method(about)),
+      el("section", { class: "card" }, el("h2", {}, "Loads expected"), loads(about)),
+      el("section", { class: "card" }, el("h2", {}, "The contract"), contract(about))));
+  const refresh = () => cover(glance, about, signal);
+  listen(about.name, signal, (kind) => { if (kind === "table") refresh(); });
+  await refresh();
+}
+
+const textOf = (one) => (typeof one === "string" ? one : one.message || one.msg || JSON.stringify(one));
+
+async function cover(place, about, signal) {
+  const { of: rows } = await caughtUp(about.name, signal);
+  const parts = [];
+  if (rows) {
+    parts.push(sharesOf(await get(`${of(about.name)}/glance`, signal)));
+    parts.push(el("p", { class: "muted small" }, "Of loads spread over the range, and over the three loads of each axis: the part answered within the tolerance."));
+  } else parts.push(el("p", {}, "The table has no rows yet."));
+  if (about.has_fea) parts.push(fill(about));
+  else parts.push(el("p", {}, el("a", { href: `#/c/${about.name}/table` }, "Import measured rows"), "."));
+  put(place, parts);
+}
+
+function fill(about) {
+  const budget = el("input", { type: "number", min: 1, max: 10000, value: 24, "aria-label": "Solves at most" });
+  budget.style.width = "6rem";
+  const order = async (event) => {
+    event.preventDefault();
+    try {
+      const reply = await post(`${of(about.name)}/fill`, { budget: Number(budget.value) });
+      notify(reply.jobs.length ? `${reply.jobs.length} solves are queued. ${reply.reason || ""}` : reply.reason || "Nothing to solve.");
+    } catch (error) { notify(error.message, "wrong"); }
+  };
+  return el("form", { class: "line bottom", onsubmit: order },
+    field("Solves at most", budget), el("button", { class: "first" }, "Fill the table"));
+}
+
+function method(about) {
+  const cover = about.coverage;
+  const tolerance = about.tolerance
+    ? `${quantity(about.tolerance.translation, "m")}, ${quantity(about.tolerance.rotation, "rad")}`
+    : "1 % of each output's range";
+  const sources = Object.entries(about.sources).map(([name, rows]) => `${count(rows)} ${name}`).join(", ");
+  const jobs = Object.entries(about.jobs).filter(([, n]) => n).map(([status, n]) => `${n} ${status}`).join(", ");
+  const errors = Object.entries(cover.errors_left_out || {}).map(([name, error]) => `${name} ${percent(error)}`).join(", ");
+  return facts([
+    ["Rows", sources || "none"],
+    ["Method", cover.method],
+    ["Why", cover.method_reason],
+    ["Error at rows left out", errors],
+    ["Tolerance", tolerance],
+    ["Jobs", jobs || "none"],
+    ["Contradictions", cover.conflicting_wrenches ? `${cover.conflicting_wrenches} wrenches have rows that disagree` : ""],
+    ["Outside the range", cover.beyond_range ? `${cover.beyond_range} rows` : ""],
+    ["Version", String(about.table_version)],
+    ["Notes", about.notes],
+  ]);
+}
+
+function loads(about) {
+  const spans = [...about.range.force, ...about.range.moment];
+  return table(["Load", "#from", "#to", ""], LOADS.map((load, place) =>
+    [symbol(load), number(spans[place][0]), number(spans[place][1]), unitOfLoad(load)]));
+}
+
+function contract(about) {
+  const held = about.interface;
+  return facts([
+    ["Units", about.contract.units],
+    ["Wrench", about.contract.wrench],
+    ["Displacement", about.contract.displacement],
+    ["Moment", about.contract.moment],
+    ["Sign", about.contract.sign],
+    ["Section", held?.section],
+    ["Point", held?.point ? held.point.map((one) => quantity(one, "m")).join(", ") : ""],
+    ["Coupling", held?.coupling],
+    ["Locked", held?.locked?.join(", ")],
+  ]);
+}

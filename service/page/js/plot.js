@@ -1,0 +1,73 @@
+// Plotly, loaded when something is first drawn, in the page's own colours.
+
+import { base } from "./api.js";
+import { el } from "./dom.js";
+
+let loading = null;
+
+function plotly() {
+  loading ??= new Promise((done, failed) => {
+    const script = el("script", { src: new URL("page/plotly.min.js", base).href });
+    script.onload = () => done(window.Plotly);
+    script.onerror = () => { loading = null; failed(new Error("What draws could not be loaded. Try again.")); };
+    document.head.append(script);
+  });
+  return loading;
+}
+
+// The colours of the page as they are now; plotly reads no CSS variables.
+export function colours() {
+  const probe = el("span", { class: "unseen" });
+  document.body.append(probe);
+  const found = {};
+  for (const name of ["ink", "muted", "line", "card", "paper", "accent", "covered", "thin", "outside", "query", "sunken"]) {
+    probe.style.color = `var(--${name})`;
+    found[name] = getComputedStyle(probe).color;
+  }
+  probe.remove();
+  return found;
+}
+
+export const faint = (colour, part) => colour.replace(/^rgb\((.*)\)$/, `rgba($1, ${part})`);
+
+function themed(layout) {
+  const shade = colours();
+  const axis = { gridcolor: shade.line, zerolinecolor: shade.line, linecolor: shade.line, tickcolor: shade.line, exponentformat: "SI", automargin: true };
+  const space = { ...axis, backgroundcolor: shade.card, showbackground: false, showspikes: false };
+  const common = {
+    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+    font: { family: getComputedStyle(document.body).fontFamily, size: 12, color: shade.muted },
+    margin: { l: 8, r: 8, t: 8, b: 8 }, hoverlabel: { bgcolor: shade.card, bordercolor: shade.line, font: { color: shade.ink } },
+    showlegend: false, autosize: true,
+  };
+  const made = { ...common, ...layout };
+  if (layout.scene) {
+    made.scene = { ...layout.scene };
+    for (const name of ["xaxis", "yaxis", "zaxis"]) made.scene[name] = { ...space, ...layout.scene[name] };
+  } else {
+    for (const name of ["xaxis", "yaxis"]) made[name] = { ...axis, ...layout[name] };
+  }
+  return made;
+}
+
+// Draws `make(colours)` -> {data, layout}, and again whenever the colours change. Returns a
+// drawing with `again()` for new content and `plotly` for changes of a part.
+export async function draw(place, make, signal, label) {
+  const drawing = { place, plotly: null };
+  place.replaceChildren(el("div", { class: "waits" }, "…"));
+  drawing.plotly = await plotly();
+  place.replaceChildren();
+  place.setAttribute("role", "img");
+  place.setAttribute("aria-label", label);
+  drawing.again = async () => {
+    const { data, layout } = make(colours());
+    await drawing.plotly.react(place, data, themed(layout), { displayModeBar: false, responsive: true, displaylogo: false });
+    place.dataset.drawn = String(Number(place.dataset.drawn || 0) + 1);
+  };
+  if (signal.aborted) return drawing;
+  const again = () => drawing.again();
+  window.addEventListener("theme", again);
+  signal.addEventListener("abort", () => { window.removeEventListener("theme", again); drawing.plotly.purge(place); });
+  await drawing.again();
+  return drawing;
+}

@@ -1,0 +1,112 @@
+// Ask for a displacement; where a solve is queued, watch it and ask again.
+
+import { caughtUp, get, of, post, trouble } from "./api.js";
+import { remember } from "./asked.js";
+import { el, field, note, pill, put, select } from "./dom.js";
+import { listen } from "./events.js";
+import { OUTPUTS, number, percent, symbol, unitOfOutput, withBar, wrench as said } from "./format.js";
+import { curlOf, pythonOf, snippet, versionQuery } from "./snippet.js";
+import { versionField } from "./version.js";
+import { wrenchForm } from "./wrench_form.js";
+
+const ON_THIN = [["queue", "queue a solve"], ["estimate", "estimate, flagged"], ["reject", "refuse"]];
+const METHODS = [["", "the table's own"], ["kriging", "kriging"], ["griddata", "griddata"], ["linear", "linear"], ["tangent", "tangent"], ["nearest", "nearest"]];
+
+export async function show(root, about, signal) {
+  const answer = el("section", { class: "stack", "aria-live": "polite" },
+    el("p", { class: "empty" }, "Type the wrench that acts on the component at its interface point, in the undeformed interface frame."));
+  const curl = snippet("From a shell"), python = snippet("From Python");
+  const onThin = select(about.has_fea ? ON_THIN : ON_THIN.slice(1), about.has_fea ? "queue" : "estimate", () => tell());
+  const method = select(METHODS, "", () => tell());
+  const version = versionField(about, signal, () => tell());
+  const options = () => ({ onThin: onThin.value, method: method.value, version: version.read() });
+  const ask = (wrench) => query(answer, about, wrench, options(), signal);
+  const form = wrenchForm(about, {
+    action: "Ask", asked: ask, changed: () => tell(),
+    more: el("div", { class: "stack" }, field("Where the table is too thin", onThin), field("Method", method), version.root),
+  });
+  const tell = () => {
+    curl.say(curlOf(about.name, form.read(), options()));
+    python.say(pythonOf(about.name, form.read(), options()));
+  };
+  tell();
+  put(root, el("div", { class: "two" }, el("section", { class: "card" }, form.form), el("div", { class: "stack" },
+    el("div", { class: "card" }, answer), el("div", { class: "card" }, curl.root, python.root))));
+}
+
+async function query(place, about, wrench, options, signal, watched = null) {
+  const body = { force: wrench.slice(0, 3), moment: wrench.slice(3), on_thin: options.onThin };
+  if (options.method) body.method = options.method;
+  let answer;
+  try {
+    answer = await post(`${of(about.name)}/displacement${versionQuery(options)}`, body, signal);
+  } catch (error) {
+    if (!signal.aborted) put(place, trouble(error));
+    return;
+  }
+  remember(about.name, wrench, answer.coverage);
+  put(place, shown(answer, about, wrench));
+  if (answer.job && answer.job.id !== watched) await watch(place, about, wrench, options, answer.job, signal);
+}
+
+const BEYOND = "The bar is over the tolerance by the solver's own error, of its mesh say. More solves do not lower that; the component's overview says what does.";
+
+function shown(answer, about, wrench) {
+  const values = answer.translation ? [...answer.translation, ...answer.rotation] : null;
+  const bars = answer.error ? [...answer.error.translation, ...answer.error.rotation] : [];
+  const limit = about.tolerance;
+  const lines = OUTPUTS.map((output, place) => {
+    const { value, bar } = withBar(values?.[place], bars[place], unitOfOutput(output));
+    const allowed = limit && (place < 3 ? limit.translation : limit.rotation);
+    const share = allowed && bars[place] !== null && bars[place] !== undefined ? percent(bars[place] / allowed) : "";
+    return row(symbol(output), value, bar, share);
+  });
+  const head = ["", "value", "95 % bar", limit ? "of the tolerance" : ""].map((one, place) =>
+    el("th", { scope: "col", class: place ? "number" : null }, one));
+  return [
+    el("div", { class: "line" }, pill(answer.coverage), el("span", { class: "muted small" }, about_(answer))),
+    answer.reason ? note(answer.coverage, answer.reason) : null,
+    answer.coverage === "covered" && answer.within_tolerance === false ? note("thin", BEYOND) : null,
+    values ? el("table", { class: "answer" }, el("thead", {}, el("tr", {}, head)), el("tbody", {}, lines)) : null,
+    answer.notes ? note("thin", el("ul", {}, answer.notes.map((one) => el("li", {}, one)))) : null,
+    el("p", { class: "muted small" }, said(wrench.slice(0, 3), wrench.slice(3))),
+  ];
+}
+
+function row(name, value, bar, share) {
+  return el("tr", {}, el("th", { scope: "row" }, name), el("td", { class: "number" }, value),
+    el("td", { class: "number muted" }, bar), el("td", { class: "number muted small" }, share));
+}
+
+function about_(answer) {
+  const source = answer.source === "fea" ? "a solve of this wrench" : answer.source === "table" ? "from the table" : answer.source || "no source";
+  return `${source} · ${answer.method} · version ${answer.table_version} · ${number(answer.elapsed_us, 3)} µs`;
+}
+
+// Events tell how far the solve is; its end is asked for as well, since it may come before them.
+async function watch(place, about, wrench, options, job, signal) {
+  const bar = el("progress", { max: "1", value: 0 });
+  const words = el("span", { class: "small muted" }, "waiting for a solver");
+  const link = el("a", { href: `#/jobs/${job.id}` }, `Job ${job.id}`);
+  place.append(el("div", { class: "stack", id: "watched" },
+    el("div", { class: "line ends" }, link, words), bar));
+  const ended = new AbortController();
+  const stop = AbortSignal.any([signal, ended.signal]);
+  listen(about.name, stop, (kind, body) => {
+    if (kind !== "job" || body.id !== job.id || !body.progress) return;
+    bar.value = body.progress.fraction;
+    words.textContent = body.progress.message;
+  });
+  try {
+    let now = job;
+    while (!["done", "failed", "cancelled"].includes(now.status)) now = await get(`v1/jobs/${job.id}?wait_s=20`, signal);
+    ended.abort();
+    if (now.status === "done") {
+      await caughtUp(about.name, signal);
+      await query(place, about, wrench, options, signal, job.id);
+    } else put(place, note("outside", el("strong", {}, `The solve ${now.status === "failed" ? "failed" : "was cancelled"}.`), now.error ? now.error.message : "", link));
+  } catch (error) {
+    ended.abort();
+    if (!signal.aborted) put(place, trouble(error));
+  }
+}

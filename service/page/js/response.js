@@ -1,0 +1,105 @@
+// What the table answers along one load, with its error band, among its rows.
+
+import { get, of, trouble } from "./api.js";
+import { choice, el, note, put } from "./dom.js";
+import { LOADS, OUTPUTS, plain, prefixOf, quantity, symbol, unitOfLoad, unitOfOutput } from "./format.js";
+import { draw, faint } from "./plot.js";
+import { wrenchForm } from "./wrench_form.js";
+
+export async function show(root, about, signal) {
+  if (!about.rows) {
+    put(root, el("p", { class: "empty" }, "The table has no rows yet."));
+    return;
+  }
+  const state = { load: "fz", output: "uz", at: LOADS.map(() => 0), sweep: null, rows: null, drawing: null };
+  const place = el("div", { class: "plot low", id: "response" });
+  const told = el("p", { class: "muted small", "aria-live": "polite" });
+  const load = async () => {
+    try {
+      await ask(about, state, signal);
+      state.drawing ??= await draw(place, (shade) => picture(state, shade), signal, "");
+      again();
+    } catch (error) { if (!signal.aborted) put(told, trouble(error)); }
+  };
+  const again = () => {
+    state.drawing?.again();
+    place.setAttribute("aria-label", labelOf(state));
+    put(told, labelOf(state));
+  };
+  const symbols = (names) => names.map((name) => [name, symbol(name)]);
+  const others = wrenchForm(about, { action: "Use these", asked: (wrench) => { state.at = wrench; load(); } });
+  others.inputs.forEach((input) => { input.value = "0"; });
+  put(root, el("section", { class: "card" },
+    el("div", { class: "line bottom" },
+      choice("load", "Along", symbols(LOADS), state.load, (value) => { state.load = value; load(); }),
+      choice("output", "Output", symbols(OUTPUTS), state.output, (value) => { state.output = value; again(); })),
+    place, told,
+    el("details", {}, el("summary", {}, "The other five loads"),
+      el("div", { class: "stack" }, note("", "Rows are drawn only where all of them are zero."), others.form))));
+  await load();
+}
+
+async function ask(about, state, signal) {
+  const at = LOADS.map((one, place) => `${one}=${state.at[place] || 0}`).join("&");
+  const alone = LOADS.every((one, place) => one === state.load || !state.at[place]);
+  const [sweep, rows] = await Promise.all([
+    get(`${of(about.name)}/response?load=${state.load}&${at}`, signal),
+    alone ? get(`${of(about.name)}/drawing?along=${state.load}&most=1000`, signal) : null,
+  ]);
+  Object.assign(state, { sweep, rows });
+}
+
+function labelOf({ sweep, rows, output, load }) {
+  const thin = sweep.coverage.filter((one) => one > 0).length;
+  const share = Math.round(100 * (1 - thin / sweep.coverage.length));
+  const drawn = rows ? `${rows.shown === 1 ? "1 row lies" : `${rows.shown} rows lie`} on this line` : "no rows are drawn: other loads act";
+  const k = OUTPUTS.indexOf(output), bars = sweep.error.map((one) => one[k] ?? 0);
+  const widest = quantity(Math.max(...bars), unitOfOutput(output), 2);
+  return `${plain(output)} over ${plain(load)} by ${sweep.method}. The band is its 95 % error bar, at most ± ${widest}; ${share} % of the line is covered; ${drawn}.`;
+}
+
+function picture(state, shade) {
+  const { sweep, rows, output, load } = state;
+  const k = OUTPUTS.indexOf(output);
+  const values = sweep.displacement.map((one) => one[k]), bars = sweep.error.map((one) => one[k]);
+  const largest = values.reduce((a, b) => Math.max(a, Math.abs(b ?? 0)), 0);
+  const [scale, prefix] = prefixOf(largest);
+  const line = (offset) => values.map((one, place) => (one === null ? null : (one + offset * (bars[place] ?? 0)) / scale));
+  const hover = `%{x:.4~g} ${unitOfLoad(load)}: %{y:.5~g} ${prefix}${unitOfOutput(output)}<extra></extra>`;
+  const band = { x: sweep.at, mode: "lines", line: { width: 0 }, hoverinfo: "skip" };
+  const data = [
+    { ...band, y: line(1) },
+    { ...band, y: line(-1), fill: "tonexty", fillcolor: faint(shade.accent, 0.22) },
+    { x: sweep.at, y: line(0), mode: "lines", line: { color: shade.accent, width: 2 }, hovertemplate: hover },
+  ];
+  if (rows) {
+    const place = LOADS.indexOf(load);
+    data.push({ x: rows.wrench.map((one) => one[place]), y: rows.displacement.map((one) => one[k] / scale), mode: "markers", marker: { color: shade.ink, size: 7, symbol: "circle-open", line: { width: 1.5 } }, hovertemplate: hover });
+  }
+  return { data, layout: {
+    xaxis: { title: { text: `${marked(load)}, ${unitOfLoad(load)}` }, range: wide(sweep.at) },
+    yaxis: { title: { text: `${marked(output)}, ${prefix}${unitOfOutput(output)}` } },
+    shapes: uncovered(sweep, shade), margin: { l: 56, r: 12, t: 12, b: 44 },
+  } };
+}
+
+const marked = (name) => `${plain(name)[0]}<sub>${name[1]}</sub>`;
+
+function wide(at) {
+  const low = at[0], high = at.at(-1), more = 0.02 * (high - low || 1);
+  return [low - more, high + more];
+}
+
+// Where the line is thin or outside, as shaded stretches.
+function uncovered(sweep, shade) {
+  const stretches = [];
+  sweep.coverage.forEach((code, place) => {
+    const last = stretches.at(-1);
+    if (last && last.code === code) last.to = sweep.at[place];
+    else stretches.push({ code, from: sweep.at[place], to: sweep.at[place] });
+  });
+  const kinds = [null, shade.thin, shade.outside];
+  return stretches.filter((one) => one.code).map((one) => ({
+    type: "rect", xref: "x", yref: "paper", x0: one.from, x1: one.to, y0: 0, y1: 1, line: { width: 0 }, fillcolor: faint(kinds[one.code], 0.12), layer: "below",
+  }));
+}

@@ -1,0 +1,78 @@
+// Scene plan: what one simulation needs of its components, and what that saves.
+
+import { get, post, trouble } from "./api.js";
+import { el, facts, field, note, pill, put } from "./dom.js";
+import { LOADS, OUTPUTS, count, number, plain, quantity, seconds, symbol, unitOfLoad, unitOfOutput } from "./format.js";
+
+export async function show(root, _, signal) {
+  document.title = "Scene plan · wrenchbook";
+  const { components } = await get("v1/components", signal);
+  const chosen = new Map();
+  const forms = el("div", { class: "stack" }), plan = el("div", { class: "cards", "aria-live": "polite" });
+  const make = el("button", { class: "first", disabled: true }, "Plan");
+  const toggle = (one) => (event) => {
+    if (event.target.checked) chosen.set(one.name, needForm(one)); else chosen.delete(one.name);
+    put(forms, [...chosen.values()].map((form) => form.root));
+    make.disabled = chosen.size === 0;
+  };
+  const ask = async (event) => {
+    event.preventDefault();
+    try {
+      const body = { components: Object.fromEntries([...chosen].map(([name, form]) => [name, form.read()])) };
+      const told = await post("v1/scenes/plan", body, signal);
+      put(plan, Object.entries(told.components).map(([name, one]) => planned(name, one)));
+    } catch (error) { if (!signal.aborted) put(plan, trouble(error)); }
+  };
+  put(root,
+    el("div", { class: "head" }, el("div", {}, el("h1", {}, "Scene plan"),
+      el("p", { class: "muted" }, "Say which loads can occur and which outputs are read: what is not needed is not solved, kept or computed."))),
+    el("form", { class: "stack", onsubmit: ask },
+      el("fieldset", { class: "card" }, el("legend", { class: "unseen" }, "Components of the scene"),
+        el("div", { class: "line" }, components.map((one) => el("label", { class: "check" }, el("input", { type: "checkbox", onchange: toggle(one) }), one.name)))),
+      forms, el("div", {}, make)),
+    plan);
+}
+
+function needForm(one) {
+  const spans = [...one.range.force, ...one.range.moment];
+  const loads = LOADS.map((load, place) => {
+    const acts = el("input", { type: "checkbox", checked: true, "aria-label": `${load} acts` });
+    const [low, high] = spans[place].map((end, which) => el("input", { type: "number", step: "any", value: String(end), "aria-label": `${load} ${which ? "to" : "from"}` }));
+    acts.addEventListener("change", () => { low.disabled = high.disabled = !acts.checked; });
+    const root = el("div", { class: "line load" }, el("label", { class: "check" }, acts, symbol(load)), low, el("span", { class: "muted" }, "to"), high, el("span", { class: "muted small" }, unitOfLoad(load)));
+    return { root, read: () => (acts.checked ? [Number(low.value), Number(high.value)] : [0, 0]) };
+  });
+  const outputs = OUTPUTS.map((output) => el("input", { type: "checkbox", checked: true, value: output }));
+  const limits = ["translation", "rotation"].map((kind) => el("input", { type: "number", step: "any", min: 0, value: String(one.tolerance?.[kind] ?? "") }));
+  const read = () => {
+    const all = loads.map((load) => load.read());
+    const need = { force: all.slice(0, 3), moment: all.slice(3), outputs: outputs.filter((box) => box.checked).map((box) => box.value) };
+    if (limits.every((limit) => Number(limit.value) > 0)) need.tolerance = { translation: Number(limits[0].value), rotation: Number(limits[1].value) };
+    return need;
+  };
+  const root = el("section", { class: "card" }, el("h2", {}, one.name),
+    el("div", { class: "halves" },
+      el("fieldset", {}, el("legend", {}, "Loads that occur"), loads.map((load) => load.root)),
+      el("div", { class: "stack" },
+        el("fieldset", {}, el("legend", {}, "Outputs that are read"), el("div", { class: "line" }, OUTPUTS.map((output, place) => el("label", { class: "check" }, outputs[place], symbol(output))))),
+        el("fieldset", {}, el("legend", {}, "Tolerance"), el("div", { class: "three" }, field("translation, m", limits[0]), field("rotation, rad", limits[1]))))));
+  return { root, read };
+}
+
+function planned(name, one) {
+  const bound = one.displacement_bound.map((value, place) => [plain(OUTPUTS[place]), value === null ? "not known" : quantity(value, unitOfOutput(OUTPUTS[place]))]);
+  const kinds = { rigid: "covered", linear: "covered", table: "running" };
+  const saved = one.saves;
+  return el("section", { class: "card" },
+    el("div", { class: "line ends" }, el("h2", {}, name), pill(one.decision, kinds[one.decision])),
+    el("p", {}, one.reason),
+    facts([
+      ["Loads", one.loads.map(plain).join(", ")],
+      ["Axes", Object.entries(one.axes).map(([axis, held]) => `${axis}: ${held.inputs.map(plain).join(", ")} (${held.dimensions}-D)`).join("; ")],
+      ["Outputs", one.outputs.map(plain).join(", ")],
+      ["First solves", `${count(one.solves.scene)} of ${count(one.solves.whole)}`],
+      ["Saves", [saved.build_s > 0 ? `${seconds(saved.build_s)} of building` : "", saved.memory_bytes > 0 ? `${number(saved.memory_bytes / 1e6, 3)} MB` : "", saved.us_per_answer > 0 ? `${number(saved.us_per_answer, 3)} µs an answer` : ""].filter(Boolean).join(", ")],
+    ]),
+    el("details", {}, el("summary", {}, "No displacement exceeds"), facts(bound)),
+    one.decision === "rigid" ? note("covered", "Leave it out: the bound is below the tolerance.") : null);
+}

@@ -1,0 +1,126 @@
+// The deformed part under a typed wrench: magnified, coloured, beside its undeformed outline.
+
+import { get, of, send, trouble } from "./api.js";
+import { choice, el, facts, field, note, pill, put, save, select } from "./dom.js";
+import { LOADS, number, quantity, stress, symbol } from "./format.js";
+import { draw } from "./plot.js";
+import { column, extent, lengths, lines, moved, outline } from "./surface.js";
+import { figure } from "./view3d.js";
+import { lastWrench, wrenchForm } from "./wrench_form.js";
+
+const MM = 1000;
+const SEEN = 0.12; // of the part's size: what the largest displacement is first magnified to
+const SHOWN = () => [["size", "|u|"], ["0", symbol("ux")], ["1", symbol("uy")], ["2", symbol("uz")]];
+
+export async function show(root, about, signal) {
+  const stage = el("div", { class: "card", "aria-live": "polite" }, el("p", { class: "muted" }, "…"));
+  const form = wrenchForm(about, { action: "Show", asked: (wrench) => bend(stage, about, wrench, signal) });
+  put(root, el("div", { class: "two" }, el("section", { class: "card" }, form.form), stage));
+  await bend(stage, about, lastWrench(about), signal);
+}
+
+const queryOf = (wrench) => LOADS.map((load, place) => `${load}=${wrench[place]}`).join("&");
+
+async function bend(stage, about, wrench, signal) {
+  let shape;
+  try {
+    shape = await get(`${of(about.name)}/deformed?${queryOf(wrench)}`, signal);
+  } catch (error) {
+    if (signal.aborted) return;
+    const hint = error.status === 409 && about.has_fea ? el("p", {}, "A solve of this wrench gives one: ", el("a", { href: `#/c/${about.name}/query` }, "ask for it"), ".") : null;
+    put(stage, trouble(error), hint);
+    return;
+  }
+  await stageOf(stage, about, wrench, shape, signal);
+}
+
+async function stageOf(stage, about, wrench, shape, signal) {
+  const sizes = lengths(shape.displacement);
+  const largest = sizes.reduce((a, b) => Math.max(a, b), 0);
+  const natural = largest > 0 ? (SEEN * extent(shape.vertices)) / largest : 1;
+  const state = { factor: round(natural), colour: "size", edges: outline(shape.vertices, shape.triangles) };
+  const place = el("div", { class: "plot", id: "shape", "data-away": 1.12 });
+  const view = figure(place, `Deformed ${about.name}`);
+  const told = el("output", { id: "factor" });
+  const slider = el("input", { type: "range", min: 0, max: 100, step: 1, value: 50, id: "magnify", "aria-label": "Magnification" });
+  let drawing = null;
+  const set = (factor, moveSlider) => {
+    state.factor = factor;
+    told.textContent = `× ${number(factor, 3)}`;
+    slider.setAttribute("aria-valuetext", `${number(factor, 3)} times`);
+    if (moveSlider) slider.value = 50 * factor / round(natural);
+    if (drawing) redraw(drawing, shape, factor);
+  };
+  slider.addEventListener("input", () => set(round((slider.value / 50) * round(natural)), false));
+  put(stage,
+    el("div", { class: "line" }, pill(shape.coverage), el("span", { class: "muted small" }, sourceOf(shape))),
+    shape.reason ? note(shape.coverage, shape.reason) : null,
+    view.root,
+    el("div", { class: "line" }, el("label", { for: "magnify" }, "Magnified"), told,
+      el("button", { type: "button", class: "small", onclick: () => set(1, true) }, "True scale"),
+      el("button", { type: "button", class: "small", onclick: () => set(round(natural), true) }, "As first shown")),
+    slider,
+    el("div", { class: "line bottom ends" }, choice("colour", "Colour", SHOWN(), "size", (value) => { state.colour = value; drawing?.again(); }), download(about, wrench)),
+    measured(shape, sizes, largest));
+  set(state.factor, false);
+  drawing = await draw(place, (shade) => picture(shape, sizes, state, shade, view.camera()), signal, said(about, largest));
+  view.hold(drawing);
+}
+
+const round = (factor) => (factor > 2 ? Number(factor.toPrecision(2)) : Math.round(factor * 100) / 100);
+const said = (about, largest) => `The deformed surface of ${about.name}; its largest displacement is ${quantity(largest, "m")}.`;
+
+function sourceOf(shape) {
+  if (shape.source === "row") return `a solve of this wrench, row ${shape.rows[0]}`;
+  if (shape.source === "linear") return "six unit solves";
+  return `interpolated between ${shape.rows.length} solves`;
+}
+
+function picture(shape, sizes, { factor, colour, edges }, shade, camera) {
+  const points = moved(shape.vertices, shape.displacement, factor);
+  const values = (colour === "size" ? sizes : column(shape.displacement, Number(colour), 1)).map((one) => one * MM);
+  const corners = [0, 1, 2].map((k) => shape.triangles.map((one) => one[k]));
+  const body = {
+    type: "mesh3d", x: column(points, 0, MM), y: column(points, 1, MM), z: column(points, 2, MM),
+    i: corners[0], j: corners[1], k: corners[2], intensity: values, colorscale: "Viridis", flatshading: false,
+    lighting: { ambient: 0.62, diffuse: 0.55, specular: 0.08, roughness: 0.8 }, hovertemplate: "%{x:.4~g}, %{y:.4~g}, %{z:.4~g} mm<extra></extra>",
+    colorbar: { title: { text: "mm", side: "top" }, thickness: 12, len: 0.7, x: 1, xanchor: "right", tickfont: { color: shade.muted }, outlinewidth: 0 },
+  };
+  const before = { type: "scatter3d", mode: "lines", ...lines(shape.vertices, edges, MM), line: { color: shade.muted, width: 3 }, hoverinfo: "skip", connectgaps: false };
+  const after = { ...before, ...lines(points, edges, MM), line: { color: shade.ink, width: 3 } };
+  const axis = (name) => ({ title: { text: `${name}, mm` }, nticks: 5 });
+  return { data: [body, before, after], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: { ...axis("z"), nticks: 4 }, aspectmode: "data", domain: { x: [0, 0.9], y: [0, 1] }, camera }, uirevision: "same" } };
+}
+
+// Only points are moved: colours and triangles stay as they are.
+function redraw(drawing, shape, factor) {
+  const points = moved(shape.vertices, shape.displacement, factor);
+  const edges = outline(shape.vertices, shape.triangles);
+  const after = lines(points, edges, MM);
+  drawing.plotly.restyle(drawing.place, {
+    x: [column(points, 0, MM), after.x], y: [column(points, 1, MM), after.y], z: [column(points, 2, MM), after.z],
+  }, [0, 2]);
+}
+
+function measured(shape, sizes, largest) {
+  const where = shape.vertices[sizes.indexOf(largest)] || [0, 0, 0];
+  const bar = shape.error ? shape.error[sizes.indexOf(largest)] : null;
+  const found = shape.stress;
+  return facts([
+    ["Largest displacement", `${quantity(largest, "m", 4)}${bar === null ? "" : ` ± ${quantity(bar, "m", 2)}`} at ${at(where)}`],
+    ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : ` ± ${stress(found.error)}`} at ${at(found.at)}` : "not told between rows here"],
+    ["Yields", found && found.yields !== null ? (found.yields ? "yes" : `no: ${stress(found.yield_strength)} is borne`) : ""],
+    ["Surface", `${shape.vertices.length} points, ${shape.triangles.length} triangles${shape.simplified ? `, simplified from ${shape.simplified.from} points` : ""}`],
+  ]);
+}
+
+const at = (point) => `(${point.map((one) => number(one * MM, 3)).join(", ")}) mm`;
+
+function download(about, wrench) {
+  const form = select([["gltf", "glTF"], ["vtu", "VTU (ParaView)"], ["json", "JSON"]], "gltf");
+  const take = async () => {
+    const reply = await send("GET", `${of(about.name)}/deformed?${queryOf(wrench)}&format=${form.value}`);
+    save(await reply.blob(), `${about.name}.${form.value === "gltf" ? "glb" : form.value}`);
+  };
+  return el("div", { class: "line bottom" }, field("As a file", form), el("button", { type: "button", onclick: take }, "Save"));
+}

@@ -1,0 +1,39 @@
+// A table in and out: check a file, mend its bad rows, import; export in a format and units.
+
+import { el, field, put, save, select } from "./dom.js";
+import { of, send, trouble } from "./api.js";
+import { importForm } from "./import.js";
+import { versionField } from "./version.js";
+
+const FORMATS = [["csv", "CSV"], ["xlsx", "Excel (XLSX)"], ["parquet", "Parquet"], ["hdf5", "HDF5"], ["json", "JSON"], ["mat", "MATLAB breakpoints"]];
+const ENDINGS = { hdf5: "h5" };
+const UNITS = { force: ["N", "kN", "lbf"], moment: ["N*m", "N*mm", "lbf*ft"], translation: ["m", "mm", "um", "inch"], rotation: ["rad", "mrad", "deg"] };
+const IN_UNITS = ["csv", "xlsx"]; // programs read the others: always SI
+
+export async function show(root, about, signal) {
+  put(root, el("div", { class: "stack" },
+    el("section", { class: "card" }, el("h2", {}, "Import rows"), importForm(about, signal)),
+    el("section", { class: "card" }, el("h2", {}, "Export the table"), exportForm(about, signal))));
+}
+
+function exportForm(about, signal) {
+  const version = versionField(about, signal);
+  const state = el("div", { "aria-live": "polite" });
+  const units = Object.entries(UNITS).map(([kind, list]) => [kind, select(list.map((one) => [one, one.replace("*", "·").replace("um", "µm")]), list[0])]);
+  const chosen = select(FORMATS, "csv", (value) => { for (const [, one] of units) one.disabled = !IN_UNITS.includes(value); });
+  chosen.id = "export-format";
+  const take = async (event) => {
+    event.preventDefault();
+    const asked = new URLSearchParams({ format: chosen.value });
+    if (IN_UNITS.includes(chosen.value)) for (const [kind, one] of units) asked.set(kind, one.value);
+    if (version.read() !== null) asked.set("table_version", version.read());
+    try {
+      const reply = await send("GET", `${of(about.name)}/table?${asked}`);
+      const named = reply.headers.get("Content-Disposition")?.match(/filename="([^"]+)"/);
+      save(await reply.blob(), named ? named[1] : `${about.name}.${ENDINGS[chosen.value] || chosen.value}`);
+      put(state);
+    } catch (error) { put(state, trouble(error)); }
+  };
+  return el("form", { class: "stack", onsubmit: take },
+    el("div", { class: "few" }, field("Format", chosen), units.map(([kind, one]) => field(kind[0].toUpperCase() + kind.slice(1), one)), version.root), el("div", {}, el("button", {}, "Export")), state);
+}

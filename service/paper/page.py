@@ -1,0 +1,147 @@
+"""The reproduction as one HTML page with plots, which needs nothing but itself."""
+
+from __future__ import annotations
+
+import html
+from typing import Any
+
+import plotly.graph_objects as go
+
+from service.paper.part import OUTPUTS
+from service.report.page import LAYOUT, STYLE, section_html
+from service.report.text import Section
+
+# Colours that remain apart for the colour-blind (Okabe and Ito 2008).
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+_LOOKS: dict[str, dict[str, Any]] = {
+    "line": {"mode": "lines", "line": {"width": 2}},
+    "dash": {"mode": "lines", "line": {"width": 2, "dash": "dash"}},
+    "points": {"mode": "markers", "marker": {"size": 8, "symbol": "circle-open"}},
+    "crosses": {"mode": "markers", "marker": {"size": 8, "symbol": "x-thin-open"}},
+}
+HEAD = ("quantity", "beside", "reference", "computed", "error", "band", "verdict")
+
+
+def as_page(body: dict[str, Any]) -> str:
+    """Lay out what `run` gives, JSON-able values, as an HTML page."""
+    heading = "The coupling paper, reproduced"
+    parts, first = [], True
+    for part in body["parts"].values():
+        section = Section(part["title"], part["note"], HEAD, lines_of(part["findings"]))
+        parts.append(section_html(section))
+        for plot in part["plots"]:
+            drawn = _figure(plot).to_html(full_html=False, include_plotlyjs=first)
+            parts.append(f"<h3>{html.escape(plot['title'])}</h3>{drawn}")
+            first = False
+        parts += [section_html(one) for one in _components(part["numbers"])]
+    return (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{heading}</title>'
+        f"<style>{STYLE}td:nth-child(2){{white-space:normal}}</style></head><body><h1>{heading}</h1>"
+        f"<p>{html.escape(body['summary'])}</p>{''.join(parts)}</body></html>"
+    )
+
+
+def lines_of(findings: list[dict[str, Any]]) -> tuple[tuple[str, ...], ...]:
+    """Return findings as words, in the order of `HEAD`."""
+    return tuple(
+        (
+            one["quantity"],
+            one["source"],
+            f"{one['reference']:.5g}",
+            f"{one['computed']:.6g}",
+            f"{one['error']:.2g}",
+            _band(one),
+            one["verdict"],
+        )
+        for one in findings
+    )
+
+
+def _band(finding: dict[str, Any]) -> str:
+    """Say what a finding's error may be."""
+    tolerance, comparison = finding["tolerance"], finding["comparison"]
+    if tolerance is None:
+        return ""
+    if comparison == "at least":
+        return f"at least {finding['reference'] - tolerance:g}"
+    return f"{tolerance:g}" + " relative" * (comparison == "relative")
+
+
+def _figure(plot: dict[str, Any]) -> go.Figure:
+    """Draw a plot; curves of one output share their colour."""
+    figure = go.Figure()
+    shades: dict[str, str] = {}
+    for curve in plot["curves"]:
+        group = curve["name"].split(",")[0]
+        colour = shades.setdefault(group, _COLOURS[len(shades) % len(_COLOURS)])
+        look = _LOOKS[curve["look"]]
+        figure.add_scatter(
+            x=curve["x"],
+            y=curve["y"],
+            name=curve["name"],
+            mode=look["mode"],
+            line={"color": colour, **look.get("line", {})},
+            marker={"color": colour, **look.get("marker", {})},
+        )
+    figure.update_xaxes(title=plot["x"])
+    figure.update_yaxes(title=plot["y"], exponentformat="power")
+    return figure.update_layout(**LAYOUT, showlegend=True)
+
+
+def _components(numbers: dict[str, Any]) -> list[Section]:
+    """Return each component's errors, output by output, the small ones named."""
+    found = []
+    for name, one in numbers.items():
+        if not isinstance(one, dict) or "methods" not in one:
+            continue
+        lines = []
+        for told in one["methods"].values():
+            for place, output in enumerate(OUTPUTS):
+                lines.append(_component_line(told, place, output))
+        note = (
+            f"{one['rows']} rows for {one['wrenches']} wrenches. Ranges, errors and bars in m and "
+            "rad; small: below a tenth of the largest output of its kind."
+        )
+        head = (
+            "method",
+            "output",
+            "range",
+            "RMS/range",
+            "largest error",
+            "median bar",
+            "inside",
+            "",
+        )
+        found.append(Section(f"Error of each output on {name}", note, head, tuple(lines)))
+        found.append(_times(name, one))
+    return found
+
+
+def _component_line(told: dict[str, Any], place: int, output: str) -> tuple[str, ...]:
+    return (
+        told["method"],
+        output,
+        f"{told['range'][place]:.2e}",
+        f"{told['rms_over_range'][place]:.1e}",
+        f"{told['largest_error'][place]:.1e}",
+        f"{told['median_bar'][place]:.1e}",
+        f"{told['inside_bars'][place]:.0%}",
+        "small" if output in told["small"] else "",
+    )
+
+
+def _times(name: str, one: dict[str, Any]) -> Section:
+    head = ("method", "covered", "one answer", "over HTTP", "one solve", "the whole loop")
+    lines = tuple(
+        (
+            told["method"],
+            f"{told['coverage']['covered']} of {sum(told['coverage'].values())}",
+            f"{1e6 * told['answer_s']:.0f} µs",
+            f"{1e6 * told['http_s']:.0f} µs",
+            f"{told['solve_s']:.2f} s",
+            f"{told['loop_s']:.2f} s",
+        )
+        for told in one["methods"].values()
+    )
+    note = "Medians of wall time; other programs on the machine stretch them."
+    return Section(f"Run time on {name}", note, head, lines)

@@ -1,0 +1,95 @@
+"""Measured rows beside solved ones: where a measurement lies outside what the solves say."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from surrogate.build import AnyTable, build
+from surrogate.table.rows import LOADS, OUTPUTS, LoadRange, Rows, Tolerance
+
+MOST_ROWS = 5000  # measured ones that are compared; more are thinned evenly
+MOST_TOLD = 500
+FEA = "fea"
+
+
+def disagreement(
+    rows: Rows, span: LoadRange, tolerance: Tolerance | None, linear: bool
+) -> dict[str, Any]:
+    """Compare each measured row with a table of the solved rows alone.
+
+    Parameters
+    ----------
+    rows : Rows
+        All of a component's usable rows.
+    span : LoadRange, N and N·m
+    tolerance : Tolerance or None, m and rad
+    linear : bool
+        Whether the component is linear.
+
+    Returns
+    -------
+    dict
+        ``measured``, ``solved``, ``compared``, ``outside`` (rows with an output outside of both
+        bars, the solves' and the measurement's own), ``outputs`` (of each: how many outside, the
+        mean difference, m or rad, which tells an offset) and ``rows``, the worst first.
+    """
+    solved = rows.source == FEA
+    told: dict[str, Any] = {"measured": int((~solved).sum()), "solved": int(solved.sum())}
+    within = np.asarray(span.holds(rows.wrench)) & ~solved
+    told["beyond_range"] = told["measured"] - int(within.sum())
+    if not told["solved"] or not within.any():
+        reason = "there is no solved row" if not told["solved"] else "there is no measured row"
+        return told | {"compared": 0, "outside": 0, "outputs": {}, "rows": [], "reason": reason}
+    table = build(rows.take(solved), span, tolerance=tolerance, linear=linear, version=0)
+    places = np.flatnonzero(within)
+    places = places[:: max(1, -(-len(places) // MOST_ROWS))]
+    return told | _compared(table, rows.take(places))
+
+
+def _compared(table: AnyTable, measured: Rows) -> dict[str, Any]:
+    expected = table.batch(measured.wrench)
+    off = measured.displacement - expected.displacement
+    own = np.where(np.isfinite(measured.uncertainty), measured.uncertainty, 0.0)
+    bar = np.hypot(expected.error, own)  # two independent 95 % half widths
+    known = np.isfinite(off) & np.isfinite(bar) & (expected.coverage < 2)[:, None]
+    ratio = np.where(known, np.abs(off) / np.maximum(bar, np.finfo(float).tiny), 0.0)
+    outside = ratio > 1.0
+    told = [
+        _row(measured, expected.displacement, bar, ratio, at, output)
+        for at, output in np.argwhere(outside).tolist()
+    ]
+    told.sort(key=lambda row: -row["ratio"])
+    return {
+        "compared": int(known.any(axis=1).sum()),
+        "outside": int(outside.any(axis=1).sum()),
+        "not_told": int((~known.any(axis=1)).sum()),
+        "outputs": {
+            name: {
+                "compared": int(known[:, output].sum()),
+                "outside": int(outside[:, output].sum()),
+                "mean_difference": _mean(off[known[:, output], output]),
+            }
+            for output, name in enumerate(OUTPUTS)
+        },
+        "rows": told[:MOST_TOLD],
+    }
+
+
+def _row(
+    rows: Rows, expected: np.ndarray, bar: np.ndarray, ratio: np.ndarray, at: int, output: int
+) -> dict[str, Any]:
+    return {
+        "row": int(rows.seq[at]),
+        "wrench": dict(zip(LOADS, rows.wrench[at].tolist(), strict=True)),
+        "output": OUTPUTS[output],
+        "measured": float(rows.displacement[at, output]),
+        "expected": float(expected[at, output]),
+        "bar": float(bar[at, output]),
+        "ratio": float(ratio[at, output]),
+    }
+
+
+def _mean(values: np.ndarray) -> float | None:
+    return float(values.mean()) if len(values) else None

@@ -1,0 +1,87 @@
+"""Table files into the ledger: read behind the fence, all rows or none, and every row told of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from service.ledger import About, Ledger
+from service.library.component import Component
+from service.tablefile import Options, Read, read_fenced
+from service.tables.rows import packed_pieces
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is to become of a file's rows.
+
+    Attributes
+    ----------
+    dry_run : bool
+        Only count: nothing is changed.
+    partial : bool
+        Load the good rows though others have mistakes.
+    preview : int
+        How many of the first good rows are told.
+    """
+
+    dry_run: bool = False
+    partial: bool = False
+    preview: int = 0
+
+
+def import_files(
+    ledger: Ledger,
+    component: Component,
+    files: Sequence[Path],
+    options: Options,
+    wish: Wish,
+    about: About,
+) -> dict[str, Any]:
+    """Read a file, or two logs, and load its rows unless something is wrong.
+
+    `files` are one table, or the log of the loads and that of the displacements; load range and
+    fingerprint are the component's, whatever `options` say.
+
+    Returns the members of a reply: ``inserted``, ``existing``, ``errors``, ``rows`` and so on;
+    rows were loaded if ``loaded`` says so.
+
+    Raises
+    ------
+    FenceBusyError, ImportRunningError, LedgerUnavailableError, OSError
+        If it could not be read or written now; nothing was loaded.
+    """
+    own = replace(options, load_range=component.load_range, fingerprint=component.fingerprint)
+    read = read_fenced(files, own, wish.preview)
+    told = dict(read.told)
+    refused = told.pop("whole") or bool(told["errors"] and not wish.partial)
+    inserted, existing, number = 0, 0, None
+    if not refused and wish.dry_run:
+        inserted, existing = _counted(ledger, component, read)
+    elif not refused:
+        packed = packed_pieces(component, read.pieces())
+        about = replace(about, format=told["format"])
+        inserted, existing, number = ledger.import_rows(component.name, packed, about)
+    rows = told.pop("rows")
+    good = rows.pop("good")
+    return {
+        "inserted": inserted,
+        "existing": existing,
+        "dry_run": wish.dry_run,
+        "partial": wish.partial,
+        "import": number,
+        "loaded": not refused and not wish.dry_run,
+        **told,
+        "rows": {**rows, "loaded": 0 if refused or wish.dry_run else good},
+    }
+
+
+def _counted(ledger: Ledger, component: Component, read: Read) -> tuple[int, int]:
+    """Return how many rows would be new and how many are there already."""
+    keys: list[bytes] = []
+    for block in packed_pieces(component, read.pieces()):
+        keys += [row[-2] for row in block if isinstance(row[-2], bytes)]
+    known = ledger.known_rows(keys)
+    return len(keys) - known, known

@@ -1,0 +1,75 @@
+"""What the solver of each set-up may be wrong by, in a folder: ``<component>/<fingerprint>.json``.
+
+It is estimated with the first solve of a set-up, by the solver's process, and belongs to all rows
+of it. A file that is missing or damaged costs the bars that share of theirs, which is told, and the
+next solve makes it anew.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from service.files.durable import write_whole_bytes
+from surrogate.solver_error import SolverError
+
+_log = logging.getLogger(__name__)
+
+
+class SolverErrors:
+    """The estimates of a data directory; several processes may use it.
+
+    Parameters
+    ----------
+    folder : path
+        Made when the first estimate is kept.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._claimed: set[tuple[str, str]] = set()
+        self._lock = threading.Lock()
+
+    def claim(self, component: str, fingerprint: str) -> bool:
+        """Return whether a solve that starts now shall estimate; one at a time in this process."""
+        key = component, fingerprint
+        with self._lock:
+            if key in self._claimed or self.read(*key) is not None:
+                return False
+            self._claimed.add(key)
+            return True
+
+    def settle(self, component: str, fingerprint: str, told: Mapping[str, Any] | None) -> None:
+        """Keep what a solve that has ended told, or let the next one estimate; never raises."""
+        try:
+            if told is not None:
+                SolverError(told)
+                path = self._path(component, fingerprint)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_whole_bytes(path, json.dumps(dict(told), allow_nan=False).encode())
+        except (OSError, ValueError, TypeError) as error:
+            _log.warning("%s: the solver's error was not kept: %s", component, error)
+        finally:
+            with self._lock:
+                self._claimed.discard((component, fingerprint))
+
+    def release(self, component: str, fingerprint: str) -> None:
+        """Let the next solve estimate: the one that was to has ended without."""
+        self.settle(component, fingerprint, None)
+
+    def read(self, component: str, fingerprint: str) -> SolverError | None:
+        """Return what is known of a set-up; None of one that was never estimated."""
+        try:
+            return SolverError(json.loads(self._path(component, fingerprint).read_bytes()))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, TypeError, AttributeError) as error:
+            _log.warning("%s: the solver's error cannot be read: %s", component, error)
+            return None
+
+    def _path(self, component: str, fingerprint: str) -> Path:
+        return self._folder / component / f"{fingerprint}.json"

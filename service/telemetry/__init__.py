@@ -1,0 +1,1 @@
+"""What an operator sees of a server: its counts for Prometheus, its log."""

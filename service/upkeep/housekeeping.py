@@ -1,0 +1,140 @@
+"""What a server does for its data directory in quiet moments: short logs, no old folders."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from service.ledger import FINAL, Ledger, LedgerError
+
+_log = logging.getLogger(__name__)
+
+DAY = 86_400.0
+LOOK_S = 30.0  # between looks at the log: one of 16 MB is not grown beyond by a day's jobs
+PRUNE_S = 600.0  # between looks for old folders
+LONG_LOG = 4 * 1024 * 1024  # bytes; SQLite itself begins to bring it in at this size
+PART = 2000  # folders looked at in one go
+
+
+@dataclass(frozen=True)
+class Keep:
+    """Which folders of ended attempts are kept; rows and jobs are, whatever happens to these.
+
+    A folder is removed once it is older than its days or there are more newer ones than its number.
+    Attributes with `failed` hold for failed and cancelled jobs, whose folder is what tells why.
+    """
+
+    days: float = 30.0
+    count: int = 2_000  # 27 kB and 7 entries each: 54 MB
+    failed_days: float = 180.0
+    failed_count: int = 10_000
+
+
+KEEP = Keep()
+
+
+class Housekeeping:
+    """A thread that keeps a data directory from growing.
+
+    Parameters
+    ----------
+    ledger : Ledger
+    jobs_folder : path
+        Of the attempts' folders.
+    keep : Keep
+    """
+
+    def __init__(self, ledger: Ledger, jobs_folder: Path, keep: Keep = KEEP) -> None:
+        self._ledger, self._jobs_folder, self._keep = ledger, jobs_folder, keep
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin; it ends with `stop`."""
+        self._thread = threading.Thread(target=self._loop, name="housekeeping", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End, in the middle of a look if need be."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def _loop(self) -> None:
+        next_prune = time.monotonic()
+        while not self._stopping.wait(LOOK_S):
+            try:
+                shorten_log(self._ledger)
+                if time.monotonic() >= next_prune:
+                    prune(self._ledger, self._jobs_folder, self._keep, self._stopping)
+                    next_prune = time.monotonic() + PRUNE_S
+            except LedgerError:
+                continue  # the ledger itself tells of it
+            except Exception:
+                _log.exception("keeping house failed; it is tried again")
+
+
+def shorten_log(ledger: Ledger, longest: int = LONG_LOG) -> bool:
+    """Empty the ledger's log if it is longer than that, bytes; False if it was not done."""
+    return ledger.sizes()["log"] > longest and ledger.checkpoint()
+
+
+def prune(
+    ledger: Ledger, jobs_folder: Path, keep: Keep, stopping: threading.Event | None = None
+) -> int:
+    """Remove the folders of attempts that ended long ago, or that too many have ended since.
+
+    Those of jobs that wait or run stay, and so does what the ledger does not know. An age is never
+    told by a clock that was set back: a job that ended in the future is as new as can be.
+
+    Returns
+    -------
+    int
+        How many jobs' folders were removed.
+    """
+    numbers = sorted((int(name) for name in _names(jobs_folder) if name.isdecimal()), reverse=True)
+    kept, removed, now = {True: 0, False: 0}, 0, time.time()
+    for start in range(0, len(numbers), PART):
+        part = numbers[start : start + PART]
+        known = ledger.attempts(part)
+        for number in part:
+            if stopping is not None and stopping.is_set():
+                return removed
+            status, attempt, ended = known.get(number, ("unknown", 0, None))
+            if status not in FINAL or ended is None:
+                continue
+            good = status == "done"
+            days, most = (keep.days, keep.count) if good else (keep.failed_days, keep.failed_count)
+            if kept[good] < most and now - ended < days * DAY:
+                kept[good] += 1
+            else:
+                removed += _remove(jobs_folder / str(number), attempt)
+    if removed:
+        _log.info("the folders of %d ended jobs were removed", removed)
+    return removed
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        return os.listdir(folder)  # noqa: PTH208 (a list of 10**5 names, no 10**5 paths)
+    except OSError:
+        return []
+
+
+def _remove(folder: Path, attempt: int) -> bool:
+    """Remove a job's attempts up to one; a later one, of a job that was just reopened, stays."""
+    for name in _names(folder):
+        number = name.partition(".")[0]  # "2.old-..." was left by a ledger that is gone
+        if number.isdecimal() and int(number) <= attempt:
+            shutil.rmtree(folder / name, ignore_errors=True)
+    try:
+        folder.rmdir()
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,109 @@
+"""A data directory from a backup: all of it, checked, or nothing."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+
+from service.files import lock
+from service.files.durable import sync_folder, sync_tree
+from service.ledger import Ledger, LedgerError
+from service.tables.shelf import FOLDER as SHARED
+from service.tables.shelf import LOCK
+from service.upkeep.archive import LEDGER, BackupError, Manifest, copies, opened, read_manifest
+from service.upkeep.backup import verify
+
+_DRAFT = ".restoring"  # in the data directory: it may be a mount, beside which nothing can be
+
+
+def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Manifest, Path | None]:
+    """Put what a backup holds into a data directory.
+
+    The backup is read through first, and what was written is checked before it gets its place.
+
+    Parameters
+    ----------
+    source : path
+        The backup.
+    folder : path
+        Made if there is none.
+    overwrite : bool
+        Whether a directory with something in it may be used; what is in it is moved aside.
+
+    Returns
+    -------
+    manifest : Manifest
+    aside : path or None
+        Where what was there is now.
+
+    Raises
+    ------
+    BackupError
+        If the backup is not whole or too new, or the directory not empty, in use or not writable.
+    """
+    folder = folder.absolute()
+    verify(source)
+    draft = folder / _DRAFT
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        present = sorted(entry for entry in folder.iterdir() if entry.name != _DRAFT)
+        _check_free(folder, present, overwrite=overwrite)
+        shutil.rmtree(draft, ignore_errors=True)  # of a restore that was ended
+        draft.mkdir()
+        manifest = _unpacked(source, draft)
+        sync_tree(draft)
+        aside = _move_aside(folder, present) if present else None
+        for entry in sorted(draft.iterdir(), key=lambda entry: entry.name == LEDGER):
+            entry.rename(folder / entry.name)
+        sync_folder(folder)
+    except OSError as error:
+        raise BackupError(f"{folder} cannot be written: {error}") from error
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+    return manifest, aside
+
+
+def in_use(folder: Path) -> bool:
+    """Return whether a server or a worker solves for a data directory now."""
+    owners = (folder / "jobs" / "owners").glob("*.lock")
+    return any(lock.is_held(file) for file in (*owners, folder / SHARED / LOCK))
+
+
+def _check_free(folder: Path, present: list[Path], *, overwrite: bool) -> None:
+    if in_use(folder):
+        raise BackupError(f"a server or worker uses {folder}; stop it first. Nothing was changed")
+    if present and not overwrite:
+        raise BackupError(
+            f"{folder} is not empty ({present[0].name} and {len(present) - 1} more); name another "
+            "directory, or say --overwrite to have what is in it moved aside. Nothing was changed"
+        )
+
+
+def _unpacked(source: Path, draft: Path) -> Manifest:
+    """Write a backup's files and open the ledger among them."""
+
+    def place(name: str):
+        path = draft / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path.open("xb")
+
+    with opened(source) as archive:
+        manifest = read_manifest(archive, source)
+        for _ in copies(archive, manifest, source, place):
+            pass
+    try:
+        Ledger(draft / LEDGER).close()  # checks all of it and brings it to today's schema
+    except LedgerError as error:
+        raise BackupError(f"the ledger in {source} cannot be used: {error}") from error
+    return manifest
+
+
+def _move_aside(folder: Path, present: list[Path]) -> Path:
+    """Move what is in a folder into one of its own there; the ledger first, with its log."""
+    aside = folder / f".before-restore-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
+    aside.mkdir()
+    for entry in sorted(present, key=lambda entry: not entry.name.startswith(LEDGER)):
+        if not entry.name.startswith(".before-restore-"):
+            entry.rename(aside / entry.name)
+    return aside
