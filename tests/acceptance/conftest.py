@@ -19,10 +19,12 @@ class RealServer:
         self.process = None
         self.client = None
 
-    def start(self, solvers=2):
+    def start(self, solvers=2, options=(), environment=None):
         command = [sys.executable, "-m", "service.cli.main", "serve", "--data", str(self.folder)]
         command += ["--port", "0", "--solvers", str(solvers), "--log-level", "warning"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        command += options
+        variables = dict(os.environ) | (environment or {})
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=variables)
         address = self.process.stdout.readline().split()[-1]
         self.client = Client(address, timeout=60)
         deadline = time.monotonic() + 60

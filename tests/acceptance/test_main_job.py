@@ -28,7 +28,7 @@ def test_a_thin_table_is_solved_filled_and_then_covers(server):
     client = server.start()
     answer = client.displacement("plate_thin", *WRENCH, on_thin="wait", wait_s=60)
     assert answer.source == "fea"
-    for round_ in client.fill_until("plate_thin", budget=40, round_size=40):
+    for round_ in client.fill_until("plate_thin", budget=18, round_size=18):
         assert {job.status for job in round_.jobs} <= {"done"}  # none once the tolerance is met
     tolerance = {"translation": 2e-3, "rotation": 2e-2}
     told = client.displacement("plate_thin", [0, 0, -500.0], [10.0, 0, 0], tolerance=tolerance)
@@ -42,14 +42,13 @@ def test_a_thin_table_is_solved_filled_and_then_covers(server):
 
 def test_killed_servers_and_solvers_lose_no_accepted_job_and_double_no_row(server):
     client = server.start()
-    wrenches = np.zeros((12, 6))
-    wrenches[:, 2] = -np.arange(1.0, 13.0) * 50
+    wrenches = np.zeros((5, 6))
+    wrenches[:, 2] = -np.arange(1.0, 6.0) * 50
     jobs = [client.solve("plate_thin", wrench).job for wrench in wrenches]  # nothing is joined
-    assert len({job.id for job in jobs}) == 12
-    for _ in range(2):
-        _wait_until_running(client)
-        server.kill()
-        client = server.start()
+    assert len({job.id for job in jobs}) == 5
+    _wait_until_running(client)
+    server.kill()
+    client = server.start()
     _wait_until_running(client)
     _kill_a_solver(server.folder)
     for job in jobs:

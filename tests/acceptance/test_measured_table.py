@@ -28,7 +28,7 @@ def client(server):
 
 def test_five_hundred_rows_load_answer_and_come_back(client):
     lines, rows = lines_of()
-    assert client.import_table("rig", "\n".join(lines))["inserted"] == 500
+    assert client.import_table("rig", "\n".join(lines), missing_loads="zero")["inserted"] == 500
     assert client.component("rig")["rows"] == 500  # it waits for the rows that are durable
     middle = client.displacement("rig", [10 * LBF, 0, 20 * LBF], on_thin="estimate")
     assert middle.translation / MM == pytest.approx([0.2, 0.0, 1.0], abs=2e-3)
@@ -45,7 +45,7 @@ def test_three_bad_rows_are_each_named_and_nothing_is_loaded(client):
     lines[100] = "1,inf,3,4,5,0,0,0"
     lines[500] = "1,2,3,4,5,0,45,0"
     with pytest.raises(ProblemError) as refused:
-        client.import_table("rig", "\n".join(lines))
+        client.import_table("rig", "\n".join(lines), missing_loads="zero")
     named = [(error["row"], error["field"]) for error in refused.value.errors]
     assert [row for row, _ in named] == [8, 101, 501]
     assert [field for _, field in named[:2]] == ["uz [mm]", "Fz [lbf]"]

@@ -2,12 +2,16 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from fea.element.equivalent_stress import von_mises
+from fea.solve import Solver
 from fea.validation import calculix
 from fea.validation.clamped import shipped
 from fea.validation.plate import WRENCH
 from fea.validation.samemesh import same_mesh
+from tests.fea import calculix as in_calculix
 from tests.fea.tets import in_tets
 
 pytestmark = pytest.mark.skipif(not calculix.installed(), reason=calculix.ABSENT)
@@ -36,3 +40,18 @@ def test_the_shipped_spring_nonlinear(load):
 @pytest.mark.parametrize("load", [1.0, 10.0])
 def test_the_spring_cut_into_c3d10_nonlinear(load):
     agrees(in_tets(shipped("spring", cells_per_turn=8)), [0, 0, -load, 0, 0, 0])
+
+
+def test_the_thin_plates_largest_stress_under_twenty_wrenches(tmp_path):
+    """Of the whole load range, nonlinear, at the same integration points: some ten minutes."""
+    part = replace(shipped("plate_thin"), coupling="rigid")
+    loads, built, gaps = part.bundle.range, Solver(part), []
+    for wrench in np.random.default_rng(20).uniform(loads.low, loads.high, (20, 6)):
+        solution = built.solve(wrench)
+        told = in_calculix.conjugate(wrench, solution.displacement)
+        theirs = von_mises(in_calculix.stresses(part, told, tmp_path, nonlinear=True))
+        found = built.fields(solution)
+        assert von_mises(found.stress).argmax() == theirs.argmax()
+        gaps.append(abs(found.largest / theirs.max() - 1.0))
+        print(f"{found.largest / 1e6:8.2f} MPa, {gaps[-1]:.1e} off", flush=True)
+    assert max(gaps) < 1e-4

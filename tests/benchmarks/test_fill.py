@@ -101,7 +101,7 @@ def grown(lab: Lab, rows: Rows, solves: int) -> tuple[Rows, Surrogate, float]:
         asked = next_wrenches(table, min(ROUND, solves - len(rows))).wrenches
         longest = max(longest, time.perf_counter() - started)
         rows = rows + lab.rows(asked)
-        table = build(rows, lab.range, previous=table)
+        table = build(rows, lab.range)
     assert isinstance(table, Surrogate)
     return rows, table, longest
 

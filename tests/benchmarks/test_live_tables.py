@@ -21,7 +21,7 @@ import pytest
 from service.client import Client
 from service.files.child import child_command
 from service.tablefile import write_hdf5
-from surrogate.table.hdf5 import TableMeta
+from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange, Rows
 
 AXES = ((0, 4, 5), (1, 5, 3), (2, 3, 4))
@@ -93,7 +93,7 @@ class Asking:
 
     def __init__(self, port: int, name: str) -> None:
         self._connection = socket.create_connection(("127.0.0.1", port))
-        head = f"POST /v1/components/{name}/displacement HTTP/1.1\r\nHost: x\r\n"
+        head = f"POST /v1/components/{name}/displacement HTTP/1.1\r\nHost: 127.0.0.1\r\n"
         head += f"Content-Type: application/json\r\nContent-Length: {len(BODY)}\r\n\r\n"
         self._request = head.encode() + BODY
 
@@ -180,7 +180,7 @@ def test_answers_while_a_table_of_10000_rows_an_axis_is_built(tmp_path: Path) ->
         print(f"restart: the large one after {time.perf_counter() - started:.1f} s")
 
 
-@pytest.mark.timeout(420)
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("kind", ["csv", "hdf5"])
 def test_an_import_of_100000_rows(tmp_path: Path, kind: str) -> None:
     count = int(os.environ.get("ROWS", "100000"))

@@ -14,23 +14,27 @@ import uvicorn
 
 from service.client import Client
 from service.http.app import create_app
+from service.http.server import server_config
 from service.workspace import Settings
+from surrogate.jit import COMPILED, ready
 
 FULL = np.array([100.0] * 3 + [10.0] * 3)  # N and N·m: the load range of the made-up tables
 
 
 @contextmanager
-def served(folder: Path) -> Iterator[Client]:
-    """Serve a data directory, without solvers, and give a client of it."""
+def served(folder: Path, solvers: int = 0) -> Iterator[Client]:
+    """Serve a data directory, without solvers if none are wanted, and give a client of it."""
     bound = socket.create_server(("127.0.0.1", 0))
-    app = create_app(Settings(folder, solvers=0))
-    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False))
+    app = create_app(Settings(folder, solvers=solvers))
+    server = uvicorn.Server(server_config(app))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, daemon=True)
     thread.start()
     with Client(f"http://127.0.0.1:{bound.getsockname()[1]}", timeout=60) as client:
         deadline = time.monotonic() + 30
         while not client.is_ready() and time.monotonic() < deadline:
             time.sleep(0.02)
+        while COMPILED and not ready() and time.monotonic() < deadline:
+            time.sleep(0.02)  # what is compiled gives other last digits
         yield client
     server.should_exit = True
     thread.join(20)

@@ -6,6 +6,8 @@ import subprocess
 import time
 from pathlib import Path
 
+from service.jobs.attempt import write_outcome
+
 
 def displacement(wrench):
     """The answer every stand-in gives: a millionth of the wrench."""
@@ -78,3 +80,91 @@ def leaves_a_child(spec, report):
     child = subprocess.Popen(["sleep", "60"], close_fds=False)
     Path("child").write_text(str(child.pid))
     endless(spec, report)
+
+
+_answered = 0
+_hoard = []
+
+
+def counts(spec, report):
+    """Tells how many attempts its process has answered, which process that is, and when."""
+    global _answered
+    _answered += 1
+    print(f"answered {_answered}")
+    seen = {"answered": _answered, "pid": os.getpid(), "folder": str(Path.cwd())}
+    seen["at"] = time.monotonic_ns()
+    return {"displacement": displacement(spec.wrench), "seen": seen}
+
+
+def leaks(spec, report):
+    """Keeps 300 MB of each attempt but the first."""
+    if _answered:
+        _hoard.append(b"x" * 300_000_000)
+    return counts(spec, report)
+
+
+def answers_and_dies(spec, report):
+    """Dies after its outcome is on the disk and before it has told anybody."""
+    write_outcome(Path.cwd(), spec, {"status": "done", "displacement": displacement(spec.wrench)})
+    dies(spec, report)
+
+
+def slow_first(spec, report):
+    """The first attempt of a job is endless, another one quick."""
+    if spec.attempt == 1:
+        endless(spec, report)
+    return counts(spec, report)
+
+
+def waits_for_a_word(spec, report):
+    """Ends when a file `go` appears in its folder."""
+    for _ in range(6000):
+        if Path("go").exists():
+            return {"displacement": displacement(spec.wrench)}
+        time.sleep(0.02)
+    raise TimeoutError("nobody said go")
+
+
+def counted(spec, report):
+    """Slow, and counts its starts in the file that stands for the fingerprint."""
+    with Path(spec.fingerprint).open("a") as starts:
+        starts.write("start\n")
+    for step in range(75):
+        report(step / 75, f"step {step}")
+        time.sleep(0.02)
+    return {"displacement": displacement(spec.wrench)}
+
+
+def reads_its_bundle(spec, report):
+    bundle = Path(spec.bundle)
+    files = {path.name: path.read_text() for path in bundle.rglob("*") if path.is_file()}
+    return {"displacement": displacement(spec.wrench), "seen": files}
+
+
+def leaves_files(spec, report):
+    Path("deck").mkdir()
+    Path("deck", "part.dat").write_text("a number: 7")
+    Path("failed.vtu").write_bytes(bytes(range(256)))
+    diverges(spec, report)
+
+
+def leaves_100_mb(spec, report):
+    Path("huge.bin").write_bytes(bytes(100_000_000))
+    print("x" * 3_000_000)
+    print("the last line")
+    return quick(spec, report)
+
+
+def answers_100_mb(spec, report):
+    return {**quick(spec, report), "notes": ["n" * 1_000_000] * 100}
+
+
+def sleeps(spec, report):
+    """Takes 10 ms, the shortest solve there is."""
+    time.sleep(0.01)
+    return {"displacement": displacement(spec.wrench)}
+
+
+def by_component(spec, report):
+    """Solve as the component's name says: one cluster's workers then solve in every way."""
+    return globals()[spec.component](spec, report)

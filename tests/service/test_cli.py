@@ -156,3 +156,69 @@ def test_query_with_derivatives_asks_for_them_and_prints_them(stub: Stub, run: R
     assert status == 0
     assert stub.seen[0].body["derivatives"] is True
     assert json.loads(out)["derivative"] == told
+
+
+def test_plan_sends_the_scene_of_a_file_and_prints_what_is_left_out(
+    stub: Stub, run: Run, tmp_path: Path
+):
+    one = {
+        "decision": "table", "reason": "it bends", "loads": ["fz"], "outputs": ["uz"],
+        "axes": {"z": {"inputs": ["fz"], "dimensions": 1}},
+        "displacement_bound": [None, None, 2e-3, None, None, None],
+        "solves": {"whole": 15, "scene": 5},
+        "saves": {"build_s": 0.5, "memory_bytes": 2_000_000, "us_per_answer": -1.0},
+        "saves_from": {"build_s": "measured", "memory_bytes": "counted"},
+    }  # fmt: skip
+    file = tmp_path / "scene.toml"
+    file.write_text("[components.plate]\nforce = [0, 0, 5]\nmoment = [0, 0, 0]\n")
+    stub.answers(Answer({"components": {"plate": one}}))
+    status, out, _ = run("plan", str(file))
+    assert status == 0
+    assert stub.seen[0].body["components"]["plate"]["force"] == [[0, 0], [0, 0], [-5, 5]]
+    for told in ("z: fz, 1-D", "uz 0.002 m", "5 of 15", "0.5 s", "2 MB", "plate: it bends."):
+        assert told in out
+    stub.answers(Answer({"components": {"plate": one}}))
+    status, out, _ = run("plan", str(file), "--json")
+    assert json.loads(out) == {"components": {"plate": one}}
+    file.write_text("[components.plate]\nforce = 5\n")
+    status, _, err = run("plan", str(file))
+    assert status == 1
+    assert "components.plate.force: three loads" in err
+
+
+RECORDED = {
+    "total": 5, "kept": 2, "merged": 2, "thinned": 1, "outside": 1, "within": 0.25,
+    "reason": "1 wrenches were thinned out", "wrenches": [[1.0] * 6, [2.0] * 6],
+}  # fmt: skip
+EXTREMES = {
+    "count": 5, "min": [-1.5] * 6, "max": [2.5] * 6, "at_min": [[-1.5] * 6] * 6,
+    "at_max": [[2.5] * 6] * 6, "displacement_bound": [1e-5] * 6, "negligible": None,
+    "bound": {"kind": "estimate", "formula": "f", "coverage": "thin"}, "reason": "no proof",
+}  # fmt: skip
+QUEUED_NONE = {
+    "jobs": [], "solved": 3, "covered": 2, "failed": 0, "beyond_range": 0, "left": 0,
+    "reason": "the table covers all of them",
+}  # fmt: skip
+
+
+def test_recording_and_envelope_show_what_was_met(stub: Stub, run: Run):
+    stub.answers(Answer(RECORDED), Answer(EXTREMES))
+    status, out, _ = run("recording", "plate")
+    assert status == 0
+    assert "5 wrenches recorded of plate: 2 kept" in out
+    assert "thinned out" in out
+    status, out, _ = run("envelope", "plate")
+    assert status == 0
+    assert "not known to be negligible" in out
+    assert "no proof" in out
+
+
+def test_recording_starts_with_its_budget_clears_and_not_both(stub: Stub, run: Run):
+    stub.answers(Answer(QUEUED_NONE), Answer({"cleared": 5}))
+    status, out, _ = run("recording", "plate", "--start", "--budget", "7")
+    assert (status, stub.seen[0].body) == (0, {"budget": 7})
+    assert "the table covers all" in out
+    assert "5 wrenches forgotten" in run("recording", "plate", "--clear")[1]
+    assert stub.seen[1].method == "DELETE"
+    assert run("envelope", "plate", "--start", "--clear")[0] != 0
+    assert len(stub.seen) == 2

@@ -12,6 +12,7 @@ from service.jobs.dispatcher import Dispatcher
 from service.jobs.engines.engine import EngineError
 from service.jobs.engines.local import LocalEngine
 from service.ledger import Ledger, LedgerUnavailableError
+from tests.service.until import until
 
 HERE = Path(__file__).parent
 SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
@@ -38,7 +39,7 @@ class Bench:
     def accept(self, *wrench):
         return self.ledger.accept("bar", "f1", wrench or WRENCH)[0]
 
-    def until(self, job, status, seconds=20):
+    def until(self, job, status, seconds=60):
         until(lambda: self.ledger.job(job.id).status == status, seconds)
         return self.ledger.job(job.id)
 
@@ -58,13 +59,6 @@ class Bench:
         for dispatcher in self.started:
             dispatcher.stop()
         self.ledger.close()
-
-
-def until(condition, seconds=20):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "did not come about"
-        time.sleep(0.005)
 
 
 @pytest.fixture
@@ -317,11 +311,11 @@ class Unwilling(LocalEngine):
 
     refusals = 1
 
-    def submit(self, folder):
+    def submit(self, attempt):
         if self.refusals:
             self.refusals -= 1
             raise EngineError("no process to be had")
-        super().submit(folder)
+        super().submit(attempt)
 
 
 def test_a_job_the_engine_could_not_start_waits_and_is_not_counted_as_lost(bench, monkeypatch):

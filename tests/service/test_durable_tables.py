@@ -14,7 +14,8 @@ from service.ledger import Ledger, LedgerUnavailableError, NewRow
 from service.library.component import BrokenComponentError
 from service.library.library import Library
 from service.tables import live
-from service.tables.live import TableBehindError, Tables
+from service.tables.behind import TableBehindError
+from service.tables.live import Tables
 from surrogate.table.hdf5 import read_table, write_table
 
 RANGE = [[-10.0, 10.0]] * 3
@@ -73,7 +74,7 @@ def test_a_table_file_with_a_flipped_bit_is_rebuilt_from_the_ledger_with_a_warni
     right = site.tables.surrogate("rig").rows
     site.close()
     whole, chance = site.file().read_bytes(), random.Random(3)
-    for _ in range(40):
+    for _ in range(12):
         damaged = bytearray(whole)
         damaged[chance.randrange(512, len(whole))] ^= 1 << chance.randrange(8)
         site.file().write_bytes(damaged)
@@ -235,14 +236,14 @@ def test_an_exception_in_one_tables_build_starves_no_other(site, monkeypatch):
     for name in ("aaa", "zzz"):
         site.library.add_table_only(name, name, RANGE, RANGE, None)
         site.tables.surrogate(name)
-    build = live._surrogate
+    build = live.make
 
-    def fails(component, rows, version):
-        if component.name == "aaa" and len(rows):
+    def fails(component, *rest):
+        if component.name == "aaa" and len(rest[0]):
             raise ZeroDivisionError("of this table")
-        return build(component, rows, version)
+        return build(component, *rest)
 
-    monkeypatch.setattr(live, "_surrogate", fails)
+    monkeypatch.setattr(live, "make", fails)
     site.ledger.insert_rows("aaa", "", new_rows(5))
     site.insert(5, name="zzz")
     assert len(site.wrenches("zzz")) == 5
@@ -279,7 +280,7 @@ def test_whatever_byte_is_damaged_tables_open_and_sound_components_answer(site):
     shutil.copytree(site.folder, whole)
     chance = random.Random(11)
     kinds = ["tables/rig.h5", "components/rig/component.toml", "ledger.sqlite"]
-    for turn in range(45):
+    for turn in range(16):
         shutil.rmtree(site.folder)
         shutil.copytree(whole, site.folder)
         path = site.folder / kinds[turn % 3]

@@ -1,7 +1,6 @@
 """A deck's solver as an engine runs it: its files stay with the attempt, and it ends with it."""
 
 import subprocess
-import time
 
 import pytest
 
@@ -9,6 +8,8 @@ from fea.deck import solving
 from service.jobs.attempt import DECK, Spec, prepare, read_outcome, tidy
 from service.jobs.engines.local import LocalEngine
 from tests.fea.decks import SOFT, WRENCH, component
+from tests.service.attempts import asked, ended
+from tests.service.until import until
 
 ENDLESS = (
     "open('pid.part', 'w').write(str(os.getpid()))\nos.rename('pid.part', 'pid')\ntime.sleep(60)"
@@ -24,7 +25,7 @@ def submitted(tmp_path, script):
     folder = tmp_path / "jobs" / "3" / "1"
     prepare(folder, spec)
     engine = LocalEngine(1)
-    engine.submit(folder)
+    engine.submit(asked(folder))
     return engine, folder, spec
 
 
@@ -38,13 +39,6 @@ def write_table(folder, bundle):
     )
 
 
-def until(condition, seconds=20):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "did not come about"
-        time.sleep(0.02)
-
-
 def alive(pid):
     state = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True)
     return state.stdout.strip()[:1] not in ("", "Z")
@@ -52,7 +46,7 @@ def alive(pid):
 
 def test_the_folder_of_a_deck_stays_with_the_attempt_and_an_unknown_compliance_is_null(tmp_path):
     engine, folder, spec = submitted(tmp_path, SOFT)
-    until(lambda: engine.poll(folder) != "running")
+    until(lambda: ended(engine, folder))
     outcome = read_outcome(folder, spec)
     assert outcome["status"] == "done", outcome
     assert outcome["displacement"] == pytest.approx([1e-6 * load for load in WRENCH])
@@ -65,7 +59,7 @@ def test_the_folder_of_a_deck_stays_with_the_attempt_and_an_unknown_compliance_i
 
 def test_a_failed_deck_is_told_by_its_kind_and_remedy(tmp_path):
     engine, folder, spec = submitted(tmp_path, "print('no licence'); sys.exit(2)")
-    until(lambda: engine.poll(folder) != "running")
+    until(lambda: ended(engine, folder))
     error = read_outcome(folder, spec)["error"]
     assert error["kind"] == "solver_failed"
     assert "no licence" in error["message"]
@@ -77,7 +71,7 @@ def test_a_cancelled_attempt_ends_the_decks_solver(tmp_path):
     until(lambda: list(folder.rglob("pid")))
     pid = int(next(folder.rglob("pid")).read_text())
     assert alive(pid)
-    engine.cancel(folder)
-    until(lambda: engine.poll(folder) != "running")
+    engine.cancel(asked(folder))
+    until(lambda: ended(engine, folder))
     assert read_outcome(folder, spec) == {"status": "cancelled"}
     until(lambda: not alive(pid))

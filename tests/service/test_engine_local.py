@@ -11,9 +11,11 @@ import pytest
 
 from service.files import lock as flock
 from service.jobs.attempt import Spec, prepare, read_outcome, read_progress
-from service.jobs.engines.engine import EngineError
+from service.jobs.engines.engine import ALIVE, EngineError
 from service.jobs.engines.local import LocalEngine
 from service.jobs.engines.registry import open_engine
+from tests.service.attempts import asked, ended
+from tests.service.until import until
 
 HERE = Path(__file__).parent
 SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
@@ -31,13 +33,6 @@ def attempt(tmp_path):
     return folder
 
 
-def until(condition, seconds=20):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "did not come about"
-        time.sleep(0.005)
-
-
 def solver_pid(folder):
     until(lambda: (folder / "lock").read_text().isdigit())
     return int((folder / "lock").read_text())
@@ -45,74 +40,74 @@ def solver_pid(folder):
 
 def test_a_submitted_attempt_is_running_at_once_and_then_finished(tmp_path):
     folder, engine = attempt(tmp_path), engine_with("slow")
-    engine.submit(folder)
-    assert engine.poll(folder) == "running"
+    engine.submit(asked(folder))
+    assert engine.poll(asked(folder)) in ALIVE
     until(lambda: read_progress(folder))
     assert 0 <= read_progress(folder).fraction < 1
-    until(lambda: engine.poll(folder) != "running")
-    assert engine.poll(folder) == "finished"
+    until(lambda: ended(engine, folder))
+    assert engine.poll(asked(folder)) == "finished"
     outcome = read_outcome(folder, SPEC)
     assert outcome["displacement"] == [1e-6, 2e-6, 3e-6, 0, 0, 0]
 
 
 def test_a_solver_that_is_killed_is_lost(tmp_path):
     folder, engine = attempt(tmp_path), engine_with("endless")
-    engine.submit(folder)
+    engine.submit(asked(folder))
     os.kill(solver_pid(folder), signal.SIGKILL)
-    until(lambda: engine.poll(folder) == "lost")
+    until(lambda: engine.poll(asked(folder)) == "lost")
 
 
 def test_a_folder_without_a_solver_is_lost(tmp_path):
-    assert LocalEngine(1).poll(attempt(tmp_path)) == "lost"
-    assert LocalEngine(1).poll(tmp_path / "never" / "made") == "lost"
+    assert LocalEngine(1).poll(asked(attempt(tmp_path))) == "lost"
+    assert LocalEngine(1).poll(asked(tmp_path / "never" / "made")) == "lost"
 
 
 def test_another_engine_can_look_after_a_solver_it_did_not_start(tmp_path):
     folder = attempt(tmp_path)
-    engine_with("endless").submit(folder)
+    engine_with("endless").submit(asked(folder))
     other = LocalEngine(1)
-    other.attach(folder)
-    assert other.poll(folder) == "running"
+    other.attach(asked(folder))
+    assert other.poll(asked(folder)) in ALIVE
     solver_pid(folder)
-    other.cancel(folder)
-    until(lambda: other.poll(folder) != "running")
+    other.cancel(asked(folder))
+    until(lambda: ended(other, folder))
     assert read_outcome(folder, SPEC) == {"status": "cancelled"}
 
 
 def test_cancelling_before_the_solver_has_begun_ends_it_as_well(tmp_path):
     folder, engine = attempt(tmp_path), engine_with("endless")
-    engine.submit(folder)
-    engine.cancel(folder)
-    until(lambda: engine.poll(folder) != "running")
+    engine.submit(asked(folder))
+    engine.cancel(asked(folder))
+    until(lambda: ended(engine, folder))
 
 
 def test_a_solver_that_does_not_hear_is_killed_after_the_grace(tmp_path):
     folder, engine = attempt(tmp_path), engine_with("deaf", grace=0.3)
-    engine.submit(folder)
+    engine.submit(asked(folder))
     until(lambda: read_progress(folder))
     started = time.monotonic()
-    engine.cancel(folder)
-    until(lambda: engine.poll(folder) != "running")
-    assert engine.poll(folder) == "lost"
+    engine.cancel(asked(folder))
+    until(lambda: ended(engine, folder))
+    assert engine.poll(asked(folder)) == "lost"
     assert time.monotonic() - started >= 0.3
 
 
 def test_a_second_solver_in_the_same_folder_is_refused(tmp_path):
     folder, engine = attempt(tmp_path), engine_with("endless")
-    engine.submit(folder)
+    engine.submit(asked(folder))
     with pytest.raises(EngineError, match="at work"):
-        engine.submit(folder)
+        engine.submit(asked(folder))
     command = [sys.executable, "-m", "service.jobs.solve_attempt", str(folder)]
     second = subprocess.run(command, capture_output=True, text=True, timeout=30)
     assert (second.returncode, "at work" in second.stderr) == (75, True)
-    engine.cancel(folder)
-    until(lambda: engine.poll(folder) != "running")
+    engine.cancel(asked(folder))
+    until(lambda: ended(engine, folder))
 
 
 def test_solvers_use_one_thread_each_low_priority_and_a_session_of_their_own(tmp_path):
     folder, engine = attempt(tmp_path), engine_with("describe")
-    engine.submit(folder)
-    until(lambda: engine.poll(folder) != "running")
+    engine.submit(asked(folder))
+    until(lambda: ended(engine, folder))
     seen = read_outcome(folder, SPEC)["seen"]
     assert seen["threads"] == os.environ.get("OPENBLAS_NUM_THREADS", "1")
     assert seen["niceness"] > os.getpriority(os.PRIO_PROCESS, 0)
@@ -122,20 +117,20 @@ def test_solvers_use_one_thread_each_low_priority_and_a_session_of_their_own(tmp
 
 def test_what_the_solver_prints_is_in_its_log(tmp_path):
     folder, engine = attempt(tmp_path), engine_with("diverges")
-    engine.submit(folder)
-    until(lambda: engine.poll(folder) != "running")
+    engine.submit(asked(folder))
+    until(lambda: ended(engine, folder))
     assert "NotConvergedError: no equilibrium" in (folder / "log.txt").read_text()
 
 
 def test_a_program_the_solver_started_does_not_keep_the_attempt_alive(tmp_path):
     folder, engine = attempt(tmp_path), engine_with("leaves_a_child")
-    engine.submit(folder)
+    engine.submit(asked(folder))
     child = None
     try:
         until(lambda: (folder / "child").exists() and (folder / "child").read_text())
         child = int((folder / "child").read_text())
         os.kill(solver_pid(folder), signal.SIGKILL)
-        until(lambda: engine.poll(folder) == "lost")
+        until(lambda: engine.poll(asked(folder)) == "lost")
         os.kill(child, 0)  # it does live
     finally:
         if child:
@@ -144,7 +139,7 @@ def test_a_program_the_solver_started_does_not_keep_the_attempt_alive(tmp_path):
 
 def test_ended_solvers_leave_no_zombies(tmp_path):
     folder, engine = attempt(tmp_path), engine_with("endless")
-    engine.submit(folder)
+    engine.submit(asked(folder))
     pid = solver_pid(folder)
     os.kill(pid, signal.SIGKILL)
     until(lambda: not Path(f"/proc/{pid}").exists())

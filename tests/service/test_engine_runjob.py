@@ -136,15 +136,21 @@ def test_a_solver_that_cannot_be_found_is_named(folder, monkeypatch, name):
     assert name in error_of(folder)["message"]
 
 
-def embedded(monkeypatch, fingerprint):
-    """Put stand-ins in the place of the finite-element room."""
+def embedded(monkeypatch, fingerprint, fields=None):
+    """Put stand-ins in the place of the finite-element room; `fields` is what a solve leaves."""
     solution = types.SimpleNamespace(
         displacement=np.arange(6.0), compliance=np.eye(6), strain_energy=1.0, work=2.0,
         seconds=0.1, unknowns=30, history=(), notes=("a note",),
     )  # fmt: skip
     bundle = types.SimpleNamespace(fingerprint=fingerprint)
     reading = types.SimpleNamespace(read_bundle=lambda folder: bundle)
-    solving = types.SimpleNamespace(solve=lambda bundle, wrench, progress, folder: solution)
+
+    def solve(bundle, wrench, progress, folder, on_fields):
+        if fields is not None:
+            on_fields(fields)
+        return solution
+
+    solving = types.SimpleNamespace(solve=solve)
     monkeypatch.setitem(sys.modules, "fea.bundle.read", reading)
     monkeypatch.setitem(sys.modules, "fea.solve", solving)
     monkeypatch.delenv("WRENCHBOOK_SOLVE", raising=False)
@@ -156,6 +162,21 @@ def test_the_embedded_solver_gives_all_numbers_of_its_solution(folder, monkeypat
     outcome = read_outcome(folder, SPEC)
     assert outcome["displacement"] == [0, 1, 2, 3, 4, 5]
     assert (outcome["work"], outcome["unknowns"], outcome["history"]) == (2.0, 30, [])
+
+
+def test_a_surface_that_cannot_be_kept_costs_the_answer_nothing(folder, monkeypatch, capsys):
+    flat = np.zeros((1, 3))
+    fields = types.SimpleNamespace(
+        linear=False, vertices=flat, triangles=flat, whole_vertices=1, places=flat,
+        materials=flat, regions=("all",), displacement=flat * np.nan,
+        displacement_slopes=flat, stress=flat, stress_slopes=flat, largest=1.0,
+        largest_at=(0.0, 0.0, 0.0), largest_region="all",
+    )  # fmt: skip
+    embedded(monkeypatch, "f1", fields)
+    assert runjob.main(folder) == 0
+    assert read_outcome(folder, SPEC)["status"] == "done"
+    assert "displacement has numbers that are not finite" in capsys.readouterr().err
+    assert not list(folder.glob("*.fields"))
 
 
 def test_a_component_that_changed_since_the_job_was_accepted_is_not_solved(folder, monkeypatch):

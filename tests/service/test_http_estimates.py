@@ -24,8 +24,8 @@ def bar(http):
 
 
 def test_an_estimate_beyond_what_tables_may_hold_is_null_with_the_reason(bar):
-    """fx = 1e5 turned a plate by 321 rad, fx = 1e300 moved it by 3e295 m."""
-    for force, moment in [([1e300, 0, 0], [0] * 3), ([2e7, 0, 0], [0] * 3), ([0] * 3, [0, 5e5, 0])]:
+    """fx = 1e5 turned a plate by 321 rad, fx = 1e99 moves it by 3e94 m."""
+    for force, moment in [([1e99, 0, 0], [0] * 3), ([2e7, 0, 0], [0] * 3), ([0] * 3, [0, 5e5, 0])]:
         found = estimate(bar, force, moment)
         assert found["translation"] is None
         assert found["rotation"] is None
@@ -39,7 +39,7 @@ def test_an_estimate_beyond_what_tables_may_hold_is_null_with_the_reason(bar):
 
 def test_a_batch_has_no_estimate_either_where_none_could_be_true(bar):
     wrenches = np.zeros((3, 6))
-    wrenches[:, 0] = 10.0, 1e300, 5e6
+    wrenches[:, 0] = 10.0, 1e99, 5e6
     body = {"wrenches": wrenches.tolist(), "on_thin": "estimate"}
     found = bar.post("/v1/components/bar/displacements", json=body).json()
     assert found["displacements"][1] == found["errors"][1] == [None] * 6

@@ -61,3 +61,16 @@ def test_a_fill_asks_for_no_wrench_twice_and_for_none_that_is_known(http):
             assert not np.array(wrench)[[0, 1, 3, 4]].any()
             seen.add(wrench)
     assert seen
+
+
+def test_a_fill_comes_to_its_end_though_most_loads_are_locked(http):
+    """The first design counted four idle loads and always had "4 wrenches to go", and no job."""
+    for _ in range(8):
+        reply = http.post(f"{NAME}/fill", json={"budget": 30}).json()
+        for job in reply["jobs"]:
+            http.get(f"/v1/jobs/{job['id']}", params={"wait_s": 20})
+        if not reply["jobs"]:
+            break
+        first = reply["stage"] == "first"
+        assert not first or len(reply["jobs"]) <= 7  # two for each of two loads, and three
+    assert (reply["stage"], reply["jobs"]) == ("met", [])

@@ -22,7 +22,9 @@ def rig(http):
         for moment in np.linspace(-10, 10, 5):
             text.write(f"{force},{moment},{1e-2 * force + 1e-3 * moment}\n")
     reply = http.post(
-        f"{CALL}/table", content=text.getvalue(), headers={"content-type": "text/csv"}
+        f"{CALL}/table?missing_loads=zero",
+        content=text.getvalue(),
+        headers={"content-type": "text/csv"},
     )
     assert reply.status_code == 200, reply.text
     assert reply.json()["inserted"] == 30

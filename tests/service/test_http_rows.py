@@ -1,9 +1,11 @@
 """Withdrawing rows, filling on all rows, linear components, and a server on a bad disk."""
 
+import ctypes
 import io
 import json
 import os
 import resource
+import shutil
 import signal
 import socket
 import subprocess
@@ -11,6 +13,7 @@ import sys
 import threading
 import time
 import zipfile
+from contextlib import contextmanager
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
@@ -254,14 +257,40 @@ def call(port, path, body=None):
             return error.code, json.load(error)
 
 
+def no_right():
+    """Take from root, too, the right to write where the mode of a file says no."""
+    ctypes.CDLL(None).prctl(24, 1, 0, 0, 0)  # PR_CAPBSET_DROP, CAP_DAC_OVERRIDE
+
+
 @pytest.fixture
 def full_disk(folder, http, rig, unused):
     """A server that could write no byte from its start on; its port."""
     http.app.state.workspace.close()
+    with serving(folder, unused, no_space):
+        yield unused
+
+
+@pytest.fixture
+def read_only(folder, http, rig, unused):
+    """A server of a directory in which nothing may be written; its port."""
+    http.app.state.workspace.close()
+    places = [folder, *folder.rglob("*")]
+    for path in places:
+        path.chmod(0o500 if path.is_dir() else 0o400)
+    try:
+        with serving(folder, unused, no_right):
+            yield unused
+    finally:
+        for path in places:
+            path.chmod(0o700 if path.is_dir() else 0o600)
+
+
+@contextmanager
+def serving(folder, unused, before):
     environment = dict(os.environ, PYTHONPATH=str(ROOT))
     command = [sys.executable, "-c", SERVE, str(folder), str(unused)]
     server = subprocess.Popen(
-        command, env=environment, preexec_fn=no_space, stdout=-1, stderr=subprocess.STDOUT
+        command, env=environment, preexec_fn=before, stdout=-1, stderr=subprocess.STDOUT
     )
     log = []
     reader = threading.Thread(target=lambda: log.extend(server.stdout))
@@ -271,7 +300,7 @@ def full_disk(folder, http, rig, unused):
         while not any(b"Uvicorn running" in line for line in log):
             assert server.poll() is None and time.monotonic() < deadline, log  # noqa: PT018
             time.sleep(0.05)
-        yield unused
+        yield
     finally:
         server.terminate()
         server.wait(20)
@@ -294,3 +323,26 @@ def test_a_server_on_a_full_disk_starts_answers_and_refuses_to_accept(full_disk)
     status, ready = call(full_disk, "/health/ready")
     assert status == 503
     assert ready["faults"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="root's right to write is taken by Linux alone")
+def test_a_server_of_a_read_only_directory_answers_and_refuses_to_accept(read_only, folder):
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    ask = {"force": [0.2, 0, 0], "moment": [0, 0, 0], "on_thin": "estimate"}
+    status, answer = call(read_only, "/v1/components/rig/displacement", ask)
+    assert (status, answer["translation"][0]) == (200, pytest.approx(2e-7))
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0]}
+    status, refused = call(read_only, "/v1/components/plate_thin/solve", body)
+    assert (status, refused["type"]) == (503, "urn:wrenchbook:problem:ledger")
+    assert "readonly" in refused["detail"]
+    status, ready = call(read_only, "/health/ready")
+    assert status == 503
+    assert "readonly" in ready["faults"][0]
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_a_disk_without_room_is_told_to_who_asks_whether_the_server_is_ready(http, monkeypatch):
+    usage = shutil.disk_usage("/")._replace(free=1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    reply = http.get("/health/ready")
+    assert (reply.status_code, "the disk is full" in reply.text) == (503, True)

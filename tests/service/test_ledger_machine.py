@@ -166,6 +166,4 @@ class LedgerAgainstReference(RuleBasedStateMachine):
 
 
 TestLedgerAgainstReference = LedgerAgainstReference.TestCase
-TestLedgerAgainstReference.settings = settings(
-    max_examples=60, stateful_step_count=30, deadline=None
-)
+TestLedgerAgainstReference.settings = settings(max_examples=60, stateful_step_count=30)

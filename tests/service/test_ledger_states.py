@@ -7,7 +7,8 @@ import pytest
 from service.ledger import STATUSES, InvalidTransitionError, Job, states
 
 EVENTS = {
-    "claim": lambda job: states.claimed(job, "me", 5.0),
+    "claim": lambda job: states.claimed(job, "me", "local", 5.0),
+    "begin": lambda job: states.begun(job, 5.0),
     "adopt": lambda job: states.adopted(job, "you"),
     "commit": lambda job: states.committed(job, 7, 5.0),
     "fail": lambda job: states.failed(job, {"kind": "k", "message": "m", "remedy": "r"}, 5.0),

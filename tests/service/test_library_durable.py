@@ -54,7 +54,7 @@ def test_every_file_of_a_bundle_is_synced_before_it_is_moved_in(library, tmp_pat
     assert events[events.index("moved") + 1 :] == ["components"]
 
 
-@pytest.mark.parametrize("write", ["extract", "sync_tree", "Path.rename"])
+@pytest.mark.parametrize("write", ["unpack", "sync_tree", "Path.rename"])
 def test_a_bundle_that_cannot_be_written_is_refused_by_name_and_leaves_nothing(
     library, tmp_path, monkeypatch, write
 ):

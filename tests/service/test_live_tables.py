@@ -8,8 +8,9 @@ import pytest
 from service.ledger import Ledger, NewRow
 from service.library.library import Library
 from service.tables import builders, live
+from service.tables.behind import TableBehindError
 from service.tables.builders import Builders
-from service.tables.live import TableBehindError, Tables
+from service.tables.live import Tables
 
 RANGE = [[-10.0, 10.0]] * 3
 
@@ -47,7 +48,7 @@ def open_tables(tmp_path):
 @pytest.fixture
 def slow_build(monkeypatch):
     """Hold the builds of the table `big` back until the event is set."""
-    may_build, build = threading.Event(), live._surrogate
+    may_build, build = threading.Event(), live.make
     built = []
 
     def held(component, *rest):
@@ -56,7 +57,7 @@ def slow_build(monkeypatch):
         built.append(component.name)
         return build(component, *rest)
 
-    monkeypatch.setattr(live, "_surrogate", held)
+    monkeypatch.setattr(live, "make", held)
     monkeypatch.setattr(builders, "LARGE", 50)
     monkeypatch.setattr(live, "LARGE", 50)
     yield may_build, built

@@ -1,5 +1,7 @@
+import io
 import json
 import time
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -31,8 +33,7 @@ def report(bar):
     return measure(bar, rows, load_range, 5, 3, lambda *_: None)
 
 
-def test_a_finer_mesh_has_more_unknowns_and_the_same_answer():
-    bar = read_bundle(SHIPPED / "bar")
+def test_a_finer_mesh_has_more_unknowns_and_the_same_answer(bar):
     own, fine = Solver(bar), Solver(refined(bar, 1.5))
     assert fine.unknowns > 2 * own.unknowns
     assert np.allclose(fine.compliance, own.compliance, rtol=5e-3, atol=1e-12)
@@ -87,13 +88,25 @@ def test_the_pareto_front_leaves_out_what_is_slower_and_worse():
     assert front == ["m, 1 rows", "m, 3 rows"]
 
 
+def add_beam(http):
+    """Upload the shipped bar with fewer cells."""
+    text = (SHIPPED / "bar" / "component.toml").read_text().replace('"bar"', '"beam"', 1)
+    content, buffer = text.replace("cells_along = 40", "cells_along = 8"), io.BytesIO()
+    assert content != text
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("component.toml", content)
+    reply = http.post("/v1/components", files={"bundle": ("beam.zip", buffer.getvalue())})
+    assert reply.status_code == 201, reply.text
+
+
 def test_a_report_is_made_over_http(http, monkeypatch):
     monkeypatch.delenv("WRENCHBOOK_SOLVE")
-    call = "/v1/components/bar/report"
+    add_beam(http)
+    call = "/v1/components/beam/report"
     assert http.post(call).status_code == 409
     assert http.get(call).status_code == 404
     solve = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 60}
-    assert http.post("/v1/components/bar/solve", json=solve).status_code == 200
+    assert http.post("/v1/components/beam/solve", json=solve).status_code == 200
     deadline = time.monotonic() + 120
     while http.post(call, params={"wrenches": 3}).status_code == 409:  # the table file comes soon
         assert time.monotonic() < deadline

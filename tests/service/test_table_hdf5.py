@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.tablefile import ParsedTable, read_hdf5, write_hdf5
-from surrogate.table.hdf5 import TableMeta
+from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange, Rows
 
 RANGE = LoadRange(-np.ones(6), np.ones(6))
@@ -104,4 +104,4 @@ def test_a_small_file_cannot_unpack_to_more_than_memory_should_hold(changed):
 
     content = changed(swollen)
     assert len(content) < 100_000
-    assert "unpacks to more than 256 MiB" in only_error(read_hdf5(content)).message
+    assert "unpacks to more than 1024 MiB" in only_error(read_hdf5(content)).message

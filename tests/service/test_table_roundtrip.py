@@ -6,18 +6,18 @@ import csv
 import io
 import json
 import math
-from dataclasses import replace
 from decimal import Decimal
+from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from service import tablefile
 from service.tablefile import (
     ParsedTable,
     UnitError,
-    read_csv,
     read_hdf5,
     read_json,
     write_csv,
@@ -26,9 +26,11 @@ from service.tablefile import (
 )
 from service.tablefile.exact import in_unit, to_si
 from service.tablefile.units import QUANTITIES, si_factor
-from surrogate.table.hdf5 import TableMeta
+from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange
 
+# These files have the columns that they are about; loads they do not name were zero.
+read_csv = partial(tablefile.read_csv, missing_loads="zero")
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 moves = st.floats(-10, 10)  # m, what a table may hold
 # A rotation vector of these components is never longer than 20 degrees.
@@ -90,11 +92,11 @@ def test_a_json_export_is_read_back_to_the_same_floats_and_texts(table: ParsedTa
 META = TableMeta("plate", 9, LoadRange(-np.ones(6), np.ones(6)), fingerprint="abc")
 
 
-@settings(max_examples=30, deadline=None)  # each writes and syncs a file
+@settings(max_examples=30)  # each writes and syncs a file
 @given(tables())
-def test_an_hdf5_export_is_read_back_to_the_same_floats_and_texts_but_notes(table: ParsedTable):
+def test_an_hdf5_export_is_read_back_to_the_same_floats_and_texts(table: ParsedTable):
     again = read_hdf5(write_hdf5(table, range(len(table)), META))
-    same(replace(table, note=("",) * len(table)), again)
+    same(table, again)
     assert again.row.tolist() == list(range(1, len(table) + 1))
 
 

@@ -4,6 +4,11 @@ import subprocess
 import sys
 
 import pytest
+import typer
+from typer.testing import CliRunner
+
+from fea.bundle.shipped import SHIPPED
+from service.cli import local, main
 
 
 def command(*words):
@@ -28,3 +33,42 @@ def test_an_unknown_topic_is_refused_with_the_ones_there_are():
     done = command("shell")
     assert done.returncode == 2
     assert "curved_beam" in done.stderr
+
+
+def test_a_component_is_found_by_name_in_the_data_directory_or_by_its_folder(tmp_path):
+    own = tmp_path / "components" / "mine"
+    own.mkdir(parents=True)
+    (own / "component.toml").touch()
+    assert local._bundle_named("mine", tmp_path) == own
+    assert local._bundle_named("bar", tmp_path) == SHIPPED / "bar"
+    assert local._bundle_named(str(own), tmp_path / "other") == own
+    with pytest.raises(typer.BadParameter, match="neither a component"):
+        local._bundle_named("nothing", tmp_path)
+
+
+def test_wrenches_go_to_the_second_opinion_with_their_signs(monkeypatch):
+    ran = []
+
+    def run(words, check):
+        ran.extend(words)
+        return subprocess.CompletedProcess(words, 1)
+
+    monkeypatch.setattr(local.subprocess, "run", run)
+    words = [
+        "validate",
+        "bar",
+        "--with",
+        "ccx",
+        "--wrench",
+        "-1,0,0,0,0,0",
+        "--wrench",
+        "2,0,0,0,0,0",
+    ]
+    assert CliRunner().invoke(main.app, words).exit_code == 1
+    assert ran[-4:-1] == ["--wrench=-1,0,0,0,0,0", "--wrench=2,0,0,0,0,0", "--"]
+    assert "fea.validation.second_opinion" in ran
+
+
+def test_a_wrench_without_a_second_solver_is_refused():
+    done = CliRunner().invoke(main.app, ["validate", "bar", "--wrench", "1,0,0,0,0,0"])
+    assert done.exit_code == 2

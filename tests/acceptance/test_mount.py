@@ -1,0 +1,74 @@
+"""The mount on a real server with real solves: DirectFEA, and a table that fills meanwhile."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from service.client import ProblemError, ServerUnreachable
+from service.client.mount import Mount, MountWarning
+from service.client.mount.mujoco_mount import MujocoMount
+from tests.service.client.scenes import made, mujoco
+
+WEIGHT = np.array([0.0, 0.0, -30.0])  # N
+LEVER = np.array([0.2, 0.0, 0.05])  # m
+
+
+def lever(R, p):
+    return np.concatenate([WEIGHT, np.cross(p + R @ LEVER, WEIGHT)])
+
+
+def test_direct_fea_settles_where_the_table_does(server):
+    client = server.start()
+    solving = Mount(client, "bar", np.eye(3), np.zeros(3), mode="solve", solve_timeout=120)
+    solved = solving.settle(lever, accuracy=0.1)
+    assert solved.answer.source in ("fea", "table")
+    by_table = Mount(client, "bar", np.eye(3), np.zeros(3), relaxation="newton")
+    settled = by_table.settle(lever, accuracy=1e-6)
+    assert settled.iterations <= 4
+    off = np.abs(solved.displacement - settled.displacement)
+    assert (off < 1e-6).all()  # m and rad: the bar's tolerance
+    assert settled.displacement[2] < -1e-3
+
+
+def test_a_loop_goes_on_over_an_empty_table_and_has_its_wrenches_solved(server):
+    client = server.start()
+    mount = Mount(client, "plate_thin", np.eye(3), np.zeros(3))
+    with pytest.warns(MountWarning, match="cannot answer"):
+        mount.step([0, 0, -60.0], [0, 5.0, 0])
+    assert not mount.displacement.any()
+    client.wait(mount.last.job, timeout=120)
+    client.component("plate_thin")
+    mount.step([0, 0, -60.0], [0, 5.0, 0])
+    assert mount.coverage.covered == 1
+    assert mount.displacement[2] < 0
+    server.kill()
+    before = mount.displacement.copy()
+    with pytest.raises(ServerUnreachable, match="wrenchbook serve"):
+        mount.step([0, 0, -70.0], [0, 5.0, 0])
+    assert np.array_equal(mount.displacement, before)
+
+
+def test_a_recorded_loop_queues_nothing_and_loses_nothing(server):
+    client = server.start()
+    model, data = made()
+    mount = MujocoMount(
+        model, data, source=client, component="plate_thin", mode="record", sync=0.005
+    )
+    data.qpos[0] = 1.0  # it swings
+    for _ in range(3000):
+        mujoco.mj_step(model, data)
+        mount.step()
+    mount.close()
+    recorded = client.recording("plate_thin")
+    assert recorded.total == 600
+    assert len(recorded.wrenches) + recorded.merged == 600
+    assert client.jobs("plate_thin") == []
+    assert np.array_equal(data.mocap_pos[0], [0.4, -0.2, 1.5])  # rigid meanwhile
+
+
+def test_a_wrench_beyond_the_load_range_is_not_solved_unless_told(server):
+    client = server.start(solvers=0)
+    mount = Mount(client, "bar", np.eye(3), np.zeros(3), mode="solve")
+    with pytest.raises(ProblemError, match="beyond_range"):
+        mount.step([0, 0, -5000.0])

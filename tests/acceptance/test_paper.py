@@ -1,0 +1,51 @@
+"""``wrenchbook validate paper --quick``: the bands hold, and page and JSON are whole."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("paper")
+    command = [sys.executable, "-m", "service.cli.main", "validate", "paper", "--quick"]
+    done = subprocess.run(
+        [*command, "--out", str(folder)], capture_output=True, text=True, timeout=280, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout, json.loads((folder / "paper.json").read_text()), folder
+
+
+def test_every_band_holds_and_the_table_says_so(quick):
+    printed, body, _ = quick
+    assert body["bands"]["missed"] == 0
+    assert body["bands"]["held"] >= 15
+    assert "FAIL" not in printed
+
+
+def test_the_third_level_of_the_spring_is_the_second(quick):
+    levels = quick[1]["parts"]["spring"]["numbers"]["levels"]
+    solved, looped = levels["finite elements"], levels["MuJoCo and service"]
+    assert looped["shortening_mm"] == pytest.approx(solved["shortening_mm"], rel=1e-6, abs=2e-6)
+    for span, line in solved["k_N_per_mm"].items():
+        assert looped["k_N_per_mm"][span]["slope"] == pytest.approx(line["slope"], rel=1e-6)
+        assert line["error"] > 0.0
+    small = looped["k_N_per_mm"]["0 to 2 N"]["slope"]
+    assert small == pytest.approx(0.582, abs=0.001)
+
+
+def test_the_arm_is_told_output_by_output_by_both_methods(quick):
+    plate = quick[1]["parts"]["arm"]["numbers"]["plate_thin"]
+    methods = plate["methods"]
+    assert [one["method"] for one in methods.values()] == ["kriging", "griddata"]
+    assert all(len(one["rms_over_range"]) == 6 for one in methods.values())
+    assert max(methods["default"]["rms_over_range"]) < max(methods["griddata"]["rms_over_range"])
+
+
+def test_the_page_needs_nothing_but_itself(quick):
+    page = (quick[2] / "paper.html").read_text()
+    assert 'src="http' not in page
+    for figure in ("Figure 2", "Figure 8", "Figure 10a", "Figure 10b", "Figure 11", "Figure 12"):
+        assert figure in page

@@ -1,0 +1,63 @@
+"""What the check tells of time and memory beside what a solve takes: `make bench-check`.
+
+Each solve is a process of its own on one thread; processor seconds, without imports.
+"""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+ONE = """
+import json, resource, sys, time
+from dataclasses import replace
+from fea.bundle.read import read_bundle
+from fea.bundle.shipped import SHIPPED
+from fea.check.cost import estimate
+from fea.component import build
+from fea.mesh.refine import refined
+from fea.solve import Solver
+name, factor, nonlinear = json.loads(sys.argv[1])
+bundle = refined(read_bundle(SHIPPED / name), factor)
+part = build(bundle)
+part = replace(part, analysis=replace(part.analysis, nonlinear=nonlinear))
+told = estimate(part)
+started = time.process_time()
+Solver(part).solve(0.5 * bundle.range.high)
+took = time.process_time() - started
+peak = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+seconds = told["nonlinear_seconds" if nonlinear else "linear_seconds"]
+print(json.dumps([told["unknowns"], seconds, took, told["memory_bytes"], peak]))
+"""
+CASES = [
+    ("bar", 1.0, False),
+    ("plate", 1.0, True),
+    ("plate_thin", 1.0, True),
+    ("spring", 1.0, True),
+    ("plate", 1.5, False),
+    ("plate", 2.0, False),
+    ("plate", 1.5, True),
+]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_time_and_memory_are_told_within_one_and_a_half(case):
+    one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    run = subprocess.run(
+        [sys.executable, "-c", ONE, json.dumps(case)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=600,
+        env=os.environ | one_thread,
+    )
+    unknowns, seconds, took, memory, peak = json.loads(run.stdout)
+    print(
+        f"\n{case}: {unknowns} unknowns, told {seconds:g} s, took {took:.2g} s "
+        f"({seconds / took:.2f}); told {memory / 1e6:.0f} MB, took {peak / 1e6:.0f} MB "
+        f"({memory / peak:.2f})"
+    )
+    assert 1 / 1.5 <= seconds / took <= 1.5
+    assert 1 / 1.5 <= memory / peak <= 1.5

@@ -1,0 +1,117 @@
+"""What a planar scene saves: solves, build time, memory and time an answer, beside the whole.
+
+The whole table is `plate_thin`'s, of real solves at wrenches of all six loads; the scene has F_x,
+F_z and M_y alone, over their whole range. Of the whole's table the scene's is cut, as
+`Client.download(name, scene=)` does. How many solves bring the bars of a fill down is counted on a
+made-up response, in place of the finite elements.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from statistics import median
+
+import numpy as np
+import pytest
+
+from surrogate.build import AnyTable, build
+from surrogate.scene.file import read_scene, write_scene
+from surrogate.scene.memory import array_bytes
+from surrogate.scene.need import Need, need_of
+from surrogate.scene.plan import design_of, plan_of
+from surrogate.scene.scene_table import SceneTable, scene_table
+from surrogate.table.rows import LoadRange, Rows, Tolerance
+from tests.surrogate.calibrating import shipped
+from tests.surrogate.kriging.responses import RESPONSES, solved
+from tests.surrogate.responses import HIGH, RANGE
+
+PLANAR, ALL = np.isin(np.arange(6), (0, 2, 4)), np.ones(6, dtype=bool)
+ROWS, ASKED, RUNS, ROUND = 60, 2000, 3, 16
+HALF, EQUAL = 0.5, 1e-12
+GOAL = Tolerance(1e-5, 1e-5)  # bars of some 1 % of the response's range
+MOST = 96  # solves spent on that at most
+
+
+def need(whole: LoadRange, chosen: np.ndarray) -> Need:
+    ends = np.column_stack((whole.low, whole.high)) * chosen[:, None]
+    return need_of(whole, ends, tolerance=GOAL)
+
+
+def filled(wanted: Need) -> tuple[int, int]:
+    """Fill an empty table until the bars are met; return first solves, and all."""
+    rows, first = Rows.empty(), 0
+    while len(rows) < MOST:
+        table = build(rows, RANGE)
+        plan = plan_of(table, wanted)
+        design = design_of(table, plan, min(ROUND, MOST - len(rows)))
+        if not len(design.wrenches):
+            break
+        more = solved(RESPONSES["hardening"], design.wrenches / HIGH)
+        rows = Rows.of(
+            np.concatenate((rows.wrench, more.wrench)),
+            np.concatenate((rows.displacement, more.displacement)),
+            compliance=np.concatenate((rows.compliance, more.compliance)),
+            source=["fea"] * (len(rows) + len(more)),
+        )
+        first = len(rows) if design.stage == "first" else first
+    return first, len(rows)
+
+
+def seconds(make: Callable[[], object]) -> float:
+    """Return the processor time of the fastest run."""
+    times = []
+    for _ in range(RUNS):
+        started = time.process_time()
+        make()
+        times.append(time.process_time() - started)
+    return min(times)
+
+
+def us(table: AnyTable | SceneTable, wrenches: np.ndarray) -> float:
+    asked = [tuple(wrench) for wrench in wrenches[:200].tolist()]
+    return 1e6 * seconds(lambda: [table.answer(one) for one in asked]) / len(asked)
+
+
+@pytest.mark.timeout(1800)
+def test_what_a_planar_scene_saves() -> None:
+    component = shipped("plate_thin", ROWS, 0)
+    rows, load_range = component.rows, component.load_range
+    scene = need(load_range, PLANAR)
+    planned = plan_of(build(Rows.empty(), load_range), scene).solves
+    (whole_first, whole_to_goal), (scene_first, to_goal) = (
+        filled(need(RANGE, chosen)) for chosen in (ALL, PLANAR)
+    )
+
+    whole = build(rows, load_range)
+    whole_s = seconds(lambda: build(rows, load_range))
+    cut_s = seconds(lambda: scene_table(whole, scene))
+    content = write_scene(scene_table(whole, scene))
+    read_s = seconds(lambda: read_scene(content))
+    cut = read_scene(content)
+    asked = np.random.default_rng(1).uniform(scene.span.low, scene.span.high, (ASKED, 6))
+    full, own = whole.batch(asked), cut.batch(asked)
+    differ = np.abs(full.displacement - own.displacement).max(axis=0)
+    differ = float((differ / np.abs(full.displacement).max(axis=0)).max())
+    kept = array_bytes(whole), array_bytes(cut)
+    times = [(us(whole, asked), us(cut, asked)) for _ in range(3)]
+    answers = median(w for w, _ in times), median(c for _, c in times)
+
+    print(f"\nplate_thin, {len(rows)} solves; the scene: fx, fz, my over their whole range")
+    print(f"{'':<34}{'whole':>10}{'scene':>10}{'ratio':>8}")
+    for name, pair in (
+        ("first solves, planned", planned),
+        ("first solves, asked for", (whole_first, scene_first)),
+        (f"made-up: solves to 1 % (<= {MOST})", (whole_to_goal, to_goal)),
+        ("build: cutting it, s", (whole_s, cut_s)),
+        ("build: reading its file, s", (whole_s, read_s)),
+        ("memory, MB", (kept[0] / 1e6, kept[1] / 1e6)),
+        ("one answer, µs", answers),
+    ):
+        print(f"{name:<34}{pair[0]:>10.4g}{pair[1]:>10.4g}{pair[1] / pair[0]:>8.2f}")
+    print(f"largest difference of an answer, of its range: {differ:.1g}; file {len(content)} bytes")
+    assert (whole_first, scene_first) == planned
+    assert to_goal < whole_to_goal
+    assert differ <= EQUAL
+    assert max(cut_s, read_s) <= HALF * whole_s
+    assert kept[1] <= HALF * kept[0]

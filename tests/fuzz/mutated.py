@@ -1,0 +1,160 @@
+"""Files made from good ones by chance, and read: runs behind the fence, many to a child."""
+
+from __future__ import annotations
+
+import io
+import random
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import meshio
+import numpy as np
+import openpyxl
+import pyarrow as arrow
+from pyarrow.parquet import write_table as write_parquet
+
+from fea.bundle.read import BundleError, read_bundle
+from fea.bundle.shipped import SHIPPED
+from fea.mesh.io.abaqus import MeshFileError, read_inp
+from fea.mesh.io.read import read_mesh
+from service.fence.parts import Part
+from service.library.bundle_zip import extract
+from service.tablefile import (
+    Options,
+    ParsedTable,
+    Told,
+    read_csv,
+    read_hdf5,
+    read_json,
+    read_table_file,
+    write_csv,
+    write_hdf5,
+)
+from service.tablefile.jsonwrite import write_json
+from surrogate.table.meta import TableMeta
+from surrogate.table.rows import LoadRange, Rows
+
+TOKENS = (b"1e999", b"nan", b"-", b"'", b'"', b"\0", b"\xff", b"[", b"{", b",", b";", b"\r", b"#")
+TOKENS += (
+    b"9" * 400,
+    b"=",
+    b".",
+    b"0x",
+    b"[mm]",
+    b"GENERATE",
+    b"*NSET, NSET=A",
+    b"null",
+    b"1e-320",
+)
+
+
+def rows() -> Rows:
+    """Return three rows to write."""
+    return Rows.of(
+        np.arange(18.0).reshape(3, 6), 1e-6 * np.arange(18.0).reshape(3, 6), source=["fea"] * 3
+    )
+
+
+def seeds() -> dict[str, bytes]:
+    """Return a good file of each form."""
+    text = (SHIPPED / "plate" / "component.toml").read_bytes()
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("component.toml", text)
+    span = LoadRange(np.full(6, -9.0), np.full(6, 9.0))
+    csv, told = write_csv(rows()), write_json(rows(), {})
+    book, columns = openpyxl.Workbook(), {"Fz [N]": [1.0, 2.0, 4.0], "uz [mm]": [0.1, 0.2, 0.4]}
+    for record in (columns, *zip(*columns.values(), strict=True)):
+        book.worksheets[0].append(list(record))
+    sheet, parquet = io.BytesIO(), io.BytesIO()
+    book.save(sheet)
+    write_parquet(arrow.table(columns), parquet)
+    return {
+        "csv": csv.encode() if isinstance(csv, str) else csv,
+        "json": told.encode() if isinstance(told, str) else told,
+        "hdf5": write_hdf5(rows(), [1, 2, 3], TableMeta("rig", 3, span)),
+        "xlsx": sheet.getvalue(),
+        "parquet": parquet.getvalue(),
+        **meshes(),
+        "toml": text,
+        "zip": packed.getvalue(),
+        "inp": b"*NODE\n1,0,0,0\n2,1,0,0\n3,0,1,0\n4,0,0,1\n"
+        b"*ELEMENT, TYPE=C3D4, ELSET=E\n1,1,2,3,4\n*NSET, NSET=A, GENERATE\n1,4,1\n"
+        b"*SURFACE, NAME=S\nE, S1\n",
+    }
+
+
+def meshes() -> dict[str, bytes]:
+    """Return one tetrahedron as gmsh, VTK and VTU have it."""
+    tet = meshio.Mesh(np.vstack([np.zeros(3), np.eye(3)]), [("tetra", np.arange(4)[None])])
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for form, kind in (("msh", "gmsh"), ("vtk", "vtk"), ("vtu", "vtu")):
+            path = Path(folder) / f"a.{form}"
+            meshio.write(path, tet, kind)
+            found[form] = path.read_bytes()
+    return found
+
+
+def mutant(good: bytes, seed: int) -> bytes:
+    """Return a file with a few places of it changed."""
+    chance, bad = random.Random(seed), bytearray(good)
+    for _ in range(chance.randint(1, 6)):
+        at = chance.randrange(len(bad) + 1)
+        length = chance.randint(1, 12)
+        change = chance.randrange(4)
+        if change == 0:
+            bad[at : at + length] = chance.randbytes(length)
+        elif change == 1:
+            del bad[at : at + length]
+        elif change == 2:
+            bad[at:at] = chance.choice(TOKENS)
+        else:
+            bad[at:at] = bad[at : at + length * 8] * chance.randint(1, 4)
+    return bytes(bad)
+
+
+def read(form: str, content: bytes, folder: Path) -> None:
+    """Read a file as the server does; what is raised that is no named mistake is one of ours."""
+    tables: dict[str, Callable[[bytes], ParsedTable]] = {
+        "csv": read_csv,
+        "json": read_json,
+        "hdf5": read_hdf5,
+    }
+    if form in tables:
+        table = tables[form](content)
+        assert np.isfinite(table.wrench).all()
+        assert len(table.wrench) == len(table.displacement) == len(table.row)
+        return
+    path = folder / {"toml": "component.toml"}.get(form, f"a.{form}")
+    path.write_bytes(content)
+    if form in ("xlsx", "parquet"):
+        for table in read_table_file(path, Options(missing_loads="zero"), Told()):
+            assert np.isfinite(table.wrench).all()
+        return
+    try:
+        if form in ("msh", "vtk", "vtu"):
+            read_mesh(path, "mm")
+        elif form == "toml":
+            read_bundle(folder)
+        elif form == "inp":
+            read_inp(path)
+        else:
+            with tempfile.TemporaryDirectory(dir=folder) as target:
+                read_bundle(extract(path, Path(target)))
+    except (BundleError, MeshFileError):
+        return
+
+
+def fuzzed(form: str, start: int, count: int) -> Iterator[Part]:
+    """Read so many mutants; tell those that came to a mistake of ours."""
+    good, found = seeds()[form], []
+    with tempfile.TemporaryDirectory(prefix="wrenchbook-fuzz-") as folder:
+        for seed in range(start, start + count):
+            try:
+                read(form, mutant(good, seed), Path(folder))
+            except Exception as error:
+                found.append([seed, f"{type(error).__name__}: {error}"[:300]])
+    yield Part({"mistakes": found[:50]})

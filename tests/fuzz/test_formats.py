@@ -1,0 +1,42 @@
+"""Damaged files of each form: rows and named mistakes, never an exception, a death or a wait.
+
+WRENCHBOOK_FUZZ=10000, which `make fuzz` sets, reads a hundred times as many: a million of each.
+"""
+
+import os
+import zlib
+from pathlib import Path
+
+import pytest
+
+from service.fence import Limits, fence, fenced
+from service.fence.limits import MIB
+
+ROOT = Path(__file__).parents[2]
+COUNT = 100 * int(os.environ.get("WRENCHBOOK_FUZZ", "3"))
+AT_ONCE = 10_000
+TABLES = ("csv", "json", "hdf5", "xlsx", "parquet")
+BUNDLES = ("toml", "zip", "inp", "msh", "vtk", "vtu")
+LIMITS = Limits(memory=1024 * MIB, seconds=600.0, output=16 * MIB)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def own_zygote():
+    """A warm process that finds the tests."""
+    patch = pytest.MonkeyPatch()
+    with patch.context() as patched:
+        patched.setenv("PYTHONPATH", str(ROOT))
+        zygote = fence._Zygote()
+        patched.setattr(fence, "_zygote", zygote)
+        yield
+        zygote.close()
+
+
+@pytest.mark.timeout(36_000)
+@pytest.mark.parametrize("form", TABLES + BUNDLES)
+def test_a_damaged_file_comes_to_rows_or_to_named_mistakes(form):
+    first = zlib.crc32(form.encode())
+    for start in range(first, first + COUNT, AT_ONCE):
+        asked = {"form": form, "start": start, "count": min(AT_ONCE, COUNT)}
+        (told,) = fenced("tests.fuzz.mutated:fuzzed", None, asked, LIMITS)
+        assert told.fields["mistakes"] == []

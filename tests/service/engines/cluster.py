@@ -1,0 +1,114 @@
+"""A Dask cluster of processes of this machine, to be killed and started again."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+from distributed import Client
+
+TESTS = Path(__file__).parents[1]
+SOURCES = TESTS.parents[1]
+SETTINGS = {
+    "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "10s",
+    "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "10s",
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "OMP_NUM_THREADS": "1",
+}
+
+
+def free_port():
+    with socket.create_server(("127.0.0.1", 0)) as bound:
+        return bound.getsockname()[1]
+
+
+class Cluster:
+    """One scheduler and its workers, each in a session of its own."""
+
+    def __init__(self, folder, solver="by_component", **settings):
+        self.folder = folder
+        self.port = free_port()
+        self.address = f"tcp://127.0.0.1:{self.port}"
+        self.worker_folder = folder / "worker"
+        self.environment = (
+            dict(os.environ)
+            | SETTINGS
+            | {
+                "PYTHONPATH": f"{TESTS}:{SOURCES}",
+                "WRENCHBOOK_WORKER_FOLDER": str(self.worker_folder),
+            }
+        )
+        if solver:
+            self.environment["WRENCHBOOK_SOLVE"] = f"stand_in:{solver}"
+        self.environment |= settings
+        self.scheduler = None
+        self.workers = []
+
+    def start_scheduler(self):
+        command = ["scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"]
+        self.scheduler = self._start(command, "scheduler.log", self.environment)
+
+    def start_worker(self, threads=1, resources=None, memory=None, **environment):
+        command = ["worker", self.address, "--nthreads", str(threads), "--no-nanny"]
+        command += ["--no-dashboard", "--death-timeout", "60"]
+        command += ["--resources", resources] if resources else []
+        command += ["--memory-limit", memory] if memory else []
+        command += ["--local-directory", str(self.folder / "scratch")]
+        worker = self._start(command, "worker.log", self.environment | environment)
+        self.workers.append(worker)
+        return worker
+
+    def knows(self, task):
+        """Whether the scheduler has an order of an attempt."""
+
+        def ordered(dask_scheduler):
+            return any(task in str(key) for key in dask_scheduler.tasks)
+
+        with Client(self.address) as client:
+            return client.run_on_scheduler(ordered)
+
+    def mend(self, workers):
+        """Start again what has ended, as systemd or a container's restart policy would."""
+        if self.scheduler is None or self.scheduler.poll() is not None:
+            self.start_scheduler()
+        self.workers = [worker for worker in self.workers if worker.poll() is None]
+        while len(self.workers) < workers:
+            self.start_worker()
+
+    def kill_scheduler(self):
+        kill(self.scheduler)
+
+    def stop(self):
+        for program in (self.scheduler, *self.workers):
+            if program is not None:
+                kill(program)
+        for lock in self.worker_folder.glob("attempts/*/lock"):
+            kill_solver(lock)
+
+    def _start(self, command, log, environment):
+        self.folder.mkdir(parents=True, exist_ok=True)
+        words = [sys.executable, "-W", "ignore", "-m", "dask", *command]
+        with (self.folder / log).open("ab") as out:
+            return subprocess.Popen(words, env=environment, cwd=self.folder, stdout=out, stderr=out)
+
+
+def kill(program):
+    if program.poll() is None:
+        program.send_signal(signal.SIGKILL)
+    program.wait(20)
+
+
+def kill_solver(lock):
+    """Kill the solver that holds a lock; return whether there was one."""
+    from service.files.lock import is_held
+
+    try:
+        pid = int(lock.read_text())
+        if is_held(lock):
+            os.kill(pid, signal.SIGKILL)
+            return True
+    except (OSError, ValueError):
+        pass
+    return False

@@ -1,0 +1,251 @@
+"""What every engine promises a dispatcher, tried on each of them."""
+
+import shutil
+import time
+
+import pytest
+
+from service.jobs.attempt import OUTCOME, last_words, read_progress, solver_began, write_outcome
+from service.jobs.engines.engine import ALIVE, EngineError
+from tests.service.until import until
+
+QUICK_SECONDS = 0.25  # what a dispatcher's thread may lose to a call, on a machine that is busy
+
+
+def test_a_submitted_attempt_ends_finished_with_its_answer(bench):
+    engine, attempt = bench.engine(), bench.attempt("quick")
+    engine.submit(attempt)
+    assert engine.poll(attempt) in (*ALIVE, "finished")
+    assert bench.end(engine, attempt) == "finished"
+    assert bench.outcome(attempt)["displacement"] == [1e-6, 2e-6, 3e-6, 0, 0, 0]
+
+
+def test_an_attempt_that_a_solver_is_at_is_running(bench):
+    engine = bench.engine()
+    attempt = bench.started("endless", engine)
+    until(lambda: engine.poll(attempt) == "running")
+    assert solver_began(attempt.folder)
+    engine.cancel(attempt)
+    bench.end(engine, attempt)
+
+
+def test_how_far_a_solver_is_can_be_read_in_the_attempts_folder(bench):
+    engine = bench.engine()
+    attempt = bench.started("counted", engine)
+    said = until(lambda: read_progress(attempt.folder))
+    assert 0 <= said.fraction < 1
+    assert said.message.startswith("step")
+    bench.end(engine, attempt)
+
+
+def test_a_solve_that_fails_is_finished_and_says_why(bench):
+    engine, attempt = bench.engine(), bench.attempt("diverges")
+    engine.submit(attempt)
+    assert bench.end(engine, attempt) == "finished"
+    error = bench.outcome(attempt)["error"]
+    assert (error["kind"], error["remedy"]) == ("not_converged", "use smaller load steps")
+
+
+def test_what_the_solver_printed_is_in_the_log(bench):
+    engine, attempt = bench.engine(), bench.attempt("diverges")
+    engine.submit(attempt)
+    bench.end(engine, attempt)
+    assert "NotConvergedError: no equilibrium" in last_words(attempt.folder)
+
+
+def test_files_the_solver_leaves_are_in_the_attempts_folder(bench):
+    engine, attempt = bench.engine(), bench.attempt("leaves_files")
+    engine.submit(attempt)
+    bench.end(engine, attempt)
+    assert (attempt.folder / "deck" / "part.dat").read_text() == "a number: 7"
+    assert (attempt.folder / "failed.vtu").read_bytes() == bytes(range(256))
+
+
+def test_the_solver_finds_the_files_of_its_component(bench):
+    engine, attempt = bench.engine(), bench.attempt("reads_its_bundle")
+    engine.submit(attempt)
+    bench.end(engine, attempt)
+    assert bench.outcome(attempt)["seen"] == {
+        "component.toml": 'name = "part"',
+        "part.msh": "a mesh",
+    }
+
+
+def test_a_component_that_was_edited_is_solved_as_it_is_now(bench):
+    engine = bench.engine()
+    for text in ("before", "after it"):
+        (bench.bundle / "meshes" / "part.msh").write_text(text)
+        attempt = bench.attempt("reads_its_bundle")
+        engine.submit(attempt)
+        bench.end(engine, attempt)
+        assert bench.outcome(attempt)["seen"]["part.msh"] == text
+
+
+def test_a_solver_that_dies_is_lost_for_good(bench):
+    engine = bench.engine()
+    attempt = bench.started("endless", engine)
+    bench.kill_solver(attempt)
+    assert bench.end(engine, attempt) == "lost"
+    assert solver_began(attempt.folder)  # so its death counts
+    time.sleep(0.5)
+    assert engine.poll(attempt) == "lost"
+    assert not (attempt.folder / OUTCOME).exists()
+
+
+def test_a_cancelled_solver_ends(bench):
+    engine = bench.engine()
+    attempt = bench.started("endless", engine)
+    engine.cancel(attempt)
+    engine.cancel(attempt)  # as often as one likes
+    bench.end(engine, attempt)
+    until(lambda: bench.pid(attempt) is None)
+    assert bench.outcome(attempt) == {"status": "cancelled"}
+
+
+def test_a_solver_that_does_not_hear_ends_all_the_same(bench):
+    engine = bench.engine()
+    attempt = bench.started("deaf", engine)
+    until(lambda: read_progress(bench.solver_folder(attempt)))
+    engine.cancel(attempt)
+    bench.end(engine, attempt)
+    until(lambda: bench.pid(attempt) is None)
+    assert bench.outcome(attempt) in (None, {"status": "cancelled"})
+
+
+def test_an_attempt_cancelled_before_it_begins_ends(bench):
+    engine, attempt = bench.engine(), bench.attempt("endless")
+    engine.submit(attempt)
+    engine.cancel(attempt)
+    bench.end(engine, attempt)
+    until(lambda: bench.pid(attempt) is None)
+
+
+def test_a_solver_past_its_deadline_fails_by_that_name(bench):
+    engine = bench.engine()
+    attempt = bench.started("endless", engine, deadline=0.5)
+    assert bench.end(engine, attempt) == "finished"
+    assert bench.outcome(attempt)["error"]["kind"] == "deadline"
+    assert bench.pid(attempt) is None
+
+
+def test_an_attempt_handed_in_twice_is_one(bench):
+    engine = bench.engine()
+    attempt = bench.started("counted", engine)
+    try:
+        engine.submit(attempt)
+    except EngineError as error:
+        assert "at work" in str(error)  # noqa: PT017
+    assert bench.end(engine, attempt) == "finished"
+    assert bench.starts(attempt) == 1
+
+
+def test_another_dispatcher_goes_on_with_what_one_that_closed_left(bench):
+    engine = bench.engine()
+    attempt = bench.started("counted", engine)
+    engine.close()
+    assert bench.pid(attempt)
+    after = bench.engine()
+    after.attach(attempt)
+    assert bench.end(after, attempt) == "finished"
+    assert bench.starts(attempt) == 1
+
+
+def test_another_dispatcher_goes_on_beside_one_that_hangs(bench):
+    first, second = bench.engine(), bench.engine()
+    attempt = bench.started("counted", first)
+    second.attach(attempt)
+    assert bench.end(second, attempt) == "finished"
+    assert bench.starts(attempt) == 1
+    assert bench.outcome(attempt)["displacement"] == [1e-6, 2e-6, 3e-6, 0, 0, 0]
+
+
+def test_another_dispatcher_can_cancel_what_it_took_over(bench):
+    first, second = bench.engine(), bench.engine()
+    attempt = bench.started("endless", first)
+    first.forget(attempt)
+    second.attach(attempt)
+    second.cancel(attempt)
+    bench.end(second, attempt)
+    until(lambda: bench.pid(attempt) is None)
+
+
+def test_what_was_cancelled_while_no_dispatcher_lived_ends(bench):
+    engine = bench.engine()
+    attempt = bench.started("endless", engine)
+    engine.close()
+    bench.engine().cancel(attempt)
+    until(lambda: bench.pid(attempt) is None)
+
+
+def test_an_attempt_that_ended_while_nobody_looked_is_found_ended(bench):
+    engine = bench.engine()
+    attempt = bench.started("slow", engine)
+    engine.close()
+    until(lambda: bench.pid(attempt) is None)
+    after = bench.engine()
+    after.attach(attempt)
+    assert bench.end(after, attempt) == "finished"
+    assert bench.outcome(attempt)["status"] == "done"
+
+
+def test_an_outcome_that_is_there_already_is_not_asked_for_again(bench):
+    engine, attempt = bench.engine(), bench.attempt("counted")
+    write_outcome(attempt.folder, attempt.spec, {"status": "done"})
+    engine.attach(attempt)
+    assert engine.poll(attempt) == "finished"
+
+
+def test_an_attempt_without_a_folder_is_lost(bench):
+    engine, attempt = bench.engine(), bench.attempt("quick")
+    shutil.rmtree(attempt.folder)
+    engine.attach(attempt)
+    assert bench.end(engine, attempt) == "lost"
+
+
+def test_an_attempt_nobody_handed_in_is_lost(bench):
+    engine, attempt = bench.engine(), bench.attempt("quick")
+    assert engine.poll(attempt) == "lost"
+    engine.cancel(attempt)
+    engine.forget(attempt)
+
+
+def test_what_ends_is_told(bench):
+    engine, attempt = bench.engine(), bench.attempt("quick")
+    told = []
+    stop = engine.listen(told.append)
+    engine.submit(attempt)
+    bench.end(engine, attempt)
+    until(lambda: attempt.task in told)
+    stop()
+    again = bench.attempt("quick")
+    engine.submit(again)
+    bench.end(engine, again)
+    assert again.task not in told
+
+
+def test_a_settled_attempt_is_forgotten_with_its_answer_in_place(bench):
+    engine, attempt = bench.engine(), bench.attempt("quick")
+    engine.submit(attempt)
+    bench.end(engine, attempt)
+    engine.forget(attempt)
+    assert engine.poll(attempt) == "finished"
+
+
+def test_no_call_keeps_a_dispatcher_waiting(bench):
+    engine, attempt = bench.engine(), bench.attempt("endless")
+    for call in (engine.submit, engine.poll, engine.cancel, engine.poll):
+        began = time.monotonic()
+        call(attempt)
+        assert time.monotonic() - began < QUICK_SECONDS, call
+    assert engine.trouble is None
+    bench.end(engine, attempt)
+
+
+@pytest.mark.parametrize("solver", ["quick", "diverges", "dies"])
+def test_many_attempts_at_once_each_have_their_own_end(bench, solver):
+    engine = bench.engine()
+    attempts = [bench.attempt(solver) for _ in range(6)]
+    for attempt in attempts:
+        engine.submit(attempt)
+    states = {bench.end(engine, attempt) for attempt in attempts}
+    assert states == {"lost" if solver == "dies" else "finished"}

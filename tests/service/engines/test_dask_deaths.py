@@ -1,0 +1,143 @@
+"""Schedulers, workers and servers that die or hang: no attempt is lost by it, none counts."""
+
+import os
+import signal
+
+from service.jobs.attempt import read_progress
+from service.jobs.engines.engine import ALIVE
+from tests.service.engines.cluster import kill
+from tests.service.until import until
+
+
+def test_a_worker_that_dies_is_replaced_and_its_solver_is_found_alive(own, cluster):
+    cluster.start_scheduler()
+    worker = cluster.start_worker()
+    engine = own.engine()
+    attempt = own.started("counted", engine)
+    kill(worker)
+    cluster.start_worker()
+    assert own.end(engine, attempt) == "finished"
+    assert own.starts(attempt) == 1
+
+
+def test_a_worker_and_its_solver_that_die_together_count_for_nothing(own, cluster):
+    cluster.start_scheduler()
+    worker = cluster.start_worker()
+    engine = own.engine()
+    attempt = own.started("counted", engine)
+    until(lambda: own.has_begun(attempt))
+    os.kill(own.pid(attempt), signal.SIGKILL)  # as a machine goes: all of it at once
+    kill(worker)
+    cluster.start_worker()
+    assert own.end(engine, attempt) == "finished"
+    assert own.starts(attempt) == 2
+
+
+def test_a_task_that_dask_gives_up_for_its_dead_workers_is_ordered_again(own, cluster):
+    cluster.environment["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "0"
+    cluster.start_scheduler()
+    worker = cluster.start_worker()
+    engine = own.engine()
+    attempt = own.started("counted", engine)
+    until(lambda: engine.poll(attempt) == "running")
+    kill(worker)
+    cluster.start_worker()
+    assert own.end(engine, attempt) == "finished"
+    assert own.outcome(attempt)["status"] == "done"
+
+
+def test_a_scheduler_that_dies_is_found_again_with_the_attempts(own, cluster):
+    cluster.start_scheduler()
+    cluster.start_worker()
+    engine = own.engine()
+    attempt = own.started("counted", engine)
+    waiting = [own.attempt("quick") for _ in range(3)]
+    for one in waiting:
+        engine.submit(one)
+    cluster.kill_scheduler()
+    until(lambda: engine.trouble)
+    assert engine.slots == 0
+    assert all(engine.poll(one) in (*ALIVE, "finished") for one in (attempt, *waiting))
+    cluster.mend(1)
+    until(lambda: cluster.mend(1) or not engine.trouble, 60)  # workers end with their scheduler
+    for one in (attempt, *waiting):
+        assert own.end(engine, one) == "finished"
+    assert own.starts(attempt) == 1
+
+
+def test_a_worker_that_is_stopped_holds_nothing_up_for_long(own, cluster):
+    """Dask drops it after `worker-ttl`, 5 s here, and another worker takes what it had."""
+    cluster.environment["DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL"] = "5s"
+    cluster.start_scheduler()
+    worker = cluster.start_worker(WRENCHBOOK_WORKER_FOLDER=str(cluster.folder / "elsewhere"))
+    engine = own.engine()
+    attempt = own.attempt("counted")
+    engine.submit(attempt)
+    until(lambda: engine.poll(attempt) == "running")
+    worker.send_signal(signal.SIGSTOP)
+    cluster.start_worker()
+    assert own.end(engine, attempt) == "finished"
+    assert own.starts(attempt) == 2
+    worker.send_signal(signal.SIGCONT)
+
+
+def test_cancelling_what_a_stopped_worker_has_comes_to_an_end(own, cluster):
+    cluster.environment["DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL"] = "5s"
+    cluster.start_scheduler()
+    worker = cluster.start_worker()
+    engine = own.engine()
+    attempt = own.started("endless", engine)
+    until(lambda: engine.poll(attempt) == "running")
+    worker.send_signal(signal.SIGSTOP)
+    engine.cancel(attempt)
+    own.end(engine, attempt)
+    worker.send_signal(signal.SIGCONT)
+
+
+def test_a_higher_priority_goes_first_of_what_no_worker_has_yet(own, cluster):
+    """A worker has one order a thread ahead, whichever came first, which it keeps."""
+    cluster.start_scheduler()
+    cluster.start_worker()
+    engine = own.engine()
+    busy = own.started("waits_for_a_word", engine)
+    low = [own.attempt("counts") for _ in range(4)]
+    high = own.attempt("counts", priority=5)
+    for one in (*low, high):
+        engine.submit(one)
+    until(lambda: all(cluster.knows(one.task) for one in (*low, high)))
+    (own.solver_folder(busy) / "go").touch()
+    for one in (busy, *low, high):
+        assert own.end(engine, one) == "finished"
+    begun = sorted((*low, high), key=lambda one: own.outcome(one)["seen"]["at"])
+    assert high in begun[:2]
+
+
+def test_a_solve_waits_for_a_worker_with_the_memory_it_takes(own, cluster):
+    cluster.start_scheduler()
+    cluster.start_worker(memory="1GB")
+    engine = own.engine()
+    large, small = own.attempt("quick", memory=3_000_000_000), own.attempt("quick")
+    engine.submit(large)
+    engine.submit(small)
+    assert own.end(engine, small) == "finished"  # what waits keeps nobody else waiting
+    until(lambda: engine.trouble)
+    assert "3 GB" in engine.trouble
+    assert "the largest workers have 1 GB" in engine.trouble
+    assert "3 GB" in read_progress(large.folder).message
+    cluster.start_worker(memory="4GB")
+    assert own.end(engine, large) == "finished"
+    assert engine.trouble is None
+
+
+def test_declared_resources_keep_large_solves_from_sharing_a_worker(own, cluster):
+    cluster.start_scheduler()
+    cluster.start_worker(threads=2, resources="wrenchbook_memory=4e9 wrenchbook_cores=2")
+    engine = own.engine()
+    first = own.started("counted", engine, memory=3_000_000_000)
+    second, other = own.attempt("counted", memory=3_000_000_000), own.attempt("quick")
+    engine.submit(second)
+    engine.submit(other)
+    own.end(engine, other)
+    assert engine.poll(first) == "running"
+    assert engine.poll(second) == "submitted"
+    assert own.end(engine, first) == own.end(engine, second) == "finished"

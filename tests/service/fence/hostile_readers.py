@@ -1,0 +1,56 @@
+"""Functions that behave behind the fence as a hostile file makes its reader behave."""
+
+import os
+import signal
+import stat
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from service.fence.parts import Part
+
+
+def doubled(path, factor):
+    yield Part({"read": path.read_text(), "factor": factor}, {"rows": np.arange(6.0).reshape(2, 3)})
+    yield Part({}, {"none": np.empty((0, 6)), "flags": np.array([True, False])})
+
+
+def greedy(path):
+    yield Part({"bytes": len(bytearray(1 << 40))})
+
+
+def endless(path):
+    while True:
+        pass
+
+
+def asleep(path):
+    time.sleep(1000)
+    yield Part()
+
+
+def wordy(path):
+    while True:
+        yield Part({}, {"zeros": np.zeros(1 << 17)})
+
+
+def crashing(path):
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def refusing(path):
+    raise LookupError("there is no such column")
+
+
+def lying(path):
+    # The only regular file that is open is the one for the answer.
+    mine = [fd for fd in range(3, 64) if Path(f"/proc/self/fd/{fd}").exists()]
+    answer = next(fd for fd in mine if stat.S_ISREG(os.fstat(fd).st_mode))
+    os.write(answer, b"\xff" * 64)
+    return ()
+
+
+def modules(path):
+    yield Part({"modules": sorted(sys.modules), "pid": os.getppid()})

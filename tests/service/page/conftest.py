@@ -1,0 +1,29 @@
+"""A browser for the length of these tests, and real servers for it to look at."""
+
+import pytest
+
+from service.http.server import private_server
+from tests.service.page.chromium import Browser
+
+
+@pytest.fixture(scope="session")
+def chromium(tmp_path_factory):
+    browser = Browser(tmp_path_factory.mktemp("downloads"))
+    yield browser
+    browser.close()
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory):
+    """A server in a process of its own, with a solver."""
+    with private_server(tmp_path_factory.mktemp("page") / "workspace", solvers=1) as client:
+        yield client
+
+
+@pytest.fixture
+def browser(chromium, client):
+    chromium.begin(client)
+    chromium.resize(1280, 900)
+    chromium.colours("light")
+    yield chromium
+    chromium.begin(client)  # no page of a test goes on listening

@@ -1,0 +1,350 @@
+"""What people do with the page, in headless Chromium, on a real server with a real solver."""
+
+import re
+import zipfile
+from pathlib import Path
+
+import pytest
+from selenium.webdriver.common.keys import Keys
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
+
+BAR = Path(__file__).parents[3] / "data" / "components" / "bar" / "component.toml"
+VIEWS = (
+    "overview",
+    "query",
+    "shape",
+    "rows",
+    "response",
+    "checks",
+    "report",
+    "jobs",
+    "table",
+    "demand",
+    "entry",
+)
+PLATE = "#/c/plate_thin"
+LOADS = "Fx [N],Fy [N],Fz [N],Mx [Nm],My [Nm],Mz [Nm]"
+MEASURED = f"""{LOADS},ux [mm],uy [mm],uz [mm],rx [deg],ry [deg],rz [deg]
+0,0,0,0,0,0,0,0,0,0,0,0
+0,0,-100,0,0,0,0,0,-0.1,0,0,0
+0,0,-200,0,0,0,0,0,minus 0.2,0,0,0
+0,0,-300,0,0,0,0,0,-0.3,0,0,0
+0,0,-400,0,0,0,0,0,,0,0,190
+0,0,-500,0,0,0,0,0,-0.5,0,0,0
+"""
+
+
+@pytest.fixture(scope="module")
+def plate(client):
+    """`plate_thin` with one row, and so with a surface."""
+    client.solve("plate_thin", [0, 0, -900.0], [0, 0, 0], wait_s=120)
+    assert client.component("plate_thin")["rows"] == 1
+    return client
+
+
+def bundle(folder, name, **changed):
+    """Zip the bundle of a coarse bar, solved in a moment, some of its keys changed."""
+    text = BAR.read_text().replace('name = "bar"', f'name = "{name}"')
+    for key, value in {"cells_along": 4, "cells_across": 2, **changed}.items():
+        text = re.sub(f"(?m)^{key} = .*$", f"{key} = {value}", text)
+    path = folder / f"{name}.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("component.toml", text)
+    return path
+
+
+def add(browser, path):
+    """Upload a bundle, and wait for its page."""
+    browser.visit("#/add")
+    browser.one("#bundle").send_keys(str(path))
+    browser.named("button", "Add the bundle").click()
+    browser.named("h1", path.stem)
+
+
+def ask(browser, **loads):
+    """Type loads, all others zero, and send them."""
+    for name in ("fx", "fy", "fz", "mx", "my", "mz"):
+        browser.type(f"input[name={name}]", str(loads.get(name, 0)))
+    browser.named("form button", "Ask").click()
+
+
+def test_an_uploaded_part_is_queued_solved_and_then_covered(browser, client, tmp_path):
+    add(browser, bundle(tmp_path, "rod", nonlinear="true"))
+    browser.named("nav.tabs a", "Query").click()
+    ask(browser, fz=-50)  # its job is watched, for as long as the solve takes
+    browser.named(".pill", "covered")
+    (job,) = client.call_json("GET", "/v1/jobs?component=rod")["jobs"]
+    assert job["status"] == "done"
+    told = browser.one("table.answer").text
+    assert "± " in told
+    assert client.component("rod")["rows"] >= 1
+    assert browser.mistakes() == []
+
+
+def test_a_failed_solve_tells_why_shows_its_log_and_is_tried_again(browser, client, tmp_path):
+    add(browser, bundle(tmp_path, "column", nonlinear="true", force="[40000, 100, 100]"))
+    browser.named("nav.tabs a", "Query").click()
+    ask(browser, fx=-10_000)
+    assert "buckles" in browser.named(".note", "The solve failed").text
+    browser.named(".note a", "Job").click()
+    browser.named("button", "Log").click()
+    browser.one("dialog h2")
+    browser.until(lambda: browser.one("dialog pre").text != "…")
+    assert "/tmp/" not in browser.one("dialog pre").text
+    browser.named("dialog button", "Close").click()
+    browser.named("button", "Retry").click()
+    browser.until(lambda: 2 in attempts(client))
+
+
+def attempts(client):
+    jobs = client.call_json("GET", "/v1/jobs?component=column")["jobs"]
+    return [job["attempt"] for job in jobs]
+
+
+def test_bad_rows_of_a_measured_file_are_named_mended_imported_and_exported(
+    browser, client, chromium
+):
+    browser.visit("#/add")
+    browser.type("#new-name", "rig")
+    for place in browser.all("form input[type=number]"):
+        place.send_keys("600")
+    browser.named("button", "Add the table").click()
+    browser.named("h1", "rig")
+    browser.named("nav.tabs a", "Import").click()
+    browser.drop(".drop", "measured.csv", MEASURED)
+    told = browser.one("#mistakes").text
+    assert "Line 4" in told
+    assert "Line 6" in told
+    assert client.component("rig")["rows"] == 0
+    browser.type("input[aria-label='Line 4']", "0,0,-200,0,0,0,0,0,-0.2,0,0,0")
+    browser.type("input[aria-label='Line 6']", "0,0,-400,0,0,0,0,0,-0.4,0,0,0")
+    browser.one("#check-again").click()
+    browser.one("#import").click()
+    browser.named(".note", "6 rows are in the table")
+    browser.named("nav.tabs a", "Query").click()
+    ask(browser, fz=-250)
+    assert "−250" in browser.one("table.answer").text
+    browser.named("nav.tabs a", "Import").click()
+    browser.named("button", "Export").click()
+    exported = saved(browser, "rig-v")
+    assert (
+        exported.read_bytes() == client.call("GET", "/v1/components/rig/table?format=csv").content
+    )
+
+
+GAUGED = """Test rig;Fz;Fx (kN);Fy (kN);Mx (Nm);My (Nm);Mz (Nm);uz (mm);Strain
+1;0,1;0;0;0;0;0;-0,1;311,5
+2;0,2;0;0;0;0;0;-0,2;311,7
+3;0,3;0;0;0;0;0;-0,3;312,1
+"""
+
+
+@pytest.fixture(scope="module")
+def gauged(client):
+    """A component for measured rows."""
+    spans = {"force": [600] * 3, "moment": [60] * 3}
+    about = {"name": "gauged", "title": "Gauged rig", "range": spans}
+    client.call_json("POST", "/v1/components", about)
+    return client
+
+
+def test_columns_are_named_left_out_and_turned_before_an_import(browser, gauged):
+    browser.visit("#/c/gauged/table")
+    browser.drop(".drop", "gauged.csv", GAUGED)
+    browser.one("#columns")
+    browser.type("input[aria-label='What Test rig is']", "leave out")
+    browser.type("input[aria-label='What Strain is']", "leave out")
+    browser.type("input[aria-label='What Fz is']", "-fz [kN]")
+    browser.one("#check-again").click()
+    shown = browser.one("#preview tbody tr:last-child").text.split()
+    assert shown[1:4] == ["0", "0", "−300"]
+    browser.one("#import").click()
+    browser.named(".note", "3 rows are in the table")
+    rows = gauged.call_json("GET", "/v1/components/gauged/table")["rows"]
+    assert [row["wrench"][2] for row in rows] == [-100.0, -200.0, -300.0]
+    browser.named(".note a", "version").click()
+    assert "gauged.csv" in browser.one("table").text
+
+
+def test_units_that_a_file_does_not_name_are_chosen_at_once(browser, gauged):
+    bare = "fx,fy,fz,mx,my,mz,ux\n1,2,3,4,5,6,0.001\n2,2,3,4,5,6,0.002\n"
+    browser.visit("#/c/gauged/table")
+    browser.drop(".drop", "bare.csv", bare)
+    browser.one("#columns fieldset")
+    for label, unit in (("Force", "kN"), ("Moment", "N*m"), ("Translation", "mm")):
+        browser.run(
+            "const input = [...document.querySelectorAll('#columns label')]"
+            ".find((one) => one.firstChild.textContent === arguments[0]).querySelector('select');"
+            "input.value = arguments[1]; input.dispatchEvent(new Event('change'));",
+            label,
+            unit,
+        )
+    browser.one("#check-again").click()
+    browser.one("#preview")
+    head, first = browser.one("#preview thead").text, browser.one("#preview tbody tr").text
+    assert "Fx, N" in head
+    assert first.split()[1:4] == ["1000", "2000", "3000"]
+
+
+def test_an_entry_is_noted_renamed_put_away_and_brought_back_by_keyboard(browser, gauged):
+    about = gauged.component("gauged")
+    browser.visit("#/c/gauged/entry")
+    browser.one("#notes")
+    browser.tab_to("#notes")
+    browser.press("gauge 7 drifts")
+    browser.tab_to("#save-notes")
+    browser.press(Keys.ENTER)
+    browser.named("form span", "Saved.")
+    browser.tab_to("#rename-name")
+    browser.press("gauged2", Keys.ENTER)
+    browser.named("h1", "gauged2")
+    browser.tab_to("#archive")
+    browser.press(Keys.ENTER)
+    browser.named("#away", "archived")
+    assert gauged.component("gauged2")["archived"] is True
+    browser.tab_to("#unarchive")
+    browser.press(Keys.ENTER)
+    browser.one("#archive")
+    told = gauged.component("gauged2")
+    assert (told["notes"], told["rows"]) == ("gauge 7 drifts", about["rows"])
+    browser.visit("#/")
+    browser.one("#archived").click()
+    assert "archived" in browser.named(".card", "gauged\n").text
+    assert browser.mistakes() == []
+
+
+def test_an_earlier_version_is_asked_on_the_page(browser, plate):
+    version = plate.component("plate_thin")["table_version"]
+    browser.visit(f"{PLATE}/query")
+    browser.type("input[name=table_version]", "0")
+    ask(browser, fz=-900)
+    assert "no rows" in browser.named(".note.outside", "the table has no rows").text
+    assert "?table_version=0'" in browser.named("pre", "curl").text
+    browser.type("input[name=table_version]", str(version + 1000))
+    browser.named("form button", "Ask").click()
+    browser.named(".note.outside", "No such version")
+
+
+def saved(browser, start):
+    folder = browser.downloads
+    found = browser.until(
+        lambda: [p for p in folder.glob(f"{start}*") if p.suffix != ".crdownload"]
+    )
+    return found[0]
+
+
+def test_the_deformed_plate_is_magnified_and_turned(browser, plate):
+    browser.resize(800, 500)
+    browser.visit(f"{PLATE}/shape")
+    browser.drawn("#shape")
+    assert "Largest displacement" in browser.one("dl.facts").text
+    first = browser.picture("#shape")
+    height = "return Math.min(...document.querySelector('#shape').data[0].z)"
+    magnified = browser.run(height)
+    browser.named("button", "True scale").click()
+    browser.until(lambda: browser.run(height) > magnified)
+    assert browser.one("#factor").text == "× 1"
+    browser.one("button[aria-label='Turn right']").click()
+    camera = "return document.querySelector('#shape')._fullLayout.scene.camera.eye.x"
+    browser.until(lambda: browser.run(camera) > 1.5)
+    assert browser.picture("#shape") != first
+    assert browser.mistakes() == []
+
+
+@pytest.fixture(scope="module")
+def walk(chromium, plate):
+    """All views of a telephone's width, one after the other: what is too wide, asked or wrong."""
+    chromium.begin(plate)
+    chromium.resize(390, 700)
+    chromium.visit("#/")
+    wide = {}
+    for address in ("#/", "#/add", "#/jobs", "#/scene", *(f"{PLATE}/{view}" for view in VIEWS)):
+        chromium.go(address)
+        if address.endswith("/query"):
+            ask(chromium, fx=123.4567, fy=-321.7654, fz=-900.1234, mx=12.34567)
+            chromium.one("table.answer")
+        chromium.until(lambda: "…" not in chromium.one("main").text, address)
+        width = chromium.run("return document.documentElement.scrollWidth")
+        if width > 390:
+            wide[address] = width
+    return {"wide": wide, "hosts": chromium.hosts(), "mistakes": chromium.mistakes()}
+
+
+def test_no_view_is_wider_than_a_telephone(walk):
+    assert walk["wide"] == {}
+
+
+def test_no_view_asks_another_host(walk, client):
+    assert walk["hosts"] == {client.url.removeprefix("http://")}
+
+
+def test_no_view_has_a_script_that_fails_or_is_blocked(walk):
+    assert walk["mistakes"] == []
+
+
+def test_a_query_is_asked_by_keyboard_alone(browser, plate):
+    browser.visit("#/")
+    browser.one("a[href='#/c/plate_thin']")
+    browser.tab_to("a[href='#/c/plate_thin']")
+    browser.press(Keys.ENTER)
+    browser.one(".tabs")
+    browser.tab_to(".tabs a[href$='/query']")
+    browser.press(Keys.ENTER)
+    browser.one("input[name=fz]")
+    browser.tab_to("input[name=fz]")
+    browser.press(Keys.CONTROL + "a" + Keys.NULL, "-900", Keys.ENTER)
+    assert browser.named(".pill", "covered")
+
+
+def test_the_keyboard_turns_a_drawing(browser, plate):
+    browser.resize(800, 500)
+    browser.visit(f"{PLATE}/rows")
+    browser.drawn("#rows")
+    browser.tab_to(".figure")
+    eye = "return document.querySelector('#rows')._fullLayout.scene.camera.eye.x"
+    before = browser.run(eye)
+    browser.press(Keys.ARROW_RIGHT)
+    browser.until(lambda: browser.run(eye) != before)
+
+
+def test_the_calls_are_documented_without_another_host(browser):
+    browser.visit("docs")
+    browser.named(".opblock-summary", "/v1/components/{name}/displacement")
+    assert browser.hosts() == {browser.server.removeprefix("http://")}
+    assert browser.mistakes() == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_words_stand_out_from_what_is_behind_them(browser, plate, scheme):
+    browser.colours(scheme)
+    browser.visit(f"{PLATE}/query")
+    ask(browser, fz=-900)
+    browser.one("table.answer")
+    found = browser.run((Path(__file__).parent / "contrast.js").read_text())
+    assert len(found) > 20
+    assert [one for one in found if one["ratio"] < 4.5] == []  # WCAG 2.2, level AA
+
+
+def test_a_key_that_is_typed_goes_with_every_call(browser, plate):
+    browser.visit(f"{PLATE}/query")
+    browser.one("#key").click()
+    key = getattr(plate, "_key", None) or "wb_secret"
+    browser.type("dialog input", key)
+    browser.named("dialog button", "Use this key").click()
+    browser.named("pre", "Authorization: Bearer $WRENCHBOOK_KEY")
+    browser.run(
+        "window.sent = []; const own = window.fetch;"
+        "window.fetch = (to, how) => {"
+        " window.sent.push(how.headers.Authorization); return own(to, how); }"
+    )
+    ask(browser, fz=-900)
+    browser.one("table.answer")
+    assert set(browser.run("return window.sent")) == {f"Bearer {key}"}
+
+
+def test_what_is_shown_of_a_scene_is_its_plan(browser, plate):
+    browser.visit("#/scene")
+    browser.named("label", "plate_thin").click()
+    browser.named("button", "Plan").click()
+    assert "First solves" in browser.named(".cards .card", "plate_thin").text

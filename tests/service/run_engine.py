@@ -1,0 +1,20 @@
+"""A server in a process of its own, to be killed: run_engine.py FOLDER... submits these attempts.
+
+It says when each has ended, and then waits to be killed, its solver waiting for work.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+from service.jobs.engines.local import LocalEngine
+from tests.service.attempts import asked, ended
+
+engine = LocalEngine(1)
+for folder in map(Path, sys.argv[1:]):
+    engine.submit(asked(folder))
+    print("submitted", flush=True)
+    while not ended(engine, folder):
+        time.sleep(0.01)
+    print("ended", flush=True)
+time.sleep(60)

@@ -1,0 +1,170 @@
+"""A backup is whole or is none, and restores to the same answers."""
+
+import json
+import random
+import zipfile
+
+import numpy as np
+import pytest
+
+from service.ledger import Ledger, NewRow
+from service.upkeep.archive import MANIFEST, BackupError
+from service.upkeep.backup import back_up, verify
+from service.upkeep.restore import restore
+from tests.service.test_durable_tables import Site
+
+
+def new_rows(count, first=0):
+    return [
+        NewRow((i % 10, 0, 0, 0, 0, i // 10), (i * 1e-6, 0, 0, 0, 0, 1e-7))
+        for i in range(first, first + count)
+    ]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    site = Site(tmp_path / "site")
+    site.open("rig")
+    site.insert(30)
+    site.ledger.accept("rig", "f", (1.0, 0, 0, 0, 0, 0))
+    site.close()
+    (site.folder / "surfaces").mkdir()
+    (site.folder / "surfaces" / "rig.bin").write_bytes(b"surface")
+    (site.folder / "jobs" / "1" / "1").mkdir(parents=True)
+    (site.folder / "jobs" / "1" / "1" / "log.txt").write_text("log")
+    return site.folder
+
+
+@pytest.fixture
+def backup(folder, tmp_path):
+    target = tmp_path / "rig.backup"
+    back_up(folder, target)
+    return target
+
+
+def answers(folder):
+    site = Site(folder)
+    site.open()
+    wrenches = np.random.default_rng(1).uniform(0, 2, (20, 6)) * [1, 0, 0, 0, 0, 1]
+    table = site.tables.surrogate("rig")
+    found = [table.answer(wrench.tolist()) for wrench in wrenches]
+    jobs = site.ledger.jobs()
+    site.close()
+    return repr((table.version, found, jobs))
+
+
+def test_a_restored_directory_gives_the_same_answers_and_jobs(folder, backup, tmp_path):
+    restore(backup, tmp_path / "again")
+    assert answers(tmp_path / "again") == answers(folder)
+    assert (tmp_path / "again" / "surfaces" / "rig.bin").read_bytes() == b"surface"
+
+
+def test_a_backup_leaves_out_attempts_drafts_and_the_ledgers_log(folder, tmp_path):
+    (folder / "tables" / ".rig.h5.abc.tmp").write_bytes(b"draft")
+    names = back_up(folder, tmp_path / "b").files.keys()
+    assert {"ledger.sqlite", "tables/rig.h5", "components/rig/component.toml"} <= names
+    assert not [name for name in names if name.startswith(("jobs/", "ledger.sqlite-"))]
+    assert not [name for name in names if ".tmp" in name]
+
+
+def test_a_backup_that_was_cut_off_anywhere_is_refused_and_changes_nothing(backup, tmp_path):
+    whole = backup.read_bytes()
+    for kept in (0, 1, 100, len(whole) // 2, len(whole) - 30, len(whole) - 1):
+        backup.write_bytes(whole[:kept])
+        with pytest.raises(BackupError):
+            restore(backup, tmp_path / "again")
+        assert not (tmp_path / "again").exists()
+
+
+def test_no_flipped_byte_of_a_backup_is_restored(backup, folder, tmp_path):
+    whole, same, refused = backup.read_bytes(), answers(folder), 0
+    for seed in range(60):
+        chance, damaged = random.Random(seed), bytearray(whole)
+        damaged[chance.randrange(len(damaged))] ^= 1 << chance.randrange(8)
+        backup.write_bytes(damaged)
+        try:
+            restore(backup, tmp_path / f"again{seed}")
+        except BackupError:
+            refused += 1
+        else:  # a byte that says nothing: a time in the zip's index
+            assert answers(tmp_path / f"again{seed}") == same
+    assert refused > 45
+
+
+def test_a_directory_that_is_not_empty_is_left_alone_unless_told(backup, folder, tmp_path):
+    before = answers(folder)
+    with pytest.raises(BackupError, match="not empty"):
+        restore(backup, folder)
+    assert answers(folder) == before
+
+
+def test_what_was_in_an_overwritten_directory_is_moved_aside_whole(backup, folder):
+    site = Site(folder)
+    site.open()
+    site.insert(10, first=30)
+    site.close()
+    newer = answers(folder)
+    _, aside = restore(backup, folder, overwrite=True)
+    assert aside.is_dir()
+    assert answers(aside) == newer != answers(folder)
+
+
+def test_a_backup_of_a_newer_program_is_refused_by_its_version(backup, tmp_path):
+    with zipfile.ZipFile(backup) as archive:
+        held = {name: archive.read(name) for name in archive.namelist()}
+    told = json.loads(held[MANIFEST])
+    held[MANIFEST] = json.dumps(told | {"schema": 99, "program": "9.9"}).encode()
+    newer = tmp_path / "newer"
+    with zipfile.ZipFile(newer, "w") as archive:
+        for name, content in held.items():
+            archive.writestr(name, content)
+    with pytest.raises(BackupError, match=r"newer wrenchbook.*9\.9"):
+        restore(newer, tmp_path / "again")
+
+
+def test_a_name_that_leads_out_of_the_directory_is_refused(backup, tmp_path):
+    evil = tmp_path / "evil"
+    with zipfile.ZipFile(evil, "w") as archive:
+        files = {"../outside": [0, ""]}
+        told = {"format": "wrenchbook backup", "schema": 1, "created": 0, "ledger_schema": 1}
+        archive.writestr(MANIFEST, json.dumps(told | {"files": files}))
+    with pytest.raises(BackupError, match="outside of a data directory"):
+        restore(evil, tmp_path / "again")
+
+
+def test_a_damaged_ledger_is_not_backed_up_over_a_good_backup(backup, folder):
+    before = backup.read_bytes()
+    ledger = folder / "ledger.sqlite"
+    content = bytearray(ledger.read_bytes())
+    content[4096:8192] = b"x" * 4096
+    ledger.write_bytes(content)
+    with pytest.raises(BackupError, match="damaged"):
+        back_up(folder, backup)
+    assert backup.read_bytes() == before
+    assert [path.name for path in backup.parent.glob(".*")] == []
+
+
+def test_a_backup_that_cannot_be_written_is_told_and_leaves_nothing(folder, tmp_path):
+    with pytest.raises(BackupError, match="cannot be written"):
+        back_up(folder, tmp_path / "none" / "b")
+    with pytest.raises(BackupError, match="no data directory"):
+        back_up(tmp_path, tmp_path / "b")
+    assert not (tmp_path / "b").exists()
+
+
+def test_a_directory_whose_jobs_are_being_run_is_not_restored_into(backup, tmp_path):
+    from service.jobs.lease import Lease
+
+    lease = Lease(tmp_path / "busy" / "jobs" / "owners")
+    with pytest.raises(BackupError, match="stop it first"):
+        restore(backup, tmp_path / "busy", overwrite=True)
+    lease.close()
+
+
+def test_a_restored_ledger_goes_on_numbering_where_the_backup_ended(backup, tmp_path):
+    restore(backup, tmp_path / "again")
+    ledger = Ledger(tmp_path / "again" / "ledger.sqlite")
+    assert ledger.losses() == []
+    assert ledger.accept("rig", "f", (2.0, 0, 0, 0, 0, 0))[0].id == 2
+    ledger.close()
+    assert verify(backup).files

@@ -1,0 +1,247 @@
+"""The recorder: it never waits for the server, loses nothing in silence, sends each block once."""
+
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.client import Client, ProblemError, Recorder, RecorderError, ServerTimeout, spill
+from service.client.spill import Blocks
+from tests.service.stub_server import Answer, running_stub
+
+ROOT = Path(__file__).parents[2]
+WRENCH = [1.0, 2, 3, 4, 5, 6]
+PROBLEM = {"type": "urn:x", "title": "No such component", "status": 404, "detail": "it has: bar"}
+
+
+@pytest.fixture
+def server():
+    with running_stub() as running:
+        running.answers(Answer({"recorded": 1, "duplicate": False}, 201))
+        yield running
+
+
+@pytest.fixture
+def client(server):
+    with Client(server.url, timeout=10) as made:
+        yield made
+
+
+@pytest.fixture
+def recorder(client):
+    made = Recorder(client, "plate", block=4)
+    yield made
+    if made.pending:
+        with pytest.raises(RecorderError):
+            made.close(0.2)
+    else:
+        made.close()
+
+
+def sent(server):
+    """The wrenches that came, and the keys of their blocks."""
+    content = b"".join(one.content for one in server.seen)
+    return np.frombuffer(content, "<f8").reshape(-1, 6), [one.path for one in server.seen]
+
+
+def test_what_is_added_comes_in_blocks_in_order_under_counted_keys(server, recorder):
+    wrenches = np.arange(60.0).reshape(10, 6)
+    for wrench in wrenches:
+        recorder.add(wrench)
+    recorder.flush()
+    came, paths = sent(server)
+    assert np.array_equal(came, wrenches)
+    assert [len(one.content) // 48 for one in server.seen] == [4, 4, 2]
+    assert [path.rpartition("sequence=")[2] for path in paths] == ["0", "1", "2"]
+    assert len({path.rpartition("&")[0] for path in paths}) == 1
+    assert (recorder.recorded, recorder.pending) == (10, 0)
+
+
+def test_adding_does_not_wait_for_a_server_that_hangs(server, recorder):
+    release = threading.Event()
+    server.respond = lambda _: (release.wait(20), Answer({"recorded": 1}, 201))[1]
+    for _ in range(1000):
+        recorder.add(WRENCH)
+    assert recorder.pending == 1000  # no answer has come
+    release.set()
+    recorder.flush()
+    assert len(sent(server)[0]) == 1000
+
+
+def test_a_block_whose_reply_is_lost_is_sent_again_under_the_same_key(server, recorder):
+    server.answers(Answer(drop=True), Answer({}, 503), Answer({"recorded": 4}, 201))
+    for _ in range(4):
+        recorder.add(WRENCH)
+    recorder.flush()
+    paths = sent(server)[1]
+    assert len(paths) >= 3
+    assert len(set(paths)) == 1
+    assert recorder.recorded == 4
+
+
+def test_while_the_server_is_away_wrenches_are_kept_and_flush_says_so():
+    recorder = Recorder(Client("http://127.0.0.1:9", timeout=1), "plate", block=4)
+    for _ in range(6):
+        recorder.add(WRENCH)
+    with pytest.raises(ServerTimeout, match="6 wrenches are not recorded"):
+        recorder.flush(0.3)
+    assert recorder.trouble is not None
+    assert "no answer from" in recorder.trouble
+    assert recorder.unsent().tolist() == [WRENCH] * 6
+    with pytest.raises(RecorderError, match="6 wrenches of 'plate' were not recorded"):
+        recorder.close(0.2)
+
+
+def test_what_the_server_refuses_is_raised_by_the_next_add_with_its_words(server, client):
+    server.answers(Answer(PROBLEM, 404, "application/problem+json"))
+    recorder = Recorder(client, "nope", block=1)
+    recorder.add(WRENCH)
+    with pytest.raises(RecorderError, match="it has: bar"):
+        recorder.flush(10)
+    with pytest.raises(RecorderError, match="it has: bar"):
+        recorder.add(WRENCH)
+    assert recorder.unsent().tolist() == [WRENCH]
+    assert len(server.seen) == 1
+    with pytest.raises(RecorderError):
+        recorder.close(0.2)
+
+
+def test_a_slow_loop_is_recorded_within_seconds_although_no_block_is_whole(server, recorder):
+    recorder.add(WRENCH)
+    deadline = time.monotonic() + 20
+    while not server.seen:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert sent(server)[0].tolist() == [WRENCH]
+
+
+def test_a_wrench_that_is_none_is_refused_and_not_taken(recorder):
+    for bad in ([1, 2, 3], [1, 2, 3, 4, 5, np.nan], ["a"] * 6, [[1] * 6]):
+        with pytest.raises(ValueError):
+            recorder.add(bad)
+    assert recorder.pending == 0
+
+
+def test_a_recorder_that_is_closed_takes_nothing(recorder):
+    recorder.add(WRENCH)
+    recorder.close()
+    with pytest.raises(RecorderError, match="closed"):
+        recorder.add(WRENCH)
+
+
+def test_leaving_the_block_sends_what_is_left(server, client):
+    with Recorder(client, "plate") as recorder:
+        recorder.add(WRENCH)
+    assert sent(server)[0].tolist() == [WRENCH]
+
+
+@pytest.mark.parametrize(("kind", "block"), [("tape", 4), ("recording", 0), ("recording", 10_001)])
+def test_a_wrong_kind_or_block_is_refused(kind, block):
+    with pytest.raises(ValueError):
+        Recorder(Client("http://127.0.0.1:9"), "plate", kind=kind, block=block)
+
+
+def test_an_envelopes_blocks_go_to_the_envelope_and_its_start_too(server, client):
+    started = {"jobs": [], "solved": 0, "covered": 0, "failed": 0, "beyond_range": 0, "left": 0}
+    server.answers(Answer({"recorded": 1}, 201), Answer({**started, "reason": "r"}))
+    with Recorder(client, "plate", kind="envelope") as recorder:
+        recorder.add(WRENCH)
+        assert recorder.start().reason == "r"
+    assert server.seen[0].path.startswith("/v1/components/plate/envelope?client=")
+    assert server.seen[1].path == "/v1/components/plate/envelope/start"
+
+
+def test_a_start_that_cannot_be_is_the_servers_problem(server, recorder):
+    server.answers(Answer({"recorded": 1}, 201), Answer(PROBLEM, 409, "application/problem+json"))
+    recorder.add(WRENCH)
+    with pytest.raises(ProblemError, match="it has: bar"):
+        recorder.start()
+
+
+# -- the queue of blocks ----------------------------------------------------------------------
+
+
+@pytest.fixture
+def little_memory(monkeypatch):
+    monkeypatch.setattr(spill, "MOST_HELD", 20)
+    monkeypatch.setattr(spill, "MOST_SPILLED", 60)
+    monkeypatch.setattr(spill, "READ_BACK", 2)
+
+
+@pytest.fixture
+def blocks(little_memory):
+    made = Blocks(4)
+    yield made
+    made.close()
+
+
+def packed(number):
+    return np.full(6, float(number), dtype="<f8").tobytes()
+
+
+def drained(blocks):
+    """Read all blocks as a sender does; return their wrenches' numbers."""
+    found = []
+    while (block := blocks.first()) is not None:
+        found += np.frombuffer(block, "<f8").reshape(-1, 6)[:, 0].tolist()
+        blocks.drop_first()
+    return found
+
+
+def test_beyond_its_memory_blocks_wait_in_a_file_and_come_back_in_order(blocks):
+    for number in range(50):
+        blocks.add(packed(number))
+    assert (blocks.count, blocks.spilled) == (50, 28)
+    held = np.frombuffer(blocks.all(), "<f8").reshape(-1, 6)[:, 0]
+    assert held.tolist() == list(range(50))
+    assert drained(blocks) == list(range(48))
+    blocks.seal()
+    assert drained(blocks) == [48, 49]
+    assert (blocks.count, blocks.spilled) == (0, 0)
+
+
+def test_a_file_that_was_read_is_begun_anew(blocks):
+    for turn in range(5):
+        for number in range(72):
+            blocks.add(packed(number))
+        assert drained(blocks) == list(range(72)), turn
+
+
+def test_a_full_file_refuses_the_wrench_that_has_no_place_and_keeps_all_others(blocks):
+    for number in range(20 + 60 + 3):
+        blocks.add(packed(number))
+    for _ in range(2):
+        with pytest.raises(OSError, match="temporary file has its 60"):
+            blocks.add(packed(83))
+    assert blocks.count == 20 + 60 + 3
+    assert drained(blocks) == list(range(80))
+    blocks.add(packed(83))
+    assert drained(blocks) == [80, 81, 82, 83]
+
+
+FORGETFUL = """
+import sys
+from service.client import Client, Recorder
+recorder = Recorder(Client(sys.argv[1], timeout=5), "plate")
+recorder.add([1.0, 2, 3, 4, 5, 6])
+"""
+
+
+def run_forgetful(url):
+    run = [sys.executable, "-c", FORGETFUL, url]
+    return subprocess.run(run, cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
+
+
+def test_a_program_that_forgets_to_close_sends_what_is_left(server):
+    assert run_forgetful(server.url).stderr == ""
+    assert sent(server)[0].tolist() == [WRENCH]
+
+
+def test_a_program_that_ends_while_the_server_is_away_says_what_is_lost():
+    told = run_forgetful("http://127.0.0.1:9").stderr
+    assert "1 wrenches of 'plate' were not recorded" in told
+    assert "no answer from" in told

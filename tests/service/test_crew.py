@@ -1,0 +1,307 @@
+"""A real server of several processes: the same answers from all, and what a kill of each does."""
+
+import http.client
+import io
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+import orjson
+import psutil
+import pytest
+from rich.console import Console
+
+from service.cli.follow import follow_jobs
+from service.client import Client
+from service.crew import pulse
+from service.crew.supervisor import Member
+from service.files.child import child_command
+from service.keys import Keyring
+from service.ledger import Ledger
+from tests.service.live import FULL, add_table, as_rows, clean_wrenches, moved
+from tests.service.until import until
+
+HERE = Path(__file__).parent
+LIMIT_S = 60.0
+ASKED = [12.0, 0.0, 0.0, 0.0, 1.5, 2.5]
+
+
+class Crew:
+    """A server of several processes, as who looks at it from outside knows it."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        command = child_command("service.cli.main", "serve", "--data", str(folder), "--port", "0")
+        paths = f"{HERE}:{HERE.parents[1]}"
+        self.supervisor = subprocess.Popen(
+            [*command, "--processes", "2", "--solvers", "1", "--log-level", "error"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "WRENCHBOOK_SOLVE": "stand_in:quick", "PYTHONPATH": paths},
+        )
+        assert self.supervisor.stdout is not None
+        self.address = self.supervisor.stdout.readline().rsplit(maxsplit=1)[-1:]
+        self.seen = psutil.Process(self.supervisor.pid)
+
+    def members(self, word):
+        found = []
+        for one in self.seen.children():
+            with suppress(psutil.Error):  # it has ended just now
+                found += [one] if f"service.crew.{word}" in one.cmdline() else []
+        return found
+
+    def client(self):
+        return Client(self.address[0], timeout=LIMIT_S)
+
+    def end(self):
+        self.supervisor.terminate()
+        assert self.supervisor.wait(LIMIT_S) == 0
+        self.close()
+
+    def close(self):
+        for pipe in (self.supervisor.stdout, self.supervisor.stderr):
+            if pipe is not None:
+                pipe.close()
+
+
+@pytest.fixture(scope="module")
+def crew(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("crew")
+    one = Crew(folder)
+    with one.client() as client:
+        add_table(client, "clean", as_rows(clean_wrenches(), moved(clean_wrenches())))
+    yield one
+    one.end()
+
+
+@contextmanager
+def clients_of_each(crew):
+    """Give a client of each process that answers, told by the port its connection has."""
+    answering = crew.members("answering")
+    found, rest = {}, []
+    while len(found) < len(answering):
+        client = crew.client()
+        client.health()
+        rest.append(client)
+        assert len(rest) < 200, "one process takes no connections"
+        holders = {one.pid: len(one.net_connections()) for one in answering}
+        for pid, number in holders.items():
+            if number > 1 + sum(1 for held in found.values() if held[0] == pid):
+                found.setdefault(pid, (pid, client))
+    try:
+        yield [client for _, client in found.values()]
+    finally:
+        for client in rest:
+            client.close()
+
+
+def answers(client, wrenches):
+    found = client.displacements("clean", wrenches, on_thin="estimate")
+    return found.displacements.tobytes() + found.errors.tobytes()
+
+
+def statuses(crew, headers=None, method="GET", path="/v1/jobs"):
+    """What connections of their own are answered, which several processes take."""
+    found = set()
+    for _ in range(12):
+        one = http.client.HTTPConnection(crew.address[0].removeprefix("http://"), timeout=LIMIT_S)
+        one.request(method, path, headers=headers or {})
+        found.add(one.getresponse().status)
+        one.close()
+    return found
+
+
+def test_every_process_has_the_same_door(crew):
+    for headers in ({"Host": "evil.example"}, {"Origin": "http://evil.example"}):
+        assert statuses(crew, headers) == {403}
+    keyring = Keyring(crew.folder)
+    bearer = {"Authorization": f"Bearer {keyring.add('ann', 'read')}"}
+    try:
+        until(lambda: statuses(crew) == {401})
+        assert statuses(crew, bearer) == {200}
+        assert statuses(crew, bearer, "DELETE") == {403}
+        assert statuses(crew, {"Authorization": "Bearer wrong"}) == {401}
+    finally:
+        keyring.revoke("ann")
+    until(lambda: statuses(crew) == {200})
+
+
+def uses_compiled_code(client):
+    return orjson.loads(client.call("GET", "/health/ready").content)["compiled_code"] != "loading"
+
+
+def test_every_process_gives_the_bits_that_a_table_of_one_process_does(crew):
+    wrenches = np.random.default_rng(3).uniform(-1, 1, (200, 6)) * FULL
+    with clients_of_each(crew) as clients:
+        until(lambda: all(uses_compiled_code(client) for client in clients), 180.0)
+        whole = clients[0].download("clean").batch(wrenches)
+        told = {answers(client, wrenches) for client in clients}
+    assert told == {whole.displacements.tobytes() + whole.errors.tobytes()}
+
+
+def test_a_row_taken_by_one_process_is_answered_by_all(crew):
+    body = orjson.dumps({"rows": [{"wrench": [50.0, 0, 0, 0, 1, 2], "displacement": [1e-5] * 6}]})
+    with clients_of_each(crew) as clients:
+        version = clients[0].import_table("clean", body, format="json")["table_version"]
+        for client in clients:
+            until(lambda one=client: one.component("clean")["table_version"] >= version)
+            told = client.displacement("clean", [50.0, 0, 0], [0, 1, 2], on_thin="estimate")
+            assert told.table_version == version
+
+
+def test_metrics_are_of_all_processes_whichever_is_asked(crew):
+    with clients_of_each(crew) as clients:
+        for client in clients:
+            for _ in range(10):
+                client.displacement(
+                    "clean", ASKED[:3], ASKED[3:], on_thin="estimate", method="nearest"
+                )
+        until(lambda: {counted(client, "nearest") for client in clients} == {10 * len(clients)})
+
+
+def counted(client, method):
+    text = client.call("GET", "/metrics").content.decode()
+    lines = [line for line in text.splitlines() if line.startswith("wrenchbook_queries_total")]
+    return sum(float(line.split()[1]) for line in lines if f'method="{method}"' in line)
+
+
+def test_what_was_not_covered_is_counted_by_all_processes_together(crew):
+    with clients_of_each(crew) as clients:
+        for client in clients:
+            client.displacement("spring", [9e5, 0, 0], [0, 0, 0], on_thin="estimate")
+        path = "/v1/components/spring/demand"
+        until(lambda: {client.call("GET", path).json()["asked"] for client in clients} == {2})
+
+
+def test_a_job_that_one_process_has_taken_is_told_to_listeners_of_all(crew):
+    with clients_of_each(crew) as clients:
+        feeds = [client.events("bar") for client in clients]
+        for feed in feeds:
+            assert next(feed).kind == "hello"
+        job = clients[0].solve("bar", [0.0, 0.0, -11.0], [0.0, 0.0, 0.0]).job
+        for feed in feeds:
+            told = next(
+                one
+                for one in feed
+                if (one.body.get("id"), one.body.get("status")) == (job.id, "done")
+            )
+            assert told.body["component"] == "bar"
+            feed.close()
+
+
+class SeenError(Exception):
+    """What was waited for was shown."""
+
+
+def test_jobs_followed_at_one_process_are_shown_as_another_takes_them_and_all_run_them(crew):
+    out, taken = Console(file=io.StringIO(), width=200), []
+    with clients_of_each(crew) as (follows, accepts):
+
+        def show(*words, **how):
+            Console.print(out, *words, **how)
+            if not taken:  # the table of open jobs is shown: from now on nothing is missed
+                taken.append(accepts.solve("bar", [0.0, 0.0, -12.0], [0.0, 0.0, 0.0]).job.id)
+            if f"job {taken[0]} of bar: done, row" in out.file.getvalue():
+                raise SeenError
+
+        out.print = show
+        with pytest.raises(SeenError):
+            follow_jobs(out, follows, "bar", timeout_s=LIMIT_S)
+
+
+def test_a_killed_process_is_started_again_and_the_others_answer_meanwhile(crew):
+    before = {one.pid for one in crew.members("answering")}
+    victim = min(before)
+    os.kill(victim, signal.SIGKILL)
+    with crew.client() as client:
+        assert client.component("clean")["rows"] > 0
+        until(lambda: len({one.pid for one in crew.members("answering")} - {victim}) == len(before))
+        until(client.is_ready)
+
+
+def test_a_killed_coordinator_loses_nothing_that_was_accepted(crew):
+    (victim,) = crew.members("coordinator")
+    with crew.client() as client:
+        held = answers(client, clean_wrenches())
+        os.kill(victim.pid, signal.SIGKILL)
+        assert answers(client, clean_wrenches()) == held
+        job = client.solve("bar", [0.0, 0.0, -10.0], [0.0, 0.0, 0.0]).job
+        assert job is not None
+        until(lambda: client.job(job.id).status == "done")
+        assert {one.pid for one in crew.members("coordinator")} != {victim.pid}
+        until(client.is_ready)
+
+
+def test_a_second_server_on_the_same_directory_is_refused_with_what_to_do(crew):
+    other = Crew(crew.folder)
+    assert other.supervisor.wait(LIMIT_S) == 1
+    assert other.supervisor.stderr is not None
+    said = other.supervisor.stderr.read()
+    other.close()
+    assert "another server of several processes is at work" in said
+    assert "--data" in said
+    assert "the coordinator did not start" in said
+
+
+def test_all_processes_end_with_a_supervisor_that_is_killed(tmp_path):
+    one = Crew(tmp_path)
+    members = one.seen.children()
+    one.supervisor.kill()
+    one.supervisor.wait(LIMIT_S)
+    _, alive = psutil.wait_procs(members, LIMIT_S)
+    one.close()
+    assert not alive
+    assert not (tmp_path / "shared").exists()
+
+
+def test_a_process_that_stands_still_is_replaced_and_its_callers_let_go(tmp_path):
+    said = 'import os, sys; os.write(int(sys.argv[1]), b"."); sys.stdin.read()'
+    member = Member("the sleeper", [sys.executable, "-c", said])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pulse, "SILENT_S", 0.05)
+        patch.setattr(pulse, "BEAT_S", 0.01)
+        member.start()
+        member.wait_until_ready(threading.Event())
+        first = until(lambda: member.pid)
+        assert until(lambda: member.pid not in (None, first))
+    member.terminate()
+    member.wait(LIMIT_S)
+
+
+def has_been_read(connection):
+    """Whether the server has taken all that was sent, by the kernel's table of its connections."""
+    port = f":{connection.sock.getsockname()[1]:04X}"
+    for line in Path("/proc/net/tcp").read_text().splitlines()[1:]:
+        _, _, remote, _, queues, *_ = line.split()
+        if remote.endswith(port):
+            return int(queues.rsplit(":", 1)[1], 16) == 0
+    return False
+
+
+def test_at_a_signal_who_waits_is_answered_and_no_accepted_job_is_lost(crew):
+    """The last test of this server: it ends here."""
+    with crew.client() as client:
+        accepted = [
+            client.solve("bar", [0.0, 0.0, -20.0 - one / 10], [0.0, 0.0, 0.0]).job.id
+            for one in range(100)
+        ]
+    waiting = http.client.HTTPConnection(crew.address[0].removeprefix("http://"), timeout=LIMIT_S)
+    waiting.request("GET", f"/v1/jobs/{accepted[-1]}?wait_s=60")
+    assert until(lambda: has_been_read(waiting))
+    os.kill(crew.supervisor.pid, signal.SIGTERM)
+    assert orjson.loads(waiting.getresponse().read())["id"] == accepted[-1]
+    waiting.close()
+    assert crew.supervisor.wait(LIMIT_S) == 0
+    ledger = Ledger(crew.folder / "ledger.sqlite")
+    assert {ledger.job(one).status for one in accepted} <= {"waiting", "done", "running"}
+    assert not ledger.losses()
+    ledger.close()
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", int(crew.address[0].rsplit(":", 1)[1])))

@@ -1,0 +1,268 @@
+"""Deformed surfaces at solved wrenches and between them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.fields.deformed import DeformedShapes, NoFieldsError, TooFarError
+from service.fields.store import FieldStore, key_of
+from surrogate.build import build
+from surrogate.table.rows import Rows, Tolerance
+from tests.service.surfaces import keep, sheet, solved, solver, wrenches, write_bundle
+
+ROWS, CHECKS = 24, 8
+
+
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory):
+    """A component, its rows, their fields, and the fields of wrenches that are no rows."""
+    folder = write_bundle(tmp_path_factory.mktemp("bundles"))
+    component = sheet(folder)
+    fields, rows = solved(folder, wrenches(component, ROWS))
+    asked = wrenches(component, CHECKS, seed=2)
+    return component, rows, fields, asked, solved(folder, asked)[0]
+
+
+@pytest.fixture
+def store(tmp_path):
+    return FieldStore(tmp_path / "fields")
+
+
+@pytest.fixture
+def shapes(store):
+    found = DeformedShapes(store)
+    yield found
+    found.close()
+
+
+def filled(store, plate, which=range(ROWS)):
+    component, rows, fields, *_ = plate
+    for row in which:
+        keep(store, component, rows.wrench[row], fields[row])
+
+
+def file_of(store, plate, row):
+    component, rows, *_ = plate
+    folder = store._folder / component.name / component.fingerprint
+    return folder / f"{key_of(rows.wrench[row])}.fields"
+
+
+def lengths(vectors):
+    return np.linalg.norm(vectors, axis=1)
+
+
+def test_a_solved_wrench_has_the_solvers_surface(plate, store, shapes):
+    component, rows, fields, *_ = plate
+    filled(store, plate)
+    for row in (0, 7, ROWS - 1):
+        found = shapes.answer(component, rows, rows.wrench[row])
+        size = np.abs(fields[row].displacement).max()
+        assert np.abs(found.displacement - fields[row].displacement).max() < 1e-12 * size
+        np.testing.assert_array_equal(found.geometry.vertices, fields[row].vertices)
+        np.testing.assert_array_equal(found.geometry.triangles, fields[row].triangles)
+        assert (found.source, found.coverage, found.rows) == ("row", "covered", (row + 1,))
+        assert found.stress.largest == fields[row].largest
+        assert (found.error > 0).all()
+
+
+def test_a_wrench_rounded_to_a_rows_is_led_there_by_its_slopes(plate, store, shapes):
+    component, rows, *_ = plate
+    filled(store, plate)
+    asked = rows.wrench[0] + 0.4e-6 * component.load_range.scale
+    true = solver(component.folder).fields(solver(component.folder).solve(asked))
+    found = shapes.answer(component, rows, asked)
+    assert found.source == "row"
+    wrong = np.abs(found.displacement - true.displacement).max()
+    assert wrong < 1e-9 * np.abs(true.displacement).max()
+    assert found.stress.largest == pytest.approx(true.largest, rel=1e-6)
+
+
+def test_between_rows_nine_of_ten_vertices_are_within_their_bars(plate, store, shapes):
+    component, rows, _, asked, true = plate
+    filled(store, plate)
+    held = build(rows, component.load_range).kriging.hyperparameters
+    for lengths_of_loads in (None, held):
+        errors, bars, sizes = [], [], []
+        for wrench, one in zip(asked, true, strict=True):
+            found = shapes.answer(component, rows, wrench, lengths_of_loads)
+            assert found.source == "rows"
+            errors.append(lengths(found.displacement - one.displacement))
+            bars.append(found.error)
+            sizes.append(lengths(one.displacement).max())
+        errors, bars = np.array(errors), np.array(bars)
+        free = errors.max(axis=0) > 0
+        assert (errors <= bars)[:, free].mean() >= 0.9
+        # And they say something: the error is a small part of what moves, the bar not far off.
+        assert errors.max() < 0.05 * max(sizes)
+        assert np.median(bars[:, free]) < 30 * np.median(errors[:, free])
+
+
+def test_between_rows_the_largest_stress_is_within_its_bar(plate, store, shapes):
+    component, rows, _, asked, true = plate
+    filled(store, plate)
+    inside = 0
+    for wrench, one in zip(asked, true, strict=True):
+        found = shapes.answer(component, rows, wrench).stress
+        inside += abs(found.largest - one.largest) <= found.error
+        assert found.largest == pytest.approx(one.largest, rel=0.1)
+    assert inside >= 0.9 * CHECKS
+
+
+def test_a_table_with_half_its_rows_without_fields_answers_from_the_others(plate, store, shapes):
+    component, rows, _, asked, true = plate
+    filled(store, plate, range(0, ROWS, 2))
+    found = shapes.answer(component, rows, asked[0])
+    assert found.rows == tuple(range(1, ROWS, 2))
+    wrong = lengths(found.displacement - true[0].displacement)
+    assert (wrong <= found.error).mean() >= 0.9
+    assert shapes.answer(component, rows, rows.wrench[1]).source == "rows"
+
+
+def test_rows_of_another_fingerprint_or_measured_ones_have_no_fields(plate, store, shapes):
+    component, rows, *_ = plate
+    filled(store, plate)
+    other = replace(rows, fingerprint=np.array(["other"] * ROWS))
+    with pytest.raises(NoFieldsError, match="none of its 24 rows has one"):
+        shapes.answer(component, other, rows.wrench[0])
+
+
+def test_a_damaged_file_is_a_row_without_fields(plate, store, shapes):
+    component, rows, _, asked, _ = plate
+    filled(store, plate)
+    path = file_of(store, plate, 4)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(content)
+    file_of(store, plate, 5).write_bytes(b"")
+    found = shapes.answer(component, rows, asked[0])
+    assert set(range(1, ROWS + 1)) - set(found.rows) == {5, 6}
+    at = shapes.answer(component, rows, rows.wrench[4])
+    assert at.source == "rows"
+    assert (lengths(at.displacement - plate[2][4].displacement) <= at.error).mean() >= 0.9
+
+
+def test_where_all_files_are_damaged_it_says_so(plate, store, shapes):
+    component, rows, _, asked, _ = plate
+    filled(store, plate, range(3))
+    for row in range(3):
+        file_of(store, plate, row).write_bytes(b"nothing")
+    with pytest.raises(NoFieldsError, match="damaged"):
+        shapes.answer(component, rows, asked[0])
+
+
+def test_a_geometry_that_is_gone_is_named_and_not_guessed(plate, store, shapes):
+    component, rows, _, asked, _ = plate
+    filled(store, plate, range(5))
+    for path in (store._folder / component.name).glob("*/*.geometry"):
+        path.unlink()
+    with pytest.raises(NoFieldsError, match="cannot be read"):
+        shapes.answer(component, rows, asked[0])
+
+
+def test_one_row_answers_flagged_and_without_a_bar(plate, store, shapes):
+    component, rows, _, asked, _ = plate
+    filled(store, plate, [0])
+    found = shapes.answer(component, rows, asked[0])
+    assert (found.coverage, found.error) == ("thin", None)
+    assert "too few" in found.reason
+    assert found.stress.error is None
+    assert found.stress.yields is None
+
+
+def test_new_rows_take_part_at_once(plate, store, shapes):
+    component, rows, _, asked, _ = plate
+    filled(store, plate, range(5))
+    assert len(shapes.answer(component, rows, asked[0]).rows) == 5
+    filled(store, plate, range(5, 9))
+    assert len(shapes.answer(component, rows, asked[0]).rows) == 9
+
+
+def test_repeated_rows_count_once(plate, store, shapes):
+    component, rows, _, asked, _ = plate
+    filled(store, plate, range(6))
+    twice = rows.take([*range(6), *range(6)])
+    assert len(shapes.answer(component, twice, asked[0]).rows) == 6
+
+
+def test_a_tolerance_decides_what_is_covered(plate, store, shapes):
+    component, rows, _, asked, _ = plate
+    filled(store, plate)
+    loose = replace(component, tolerance=Tolerance(1.0, 1.0))
+    tight = replace(component, tolerance=Tolerance(1e-12, 1.0))
+    assert shapes.answer(loose, rows, asked[0]).coverage == "covered"
+    found = shapes.answer(tight, rows, asked[0])
+    assert found.coverage == "thin"
+    assert "may be wrong by" in found.reason
+
+
+def test_beyond_the_range_it_is_flagged_and_far_beyond_refused(plate, store, shapes):
+    component, rows, *_ = plate
+    filled(store, plate)
+    found = shapes.answer(component, rows, np.array([1500.0, 0, 0, 0, 0, 0]))
+    assert found.coverage == "outside"
+    assert "fx = 1500 N is outside" in found.reason
+    for size in (4000.0, 1e300):
+        with pytest.raises(TooFarError, match="too far beyond"):
+            shapes.answer(component, rows, np.array([0.0, 0, 0, 0, size, 0]))
+
+
+def test_the_part_that_yields_is_named(plate, store, shapes):
+    component, rows, fields, *_ = plate
+    filled(store, plate)
+    worst = int(np.argmax([one.largest for one in fields]))
+    found = shapes.answer(component, rows, rows.wrench[worst]).stress
+    assert found.largest > 60e6
+    assert (found.yields, found.region, found.yield_strength) == (True, "all", 60e6)
+    strong = replace(component, yield_strengths={"all": 1e9})
+    assert shapes.answer(strong, rows, rows.wrench[worst]).stress.yields is False
+    silent = replace(component, yield_strengths={})
+    assert shapes.answer(silent, rows, rows.wrench[worst]).stress.yields is None
+
+
+def test_a_bar_across_the_yield_strength_leaves_it_open(plate, store, shapes):
+    component, rows, _, asked, _ = plate
+    filled(store, plate)
+    told = shapes.answer(component, rows, asked[0]).stress
+    near = replace(component, yield_strengths={"all": told.largest - 0.5 * told.error})
+    assert shapes.answer(near, rows, asked[0]).stress.yields is None
+
+
+def test_a_linear_components_unit_fields_answer_every_wrench(tmp_path, store, shapes):
+    folder = write_bundle(tmp_path, nonlinear=False)
+    component = sheet(folder)
+    asked = wrenches(component, 3)
+    with pytest.raises(NoFieldsError, match="unit fields"):
+        shapes.answer(component, Rows.empty(), asked[0])
+    keep(store, component, asked[0], solved(folder, asked[:1])[0][0])
+    for wrench, true in zip(asked, solved(folder, asked)[0], strict=True):
+        found = shapes.answer(component, Rows.empty(), wrench)
+        size = np.abs(true.displacement).max()
+        assert np.abs(found.displacement - true.displacement).max() < 1e-11 * size
+        assert (found.source, found.coverage) == ("linear", "covered")
+        assert found.stress.largest == pytest.approx(true.largest, rel=1e-10)
+        assert found.stress.at == pytest.approx(true.largest_at)
+    assert len(list(store._folder.glob("*/*/*.fields"))) == 1
+
+
+def test_the_memory_of_large_surfaces_is_bounded_by_fewer_rows(plate, store, shapes, monkeypatch):
+    component, rows, _, asked, _ = plate
+    filled(store, plate)
+    row = store.row(component.name, component.fingerprint, rows.wrench[0])
+    size = 56 * (row.displacement.size + row.stress.size)
+    monkeypatch.setattr("service.fields.deformed.BLEND_BYTES", 10 * size)
+    found = shapes.answer(component, rows, asked[0])
+    assert len(found.rows) == 10
+    assert sum(kept[1].values.nbytes for kept in shapes._kept.values()) <= 10 * size
+    apart = np.linalg.norm((rows.wrench - asked[0]) / component.load_range.scale, axis=1)
+    assert set(found.rows) == set((np.argsort(apart)[:10] + 1).tolist())
+
+
+def test_the_same_question_needs_no_file_a_second_time(plate, store, shapes):
+    component, rows, _, asked, _ = plate
+    filled(store, plate)
+    first = shapes.answer(component, rows, asked[0])
+    blend = shapes._kept[component.name][1]
+    second = shapes.answer(component, rows, asked[1])
+    assert shapes._kept[component.name][1] is blend
+    assert first.geometry is second.geometry

@@ -1,0 +1,347 @@
+"""The doctor tells what is wrong in clear words, and mends from whichever copy is whole."""
+
+import random
+import shutil
+import sqlite3
+
+import pytest
+
+from service.ledger import Ledger
+from service.upkeep.doctor import examine
+from surrogate.table.hdf5 import read_table
+from tests.service.test_durable_tables import Site, new_rows
+
+
+@pytest.fixture
+def folder(tmp_path):
+    site = Site(tmp_path / "site")
+    site.open("rig", "other")
+    site.insert(60)
+    site.insert(20, name="other")
+    site.ledger.accept_many("rig", "f", [(float(i), 1, 0, 0, 0, 0) for i in range(30)])
+    site.close()
+    return site.folder
+
+
+def rows_of(folder):
+    ledger = Ledger(folder / "ledger.sqlite")
+    found = {
+        (name, row.seq, row.wrench, row.displacement)
+        for name in ("rig", "other")
+        for row in ledger.rows(name)
+    }
+    ledger.close()
+    return found
+
+
+def content(folder):
+    return {one[0:1] + one[2:] for one in rows_of(folder)}
+
+
+def kinds(findings):
+    return {one.kind for one in findings}
+
+
+def words(findings):
+    return " | ".join(f"{one.kind}: {one.what} {one.remedy}" for one in findings)
+
+
+def edit(folder, statement):
+    db = sqlite3.connect(folder / "ledger.sqlite")
+    db.execute(statement)
+    db.commit()
+    db.close()
+
+
+def overwrite(path, first, count):
+    content = bytearray(path.read_bytes())
+    content[first : first + count] = random.Random(1).randbytes(count)
+    path.write_bytes(content)
+
+
+def test_a_directory_in_order_has_no_findings(folder):
+    assert examine(folder) == []
+    assert examine(folder, mend=True) == []
+
+
+def test_a_damaged_row_is_healed_from_its_tables_file_under_its_own_number(folder):
+    before = rows_of(folder)
+    edit(folder, "UPDATE rows SET displacement = zeroblob(48) WHERE seq = 7")
+    assert len(rows_of(folder)) == len(before) - 1
+    found = examine(folder)
+    assert "fault: row 7 of rig is damaged" in words(found)
+    assert len(rows_of(folder)) == len(before) - 1  # looking changes nothing
+    assert "mended: row 7 of rig" in words(examine(folder, mend=True))
+    assert rows_of(folder) == before
+    assert kinds(examine(folder)) <= {"note"}
+
+
+def test_a_healed_row_reaches_a_server_that_had_left_it_out(folder):
+    edit(folder, "UPDATE rows SET displacement = zeroblob(48) WHERE seq = 7")
+    keep = folder / "rig.h5"
+    (folder / "tables" / "rig.h5").rename(keep)  # the server has to read the ledger
+    site = Site(folder)
+    site.open()
+    assert site.tables.catch_up("rig", 20)
+    assert len(site.tables.surrogate("rig").rows) == 59
+    shutil.copy(keep, folder / "tables" / "rig.h5")
+    assert "mended" in kinds(examine(folder, mend=True))
+    assert site.tables.catch_up("rig", 20)
+    assert len(site.tables.surrogate("rig").rows) == 60
+    site.close()
+
+
+def test_a_row_damaged_in_both_places_is_told_and_not_made_up(folder):
+    edit(folder, "UPDATE rows SET wrench = zeroblob(48) WHERE seq = 7")
+    overwrite(folder / "tables" / "rig.h5", 3000, 50)
+    found = examine(folder, mend=True)
+    assert "row 7 of rig is damaged in the ledger no whole table file has it" in words(found)
+    assert "fault" in kinds(found)
+
+
+@pytest.mark.parametrize("damage", ["flipped", "cut", "empty", "another's"])
+def test_a_damaged_tables_file_is_moved_aside_and_written_anew_from_the_ledger(folder, damage):
+    path = folder / "tables" / "rig.h5"
+    before = read_table(path)[0]
+    if damage == "flipped":
+        overwrite(path, 2000, 1)
+    elif damage == "another's":
+        shutil.copy(folder / "tables" / "other.h5", path)
+    else:
+        path.write_bytes(path.read_bytes()[: 1000 * (damage == "cut")])
+    broken = path.read_bytes()
+    assert "tables/rig.h5 cannot be used" in words(examine(folder))
+    assert path.read_bytes() == broken
+    assert "mended" in kinds(examine(folder, mend=True))
+    after = read_table(path)[0]
+    assert after.displacement.tolist() == before.displacement.tolist()
+    (aside,) = (folder / "tables").glob("rig.h5.damaged-*")
+    assert aside.read_bytes() == broken
+    assert kinds(examine(folder)) == {"note"}
+
+
+def test_a_missing_tables_file_is_written_from_the_ledger(folder):
+    path = folder / "tables" / "rig.h5"
+    path.unlink()
+    assert "tables/rig.h5 is not there" in words(examine(folder))
+    examine(folder, mend=True)
+    assert len(read_table(path)[0]) == 60
+
+
+def test_rows_that_only_a_file_has_are_put_back_into_an_older_ledger(folder):
+    shutil.copy(folder / "ledger.sqlite", folder / "older")
+    site = Site(folder)
+    site.open()
+    site.insert(10, first=60)
+    site.close()
+    before = content(folder)
+    shutil.copy(folder / "older", folder / "ledger.sqlite")
+    (folder / "older").unlink()
+    found = examine(folder)
+    assert "do not have the same rows" in words(found)
+    assert "acknowledged and are not in the ledger any more" in words(found)
+    assert "10 rows put back" in words(examine(folder, mend=True))
+    assert content(folder) == before
+
+
+def test_a_missing_ledger_is_made_from_the_tables(folder):
+    before = content(folder)
+    (folder / "ledger.sqlite").unlink()
+    assert "there is no ledger.sqlite" in words(examine(folder))
+    assert not (folder / "ledger.sqlite").exists()
+    examine(folder, mend=True)
+    assert content(folder) == before
+
+
+def test_a_log_without_its_ledger_is_never_lost(folder):
+    db = sqlite3.connect(folder / "ledger.sqlite")
+    db.execute("UPDATE jobs SET priority = 9 WHERE id = 1")
+    db.commit()
+    log = (folder / "ledger.sqlite-wal").read_bytes()
+    db.close()
+    (folder / "ledger.sqlite").unlink()
+    (folder / "ledger.sqlite-wal").write_bytes(log)
+    ledger = Ledger(folder / "ledger.sqlite", patient=True)
+    assert "without" in ledger.trouble()
+    ledger.close()
+    assert "without ledger.sqlite" in words(examine(folder))
+    assert (folder / "ledger.sqlite-wal").read_bytes() == log
+    examine(folder, mend=True)
+    (aside,) = folder.glob("ledger.sqlite-wal.orphan-*")
+    assert aside.read_bytes() == log
+    assert len(content(folder)) == 80
+
+
+def test_a_ledger_file_with_damaged_pages_is_made_anew_and_loses_no_row(folder):
+    """Each page in turn: what cannot be read comes from the tables' files."""
+    path = folder / "ledger.sqlite"
+    whole, before, mended = path.read_bytes(), rows_of(folder), 0
+    pages = len(whole) // 4096
+    for page in range(1, pages, 3):
+        for name in folder.glob("ledger.sqlite*"):
+            name.unlink()
+        path.write_bytes(whole)
+        overwrite(path, 4096 * page, 4096)
+        found = examine(folder, mend=True)
+        if "fault" in kinds(found):
+            pytest.fail(f"page {page}: {words(found)}")
+        mended += "a new one was made" in words(found)
+        assert {one[0:1] + one[2:] for one in before} == content(folder), page
+    assert mended > pages // 6
+
+
+def test_jobs_that_a_damaged_ledger_still_tells_are_in_the_new_one(folder):
+    path = folder / "ledger.sqlite"
+    db = sqlite3.connect(path)
+    page = db.execute("SELECT rootpage FROM sqlite_master WHERE name = 'rows_of_component'")
+    number = page.fetchone()[0]
+    db.close()
+    overwrite(path, 4096 * (number - 1), 4096)
+    found = examine(folder, mend=True)
+    assert "30 jobs of 30 and" in words(found)
+    ledger = Ledger(path)
+    assert ledger.counts()["waiting"] == 30
+    assert ledger.accept("rig", "f", (99.0, 0, 0, 0, 0, 0))[0].id == 31
+    ledger.close()
+    assert len(list(folder.glob("ledger.sqlite.damaged-*"))) == 1
+
+
+def test_a_damaged_ledger_in_use_is_not_replaced(folder):
+    from service.jobs.lease import Lease
+
+    overwrite(folder / "ledger.sqlite", 4096, 8192)
+    before = (folder / "ledger.sqlite").read_bytes()
+    lease = Lease(folder / "jobs" / "owners")
+    assert "stop the server" in words(examine(folder, mend=True))
+    lease.close()
+    assert (folder / "ledger.sqlite").read_bytes() == before
+
+
+def test_a_done_job_whose_row_is_nowhere_is_solved_again(folder):
+    ledger = Ledger(folder / "ledger.sqlite")
+    job = ledger.claim("me")
+    row = ledger.commit(job.id, job.attempt, [1e-6] * 6)
+    ledger.close()
+    db = sqlite3.connect(folder / "ledger.sqlite")
+    db.execute("PRAGMA foreign_keys = OFF")
+    db.execute("DELETE FROM rows WHERE seq = ?", (row.seq,))
+    db.commit()
+    (number,) = db.execute(
+        "SELECT rootpage FROM sqlite_master WHERE name = 'jobs_in_order'"
+    ).fetchone()
+    db.close()
+    overwrite(folder / "ledger.sqlite", 4096 * (number - 1), 4096)
+    assert "1 jobs wait again" in words(examine(folder, mend=True))
+    ledger = Ledger(folder / "ledger.sqlite")
+    assert ledger.job(job.id).status == "waiting"
+    ledger.close()
+
+
+def test_leftovers_are_told_and_left_alone(folder):
+    left = [
+        folder / "tables" / ".rig.h5.1.tmp",
+        folder / "components" / ".incoming-1",
+        folder / "jobs" / "4711",
+    ]
+    for path in left:
+        path.mkdir(parents=True)
+    found = examine(folder, mend=True)
+    assert kinds(found) == {"note"}
+    for path in left:
+        assert path.name in words(found)
+        assert path.exists()
+
+
+def test_a_full_disk_and_a_missing_folder_are_told(folder, monkeypatch, tmp_path):
+    usage = shutil.disk_usage(folder)._replace(free=1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    assert "the disk has 0 MB left" in words(examine(folder))
+    assert "no data directory" in words(examine(tmp_path / "nowhere"))
+
+
+def test_a_component_that_cannot_be_read_is_told_by_name(folder):
+    (folder / "components" / "rig" / "component.toml").write_text("name = [")
+    assert "component rig cannot be used" in words(examine(folder))
+
+
+def test_a_foreign_ledger_is_told_and_not_mended(folder):
+    path = folder / "ledger.sqlite"
+    path.unlink()
+    db = sqlite3.connect(path)
+    db.execute("CREATE TABLE theirs (x)")
+    db.commit()
+    db.close()
+    before = path.read_bytes()
+    assert "another program" in words(examine(folder, mend=True))
+    assert path.read_bytes() == before
+
+
+def test_the_doctor_mends_rows_while_the_directory_is_in_use(folder):
+    site = Site(folder)
+    site.open()
+    edit(folder, "UPDATE rows SET displacement = zeroblob(48) WHERE seq = 7")
+    site.insert(10, first=60)
+    assert "mended: row 7" in words(examine(folder, mend=True))
+    site.insert(10, first=70)
+    assert len(site.wrenches()) == len(new_rows(80))
+    site.close()
+    assert kinds(examine(folder)) <= {"note"}
+
+
+def test_rows_that_neither_copy_has_are_told_as_lost_and_not_as_mended(folder):
+    """It said that all was in order, and that the ledger had the rows."""
+    overwrite(folder / "ledger.sqlite", 0, 4096)
+    (folder / "tables" / "rig.h5").write_bytes(b"")
+    found = examine(folder, mend=True)
+    (lost,) = [one for one in found if one.kind == "fault"]
+    assert "tables/rig.h5" in lost.what
+    assert "restore a backup" in lost.remedy
+    assert "jobs that were lost: 30" in words(found)
+
+
+def test_a_ledger_that_was_cut_off_gives_the_jobs_of_the_pages_that_are_left(folder):
+    ledger = Ledger(folder / "ledger.sqlite")
+    ledger.accept_many("rig", "f", [(float(i), 2, 0, 0, 0, 0) for i in range(2000)])
+    ledger.close()
+    path = folder / "ledger.sqlite"
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size * 3 // 4)
+    before = content(folder) if not examine(folder, mend=True) else None
+    ledger = Ledger(path)
+    assert before is None
+    assert ledger.count_rows("rig") == 60
+    assert len(ledger.jobs(limit=3000)) > 500
+    ledger.close()
+
+
+def test_an_empty_ledger_is_told_as_one_that_is_gone(folder):
+    (folder / "ledger.sqlite").write_bytes(b"")
+    assert "ledger.sqlite is empty" in words(examine(folder))
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("keys.json", "nobody is let in"),
+        ("wrenchbook.toml", "cannot be read as TOML"),
+        ("demand.json", "the demand map begins anew"),
+        ("solver_errors/rig/f.json", "bars lack the solver's share"),
+        ("fields/rig/f/a.fields", "its surface comes from the others"),
+    ],
+)
+def test_a_damaged_file_beside_the_ledger_is_told(folder, name, said):
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("{[")
+    found = examine(folder)
+    assert kinds(found) == {"fault"}
+    assert said in words(found)
+    after = examine(folder, mend=True)
+    own = name in ("keys.json", "wrenchbook.toml")
+    assert ("fault" in kinds(after)) == own
+    assert path.exists() == own
+
+
+def test_a_file_that_a_kill_left_half_written_is_told(folder):
+    (folder / f".demand.json.{2**31}.7").touch()
+    assert f".demand.json.{2**31}.7" in words(examine(folder))

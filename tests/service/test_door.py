@@ -1,0 +1,323 @@
+"""Who is let in: each call of the document, with each kind of key, and from each kind of place."""
+
+import asyncio
+import io
+import zipfile
+from pathlib import Path
+
+import pytest
+from starlette.testclient import TestClient
+
+from service.client import Client
+from service.http.app import create_app
+from service.http.door import Opening
+from service.http.door.opening import is_loopback, opening_for
+from service.http.limited import counted as counted_
+from service.http.problems import ProblemError
+from service.keys import Keyring
+from service.workspace import Settings
+
+TABLE_ONLY = {"name": "rig", "title": "rig", "range": {"force": [1, 2, 3], "moment": [1, 1, 1]}}
+ASK = "/v1/components/bar/displacement"
+WRENCH = {"force": [0, 0, 1], "moment": [0, 0, 0]}
+SCOPES = ("read", "write", "admin")
+
+
+def calls():
+    """Every call there is, by the application's own document; no server is needed for that."""
+    document = create_app(Settings(Path("no-such-folder"))).openapi()
+    for path, of_path in document["paths"].items():
+        for method in of_path:
+            yield method.upper(), path
+
+
+CALLS = sorted(calls())
+
+
+def url_of(path):
+    for name, value in {"name": "bar", "job_id": "1", "row": "1"}.items():
+        path = path.replace(f"{{{name}}}", value)
+    return path
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    return tmp_path_factory.mktemp("door")
+
+
+@pytest.fixture(scope="module")
+def secrets_(place):
+    keyring = Keyring(place)
+    return {scope: keyring.add(f"{scope}er", scope) for scope in SCOPES}
+
+
+@pytest.fixture(scope="module")
+def locked(place, secrets_):
+    opening = Opening(origins=frozenset({"https://lab.example"}), own_key="the-server's-own")
+    with TestClient(create_app(Settings(place, solvers=0, allow_decks=True), opening)) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def unlocked(tmp_path_factory):
+    """As `wrenchbook serve` opens it on loopback."""
+    folder, opening = tmp_path_factory.mktemp("open"), opening_for("127.0.0.1", None, None)
+    app = create_app(Settings(folder, solvers=0), opening)
+    with TestClient(app, base_url="http://127.0.0.1:8000") as client:
+        yield client
+
+
+def bearer(secret):
+    return {"Authorization": f"Bearer {secret}"}
+
+
+@pytest.mark.parametrize(("method", "path"), CALLS)
+def test_every_call_refuses_none_and_a_wrong_key_and_every_write_a_key_for_reading(
+    locked, secrets_, method, path
+):
+    url = url_of(path)
+    wrong = (
+        {},
+        bearer("wb_wrong"),
+        bearer(""),
+        {"Authorization": secrets_["admin"]},
+        {"Authorization": f"Basic {secrets_['admin']}"},
+        {"Cookie": f"key={secrets_['admin']}"},
+    )
+    for headers in wrong:
+        reply = locked.request(method, url, headers=headers)
+        assert reply.status_code == 401, reply.text
+        assert reply.headers["www-authenticate"].startswith("Bearer")
+    if path.startswith("/v1/keys"):
+        assert locked.request(method, url, headers=bearer(secrets_["write"])).status_code == 403
+    elif method != "GET":
+        refused = locked.request(method, url, headers=bearer(secrets_["read"]))
+        assert refused.status_code == 403, refused.text
+        assert "needs write" in refused.json()["detail"]
+    elif path != "/v1/events":  # which goes on for ever
+        assert locked.request(method, url, headers=bearer(secrets_["read"])).status_code not in (
+            401,
+            403,
+        )
+
+
+def test_the_document_of_the_calls_needs_no_key_and_says_that_they_do(locked, unlocked):
+    document = locked.get("/openapi.json").json()
+    assert document["security"] == [{"key": []}]
+    assert {"401", "403", "429"} <= document["paths"]["/v1/components"]["get"]["responses"].keys()
+    assert "security" not in unlocked.get("/openapi.json").json()
+
+
+@pytest.mark.parametrize(
+    ("on_thin", "status"),
+    [("estimate", 200), ("reject", 409), ("queue", 403), ("wait", 403), (None, 403)],
+)
+def test_a_key_for_reading_asks_what_queues_nothing(locked, secrets_, on_thin, status):
+    body = {**WRENCH} if on_thin is None else {**WRENCH, "on_thin": on_thin}
+    assert locked.post(ASK, json=body, headers=bearer(secrets_["read"])).status_code == status
+    many = {"wrenches": [[0.0] * 6]} | ({} if on_thin is None else {"on_thin": on_thin})
+    reply = locked.post(f"{ASK}s", json=many, headers=bearer(secrets_["read"]))
+    assert reply.status_code == status
+
+
+def test_a_key_for_reading_asks_in_the_binary_form_as_well(locked, secrets_):
+    headers = {**bearer(secrets_["read"]), "Content-Type": "application/octet-stream"}
+    assert (
+        locked.post(f"{ASK}s?on_thin=estimate", content=bytes(48), headers=headers).status_code
+        == 200
+    )
+    assert locked.post(f"{ASK}s", content=bytes(48), headers=headers).status_code == 403
+
+
+def test_a_deck_needs_a_key_for_admin(locked, secrets_):
+    text = (
+        'name = "decked"\ntitle = "t"\n[range]\nforce = [1, 1, 1]\nmoment = [1, 1, 1]\n[deck]\n'
+        'file = "a.inp"\ncommand = ["id"]\n'
+        'output = {reader = "calculix-dat", point = "A", rotation = "B"}\n'
+    )
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("component.toml", text)
+        archive.writestr("a.inp", "$FX $FY $FZ $MX $MY $MZ\n")
+    files = {"bundle": ("b.zip", buffer.getvalue(), "application/zip")}
+    refused = locked.post("/v1/components", files=files, headers=bearer(secrets_["write"]))
+    assert refused.status_code == 422
+    assert "admin" in refused.json()["detail"]
+    looked_at = locked.post("/v1/components", files=files, headers=bearer(secrets_["admin"]))
+    assert "prints" in looked_at.text or "print the set" in looked_at.text
+
+
+def test_keys_are_made_listed_and_revoked_over_http_and_the_secret_is_told_once(locked, secrets_):
+    admin = bearer(secrets_["admin"])
+    made = locked.post("/v1/keys", json={"name": "eve", "scope": "read"}, headers=admin)
+    assert made.status_code == 201
+    eve = bearer(made.json()["key"])
+    assert locked.get("/v1/jobs", headers=eve).status_code == 200
+    told = locked.get("/v1/keys", headers=admin)
+    assert "eve" in [key["name"] for key in told.json()["keys"]]
+    assert made.json()["key"] not in told.text
+    assert "digest" not in told.text
+    again = locked.post("/v1/keys", json={"name": "eve"}, headers=admin)
+    assert again.status_code == 422
+    assert locked.delete("/v1/keys/eve", headers=admin).status_code == 200
+    assert locked.get("/v1/jobs", headers=eve).status_code == 401
+    assert locked.delete("/v1/keys/eve", headers=admin).status_code == 404
+
+
+def test_a_server_without_keys_lets_nobody_make_the_first_over_http(unlocked):
+    assert unlocked.post("/v1/keys", json={"name": "eve", "scope": "admin"}).status_code == 409
+    assert unlocked.get("/v1/keys").status_code == 409
+
+
+def test_a_private_servers_own_key_is_good_for_all(locked):
+    own = bearer("the-server's-own")
+    assert locked.get("/v1/keys", headers=own).status_code == 200
+    assert locked.get("/v1/jobs", headers=bearer("the-server's-owm")).status_code == 401
+
+
+def test_a_key_is_held_to_its_rate_and_told_when_to_come_again(place, locked):
+    secret = Keyring(place).add("slow", "read", rate=1.0)
+    locked.app.state.door.keyring.look(0.0)
+    statuses = [locked.get("/v1/jobs", headers=bearer(secret)).status_code for _ in range(4)]
+    assert statuses[:2] == [200, 200]
+    assert 429 in statuses
+    refused = locked.get("/v1/jobs", headers=bearer(secret))
+    assert int(refused.headers["retry-after"]) >= 1
+
+
+def test_a_key_is_held_to_the_size_of_its_bodies_told_or_not(place, locked):
+    secret = Keyring(place).add("small", "write", megabytes=1)
+    locked.app.state.door.keyring.look(0.0)
+    headers = {**bearer(secret), "Content-Type": "text/csv"}
+    url = "/v1/components/bar/table"
+    assert locked.post(url, content=bytes(2 << 20), headers=headers).status_code == 413
+
+    def pieces():
+        for _ in range(32):
+            yield bytes(64 << 10)
+
+    assert locked.post(url, content=pieces(), headers=headers).status_code == 413
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "https://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1:3000"},
+        {"Origin": "http://localhost:8000"},
+        {"Origin": "http://127.0.0.1:8000.evil.example"},
+        {"Origin": "https://lab.example.evil"},
+        {"Sec-Fetch-Site": "cross-site"},
+        {"Sec-Fetch-Site": "same-site"},
+        {"Host": "evil.example"},
+        {"Host": "evil.example:8000"},
+        {"Host": "127.0.0.1.evil.example"},
+        {"Host": ""},
+    ],
+)
+@pytest.mark.parametrize(
+    ("method", "url", "body"),
+    [
+        ("POST", "/v1/components", {"json": TABLE_ONLY}),
+        ("POST", "/v1/components", {"files": {"bundle": ("b.zip", b"x", "application/zip")}}),
+        ("POST", ASK, {"json": WRENCH}),
+        ("DELETE", "/v1/jobs", {}),
+        ("GET", "/v1/components", {}),
+    ],
+)
+def test_a_page_of_another_site_is_refused_on_loopback_too(unlocked, method, url, body, headers):
+    reply = unlocked.request(method, url, headers=headers, **body)
+    assert reply.status_code == 403, reply.text
+    assert "rig" not in [one["name"] for one in unlocked.get("/v1/components").json()["components"]]
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"Origin": "http://127.0.0.1:8000", "Sec-Fetch-Site": "same-origin"},
+        {"Host": "localhost:8000", "Origin": "http://localhost:8000"},
+        {"Host": "[::1]:8000"},
+        {"Sec-Fetch-Site": "none"},
+    ],
+)
+def test_the_servers_own_page_and_programs_are_let_in(unlocked, headers):
+    assert unlocked.post(ASK, json=WRENCH, headers=headers).status_code in (200, 202)
+
+
+@pytest.mark.parametrize(
+    "kind", ["text/plain", "application/x-www-form-urlencoded", "", "multipart/form-data"]
+)
+@pytest.mark.parametrize("url", [ASK, f"{ASK}s", "/v1/scenes/plan", "/v1/components/bar/fill"])
+def test_json_is_taken_only_as_json(unlocked, kind, url):
+    # A program may leave it out; a browser, which may too, tells its site.
+    headers = {"Content-Type": kind} if kind else {"Origin": "http://127.0.0.1:8000"}
+    assert unlocked.post(url, content=b"{}", headers=headers).status_code == 415
+
+
+def test_a_listed_site_is_let_in_and_told_so_and_no_other_is(locked, secrets_):
+    listed = {"Origin": "https://lab.example"}
+    ahead = {**listed, "Access-Control-Request-Method": "POST"}
+    asked = locked.options(ASK, headers=ahead)
+    assert asked.status_code == 204
+    assert asked.headers["access-control-allow-origin"] == "https://lab.example"
+    assert "authorization" in asked.headers["access-control-allow-headers"]
+    reply = locked.get("/v1/components", headers={**listed, **bearer(secrets_["read"])})
+    assert reply.headers["access-control-allow-origin"] == "https://lab.example"
+    assert "access-control-allow-credentials" not in reply.headers
+    other = {"Origin": "https://evil.example", "Access-Control-Request-Method": "POST"}
+    refused = locked.options(ASK, headers=other)
+    assert refused.status_code in (401, 403)
+    assert "access-control-allow-origin" not in refused.headers
+
+
+@pytest.mark.parametrize("path", ["/v1/components", "/health/live", "/openapi.json", "/nothing"])
+def test_every_reply_tells_browsers_to_do_no_more_with_it(unlocked, path):
+    fields = unlocked.get(path).headers
+    assert fields["x-content-type-options"] == "nosniff"
+    assert fields["x-frame-options"] == "DENY"
+    assert fields["referrer-policy"] == "no-referrer"
+    assert "frame-ancestors 'none'" in fields["content-security-policy"]
+    assert "unsafe-inline" not in fields["content-security-policy"].partition("style-src")[0]
+    assert "access-control-allow-origin" not in fields
+
+
+@pytest.mark.parametrize(
+    ("host", "local"),
+    [
+        *((host, True) for host in ("127.0.0.1", "::1", "localhost", "127.8.8.8")),
+        *((host, False) for host in ("0.0.0.0", "::", "10.0.0.1", "lab.example")),
+    ],
+)
+def test_loopback_is_what_this_machine_alone_reaches(host, local):
+    assert is_loopback(host) is local
+    assert opening_for(host, None, None).keys_needed is not local
+
+
+def test_a_body_is_counted_as_it_comes():
+    async def receive():
+        return {"type": "http.request", "body": bytes(10), "more_body": True}
+
+    async def read():
+        counted = counted_(receive, 25)
+        for _ in range(2):
+            await counted()
+        with pytest.raises(ProblemError):
+            await counted()
+
+    asyncio.run(read())
+
+
+def test_a_key_that_no_header_can_hold_is_refused_without_telling_it():
+    with pytest.raises(ValueError, match="copy it again") as caught:
+        Client("http://127.0.0.1:1", key="wb_a\nb")
+    assert "wb_a" not in str(caught.value)
+
+
+def test_a_key_is_taken_from_the_environment_unless_one_is_given(monkeypatch):
+    monkeypatch.setenv("WRENCHBOOK_KEY", "wb_env")
+    assert "Bearer wb_env" in Client()._head("GET", "/", None, {})
+    assert "Bearer wb_own" in Client(key="wb_own")._head("GET", "/", None, {})
+    monkeypatch.delenv("WRENCHBOOK_KEY")
+    assert "Authorization" not in Client()._head("GET", "/", None, {})

@@ -1,0 +1,266 @@
+"""Server-sent events: what is told, gone on with after a break, and bounded."""
+
+import asyncio
+import json
+import socket
+import time
+
+import pytest
+
+from service.client import ProblemError, ServerUnreachable
+from service.client.event_calls import read_events
+from service.events import feed as feed_module
+from service.events.feed import Feed, TooManyListenersError
+from tests.service.live import add_rows, add_table, as_rows, clean_wrenches, moved, served
+
+ROWS = as_rows(clean_wrenches(), moved(clean_wrenches()))
+
+
+def heard(listener):
+    """What a listener would read now."""
+    wire = asyncio.run(listener.read(0.01))
+    return list(read_events(wire.splitlines(keepends=True)))
+
+
+# -- the feed ---------------------------------------------------------------------------------
+
+
+def test_a_listener_is_greeted_and_told_what_comes_about_its_component():
+    feed = Feed()
+    listener = feed.listen("bar", None, {"tables": {}})
+    feed.publish("job", "bar", {"id": 1})
+    feed.publish("job", "plate", {"id": 2})
+    feed.publish("table", "bar", {"table_version": 3})
+    assert [event.kind for event in heard(listener)] == ["hello", "job", "table"]
+
+
+def test_who_comes_back_is_told_what_it_missed_and_nothing_twice():
+    feed = Feed()
+    feed.publish("job", "bar", {"id": 0})
+    first = feed.listen(None, None, {})
+    feed.publish("job", "bar", {"id": 1})
+    last = heard(first)[-1].id
+    feed.leave(first)
+    feed.publish("job", "bar", {"id": 2})
+    feed.publish("job", "bar", {"id": 3})
+    again = heard(feed.listen(None, last, {}))
+    assert [event.body.get("id") for event in again] == [None, 2, 3]
+    after = heard(feed.listen(None, again[-1].id, {}))
+    assert [event.kind for event in after] == ["hello"]
+
+
+def test_the_greeting_alone_is_enough_to_go_on_after():
+    feed = Feed()
+    hello = heard(feed.listen(None, None, {}))[0]
+    feed.publish("job", "bar", {"id": 1})
+    assert [event.kind for event in heard(feed.listen(None, hello.id, {}))] == ["hello", "job"]
+
+
+@pytest.mark.parametrize("last", ["0badf00d.1", "x", "", ".", "é.1", "{mark}.99", "{mark}.-1"])
+def test_an_id_that_is_not_known_is_told_and_not_passed_over(last):
+    feed = Feed()
+    feed.publish("job", "bar", {"id": 1})
+    told = heard(feed.listen(None, last.format(mark=feed._mark) or "?", {}))
+    assert [event.kind for event in told] == ["hello", "missed"]
+    assert "read jobs" in told[1].body["reason"]
+
+
+def test_events_no_longer_held_are_told_as_missed(monkeypatch):
+    monkeypatch.setattr(feed_module, "KEPT", 5)
+    feed = Feed()
+    hello = heard(feed.listen(None, None, {}))[0]
+    for number in range(6):
+        feed.publish("job", "bar", {"id": number})
+    assert [one.kind for one in heard(feed.listen(None, hello.id, {}))] == ["hello", "missed"]
+
+
+def test_a_slow_listener_is_let_go_with_the_reason_and_holds_no_more_memory():
+    feed = Feed()
+    slow, quick = feed.listen(None, None, {}), feed.listen(None, None, {})
+    for number in range(2 * feed_module.BEHIND):
+        feed.publish("job", "bar", {"id": number})
+        heard(quick)
+    assert [event.kind for event in heard(slow)] == ["dropped"]
+    assert slow.ended
+    assert feed.listeners == 1
+
+
+def test_listeners_are_bounded_and_a_place_that_is_left_is_free():
+    feed = Feed()
+    listeners = [feed.listen(None, None, {}) for _ in range(feed_module.MOST_LISTENERS)]
+    with pytest.raises(TooManyListenersError, match="poll GET"):
+        feed.listen(None, None, {})
+    feed.leave(listeners[0])
+    feed.listen(None, None, {})
+
+
+def test_one_who_does_not_read_is_let_go_and_its_place_is_free(monkeypatch):
+    from service.http.routes import events as route
+
+    monkeypatch.setattr(route, "SEND_S", 0.05)
+    feed = Feed()
+
+    async def listen():
+        async def receive():
+            await asyncio.Event().wait()
+
+        async def send(message):
+            if message["type"] == "http.response.body":
+                await asyncio.Event().wait()  # the sockets have no room for more
+
+        stream = route.EventStream(feed, feed.listen(None, None, {}))
+        assert feed.listeners == 1
+        await asyncio.wait_for(stream({}, receive, send), 20)
+
+    asyncio.run(listen())
+    assert feed.listeners == 0
+
+
+def is_heard(client):
+    """Whether there is room to listen."""
+    try:
+        return next(client.events(timeout_s=20)).kind == "hello"
+    except ProblemError as error:
+        if error.status == 503:
+            return False
+        raise
+
+
+# -- over HTTP --------------------------------------------------------------------------------
+
+
+def test_a_new_version_of_a_table_is_told_to_who_listens(tmp_path):
+    with served(tmp_path) as client:
+        add_table(client, "part", ROWS[:10])
+        events = client.events("part", timeout_s=30)
+        hello = next(events)
+        assert hello.kind == "hello"
+        add_rows(client, "part", ROWS[10:])
+        told = next(events)
+        assert (told.kind, told.body["component"]) == ("table", "part")
+        assert told.body["table_version"] > hello.body["tables"]["part"]
+        assert told.body["rows"] == len(ROWS)
+        events.close()
+
+
+def test_the_life_of_jobs_is_told_whoever_changes_them(tmp_path):
+    """Another process claims and ends a job; its steps are told all the same."""
+    from service.ledger import Ledger
+
+    with served(tmp_path) as client:
+        events = client.events("plate_thin", timeout_s=30)
+        next(events)
+        job = client.displacement("plate_thin", [0, 0, -5]).job
+        assert next(events).body["status"] == "waiting"
+        other = Ledger(tmp_path / "ledger.sqlite")
+        other.claim("another")
+        assert next(events).body["status"] == "running"
+        other.commit(job.id, 1, (1e-6,) * 6)
+        other.close()
+        told = [next(events), next(events)]
+        assert {one.kind for one in told} == {"job", "table"}
+        done = next(one for one in told if one.kind == "job").body
+        assert (done["id"], done["status"]) == (job.id, "done")
+        events.close()
+
+
+def test_what_happens_right_after_the_greeting_is_told_however_slow_the_first_look(
+    tmp_path, monkeypatch
+):
+    from service.events import watch
+
+    looked = watch.look
+
+    def slow(workspace, seen):
+        if seen is None:
+            time.sleep(0.5)  # a busy machine: the caller acts before the first look ends
+        return looked(workspace, seen)
+
+    monkeypatch.setattr(watch, "look", slow)
+    with served(tmp_path) as client:
+        events = client.events("plate_thin", timeout_s=30)
+        assert next(events).body["tables"]["plate_thin"] is not None
+        client.displacement("plate_thin", [0, 0, -5])
+        assert next(events).body["status"] == "waiting"
+        events.close()
+
+
+def test_heartbeats_do_not_keep_an_iteration_going_beyond_its_time(tmp_path, monkeypatch):
+    from service.http.routes import events as route
+
+    monkeypatch.setattr(route, "HEARTBEAT_S", 0.1)
+    with served(tmp_path) as client:
+        began = time.monotonic()
+        assert [event.kind for event in client.events(timeout_s=1.0)] == ["hello"]
+        assert time.monotonic() - began < 20
+
+
+def test_many_changed_jobs_are_one_event(tmp_path):
+    with served(tmp_path) as client:
+        events = client.events(timeout_s=30)
+        next(events)
+        client.record("plate_thin", [[0, 0, -float(number), 0, 0, 0] for number in range(1, 101)])
+        client.start_recording("plate_thin")
+        told = next(events)
+        assert (told.kind, told.body["count"]) == ("jobs", 100)
+        events.close()
+
+
+def test_after_a_break_it_goes_on_where_it_was(tmp_path):
+    with served(tmp_path) as client:
+        events = client.events("plate_thin", timeout_s=30)
+        hello = next(events)
+        events.close()
+        again = client.events("plate_thin", after=hello.id, timeout_s=30)
+        client.displacement("plate_thin", [0, 0, -5])
+        assert [next(again).kind, next(again).kind] == ["hello", "job"]
+        again.close()
+
+
+def test_an_iteration_ends_after_its_time_without_an_event(tmp_path):
+    with served(tmp_path) as client:
+        assert [event.kind for event in client.events(timeout_s=0.5)] == ["hello"]
+
+
+def test_an_unknown_component_is_404_and_no_server_is_told(tmp_path):
+    with served(tmp_path) as client, pytest.raises(ProblemError, match="no component 'nope'"):
+        next(client.events("nope"))
+    with pytest.raises(ServerUnreachable):
+        next(client.events())
+
+
+def test_one_listener_too_many_is_503_and_a_place_is_free_when_one_goes(tmp_path, monkeypatch):
+    monkeypatch.setattr(feed_module, "MOST_LISTENERS", 2)
+    with served(tmp_path) as client:
+        held = [client.events(timeout_s=20) for _ in range(2)]
+        for one in held:
+            next(one)
+        with pytest.raises(ProblemError, match="503 Too many listeners"):
+            next(client.events())
+        held[0].close()
+        deadline = time.monotonic() + 20
+        while not is_heard(client):  # as soon as the server has seen it go
+            assert time.monotonic() < deadline
+        held[1].close()
+
+
+def test_heartbeats_come_while_nothing_happens(tmp_path, monkeypatch):
+    from service.http.routes import events as route
+
+    monkeypatch.setattr(route, "HEARTBEAT_S", 0.1)
+    with served(tmp_path) as client:
+        host, port = client.url.removeprefix("http://").split(":")
+        with socket.create_connection((host, int(port)), timeout=20) as connection:
+            connection.sendall(b"GET /v1/events HTTP/1.1\r\nHost: x\r\n\r\n")
+            received = b""
+            while received.count(b"\n:\n\n") < 2 and received.count(b":\n\n") < 2:
+                received += connection.recv(4096)
+    assert b"text/event-stream" in received
+    assert b"no-store" in received
+
+
+def test_lines_are_read_as_the_standard_says():
+    lines = b": beat\n\nid: a.1\nevent: job\ndata: {\ndata: }\nretry: 5\n\nid: a.2\n\nevent: x\n\n"
+    found = list(read_events(lines.splitlines(keepends=True)))
+    assert [(one.kind, one.body, one.id) for one in found] == [("job", {}, "a.1")]
+    assert json.dumps(found[0].body) == "{}"

@@ -1,0 +1,202 @@
+"""Bundles made to break the server: each is refused by name, and takes little of it."""
+
+import io
+import re
+import resource
+import struct
+import tomllib
+import zipfile
+
+import h5py
+import meshio
+import numpy as np
+import pytest
+
+from fea.bundle.read import BundleError, read_bundle
+from fea.bundle.shipped import SHIPPED
+from fea.mesh.io.abaqus import MeshFileError, read_inp
+from fea.mesh.io.read import read_mesh
+from service.library import arrival, bundle_zip
+from service.library.arrival import check_mesh, unpack
+from service.library.copying import toml_text
+
+BAR = (SHIPPED / "bar" / "component.toml").read_text().replace('"bar"', '"beam"', 1)
+
+
+def zipped(*members, method=zipfile.ZIP_DEFLATED):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", method) as archive:
+        for name, content in members:
+            archive.writestr(name, content)
+    return buffer.getvalue()
+
+
+def told(archive, folder):
+    folder.mkdir(exist_ok=True)
+    with pytest.raises(BundleError) as caught:
+        unpack(io.BytesIO(archive), folder)
+    assert str(folder) not in str(caught.value)
+    assert "Traceback" not in str(caught.value)
+    return str(caught.value)
+
+
+def edited(archive, where, of, content, field="<H"):
+    """An archive with one field of each header of the kind `of` overwritten."""
+    archive = bytearray(archive)
+    at = archive.find(of)
+    while at >= 0:
+        struct.pack_into(field, archive, at + where, content)
+        at = archive.find(of, at + 4)
+    return bytes(archive)
+
+
+LOCAL, CENTRAL, END = b"PK\x03\x04", b"PK\x01\x02", b"PK\x05\x06"
+GOOD = zipped(("component.toml", BAR))
+BROKEN = {
+    "bzip2": zipped(("component.toml", BAR), method=zipfile.ZIP_BZIP2),
+    "lzma": zipped(("component.toml", BAR), method=zipfile.ZIP_LZMA),
+    "an unknown compression": edited(edited(GOOD, 10, CENTRAL, 97), 8, LOCAL, 97),
+    "a password": edited(edited(GOOD, 8, CENTRAL, 1), 6, LOCAL, 1),
+    "a wrong sum": edited(GOOD, 16, CENTRAL, 7, "<I"),
+    "a member that is longer than it says": edited(GOOD, 24, CENTRAL, 10, "<I"),
+    "a member that begins behind the end": edited(GOOD, 42, CENTRAL, 1 << 30, "<I"),
+    "a list that begins behind the end": edited(GOOD, 16, END, 1 << 30, "<I"),
+    "a name that is no text": edited(edited(GOOD, 46, CENTRAL, 0xFF), 8, CENTRAL, 0x800),
+    "a date that is none": edited(GOOD, 14, CENTRAL, 0xFFFF)[:-30],
+    "half of it": GOOD[: len(GOOD) // 2],
+    "a name of 300 characters": zipped(("a" * 300 + "/component.toml", BAR)),
+    "a file that is a folder": zipped(("a", "x"), ("a/component.toml", BAR)),
+    "the same file twice": zipped(("component.toml", BAR), ("./component.toml", BAR)),
+    "a name with a zero": GOOD.replace(b"component.toml", b"component\0toml"),
+    "no name": edited(edited(GOOD, 28, CENTRAL, 0), 26, LOCAL, 0),
+    "more files than a component has": zipped(*((f"{n}", "") for n in range(1001))),
+    "two components": zipped(("a/component.toml", BAR), ("b/component.toml", BAR)),
+    "a component.toml of a megabyte": zipped(("component.toml", BAR + "#" * 1_000_000)),
+}
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_a_broken_archive_is_refused_and_nothing_of_it_stays(tmp_path, what):
+    assert told(BROKEN[what], tmp_path / "incoming")
+
+
+def test_an_archive_that_lies_about_its_size_is_cut_off_where_the_limit_is(tmp_path, monkeypatch):
+    bomb = zipped(("component.toml", BAR), ("zeros", bytes(64 << 20)))
+    monkeypatch.setattr("service.library.bundle_zip.MAX_BUNDLE_BYTES", 1 << 20)
+    path = tmp_path / "bomb.zip"
+    path.write_bytes(edited(bomb, 24, CENTRAL, 10, "<I"))
+    (tmp_path / "out").mkdir()
+    with pytest.raises(BundleError):
+        bundle_zip.extract(path, tmp_path / "out")
+    assert sum(one.stat().st_size for one in (tmp_path / "out").iterdir()) <= 2 << 20
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ".".join("a" * 100_000) + " = 1",
+        "[" + ".".join("a" * 100_000) + "]",
+        " . ".join("ab" * 10_000) + " = 1",
+        "x = [" * 20_000,
+        "x = {a=" * 20_000,
+        "a" * 200_000,
+    ],
+)
+def test_a_component_toml_that_a_parser_chokes_on_is_refused_for_little(tmp_path, text):
+    (tmp_path / "component.toml").write_text(text)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(BundleError):
+        read_bundle(tmp_path)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200 << 10  # KiB
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        "*NSET, NSET=A, GENERATE\n1, 60000000",
+        "*ELSET, ELSET=A, GENERATE\n1, 99999999999999999999",
+        "*NSET, NSET=A\n1\n" + "*NSET, NSET=A\nA, A, A, A, A, A, A, A\n" * 20,
+    ],
+)
+def test_a_set_of_more_members_than_any_mesh_has_is_refused(tmp_path, lines):
+    path = tmp_path / "mesh.inp"
+    path.write_text(lines)
+    with pytest.raises(MeshFileError):
+        read_inp(path)
+
+
+@pytest.mark.parametrize("kind", ["a link", "stored elsewhere", "a mapping"])
+def test_a_mesh_that_has_a_file_of_this_machine_read_as_its_own_is_refused(tmp_path, kind):
+    elsewhere = tmp_path / "elsewhere.h5"
+    with h5py.File(elsewhere, "w") as file:
+        file["points"] = np.zeros((4, 3))
+    with h5py.File(tmp_path / "mesh.med", "w") as file:
+        group = file.create_group("ENS_MAA")
+        if kind == "a link":
+            group["points"] = h5py.ExternalLink(str(elsewhere), "points")
+        elif kind == "stored elsewhere":
+            group.create_dataset("points", (4, 3), "f8", external=[(str(elsewhere), 0, 96)])
+        else:
+            layout = h5py.VirtualLayout((4, 3), "f8")
+            layout[:] = h5py.VirtualSource(str(elsewhere), "points", shape=(4, 3))
+            group.create_virtual_dataset("points", layout)
+    mesh = (tmp_path / "mesh.med").read_bytes()
+    archive = zipped(("component.toml", BAR), ("mesh.med", mesh))
+    assert '"mesh.med" has parts in other files' in told(archive, tmp_path / "in")
+
+
+@pytest.mark.parametrize(
+    ("kind", "where"),
+    [
+        ("HDF", "/etc/passwd:/x"),
+        ("HDF", "../mesh.h5:/x"),
+        ("HDF", "deep/mesh.h5:/x"),
+        ("HDF", ":/x"),
+        ("Binary", "/etc/passwd"),
+        ("Binary", "mesh.bin"),
+    ],
+)
+def test_an_xdmf_mesh_with_numbers_elsewhere_is_refused_before_they_are_read(tmp_path, kind, where):
+    item = f'<DataItem Dimensions="4 3" Format="{kind}">{where}</DataItem>'
+    (tmp_path / "a.xdmf").write_text(f"<Xdmf><Grid><Geometry>{item}</Geometry></Grid></Xdmf>")
+    with pytest.raises(BundleError, match="holds numbers in"):
+        read_mesh(tmp_path / "a.xdmf", "mm")
+
+
+def test_an_xdmf_mesh_with_its_numbers_beside_it_is_read(tmp_path):
+    tet = meshio.Mesh(np.vstack([np.zeros(3), np.eye(3)]), [("tetra", np.arange(4)[None])])
+    tet.write(tmp_path / "a.xdmf")  # and a.h5
+    assert len(read_mesh(tmp_path / "a.xdmf", "mm").points) == 4
+
+
+def test_a_name_that_no_disk_takes_is_the_bundles_mistake(tmp_path):
+    text = BAR.replace('generator = "bar"', f'file = "{"a" * 300}"', 1)
+    assert "File name too long" in told(zipped(("component.toml", text)), tmp_path / "in")
+
+
+@pytest.mark.parametrize("title", ["a\\u0000b", "\\u001b]0;owned\\u0007", "a\\nb", "\\u202Egpj"])
+def test_a_title_that_plays_with_a_terminal_or_a_page_is_refused(tmp_path, title):
+    text = re.sub(r"(?m)^title = .*$", lambda _: f'title = "{title}"', BAR, count=1)
+    assert "title: must be" in told(zipped(("component.toml", text)), tmp_path / "in")
+
+
+@pytest.mark.parametrize("title", ['"', "\\", "é", "\U0001f4a9", "\U000f0000 for private use"])
+def test_a_title_of_any_letters_comes_back_from_the_component_toml_it_is_kept_in(title):
+    assert tomllib.loads(f"title = {toml_text(title)}") == {"title": title}
+
+
+def test_a_check_that_needs_too_much_memory_is_refused_by_that_name(tmp_path, monkeypatch):
+    greedy = "timeit", "-n1", "-r1", "bytearray(1 << 40)"
+    printed = arrival.program(*greedy, limits=arrival.CHECK)
+    monkeypatch.setattr(arrival, "program", lambda *_, **__: printed)
+    with pytest.raises(BundleError, match="takes more than 2048 MiB of memory"):
+        check_mesh(tmp_path)
+
+
+def test_a_check_that_ends_in_a_mistake_of_ours_tells_no_path_of_the_machine(tmp_path, monkeypatch):
+    printed = arrival.program("json.tool", str(tmp_path / "none"), limits=arrival.CHECK)
+    monkeypatch.setattr(arrival, "program", lambda *_, **__: printed)
+    with pytest.raises(BundleError) as caught:
+        check_mesh(tmp_path)
+    assert str(tmp_path) not in str(caught.value)
+    assert "Traceback" not in str(caught.value)

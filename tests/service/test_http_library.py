@@ -1,0 +1,294 @@
+"""The library: search, copies, names, notes, where rows come from, what was asked in vain."""
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient
+
+from service.http.app import create_app
+from service.ledger import NewRow
+from service.workspace import Settings
+from tests.service.following import wait_for_version
+
+RIG = {
+    "name": "rig",
+    "title": "Bracket on rig 3",
+    "range": {"force": [900] * 3, "moment": [90] * 3},
+}
+HEADER = "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],ux [m],uy [m],uz [m]"
+
+
+@pytest.fixture
+def http(tmp_path):
+    with TestClient(create_app(Settings(tmp_path / "workspace", solvers=0))) as client:
+        assert client.post("/v1/components", json=RIG).status_code == 201
+        yield client
+
+
+def load(http, rows, name="rig", **query):
+    lines = [HEADER, *(",".join(map(repr, row)) for row in np.asarray(rows).tolist())]
+    path = f"/v1/components/{name}/table"
+    head = {"content-type": "text/csv"}
+    reply = http.post(path, content="\n".join(lines), params=query, headers=head)
+    assert reply.status_code == 200, reply.text
+    wait_for_version(http, name, reply.json()["table_version"])
+    return reply.json()
+
+
+def rows(count, seed=1):
+    loads = np.random.default_rng(seed).uniform(-1, 1, (count, 6)) * ([900] * 3 + [90] * 3)
+    return np.hstack([loads, 1e-6 * loads[:, :3]])
+
+
+def names(http, **query):
+    listed = http.get("/v1/components", params=query).json()["components"]
+    return [one["name"] for one in listed]
+
+
+def test_a_search_looks_into_names_titles_and_notes(http):
+    http.put("/v1/components/rig/notes", json={"text": "bolts at 12 Nm, see drawing K-77"})
+    for asked in ("rig", "BRACKET", "k-77", "bolts rig"):
+        assert "rig" in names(http, q=asked)
+    assert names(http, q="no such thing") == []
+    assert http.get("/v1/components/rig").json()["notes"].startswith("bolts")
+
+
+def test_what_is_archived_is_out_of_the_list_and_answers_all_the_same(http):
+    assert http.post("/v1/components/rig/archive").json()["archived"] is True
+    assert "rig" not in names(http)
+    assert "rig" in names(http, archived=True)
+    assert http.get("/v1/components/rig").json()["archived"] is True
+    http.post("/v1/components/rig/unarchive")
+    assert "rig" in names(http)
+
+
+def test_a_copy_has_the_setup_and_the_rows_and_goes_its_own_way(http):
+    load(http, rows(20))
+    reply = http.post("/v1/components/rig/copy", json={"name": "rig2", "title": 'The "second"'})
+    assert reply.status_code == 201, reply.text
+    made = reply.json()
+    assert (made["rows"], made["title"], made["copied_from"]) == (20, 'The "second"', "rig")
+    load(http, rows(5, 9), "rig2")
+    assert http.get("/v1/components/rig").json()["rows"] == 20
+    assert http.post("/v1/components/rig/copy", json={"name": "rig2"}).status_code == 409
+    assert http.post("/v1/components/rig/copy", json={"name": "../x"}).status_code == 422
+    assert http.post("/v1/components/nope/copy", json={"name": "y"}).status_code == 404
+    bare = http.post("/v1/components/rig/copy", json={"name": "rig3", "rows": False})
+    assert bare.json()["rows"] == 0
+
+
+def test_a_copied_setup_keeps_its_fingerprint_so_that_its_solves_stay_solves(http):
+    workspace = http.app.state.workspace
+    fingerprint = workspace.library["plate_thin"].fingerprint
+    solve = NewRow((1.0, 2, 3, 0, 0, 0), (1e-6,) * 6, "fea")
+    workspace.ledger.insert_rows("plate_thin", fingerprint, [solve])
+    made = http.post("/v1/components/plate_thin/copy", json={"name": "mine"}).json()
+    assert (made["fingerprint"], made["solved"]) == (fingerprint, 1)
+
+
+def test_a_renamed_component_has_its_rows_and_the_old_name_says_so(http):
+    load(http, rows(20))
+    assert http.post("/v1/components/rig/rename", json={"name": "bracket"}).status_code == 201
+    assert "bracket" in names(http)
+    assert "rig" not in names(http)
+    assert http.get("/v1/components/rig").json()["renamed_to"] == "bracket"
+    assert http.get("/v1/components/bracket").json()["rows"] == 20
+    again = http.post("/v1/components/rig/rename", json={"name": "other"})
+    assert again.status_code == 409
+    assert "'bracket' now" in again.json()["detail"]
+    assert "other" not in names(http, archived=True)
+    refused = http.post("/v1/components/plate/rename", json={"name": "z"})
+    assert refused.status_code == 409
+    assert "Copy it" in refused.json()["detail"]
+
+
+def test_notes_outlive_the_server_and_a_broken_file_of_them_stops_nothing(http, tmp_path):
+    http.put("/v1/components/rig/notes", json={"text": "äöü"})
+    folder = tmp_path / "workspace"
+    with TestClient(create_app(Settings(folder, solvers=0))) as again:
+        assert again.get("/v1/components/rig").json()["notes"] == "äöü"
+    (folder / "library.json").write_text("[1]")
+    with TestClient(create_app(Settings(folder, solvers=0))) as again:
+        assert again.get("/v1/components/rig").json()["notes"] == ""
+    assert http.put("/v1/components/rig/notes", json={"text": "\0"}).status_code == 422
+
+
+def test_a_row_tells_where_it_comes_from(http):
+    load(http, rows(3), note="run 7", filename="run7.csv")
+    told = http.get("/v1/components/rig/table/2").json()
+    assert told["source"] == "measured"
+    assert told["withdrawn"] is False
+    brought = told["provenance"]["import"]
+    assert (brought["filename"], brought["note"], brought["format"]) == ("run7.csv", "run 7", "csv")
+    assert len(brought["sha256"]) == 64
+    (listed,) = http.get("/v1/components/rig/imports").json()["imports"]
+    assert (listed["rows"], listed["filename"]) == (3, "run7.csv")
+    assert http.get("/v1/components/rig/table/99").status_code == 404
+    assert http.get("/v1/components/plate/table/2").status_code == 404
+
+
+def test_a_solve_tells_its_job_its_mesh_and_its_material(http):
+    workspace = http.app.state.workspace
+    fingerprint = workspace.library["plate_thin"].fingerprint
+    job, _ = workspace.ledger.accept("plate_thin", fingerprint, (1.0, 0, 0, 0, 0, 0))
+    workspace.ledger.claim("me")
+    row = workspace.ledger.commit(job.id, 1, (1e-6,) * 6)
+    told = http.get(f"/v1/components/plate_thin/table/{row.seq}").json()["provenance"]
+    assert (told["job"]["id"], told["job"]["engine"], told["import"]) == (job.id, "local", None)
+    setup = told["setup"]
+    assert (setup["present"], setup["solver"], setup["mesh"]["generator"]) == (
+        *(True, "embedded", "plate"),
+    )
+    assert setup["materials"][0]["youngs_modulus"] > 1e9
+
+
+def test_a_table_of_an_old_version_is_what_it_was(http):
+    version = load(http, rows(10))["table_version"]
+    path = "/v1/components/rig/table"
+    before = http.get(path, params={"format": "csv"}).text
+    http.delete(f"{path}/3")
+    load(http, rows(10, 2))
+    again = http.get(path, params={"format": "csv", "table_version": version})
+    assert again.text == before
+    assert again.headers["etag"].startswith(f'"{version}-')
+    assert len(http.get(path, params={"format": "csv"}).text.splitlines()) == 20
+    unknown = http.get(path, params={"table_version": 10**6})
+    assert unknown.status_code == 404
+    assert "has the versions 0 to" in unknown.json()["detail"]
+
+
+def test_measured_rows_outside_of_the_solves_bars_are_named_with_their_offset(http):
+    workspace = http.app.state.workspace
+    component = workspace.library["bar"]
+    rng = np.random.default_rng(4)
+    wrenches = rng.uniform(-0.8, 0.8, (60, 6)) * component.load_range.scale
+    compliance = np.diag([1e-7, 1e-7, 1e-8, 1e-6, 1e-6, 1e-6])
+    solves = [
+        NewRow(w.tolist(), (compliance @ w).tolist(), "fea", compliance.tolist()) for w in wrenches
+    ]
+    workspace.ledger.insert_rows("bar", component.fingerprint, solves)
+    measured = []
+    for at, wrench in enumerate(rng.uniform(-0.5, 0.5, (10, 6)) * component.load_range.scale):
+        moved = compliance @ wrench
+        moved[2] += 1e-4 if at < 3 else 0.0
+        measured.append(NewRow(wrench.tolist(), moved.tolist(), uncertainty=(1e-7,) * 6))
+    workspace.ledger.insert_rows("bar", "", measured)
+    told = http.get("/v1/components/bar/disagreement").json()
+    assert (told["measured"], told["solved"], told["compared"]) == (10, 60, 10)
+    assert told["outside"] == 3
+    assert {row["row"] for row in told["rows"] if row["output"] == "uz"} == {61, 62, 63}
+    assert told["outputs"]["uz"]["mean_difference"] == pytest.approx(3e-5, rel=0.1)
+    empty = http.get("/v1/components/rig/disagreement").json()
+    assert (empty["compared"], empty["reason"]) == (0, "there is no solved row")
+
+
+def asked(http, force, **more):
+    body = {"force": force, "on_thin": "estimate", **more}
+    return http.post("/v1/components/rig/displacement", json=body).json()
+
+
+def test_the_demand_map_has_what_was_asked_in_vain_and_nothing_else(http):
+    for _ in range(3):
+        asked(http, [440, 0, 0])
+    asked(http, [0, 0, 5000])
+    http.post(
+        "/v1/components/rig/displacements",
+        json={"wrenches": [[441, 0, 0, 0, 0, 0], [0, -800, 0, 0, 0, 0]], "on_thin": "estimate"},
+    )
+    told = http.get("/v1/components/rig/demand").json()
+    assert told["asked"] == 6
+    assert (told["cells"][0]["count"], told["cells"][0]["coverage"]) == (4, "outside")
+    assert told["cells"][0]["wrench"][0] == pytest.approx(440, abs=90)
+    assert told["latest"][-1]["wrench"] == [440, 0, 0, 0, 0, 0]
+    assert http.delete("/v1/components/rig/demand").json()["asked"] == 0
+    assert http.get("/v1/components/rig/demand").json()["cells"] == []
+
+
+def test_the_demand_map_outlives_the_server(http, tmp_path):
+    asked(http, [440, 0, 0])
+    http.app.state.workspace.demand.save()
+    with TestClient(create_app(Settings(tmp_path / "workspace", solvers=0))) as again:
+        assert again.get("/v1/components/rig/demand").json()["asked"] == 1
+
+
+def test_the_demand_map_does_not_grow_without_bound(tmp_path):
+    from service.demand.counts import MOST_CELLS
+    from service.demand.demand import Demand
+    from surrogate.table.rows import LoadRange
+
+    demand, span = Demand(tmp_path / "demand.json"), LoadRange(-np.ones(6), np.ones(6))
+    wrenches = np.random.default_rng(1).uniform(-3, 3, (20_000, 6))
+    demand.note_batch("rig", span, wrenches, np.ones(20_000, dtype=int))
+    told = demand.told("rig", span)
+    assert len(told["cells"]) == MOST_CELLS
+    assert told["asked"] == 20_000
+    demand.note("rig", span, (1e300,) * 6, "outside")
+    assert demand.told("rig", span)["asked"] == 20_001
+
+
+def test_the_demand_map_of_two_processes_is_their_sum(tmp_path):
+    """Each had counts of its own, and who stopped last wrote over those of the others."""
+    from service.demand.demand import Demand
+    from surrogate.table.rows import LoadRange
+
+    path, span = tmp_path / "demand.json", LoadRange(-np.ones(6), np.ones(6))
+    first, second = Demand(path), Demand(path)
+    for demand in (first, second, second):
+        demand.note("rig", span, (2.0, 0, 0, 0, 0, 0), "outside")
+        demand.save()
+    assert [one.told("rig", span)["asked"] for one in (first, second)] == [3, 3]
+    assert len(first.told("rig", span)["latest"]) == 3
+    first.stop()
+    assert Demand(path).told("rig", span)["cells"][0]["outside"] == 3
+    second.forget("rig")
+    assert first.told("rig", span)["asked"] == 0
+
+
+def test_a_demand_map_that_cannot_be_written_goes_on_counting(tmp_path):
+    from service.demand.demand import Demand
+    from surrogate.table.rows import LoadRange
+
+    demand, span = Demand(tmp_path / "gone" / "demand.json"), LoadRange(-np.ones(6), np.ones(6))
+    for _ in range(2):
+        demand.note("rig", span, (2.0, 0, 0, 0, 0, 0), "outside")
+        demand.save()
+    assert demand.told("rig", span)["asked"] == 2
+
+
+def test_breakpoints_for_lookup_blocks_answer_as_the_table_within_the_stated_error(http):
+    from io import BytesIO
+
+    from scipy.io import loadmat
+
+    from service.tables.breakpoints import composed
+
+    corners = []
+    for loads in ((0, 4, 5), (1, 5, 3), (2, 3, 4)):
+        for point in np.ndindex(3, 3, 3):
+            wrench = np.zeros(6)
+            wrench[list(loads)] = (np.array(point) - 1.0) * np.array([900] * 3 + [90] * 3)[
+                list(loads)
+            ]
+            corners.append(wrench)
+    wrenches = np.unique(corners, axis=0)
+    moved = wrenches * ([1e-6] * 3 + [1e-5] * 3)
+    body = {
+        "rows": [
+            {"wrench": w, "displacement": u}
+            for w, u in zip(wrenches.tolist(), moved.tolist(), strict=True)
+        ]
+    }
+    reply = http.post("/v1/components/rig/table", json=body).json()
+    wait_for_version(http, "rig", reply["table_version"])
+    content = http.get("/v1/components/rig/table", params={"format": "mat"})
+    assert content.status_code == 200, content.text
+    found = loadmat(BytesIO(content.content), simplify_cells=True)
+    about = found["about"]
+    assert about["table_version"] == reply["table_version"]
+    asked_for = np.random.default_rng(3).uniform(-1, 1, (50, 6)) * ([900] * 3 + [90] * 3)
+    there = {"wrenches": asked_for.tolist(), "on_thin": "estimate"}
+    exact = http.post("/v1/components/rig/displacements", json=there).json()["displacements"]
+    off = np.abs(composed(found, asked_for) - np.array(exact))
+    assert (off <= 1.5 * about["composition_error_max"] + 1e-15).all()
+    assert about["composition_error_max"].max() < 1e-12  # it is linear: the grid loses nothing
+    refused = http.get("/v1/components/plate/table", params={"format": "mat"})
+    assert refused.status_code == 409

@@ -1,0 +1,217 @@
+"""The page's files and the calls that it draws from."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fastapi import FastAPI
+from starlette.testclient import TestClient
+
+from service.http import problems
+from service.http.app import create_app
+from service.http.routes.job_log import MOST_LOG_BYTES
+from service.http.routes.page import FOLDER, router
+from service.jobs.attempt import LOG
+from service.workspace import Settings
+from tests.service.conftest import SOLVERS
+from tests.service.live import FULL, as_rows, clean_wrenches, full_wrenches, moved
+
+RIG = "/v1/components/rig"
+MODULES = sorted((FOLDER / "js").glob("*.js"))
+PAGES = ("/", "/docs")
+
+
+def texts() -> list[Path]:
+    return [path for path in FOLDER.rglob("*") if path.is_file()]
+
+
+@pytest.fixture(scope="module")
+def page():
+    """The page alone: no workspace stands behind it."""
+    app = FastAPI(docs_url=None)
+    problems.install(app)
+    app.include_router(router)
+    return TestClient(app)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("page") / "workspace"
+
+
+@pytest.fixture(scope="module")
+def http(folder):
+    """A server whose every solve fails."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WRENCHBOOK_SOLVE", "stand_in:diverges")
+        patch.setenv("PYTHONPATH", SOLVERS)
+        with TestClient(create_app(Settings(folder, solvers=1))) as client:
+            yield client
+
+
+@pytest.fixture(scope="module")
+def rig(http):
+    """A table of 25 clean and 40 full rows."""
+    wrenches = np.concatenate((clean_wrenches(), full_wrenches(40)))
+    about = {"name": "rig", "title": "rig", "range": {"force": [100] * 3, "moment": [10] * 3}}
+    assert http.post("/v1/components", json=about).status_code == 201
+    rows = as_rows(wrenches, moved(wrenches))
+    assert http.post(f"{RIG}/table", json={"rows": rows}).status_code == 200
+    return http
+
+
+@pytest.mark.parametrize("address", PAGES)
+def test_a_page_holds_no_script_and_refers_to_no_other_host(page, address):
+    page = page.get(address).text
+    assert re.findall(r"<script(?![^>]*src=)[^>]*>", page) == []
+    assert re.findall(r"\son\w+=", page) == []
+    assert re.findall(r"(?:src|href)=\"(?:https?:)?//", page) == []
+
+
+@pytest.mark.parametrize("address", PAGES)
+def test_all_that_a_page_refers_to_is_served(page, address):
+    names = re.findall(r"(?:src|href)=\"(page/[^\"]+)\"", page.get(address).text)
+    assert len(names) > 3
+    assert {name: page.get(f"/{name}").status_code for name in names} == dict.fromkeys(names, 200)
+
+
+def test_all_that_modules_import_is_served(page):
+    text = "\n".join(module.read_text() for module in MODULES)
+    names = re.findall(r"(?:from|import) \"\./([^\"]+)\"", text)
+    names += re.findall(r"\"(\w+\.js)\"", text)
+    assert {name for name in names if page.get(f"/page/js/{name}").status_code != 200} == set()
+
+
+def test_no_file_of_the_page_names_another_host():
+    named = {
+        path.name: found
+        for path in texts()
+        if (found := re.findall(r"https?://(?!www\.w3\.org/2000/svg)[\w.]+", path.read_text()))
+    }
+    assert named == {}
+
+
+def test_files_of_the_page_stay_readable_in_one_sitting():
+    assert [path.name for path in texts() if len(path.read_text().splitlines()) > 300] == []
+
+
+@pytest.mark.parametrize("name", ["plotly.min.js", "swagger-ui-bundle.js", "swagger-ui.css"])
+def test_what_the_page_borrows_comes_packed_and_is_not_sent_twice(page, name):
+    first = page.get(f"/page/{name}", headers={"accept-encoding": "gzip"})
+    assert first.status_code == 200
+    assert first.headers["content-encoding"] == "gzip"
+    assert len(first.content) > 100_000
+    again = page.get(f"/page/{name}", headers={"if-none-match": first.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+
+
+@pytest.mark.parametrize(
+    "name", ["../app.py", "..%2f..%2fhttp%2fapp.py", "js/../../http/app.py", "nothing.js", ""]
+)
+def test_nothing_but_the_page_is_served(page, name):
+    reply = page.get(f"/page/{name}")
+    assert reply.status_code == 404
+    assert "create_app" not in reply.text
+
+
+def test_rows_to_draw_are_as_many_as_asked_for_those_of_the_axis_first(rig):
+    told = rig.get(f"{RIG}/drawing?axis=z&most=12").json()
+    assert (told["of"], told["shown"], len(told["wrench"])) == (65, 12, 12)
+    assert sum(told["clean"]) == 9  # the corners of the axis, and zero load
+    assert told["row"] == sorted(told["row"])
+
+
+def test_more_rows_than_a_browser_draws_are_refused(rig):
+    assert rig.get(f"{RIG}/drawing?most=5001").status_code == 422
+
+
+def test_rows_along_a_load_have_no_other(rig):
+    wrenches = np.array(rig.get(f"{RIG}/drawing?along=mx").json()["wrench"])
+    assert len(wrenches) == 1  # zero load; corners of an axis hold three loads
+    assert not wrenches[:, [0, 1, 2, 4, 5]].any()
+
+
+def test_the_grid_of_an_axis_is_covered_as_queries_are(rig):
+    grid = rig.get(f"{RIG}/drawing?axis=x").json()["grid"]
+    asked = {"wrenches": grid["wrench"], "on_thin": "estimate"}
+    told = rig.post(f"{RIG}/displacements", json=asked).json()["coverage"]
+    assert [("covered", "thin", "outside")[code] for code in grid["coverage"]] == told
+
+
+def test_a_response_is_what_queries_answer(rig):
+    told = rig.get(f"{RIG}/response?load=fz&my=3&points=5").json()
+    assert told["at"] == np.linspace(-FULL[2], FULL[2], 5).tolist()
+    wrenches = [[0, 0, load, 0, 3, 0] for load in told["at"]]
+    asked = {"wrenches": wrenches, "on_thin": "estimate"}
+    answers = rig.post(f"{RIG}/displacements", json=asked).json()
+    assert told["displacement"] == answers["displacements"]
+    assert told["error"] == answers["errors"]
+
+
+def test_looking_at_a_table_counts_as_no_query(rig):
+    before = rig.get("/metrics").text
+    for call in ("glance", "drawing?axis=y", "response?load=fx"):
+        assert rig.get(f"{RIG}/{call}").status_code == 200
+    queries = r"wrenchbook_queries_total\{.*"
+    assert re.findall(queries, rig.get("/metrics").text) == re.findall(queries, before)
+
+
+def test_a_glance_tells_what_parts_of_the_range_are_covered(rig):
+    told = rig.get(f"{RIG}/glance").json()
+    for shares in (told["whole"], *told["axes"].values()):
+        assert sum(shares) == pytest.approx(1.0)
+        assert min(shares) >= 0.0
+    assert told["axes"].keys() == {"x", "y", "z"}
+
+
+def test_an_empty_table_is_outside_at_a_glance(http):
+    assert http.get("/v1/components/plate_thin/glance").json()["whole"] == [0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("call", ["glance", "drawing", "response?load=fx"])
+def test_what_is_drawn_of_an_unknown_component_is_404(http, call):
+    assert http.get(f"/v1/components/nope/{call}").status_code == 404
+
+
+@pytest.fixture(scope="module")
+def failed(http, folder):
+    """The folder of a failed job's attempt."""
+    solve = {"force": [0, 0, 1], "wait_s": 30}
+    assert http.post("/v1/components/plate_thin/solve", json=solve).status_code == 424
+    return folder / "jobs" / "1" / "1"
+
+
+def test_the_log_of_a_failed_job_names_no_folder_of_the_machine(http, failed, folder):
+    (failed / LOG).write_text(
+        f'File "{folder.absolute()}/jobs/1/1/deck", in {Path(__file__).parents[2]}'
+    )
+    told = http.get("/v1/jobs/1/log")
+    assert told.headers["content-type"].startswith("text/plain")
+    assert told.text == 'File "<data>/jobs/1/1/deck", in <wrenchbook>'
+
+
+def test_of_a_long_log_the_end_is_told_and_how_much_is_missing(http, failed):
+    (failed / LOG).write_bytes(b"x" * 10 + b"y" * MOST_LOG_BYTES)
+    told = http.get("/v1/jobs/1/log").text
+    assert told.startswith("[the first 10 bytes are in .../files]\ny")
+    assert "x" not in told.removeprefix("[the first 10 bytes are in .../files]")
+
+
+def test_a_log_that_is_a_link_is_not_followed(http, failed, tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("secret")
+    (failed / LOG).unlink(missing_ok=True)
+    (failed / LOG).symlink_to(secret)
+    assert http.get("/v1/jobs/1/log").status_code == 404
+
+
+@pytest.mark.parametrize("job", [7, 2**63])
+def test_there_is_no_log_of_a_job_that_there_is_not(http, job):
+    assert http.get(f"/v1/jobs/{job}/log").status_code in (404, 422)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.name)
+def test_no_text_of_others_is_made_markup_or_script(path):
+    made = r"(inner|outer)HTML|insertAdjacentHTML|document\.write|\beval\(|new Function|srcdoc"
+    assert not re.search(made, path.read_text(encoding="utf-8"))

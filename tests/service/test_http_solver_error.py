@@ -1,0 +1,246 @@
+"""What a real solver says of its own error reaches every bar, by cause, and downloaded tables."""
+
+import asyncio
+import json
+
+import numpy as np
+import pytest
+
+from service.answering.one import answered
+from service.answering.queries import Query
+from service.cli.render import answer_table, own_error_lines
+from service.jobs import solve_attempt
+from service.jobs.attempt import Spec, prepare, read_outcome
+from service.settings import Settings
+from service.tables.solver_errors import SolverErrors
+from service.workspace import Workspace
+from surrogate.build import build
+from surrogate.solver_error import SolverError
+from surrogate.table.rows import Tolerance
+from tests.service.live import add_table, as_rows, full_wrenches, moved, served
+from tests.service.test_runjob_evidence import BUNDLE
+
+WRENCH = [400.0, -30.0, 20.0, 5.0, -6.0, 7.0]
+DETAIL = {"force": WRENCH[:3], "moment": WRENCH[3:], "detail": True}
+TOLD = {"mesh": np.eye(6).tolist(), "loads": [1.0] * 6, "mesh_basis": "words"}
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory):
+    """A server that has solved the shipped bar once, by its own finite elements."""
+    with served(tmp_path_factory.mktemp("solved"), solvers=1) as client:
+        assert "error_parts" not in json.loads(ask(client, "bar", DETAIL).content)
+        client.solve("bar", WRENCH, wait_s=60)
+        assert client.component("bar")["rows"] >= 1
+        yield client
+
+
+def ask(client, name, body, call="displacement"):
+    """Post a body without a job of its own, and return the reply as it comes."""
+    content = json.dumps({**body, "on_thin": "estimate"}).encode()
+    headers = {"Content-Type": "application/json"}
+    return client.call("POST", f"/v1/components/{name}/{call}", content, headers=headers)
+
+
+def told_of(client, **more):
+    return json.loads(ask(client, "bar", {**DETAIL, **more}).content)
+
+
+def six(bars):
+    return np.array(bars["translation"] + bars["rotation"])
+
+
+def test_a_bar_is_the_sum_of_its_parts_and_not_zero(client):
+    told = told_of(client)
+    parts = told["error_parts"]
+    assert told["coverage"] == "covered"
+    assert (six(parts["mesh"]) > 0).all()
+    assert (six(parts["linearity"]) > 0).all()
+    total = sum(six(parts[cause]) for cause in ("table", "mesh", "linearity"))
+    np.testing.assert_allclose(six(told["error"]), total, rtol=1e-9)
+    assert "coarser mesh" in parts["mesh_basis"]
+
+
+def test_without_detail_the_bar_is_the_same_and_has_no_parts(client):
+    told = told_of(client, detail=False)
+    assert "error_parts" not in told
+    assert told["error"] == told_of(client)["error"]
+
+
+def test_a_batch_a_binary_batch_and_the_main_call_have_the_same_bars(client):
+    one = six(told_of(client)["error"])
+    wrenches = np.array([WRENCH, np.zeros(6)])
+    for found in (
+        client.displacements("bar", wrenches, on_thin="estimate", binary=True),
+        client.displacements("bar", wrenches, on_thin="estimate", binary=False),
+    ):
+        np.testing.assert_array_equal(found.errors[0], one)
+
+
+def test_a_solved_row_has_the_solvers_share_too(client):
+    answer = client.solve("bar", WRENCH, wait_s=60)
+    assert (np.array(answer.error_vector) >= six(told_of(client)["error_parts"]["mesh"])).all()
+
+
+def test_a_downloaded_table_has_the_servers_bars_and_tells_their_causes(client):
+    table = client.download("bar")
+    np.testing.assert_array_equal(table.answer(WRENCH).error_vector, six(told_of(client)["error"]))
+    parts = table.error_parts(WRENCH)
+    np.testing.assert_array_equal(parts["mesh"], six(told_of(client)["error_parts"]["mesh"]))
+    batch = table.batch(np.array([WRENCH]))
+    np.testing.assert_array_equal(batch.errors[0], table.answer(WRENCH).error_vector)
+
+
+def test_the_component_tells_it_at_full_range_with_its_buckling_factor(client):
+    told = client.component("bar")["solver_error"]
+    assert 1e-6 < told["mesh"][2] < 1e-4
+    assert told["buckling"] == pytest.approx(6.8, rel=0.05)
+    assert told["linearity"][2] > 1e-4
+
+
+def test_a_component_that_was_never_solved_says_how_to_have_an_estimate(client):
+    told = client.component("plate")["solver_error"]
+    assert told["mesh"] is None
+    assert "next solve" in told["mesh_basis"]
+
+
+def test_a_measured_table_has_no_mesh_part(client):
+    wrenches = full_wrenches(30)
+    add_table(client, "rig", as_rows(wrenches, moved(wrenches)))
+    body = {"force": [1.0, 2.0, 3.0], "moment": [0.1, 0.2, 0.3], "detail": True}
+    told = json.loads(ask(client, "rig", body).content)
+    assert told["error_parts"].keys() == {"table"}
+    assert client.component("rig")["solver_error"] is None
+
+
+def test_an_attempt_estimates_only_if_it_is_asked_to(tmp_path, monkeypatch):
+    from fea.bundle.read import read_bundle
+
+    monkeypatch.delenv(solve_attempt.SOLVE_VARIABLE, raising=False)
+    bundle = tmp_path / "block"
+    bundle.mkdir()
+    (bundle / "component.toml").write_text(BUNDLE.format(height=0.1, across=2, poisson=0.3))
+    fingerprint = read_bundle(bundle).fingerprint
+    found = []
+    for number, estimate in enumerate((False, True)):
+        spec = Spec(number, 1, "block", str(bundle), fingerprint, (1.0,) * 6, estimate)
+        prepare(tmp_path / str(number), spec)
+        assert solve_attempt.main(tmp_path / str(number)) == solve_attempt.DONE
+        found.append(read_outcome(tmp_path / str(number), Spec(*list(vars(spec).values())[:-1])))
+    assert "solver_error" not in found[0]
+    assert np.shape(found[1]["solver_error"]["mesh"]) == (6, 6)
+    assert found[0]["displacement"] == found[1]["displacement"]
+
+
+def test_one_solve_at_a_time_estimates_and_another_one_if_that_told_nothing(tmp_path):
+    errors = SolverErrors(tmp_path / "errors")
+    assert [errors.claim("bar", "f1"), errors.claim("bar", "f1")] == [True, False]
+    errors.settle("bar", "f1", None)
+    assert errors.claim("bar", "f1")
+    errors.settle("bar", "f1", {"mesh": "nonsense"})
+    assert errors.claim("bar", "f1")
+    errors.settle("bar", "f1", TOLD)
+    assert not errors.claim("bar", "f1")
+    assert errors.claim("bar", "f2")
+
+
+def test_a_damaged_estimate_is_as_none_and_is_made_again(tmp_path):
+    errors = SolverErrors(tmp_path)
+    errors.settle("bar", "f1", TOLD)
+    (tmp_path / "bar" / "f1.json").write_text("[1, 2")
+    assert errors.read("bar", "f1") is None
+    assert errors.claim("bar", "f1")
+
+
+def test_a_covered_answer_whose_mesh_is_over_the_tolerance_says_so(client):
+    told = told_of(client, detail=False)
+    assert told["coverage"] == "covered"
+    assert told["within_tolerance"] is False
+    wide = told_of(client, tolerance={"translation": 1.0, "rotation": 1.0})
+    assert wide["within_tolerance"] is True
+
+
+def test_a_solved_row_says_so_too(client):
+    answer = client.solve("bar", WRENCH, wait_s=60)
+    assert (answer.coverage, answer.within_tolerance) == ("covered", False)
+
+
+def test_batches_and_downloaded_tables_judge_the_whole_bar_as_the_main_call_does(client):
+    wrenches, table = np.array([WRENCH, np.zeros(6)]), client.download("bar")
+    for found in (
+        client.displacements("bar", wrenches, on_thin="estimate", binary=True),
+        client.displacements("bar", wrenches, on_thin="estimate", binary=False),
+        table.batch(wrenches),
+    ):
+        assert found.within_tolerance.tolist() == [False, True]
+    assert table.answer(WRENCH).within_tolerance is False
+    assert table.answer(WRENCH, tolerance=(1.0, 1.0)).within_tolerance is True
+
+
+def test_without_a_tolerance_nothing_is_held_against_one(client):
+    wrenches = full_wrenches(30)
+    add_table(client, "loose", as_rows(wrenches, moved(wrenches)))
+    body = {"force": [1.0, 2.0, 3.0], "moment": [0.1, 0.2, 0.3]}
+    assert json.loads(ask(client, "loose", body).content)["within_tolerance"] is None
+    found = client.displacements("loose", wrenches[:2], on_thin="estimate", binary=True)
+    assert found.within_tolerance is None
+    assert "within_tolerance" not in client.displacements("loose", wrenches[:2]).raw
+
+
+def test_the_component_warns_once_of_what_more_rows_cannot_mend(client):
+    warnings = [one for one in client.component("bar")["warnings"] if one["where"] == "tolerance"]
+    assert len(warnings) == 2
+    mesh, linearity = (one["message"] for one in warnings)
+    assert "the mesh alone" in mesh
+    assert "cells about" in mesh
+    assert "nonlinear = true" in linearity
+    assert own_error_lines(client.component("bar")) == [mesh, linearity]
+
+
+def test_an_answer_whose_bar_is_over_the_tolerance_is_shown_with_a_word_of_it(client):
+    caption = str(answer_table(client.displacement("bar", WRENCH, on_thin="estimate")).caption)
+    assert "over the tolerance by the solver's own error" in caption
+
+
+def test_nobody_is_told_that_a_bar_without_the_solvers_share_is_within_the_tolerance(client):
+    wide = {"translation": 1.0, "rotation": 1.0}
+    assert client.displacement("bar", WRENCH, tolerance=wide).within_tolerance is True
+    solved = client.download("bar")._built.surrogate
+    query = Query(tuple(WRENCH), "estimate", 0.0, Tolerance(1.0, 1.0))
+    for lost in (None, SolverError(TOLD | {"mesh": None})):
+        table = build(solved.rows, solved.load_range, linear=True, solver_error=lost)
+        found = asyncio.run(answered("bar", table, query))
+        assert found.error is not None
+        assert found.within_tolerance is None
+
+
+def test_a_row_that_came_just_now_has_the_solvers_share_though_its_table_is_not_built(tmp_path):
+    workspace = Workspace(Settings(tmp_path, solvers=0))
+    workspace.start()
+    try:
+        fingerprint = workspace.library["plate"].fingerprint
+        assert workspace.solver_error("plate") is None
+        workspace.errors.settle("plate", fingerprint, TOLD)
+        assert workspace.surrogate("plate").solver_error is None
+        found = workspace.solver_error("plate")
+        assert found is not None
+        assert found.told == TOLD
+    finally:
+        workspace.close()
+
+
+def test_an_upload_estimates_so_that_the_first_answer_has_its_bar(client, tmp_path):
+    folder = tmp_path / "block"
+    folder.mkdir()
+    text = BUNDLE.format(height=0.1, across=2, poisson=0.3)
+    text = (
+        text.replace('"block"', '"coarse"') + "[tolerance]\ntranslation = 1e-9\nrotation = 1e-9\n"
+    )
+    (folder / "component.toml").write_text(text)
+    client.add_component(folder)
+    about = client.component("coarse")
+    assert about["solver_error"]["mesh"][0] > 0
+    assert any("the mesh alone" in one["message"] for one in about["warnings"])
+    answer = client.solve("coarse", [0.0, 0.0, 1.0, 0.0, 0.0, 0.0], wait_s=60)
+    assert answer.error_vector[2] > 0
+    assert answer.within_tolerance is False

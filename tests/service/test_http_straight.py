@@ -1,0 +1,382 @@
+"""The straight way of the main call says what the usual way does, whatever is sent to it."""
+
+import re
+import socket
+from contextlib import closing
+
+import numpy as np
+import orjson
+import pytest
+
+from service.http.application import Application
+from service.http.straight import StraightProtocol
+from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, served, tangents
+
+PATH = "/v1/components/solved/displacement"
+PLAIN = {"force": [10.0, -20.0, 30.0], "moment": [1.0, 2.0, -3.0]}
+BODY = orjson.dumps(PLAIN)
+
+
+@pytest.fixture(scope="module")
+def port(tmp_path_factory):
+    wrenches = full_wrenches(40)
+    rows = as_rows(wrenches, moved(wrenches), tangents(wrenches))
+    with served(tmp_path_factory.mktemp("workspace")) as client:
+        add_table(client, "solved", rows, tolerance={"translation": 1.0, "rotation": 1.0})
+        yield int(client.url.rsplit(":", 1)[1])
+
+
+@pytest.fixture
+def straight(monkeypatch):
+    """Return how many questions were answered straight so far."""
+    found = []
+    ask = Application.answer_at_once
+
+    def counted(self, name, headers, body):
+        content = ask(self, name, headers, body)
+        found.append(content is not None)
+        return content
+
+    monkeypatch.setattr(Application, "answer_at_once", counted)
+    return lambda: sum(found)
+
+
+def request(body=BODY, path=PATH, verb="POST", fields=(), length=None):
+    length = len(body) if length is None else length
+    lines = [f"{verb} {path} HTTP/1.1", "Host: x", *fields, f"Content-Length: {length}"]
+    return "\r\n".join([*lines, "", ""]).encode() + body
+
+
+def chunked(*pieces):
+    head = f"POST {PATH} HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n".encode()
+    told = b"".join(b"%x\r\n%b\r\n" % (len(piece), piece) for piece in pieces)
+    return head + told + b"0\r\n\r\n"
+
+
+class Wire:
+    """One connection, read reply by reply."""
+
+    def __init__(self, port):
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=20)
+        self.left = b""
+
+    def send(self, *pieces):
+        for piece in pieces:
+            self.socket.sendall(piece)
+
+    def reply(self, *, bodyless=False):
+        """Return status, headers and body of the next reply."""
+        while b"\r\n\r\n" not in self.left:
+            self._more()
+        head, _, self.left = self.left.partition(b"\r\n\r\n")
+        status, *lines = head.decode().split("\r\n")
+        headers = {k.lower(): v for k, v in (line.split(": ", 1) for line in lines)}
+        length = 0 if bodyless else int(headers["content-length"])
+        while len(self.left) < length:
+            self._more()
+        body, self.left = self.left[:length], self.left[length:]
+        return int(status.split()[1]), headers, body
+
+    def _more(self):
+        came = self.socket.recv(65536)
+        assert came, f"closed after {self.left!r}"
+        self.left += came
+
+    def ask(self, *pieces):
+        self.send(*pieces)
+        return self.reply()
+
+    def close(self):
+        self.socket.close()
+
+
+@pytest.fixture
+def wire(port):
+    with closing(Wire(port)) as found:
+        yield found
+
+
+def same(body):
+    """What two answers to one question share: all but the time they took."""
+    return {key: value for key, value in orjson.loads(body).items() if key != "elapsed_us"}
+
+
+def test_a_plain_question_goes_straight_at_first_and_when_its_head_is_known(straight, wire):
+    for count in (1, 2, 3):
+        assert wire.ask(request())[0] == 200
+        assert straight() == count
+
+
+def test_both_ways_give_the_same_reply(straight, wire):
+    status, headers, body = wire.ask(request())
+    unknown, other, usual = wire.ask(request(orjson.dumps({**PLAIN, "detail": False})))
+    assert straight() == 1
+    assert (status, same(body)) == (unknown, same(usual))
+    assert list(headers) == list(other)
+    assert headers["content-type"] == other["content-type"] == "application/json"
+
+
+def test_the_known_head_reads_the_body_that_comes_with_it(wire):
+    pushes = (11.0, 12.0, 13.0)
+    bodies = [orjson.dumps({**PLAIN, "force": [push, 0.5, 0.5]}) for push in pushes]
+    answers = [orjson.loads(wire.ask(request(body))[2])["translation"] for body in bodies]
+    assert len({tuple(one) for one in answers}) == 3
+
+
+def test_a_question_may_come_in_any_pieces(straight, wire):
+    whole = request()
+    expected = same(wire.ask(whole)[2])
+    for cut in range(1, len(whole), 7):
+        assert same(wire.ask(whole[:cut], whole[cut:])[2]) == expected
+
+
+def test_pipelined_questions_are_answered_in_their_order(wire):
+    pushes = [float(push) for push in range(30)]
+    bodies = [orjson.dumps({**PLAIN, "force": [push, 0.0, 0.0]}) for push in pushes]
+    bodies[3] = b"{"
+    wire.send(b"".join(map(request, bodies)))
+    replies = [wire.reply() for _ in bodies]
+    assert [status for status, _, _ in replies] == [422 if k == 3 else 200 for k in range(30)]
+    told = [orjson.loads(body)["translation"][0] for status, _, body in replies if status == 200]
+    assert (np.diff(told) > 0).all()  # as the pushes do
+
+
+def test_a_piece_that_ends_like_a_whole_question_inside_another_is_not_taken_for_one(wire):
+    """The second body is the start of a longer one: what follows belongs to it."""
+    inner = request()
+    tail = b" " * (len(inner) - 10) + b"," * 10
+    assert wire.ask(inner)[0] == 200
+    wire.send(inner + request(length=len(BODY) + len(inner) + len(tail)))
+    assert wire.reply()[0] == 200
+    wire.send(inner, tail)  # all of it is body: two JSON texts and more are none
+    assert wire.reply()[0] == 422
+    assert wire.ask(inner)[0] == 200
+
+
+def test_a_question_inside_a_header_is_none(straight, wire):
+    assert wire.ask(request())[0] == 200
+    before = straight()
+    wire.send(b"GET /health/live HTTP/1.1\r\nHost: x\r\nX-Y: ")
+    assert wire.ask(request(b""))[0] == 200  # its first line ends the header X-Y
+    assert straight() == before
+
+
+def test_after_a_usual_call_questions_go_straight_again(straight, wire):
+    for _ in range(2):
+        assert wire.ask(request())[0] == 200
+        assert wire.ask(b"GET /health/live HTTP/1.1\r\nHost: x\r\n\r\n")[0] == 200
+        assert wire.ask(request(b"{"))[0] == 422
+    assert straight() == 2
+
+
+def test_a_chunked_body_is_read(wire):
+    expected = same(wire.ask(request())[2])
+    for _ in range(2):
+        status, _, body = wire.ask(chunked(BODY[:9], BODY[9:]))
+        assert (status, same(body)) == (200, expected)
+
+
+def test_connection_close_is_heeded(wire):
+    for _ in range(2):
+        status, headers, _ = wire.ask(request(fields=["Connection: close"]))
+        assert (status, headers["connection"]) == (200, "close")
+        assert wire.socket.recv(1) == b""
+        break
+
+
+def test_expect_100_continue_is_answered_before_the_body(wire):
+    head = request(b"", fields=["Expect: 100-continue"], length=len(BODY))
+    wire.send(head)
+    assert wire.reply(bodyless=True)[0] == 100
+    assert wire.ask(BODY)[0] == 200
+
+
+def test_more_heads_than_are_kept_do_no_harm(wire):
+    for number in range(200):
+        assert wire.ask(request(fields=[f"X-Number: {number}"]))[0] == 200
+    assert wire.ask(request())[0] == 200
+
+
+def test_a_client_that_does_not_read_is_not_written_to_without_end(port):
+    """Its questions wait: what the server holds for it stays bounded."""
+    with closing(Wire(port)) as wire:
+        wire.socket.settimeout(1)
+        questions = request() * 1000
+        with pytest.raises(TimeoutError):  # long before 100 MB of answers
+            wire.send(*([questions] * 150))
+        wire.socket.settimeout(20)
+        assert wire.reply()[0] == 200
+    with closing(Wire(port)) as other:
+        assert other.ask(request())[0] == 200
+
+
+DEEP = b"[" * 5000 + b"]" * 5000
+NUMBERS = b'{"force": [%b, 0, 0], "moment": [0, 0, 0]}'
+BAD = {
+    "no JSON": b"{",
+    "nothing": b"",
+    "blanks": b" " * 60_000,
+    "another encoding": BODY.decode().encode("utf-16"),
+    "half a character": b'{"force": "\xff"}',
+    "deep lists": DEEP,
+    "deep lists as a force": b'{"force": ' + DEEP + b"}",
+    "deep objects": b'{"force":' * 900 + b"1" + b"}" * 900,
+    "a list": b"[1, 2, 3, 4, 5, 6]",
+    "a number": b"1",
+    "null": b"null",
+    "NaN": NUMBERS % b"NaN",
+    "Infinity": NUMBERS % b"-Infinity",
+    "beyond float64": NUMBERS % b"1e400",
+    "an integer beyond float64": NUMBERS % (b"9" * 400),
+    "a truth value": NUMBERS % b"true",
+    "a text": NUMBERS % b'"1"',
+    "none": NUMBERS % b"null",
+    "a list for a number": NUMBERS % b"[1]",
+    "a leading zero": NUMBERS % b"01",
+    "hexadecimal": NUMBERS % b"0x1",
+    "two numbers": b'{"force": [1, 2], "moment": [0, 0, 0]}',
+    "four numbers": b'{"force": [1, 2, 3, 4], "moment": [0, 0, 0]}',
+    "a force that is a number": b'{"force": 1, "moment": [0, 0, 0]}',
+    "no wrench": b"{}",
+    "an unknown field": orjson.dumps({**PLAIN, "forces": 1}),
+    "another word": orjson.dumps({**PLAIN, "on_thin": "guess"}),
+    "a word of DirectFEA": orjson.dumps({**PLAIN, "on_thin": "solve"}),
+    "no word": orjson.dumps({**PLAIN, "on_thin": None}),
+    "a list of words": orjson.dumps({**PLAIN, "on_thin": ["queue"]}),
+}
+
+
+@pytest.mark.parametrize("body", BAD.values(), ids=BAD)
+def test_a_bad_body_is_a_problem_and_the_connection_goes_on(wire, body):
+    for way in (request, chunked):
+        status, headers, told = wire.ask(way(body) if body else request(body))
+        assert status == 422
+        assert headers["content-type"] == "application/problem+json"
+        problem = orjson.loads(told)
+        assert problem["status"] == 422
+        assert problem["errors"][0]["loc"]
+        assert wire.ask(request())[0] == 200
+
+
+@pytest.mark.parametrize("number", [b"1e90", b"-1e99", b"1e-320", b"5e-324", b"-0", b"-0.0"])
+def test_extreme_numbers_are_answered_alike_by_both_ways(wire, number):
+    body = NUMBERS[:-1] % number + b', "on_thin": "estimate"}'
+    status, _, straight = wire.ask(request(body))
+    other, _, usual = wire.ask(request(body[:-1] + b', "detail": false}'))
+    assert status == other == 200
+    assert same(straight) == same(usual)
+    assert not re.search(rb"NaN|Infinity", straight)
+
+
+@pytest.mark.parametrize("number", [b"1e160", b"-1e308", b"1.01e100"])
+def test_a_load_that_no_part_bears_is_422_by_both_ways(wire, number):
+    body = NUMBERS[:-1] % number + b', "on_thin": "estimate"}'
+    status, _, straight = wire.ask(request(body))
+    other, _, usual = wire.ask(request(body[:-1] + b', "detail": false}'))
+    assert status == other == 422
+    assert straight == usual
+
+
+def test_numbers_that_are_too_large_together_alone_are_still_numbers(wire):
+    body = b'{"force": [1e100, 1e100, 1e100], "moment": [0, 0, 0], "on_thin": "estimate"}'
+    assert wire.ask(request(body))[0] == 200
+
+
+def test_of_a_field_given_twice_the_last_counts_on_both_ways(wire):
+    twice = b'{"force": [1, 1, 1], ' + BODY[1:]
+    expected = same(wire.ask(request())[2])
+    assert same(wire.ask(request(twice))[2]) == expected
+    assert same(wire.ask(request(twice[:-1] + b', "detail": false}'))[2]) == expected
+
+
+@pytest.mark.parametrize("way", [request, chunked])
+def test_a_megabyte_of_blanks_is_too_large(wire, way):
+    wire.socket.settimeout(20)
+    status, headers, body = wire.ask(way(b" " * (1 << 20)))
+    assert (status, orjson.loads(body)["status"]) == (413, 413)
+    assert headers["content-type"] == "application/problem+json"
+
+
+CALLS = {
+    "a slash too many": (request(path=f"{PATH}/"), 404),
+    "a component that is not there": (request(path=PATH.replace("solved", "nope")), 404),
+    "a way out of the folder": (request(path=PATH.replace("solved", "..")), 404),
+    "an encoded slash": (request(path=PATH.replace("solved", "a%2Fb")), 404),
+    "an encoded zero": (request(path=PATH.replace("solved", "a%00b")), 404),
+    "another alphabet": (request(path=PATH.replace("solved", "%C3%A4")), 404),
+    "PUT": (request(verb="PUT"), 405),
+    "GET": (request(b"", verb="GET"), 405),
+    "OPTIONS": (request(b"", verb="OPTIONS"), 405),
+}
+
+
+@pytest.mark.parametrize(("call", "status"), CALLS.values(), ids=CALLS)
+def test_a_call_that_there_is_not_is_a_problem(wire, call, status):
+    for _ in range(2):
+        found, headers, body = wire.ask(call)
+        assert (found, orjson.loads(body)["status"]) == (status, status)
+        assert headers["content-type"] == "application/problem+json"
+
+
+def test_head_has_no_body(wire):
+    wire.send(request(b"", verb="HEAD"))
+    status, headers, _ = wire.reply(bodyless=True)
+    assert (status, headers["content-type"]) == (405, "application/problem+json")
+    assert wire.ask(request())[0] == 200
+
+
+@pytest.mark.parametrize(
+    "path", [PATH.replace("solved", "%73olved"), f"{PATH}?", f"{PATH}?table_version=1"]
+)
+def test_an_encoded_name_and_a_query_are_read_the_usual_way(straight, wire, path):
+    assert same(wire.ask(request(path=path))[2])["component"] == "solved"
+    assert straight() == 0
+
+
+def test_a_query_that_says_nothing_known_is_refused_the_usual_way(straight, wire):
+    assert wire.ask(request(path=f"{PATH}?a=b"))[0] == 422
+    assert straight() == 0
+
+
+def test_a_body_without_its_length_is_an_empty_one(wire):
+    wire.send(f"POST {PATH} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+    assert wire.reply()[0] == 422
+
+
+@pytest.mark.parametrize(
+    "length", ["-1", "1x", "99999999999999999999999", "3\r\nContent-Length: 4"]
+)
+def test_a_length_that_is_none_is_refused_and_the_connection_closed(wire, length):
+    wire.send(request(length=length))
+    assert wire.reply()[0] == 400
+    assert wire.socket.recv(1) == b""
+
+
+def test_two_ways_to_tell_a_length_are_refused(wire):
+    assert wire.ask(request())[0] == 200
+    wire.send(request(fields=["Transfer-Encoding: chunked"]))
+    assert wire.reply()[0] == 400
+    assert wire.socket.recv(1) == b""
+
+
+def test_beyond_the_range_the_usual_way_refuses_to_queue(straight, wire):
+    far = (10 * FULL).tolist()
+    status, _, body = wire.ask(request(orjson.dumps({"force": far[:3], "moment": far[3:]})))
+    assert status == 409  # a table-only component queues nothing
+    assert "finite-element" in orjson.loads(body)["title"]
+    assert straight() == 0
+
+
+def test_an_application_without_the_straight_way_is_served_all_the_same():
+    class Bare:
+        async def __call__(self, scope, receive, send): ...
+
+    from uvicorn.config import Config
+    from uvicorn.server import ServerState
+
+    config = Config(Bare(), http=StraightProtocol, log_config=None)
+    assert StraightProtocol(config, ServerState(), {}, _loop=_NoLoop())._ask is None
+
+
+class _NoLoop:
+    """A loop that nothing is asked of."""

@@ -1,0 +1,180 @@
+"""What a solver keeps of a component gives the same rows, and only ever that component's."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fea.bundle.read import read_bundle
+from fea.bundle.shipped import SHIPPED
+from service.fields.record import GEOMETRY, ROW
+from service.jobs import kept_component, solve_attempt
+from service.jobs.attempt import Spec, prepare, read_outcome, read_spec
+from service.jobs.engines.local import LocalEngine
+from tests.fea.decks import SOFT
+from tests.fea.decks import component as deck_component
+from tests.service.attempts import asked
+from tests.service.test_engine_deck import write_table
+from tests.service.test_runjob_evidence import BUNDLE
+from tests.service.test_warm_solver import until
+
+LOAD = np.array([2e3, 1e3, 1e3, 50.0, 50.0, 50.0])
+
+
+class Site:
+    """Bundles, attempts on them, and engines that are closed at the end."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.engines = []
+        self.attempts = 0
+
+    def block(self, name="block", **changes):
+        options = {"height": 0.1, "across": 2, "poisson": 0.3, **changes}
+        bundle = self.folder / name
+        bundle.mkdir(exist_ok=True)
+        (bundle / "component.toml").write_text(BUNDLE.format(**options), encoding="utf-8")
+        return bundle
+
+    def engine(self, **options):
+        self.engines.append(LocalEngine(1, **options))
+        return self.engines[-1]
+
+    def solved(self, engine, bundle, wrench, fingerprint=None):
+        """Solve one wrench; the whole outcome but how long it took, and the solver's pid."""
+        self.attempts += 1
+        folder = self.folder / "jobs" / str(self.attempts)
+        wanted = fingerprint or read_bundle(bundle).fingerprint
+        spec = Spec(self.attempts, 1, "block", str(bundle), wanted, tuple(map(float, wrench)))
+        prepare(folder, spec)
+        engine.submit(asked(folder))
+        until(lambda: engine.poll(asked(folder)) == "finished", seconds=60)
+        outcome = read_outcome(folder, read_spec(folder))
+        outcome.pop("seconds", None)
+        if outcome["status"] == "done":  # its surface and stresses too
+            for name in (GEOMETRY, ROW):
+                left = folder / name
+                outcome[name] = left.read_bytes().hex() if left.exists() else None
+        return outcome, (folder / "lock").read_text()
+
+
+@pytest.fixture
+def site(tmp_path, monkeypatch):
+    monkeypatch.delenv("WRENCHBOOK_SOLVE", raising=False)
+    site = Site(tmp_path)
+    yield site
+    for engine in site.engines:
+        engine.close()
+
+
+def wrenches(count):
+    chance = np.random.default_rng(7)
+    return LOAD * chance.uniform(-1, 1, (count, 6)) * (chance.random((count, 6)) < 0.7)
+
+
+@pytest.mark.parametrize("name", ["block", "bar", "plate_thin"])
+def test_a_solver_that_lives_gives_the_rows_of_fresh_ones_to_the_last_bit(site, name):
+    """In another order too: nothing an earlier attempt did shows in a later one."""
+    bundle = site.block() if name == "block" else SHIPPED / name
+    loads = wrenches(4)
+    if name != "block":
+        limits = read_bundle(bundle).range
+        loads = loads / LOAD * 0.3 * np.maximum(np.abs(limits.low), np.abs(limits.high))
+    fresh = [site.solved(site.engine(lives=1), bundle, wrench) for wrench in loads]
+    warm = site.engine()
+    kept = [site.solved(warm, bundle, loads[place]) for place in (2, 0, 3, 1)]
+    assert len({pid for _, pid in fresh}) == 4
+    assert len({pid for _, pid in kept}) == 1
+    for place, (outcome, _) in zip((2, 0, 3, 1), kept, strict=True):
+        assert outcome["status"] == "done"
+        assert outcome[ROW]
+        assert json.dumps(outcome) == json.dumps(fresh[place][0])
+
+
+def test_after_a_solve_that_failed_the_next_row_is_that_of_a_fresh_process(site):
+    bundle, wrench = site.block(), wrenches(1)[0]
+    expected, _ = site.solved(site.engine(lives=1), bundle, wrench)
+    warm = site.engine()
+    failed, first = site.solved(warm, bundle, (-1e6, 0, 0, 0, 0, 0))
+    assert failed["error"]["kind"] == "snap_through"
+    outcome, second = site.solved(warm, bundle, wrench)
+    assert (outcome, first) == (expected, second)
+
+
+def test_a_component_edited_between_two_attempts_is_solved_as_it_is_now(site):
+    bundle, wrench, warm = site.block(), wrenches(1)[0], site.engine()
+    before, pid = site.solved(warm, bundle, wrench)
+    old = read_bundle(bundle).fingerprint
+    site.block(height=0.11)
+    refused, _ = site.solved(warm, bundle, wrench, fingerprint=old)
+    assert refused["error"]["kind"] == "component_changed"
+    after, again = site.solved(warm, bundle, wrench)
+    expected, _ = site.solved(site.engine(lives=1), bundle, wrench)
+    assert (after, pid) == (expected, again)
+    assert after["displacement"] != before["displacement"]
+
+
+def test_two_components_in_turn_on_one_solver_each_get_their_own_rows(site):
+    thick, thin = site.block(), site.block("thin", height=0.05)
+    wrench, warm = wrenches(1)[0] / 10, site.engine()
+    expected = [site.solved(site.engine(lives=1), bundle, wrench)[0] for bundle in (thick, thin)]
+    found = [site.solved(warm, bundle, wrench) for bundle in (thick, thin, thick, thin)]
+    assert [outcome for outcome, _ in found] == expected * 2
+    assert len({pid for _, pid in found}) == 1
+
+
+def test_a_solve_beyond_its_memory_fails_by_name_and_the_next_one_has_a_new_solver(
+    site, monkeypatch
+):
+    bundle, wrench, engine = site.block(across=12), wrenches(1)[0], site.engine()
+    monkeypatch.setenv("WRENCHBOOK_MEMORY_MARGIN", "0.001")
+    refused, first = site.solved(engine, bundle, wrench)
+    error = refused["error"]
+    assert error["kind"] == "out_of_memory"
+    assert "0.001 times its estimate" in error["message"]
+    assert "WRENCHBOOK_MEMORY_MARGIN" in error["remedy"]
+    monkeypatch.delenv("WRENCHBOOK_MEMORY_MARGIN")
+    done, second = site.solved(engine, bundle, wrench)
+    assert (done["status"], first != second) == ("done", True)
+
+
+def test_a_margin_that_is_no_number_is_refused_by_name(site, monkeypatch):
+    monkeypatch.setenv("WRENCHBOOK_MEMORY_MARGIN", "plenty")
+    outcome, _ = site.solved(site.engine(), site.block(), wrenches(1)[0])
+    assert outcome["error"]["kind"] == "bad_setting"
+    assert "'plenty'" in outcome["error"]["message"]
+
+
+def test_decks_are_solved_one_after_the_other_by_one_solver_without_a_memory_limit(site):
+    folder = site.folder / "deck"
+    folder.mkdir()
+    limit = "import resource; print(resource.getrlimit(resource.RLIMIT_AS))\n"
+    bundle = deck_component(folder, limit + SOFT)
+    write_table(folder, bundle)
+    warm, block = site.engine(), site.block()
+    site.solved(warm, block, wrenches(1)[0])
+    found = [site.solved(warm, folder, LOAD * factor / 1e3) for factor in (0.5, 1.0)]
+    assert {outcome["status"] for outcome, _ in found} == {"done"}
+    assert len({pid for _, pid in found}) == 1
+    for outcome, factor in zip((one for one, _ in found), (0.5, 1.0), strict=True):
+        assert outcome["displacement"] == pytest.approx((LOAD * factor * 1e-9).tolist())
+    printed = next(site.folder.rglob("jobs/3/deck/wrench/printed.txt")).read_text()
+    assert "(-1, -1)" in printed
+
+
+def test_an_edit_while_the_component_is_built_is_refused(tmp_path, monkeypatch):
+    """What was hashed is read again to be built: in between it may have become another."""
+    site = Site(tmp_path)
+    bundle = site.block()
+    spec = Spec(1, 1, "block", str(bundle), read_bundle(bundle).fingerprint, tuple(wrenches(1)[0]))
+    build = kept_component.build
+
+    def edited(read):
+        site.block(height=0.2)
+        return build(read)
+
+    monkeypatch.setattr(kept_component, "build", edited)
+    kept = kept_component.KeptComponent()
+    with pytest.raises(solve_attempt.SolveRefusedError, match="has changed"):
+        kept.solve(spec, lambda *_: None, tmp_path)
+    assert kept.ready is None

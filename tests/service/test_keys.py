@@ -1,0 +1,95 @@
+"""Keys are kept hashed, in one file; servers and commands on it see each other's changes."""
+
+import json
+import stat
+
+import pytest
+
+from service.keys import FILE, Keyring, KeysError
+from service.keys.record import PREFIX
+
+
+@pytest.fixture
+def keyring(tmp_path):
+    return Keyring(tmp_path)
+
+
+def test_a_key_is_found_by_its_secret_and_by_nothing_else(keyring):
+    secret = keyring.add("ann", "write")
+    assert secret.startswith(PREFIX)
+    assert keyring.find(secret).name == "ann"
+    for wrong in ("", "ann", secret[:-1], secret + "x", keyring.find(secret).digest):
+        assert keyring.find(wrong) is None
+
+
+def test_the_file_holds_no_secret_and_is_its_owners_alone(keyring, tmp_path):
+    secret = keyring.add("ann", "admin")
+    assert secret not in (tmp_path / FILE).read_text()
+    assert stat.S_IMODE((tmp_path / FILE).stat().st_mode) == 0o600
+
+
+def test_two_secrets_are_never_the_same(keyring):
+    assert len({keyring.add(f"k{n}", "read") for n in range(20)}) == 20
+
+
+def test_a_server_takes_up_what_a_command_changes(keyring, tmp_path):
+    secret = Keyring(tmp_path).add("ann", "read")
+    before = keyring.version
+    assert keyring.look(0.0) != before
+    assert keyring.find(secret) is not None
+    Keyring(tmp_path).revoke("ann")
+    keyring.look(0.0)
+    assert keyring.find(secret) is None
+    assert len(keyring) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "scope", "limits"),
+    [
+        ("", "read", {}),
+        ("a b", "read", {}),
+        ("x" * 65, "read", {}),
+        ("a\nb", "read", {}),
+        ("ann", "root", {}),
+        ("ann", "read", {"rate": 0}),
+        ("ann", "read", {"rate": float("nan")}),
+        ("ann", "read", {"megabytes": 0}),
+    ],
+)
+def test_a_key_that_cannot_be_is_refused_and_nothing_is_written(
+    keyring, tmp_path, name, scope, limits
+):
+    with pytest.raises(KeysError):
+        keyring.add(name, scope, **limits)
+    assert not (tmp_path / FILE).exists()
+
+
+def test_a_name_is_one_keys(keyring):
+    keyring.add("ann", "read")
+    with pytest.raises(KeysError, match="already"):
+        keyring.add("ann", "write")
+    with pytest.raises(KeysError, match="there are: ann"):
+        keyring.revoke("bob")
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"keys": 3}', '{"keys": [{"name": "x"}]}'])
+def test_damaged_keys_let_nobody_in_and_are_told_of(tmp_path, content):
+    (tmp_path / FILE).write_text(content)
+    with pytest.raises(KeysError, match="wrenchbook keys add"):
+        Keyring(tmp_path)
+
+
+def test_keys_that_are_damaged_under_a_server_stay_as_they_were(keyring, tmp_path):
+    secret = keyring.add("ann", "read")
+    (tmp_path / FILE).write_text("{")
+    keyring.look(0.0)
+    assert keyring.find(secret) is not None
+
+
+def test_a_key_with_an_unknown_field_is_no_key(keyring, tmp_path):
+    keyring.add("ann", "read")
+    told = json.loads((tmp_path / FILE).read_text())
+    told["keys"][0]["scope_"] = "admin"
+    (tmp_path / FILE).write_text(json.dumps(told))
+    with pytest.raises(KeysError):
+        Keyring(tmp_path)

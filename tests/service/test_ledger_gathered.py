@@ -1,0 +1,91 @@
+"""Recordings in the ledger: files of earlier schemas, keys of blocks, what is bounded."""
+
+import sqlite3
+from dataclasses import replace
+
+import pytest
+
+from service.ledger import BlockKeyError, Kept, Ledger, block_of, gathered
+from service.ledger import versions as schema
+from service.ledger.records import pack6
+
+WRENCH = pack6((1.0, 2, 3, 4, 5, 6))
+
+
+@pytest.fixture
+def ledger(tmp_path):
+    opened = Ledger(tmp_path / "ledger.sqlite")
+    yield opened
+    opened.close()
+
+
+def add_one(now, _):
+    return Kept(replace(now, offered=now.offered + 1), [], [])
+
+
+def count(ledger, table):
+    with ledger._db.reading() as db:
+        return db.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
+
+
+@pytest.mark.parametrize("version", [1, 2, 3, 4])
+def test_a_ledger_of_an_earlier_schema_is_taken_over_and_records(tmp_path, version):
+    path = tmp_path / "ledger.sqlite"
+    old = sqlite3.connect(path)
+    old.create_function("seal", 3, lambda *_: b"")
+    for script in schema.SCRIPTS[:version]:
+        old.executescript(script)
+    old.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
+    old.execute(f"PRAGMA user_version = {version}")
+    old.execute(
+        "INSERT INTO jobs (id, component, fingerprint, wrench, status, priority, attempt, lost,"
+        " created) VALUES (7, 'plate', 'f1', ?, 'waiting', 0, 0, 0, 1.0)",
+        (WRENCH,),
+    )
+    old.commit()
+    old.close()
+    ledger = Ledger(path)
+    assert ledger.job(7).wrench == (1.0, 2, 3, 4, 5, 6)
+    assert ledger.recording("plate")[1] == []
+    ledger.record("plate", None, lambda now, _: Kept(replace(now, offered=1), [WRENCH], []))
+    ledger.close()
+    again = Ledger(path)
+    assert again.recording("plate")[1] == [WRENCH]
+    again.close()
+
+
+def test_keys_of_a_client_are_kept_while_a_block_may_be_sent_again_and_no_longer(ledger):
+    for number in range(600):
+        ledger.record("plate", block_of("me", number, [WRENCH]), add_one)
+    assert count(ledger, "blocks") == gathered.BLOCKS_OF_A_CLIENT
+    assert ledger.record("plate", block_of("me", 599, [WRENCH]), add_one)[1]
+    with pytest.raises(BlockKeyError, match="in order"):
+        ledger.record("plate", block_of("me", 5, [WRENCH]), add_one)
+    assert ledger.recording("plate")[0].offered == 600
+
+
+def test_keys_of_any_number_of_clients_are_bounded(ledger, monkeypatch):
+    monkeypatch.setattr(gathered, "BLOCKS", 20)
+    for number in range(50):
+        ledger.record("plate", block_of(f"client {number}", 0, [WRENCH]), add_one)
+    assert count(ledger, "blocks") == 20
+
+
+def test_a_block_whose_choice_fails_leaves_nothing_not_even_its_key(ledger):
+    block = block_of("me", 1, [WRENCH])
+
+    def fails(now, read):
+        raise RuntimeError("no memory")
+
+    with pytest.raises(RuntimeError):
+        ledger.record("plate", block, fails)
+    assert count(ledger, "blocks") == 0
+    assert not ledger.record("plate", block, add_one)[1]
+
+
+def test_the_same_key_counts_once_for_each_of_recording_and_envelope(ledger):
+    block = block_of("me", 1, [WRENCH])
+    for _ in range(2):
+        ledger.record("plate", block, add_one)
+        ledger.widen("plate", block, add_one)
+    assert ledger.recording("plate")[0].offered == ledger.envelope("plate")[0].offered == 1

@@ -1,0 +1,242 @@
+"""Large imports: taken in by short transactions, hidden until the last, gone if it never comes."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from service.ledger import About, Ledger, NewRow, UnknownRowError, packed_columns
+from service.ledger.rows import packed
+
+SOLVE = ("plate", "f1", (1.0, 0, 0, 0, 0, 0))
+
+
+@pytest.fixture
+def ledger(tmp_path):
+    made = Ledger(tmp_path / "ledger.sqlite")
+    yield made
+    made.close()
+
+
+def columns(count, seed=1):
+    rng = np.random.default_rng(seed)
+    return (
+        rng.normal(size=(count, 6)),
+        rng.normal(size=(count, 6)) * 1e-4,
+        np.full((count, 6), np.nan),
+        np.full((count, 6, 6), np.nan),
+    )
+
+
+def blocks(count, component="rig", seed=1, lots=3):
+    for one in range(lots):
+        texts = ["measured"] * count, [""] * count, ["note"] * count
+        yield packed_columns(component, columns(count, seed * 100 + one), texts, 1.0)
+
+
+class KilledError(BaseException):
+    """What a test throws into an import."""
+
+
+def test_rows_packed_by_columns_are_those_packed_one_by_one():
+    rng = np.random.default_rng(2)
+    wrench, moved, doubt, tangent = columns(40)
+    wrench[3, 2] = -0.0
+    moved[rng.random((40, 6)) < 0.3] = np.nan
+    moved[:, 0] = 1e-5
+    doubt[:20, 1] = 1e-6
+    tangent[10:30] = rng.normal(size=(20, 6, 6))
+    sources = ["measured", "rig 2"] * 20
+    notes = [f"line {at}" for at in range(40)]
+    by_column = packed_columns(
+        "rig", (wrench, moved, doubt, tangent), (sources, ["f"] * 40, notes), 5.0
+    )
+    one_by_one = packed(
+        "rig",
+        "",
+        [
+            NewRow(
+                wrench[at].tolist(),
+                moved[at].tolist(),
+                sources[at],
+                tangent[at].tolist() if 10 <= at < 30 else None,
+                doubt[at].tolist() if at < 20 else None,
+                notes[at],
+                "f",
+            )
+            for at in range(40)
+        ],
+        5.0,
+    )
+    assert by_column == one_by_one
+
+
+def test_nothing_of_an_import_is_seen_before_its_end_and_all_of_it_after(ledger):
+    ledger.insert_rows("rig", "", [NewRow((9.0,) * 6, (0.0,) * 6)])
+    seen = []
+
+    def watched():
+        for block in blocks(50):
+            yield block
+            seen.append(
+                (
+                    ledger.count_rows("rig"),
+                    ledger.last_seq("rig"),
+                    len(ledger.news("rig", 0).rows),
+                    len(ledger.rows("rig")),
+                )
+            )
+            with pytest.raises(UnknownRowError):
+                ledger.row(20)
+
+    assert ledger.import_rows("rig", watched(), About("kl", "a.csv"))[:2] == (150, 0)
+    assert set(seen) == {(1, 1, 1, 1)}
+    assert ledger.count_rows("rig") == len(ledger.news("rig", 1).rows) + 1 == 151
+
+
+def test_other_components_and_jobs_go_on_during_an_import(ledger):
+    def watched():
+        for lot, block in enumerate(blocks(50)):
+            yield block
+            ledger.insert_rows("bar", "", [NewRow((lot + 1.0,) * 6, (0.0,) * 6)])
+            ledger.accept("plate", "f1", (lot + 1.0, 0, 0, 0, 0, 0))
+            assert len(ledger.news("bar", 0).rows) == lot + 1
+
+    ledger.import_rows("rig", watched(), About())
+    assert (ledger.count_rows("rig"), ledger.count_rows("bar")) == (150, 3)
+
+
+def test_a_follower_misses_no_row_that_came_during_an_import(ledger):
+    """Rows of the same component that are committed meanwhile are told after it, not before."""
+    after, told = 0, []
+
+    def follow():
+        nonlocal after
+        news = ledger.news("rig", after)
+        told.extend(row.seq for row in news.rows)
+        after = news.last_seq
+
+    def watched():
+        for lot, block in enumerate(blocks(20)):
+            yield block
+            ledger.insert_rows("rig", "", [NewRow((lot + 1.0,) * 6, (0.0,) * 6)])
+            follow()
+
+    ledger.import_rows("rig", watched(), About())
+    follow()
+    assert len(told) == len(set(told)) == 63
+    assert ledger.digest("rig", after) == ledger.digest("rig", 10**9)
+
+
+@pytest.mark.parametrize("lots", [0, 1, 2])
+def test_an_import_that_is_broken_off_leaves_nothing(ledger, lots):
+    def broken():
+        for lot, block in enumerate(blocks(30)):
+            if lot == lots:
+                raise KilledError
+            yield block
+
+    with pytest.raises(KilledError):
+        ledger.import_rows("rig", broken(), About())
+    assert (ledger.count_rows("rig"), ledger.imports("rig")) == (0, [])
+    assert ledger.import_rows("rig", blocks(30), About())[:2] == (90, 0)
+
+
+def test_what_a_killed_process_left_is_deleted_at_the_next_start(tmp_path, ledger, monkeypatch):
+    def broken():
+        yield from blocks(30, lots=1)
+        monkeypatch.setattr(ledger, "_drop_hidden", lambda: None)  # it has no time for that
+        raise KilledError
+
+    with pytest.raises(KilledError):
+        ledger.import_rows("rig", broken(), About())
+    ledger.close()
+    again = Ledger(tmp_path / "ledger.sqlite")
+    assert again.last_seq("rig") == 0  # hidden, though not deleted
+    again.drop_abandoned()
+    assert again.import_rows("rig", blocks(30, lots=1), About())[:2] == (30, 0)
+    again.close()
+
+
+def test_an_import_that_runs_is_not_taken_for_abandoned(tmp_path, ledger):
+    other = Ledger(tmp_path / "ledger.sqlite")
+
+    def watched():
+        for block in blocks(30):
+            yield block
+            other.drop_abandoned()
+
+    assert ledger.import_rows("rig", watched(), About())[:2] == (90, 0)
+    assert other.count_rows("rig") == 90
+    other.close()
+
+
+def test_a_row_that_somebody_else_brings_meanwhile_stays_though_the_import_ends(ledger):
+    block = next(blocks(10))
+    wrench, moved, *_ = columns(10, 100)
+
+    def broken():
+        yield block
+        same = NewRow(wrench[4].tolist(), moved[4].tolist(), "measured", origin="note")
+        assert ledger.insert_rows("rig", "", [same]) == (1, 0)
+        raise KilledError
+
+    with pytest.raises(KilledError):
+        ledger.import_rows("rig", broken(), About())
+    (left,) = ledger.rows("rig")
+    assert left.wrench == tuple(wrench[4])
+
+
+def test_a_second_time_changes_nothing_and_is_no_import(ledger):
+    ledger.import_rows("rig", blocks(30), About("kl", "a.csv"))
+    assert ledger.import_rows("rig", blocks(30), About("kl", "a.csv")) == (0, 90, None)
+    assert len(ledger.imports("rig")) == 1
+
+
+def test_two_imports_at_once_come_one_after_the_other(ledger):
+    done = []
+
+    def run(seed):
+        done.append(ledger.import_rows("rig", blocks(40, seed=seed), About(str(seed)))[0])
+
+    threads = [threading.Thread(target=run, args=(seed,)) for seed in (1, 2, 3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert done == [120, 120, 120]
+    spans = ledger.import_spans("rig")
+    assert sum(last - first + 1 for first, last, _ in spans) == 360
+
+
+def test_a_row_tells_who_brought_it(ledger):
+    ledger.import_rows("rig", blocks(5), About("kl", "a.csv", "csv", "ab12", "run 3"))
+    first = ledger.rows("rig")[0]
+    told = ledger.import_of(first.seq)
+    assert (told.who, told.filename, told.digest, told.note, told.rows) == (
+        *("kl", "a.csv", "ab12", "run 3"),
+        15,
+    )
+    job, _ = ledger.accept(*SOLVE)
+    ledger.claim("me")
+    row = ledger.commit(job.id, 1, (0.0,) * 6)
+    assert ledger.import_of(row.seq) is None
+
+
+def test_the_table_at_an_old_version_has_the_rows_it_had(ledger):
+    ledger.import_rows("rig", blocks(5, lots=1), About())
+    version = ledger.last_seq("rig")
+    ledger.withdraw("rig", 2)
+    ledger.import_rows("rig", blocks(5, seed=2, lots=1), About())
+    with ledger.table_at("rig", version) as table:
+        assert [row.seq for lot in table.lots for row in lot] == [1, 2, 3, 4, 5]
+    with ledger.table_at("rig") as table:
+        assert len([row for lot in table.lots for row in lot]) == 9
+        assert table.known == (False, False, True, False)
+
+
+def test_a_dry_count_finds_known_rows_and_those_that_stand_twice(ledger):
+    (first, second, third) = blocks(5)
+    ledger.import_rows("rig", [first], About())
+    keys = [row[-2] for row in (*first, *second, *second, *third)]
+    assert ledger.known_rows(keys) == 10

@@ -1,0 +1,340 @@
+"""What one caller may take of the server: sizes, numbers, waits and open connections."""
+
+import asyncio
+import contextlib
+import os
+import socket
+import time
+import zipfile
+
+import numpy as np
+import orjson
+import pytest
+from starlette.testclient import TestClient
+
+from service.client import ProblemError as Refused
+from service.http import large, patient, spooled
+from service.http.app import create_app
+from service.http.parsing import batch_parts
+from service.http.problems import ProblemError
+from service.jobs import polls
+from service.jobs.attempt_zip import zipped
+from service.jobs.polls import Polls, TooManyPollsError
+from service.workspace import Settings
+from tests.service.live import add_table, as_rows, clean_wrenches, full_wrenches, moved, served
+
+RIG = "/v1/components/rig"
+
+
+@pytest.fixture(scope="module")
+def asked(tmp_path_factory):
+    """A server in this process with a table-only component, without solvers."""
+    app = create_app(Settings(tmp_path_factory.mktemp("limits"), solvers=0))
+    with TestClient(app) as client:
+        body = {"name": "rig", "title": "rig", "range": {"force": [9] * 3, "moment": [9] * 3}}
+        assert client.post("/v1/components", json=body).status_code == 201
+        yield client
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory):
+    """A server on a socket, that loses patience soon."""
+    patch = pytest.MonkeyPatch()
+    with patch.context() as patched:
+        for name, seconds in {"LOOK_S": 0.05, "HEAD_S": 0.4, "BODY_S": 0.4, "SLOWEST": 1e9}.items():
+            patched.setattr(patient, name, seconds)
+        with served(tmp_path_factory.mktemp("live")) as client:
+            wrenches = np.concatenate([clean_wrenches(), full_wrenches(30)])
+            add_table(client, "rig", as_rows(wrenches, moved(wrenches)))
+            yield client
+
+
+def opened(client):
+    return socket.create_connection((client._host, client._port), timeout=20)
+
+
+HUGE = [1e160, -1e308, 1.0000001e100]
+
+
+@pytest.mark.parametrize("load", HUGE)
+@pytest.mark.parametrize(
+    ("method", "path", "body"),
+    [
+        ("POST", "displacement", lambda n: {"force": [n, 0, 0]}),
+        ("POST", "displacement", lambda n: {"force": [n, 0, 0], "moment": [0, 0, 0]}),
+        ("POST", "displacements", lambda n: {"wrenches": [[0, 0, 0, 0, 0, n]]}),
+        ("POST", "solve", lambda n: {"moment": [0, 0, n]}),
+        ("POST", "fill", lambda n: {"range": {"force": [[-n, n]] * 3, "moment": [[0, 1]] * 3}}),
+        ("POST", "table", lambda n: {"rows": [{"wrench": [n] * 6, "displacement": [0] * 6}]}),
+    ],
+)
+def test_a_load_that_no_part_bears_is_422_and_no_mistake_of_ours(asked, method, path, body, load):
+    reply = asked.request(method, f"{RIG}/{path}", json=body(abs(load)))
+    assert reply.status_code in ((422, 409) if path == "fill" else (422,)), reply.text
+
+
+@pytest.mark.parametrize("load", HUGE)
+def test_a_load_that_no_part_bears_is_422_in_every_other_form(asked, load):
+    block = np.full((1, 6), load).tobytes()
+    binary = {"content": block, "headers": {"Content-Type": "application/octet-stream"}}
+    assert asked.post(f"{RIG}/displacements", **binary).status_code == 422
+    assert asked.get(f"{RIG}/deformed?fx={load}").status_code in (409, 422)
+
+
+@pytest.mark.parametrize("job", [2**63, 2**70])
+def test_a_job_of_a_number_that_no_ledger_holds_is_404(asked, job):
+    assert asked.get(f"/v1/jobs/{job}").status_code == 404
+    assert asked.post(f"/v1/jobs/{job}/retry").status_code == 404
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"[" * 60_000,
+        b'{"wrenches":' + b"[" * 900 + b"]" * 900 + b"}",
+        orjson.dumps({"wrenches": ["x"] * 200_000}),
+        orjson.dumps({"wrenches": [[None] * 6] * 30_000}),
+        orjson.dumps({f"k{n}": 1 for n in range(5000)}),
+        b'{"wrenches":[' + b"{}," * 2000 + b"{}]}",
+    ],
+)
+def test_a_body_full_of_mistakes_has_at_most_a_thousand_listed(asked, body):
+    reply = asked.post(f"{RIG}/displacements", content=body)
+    assert reply.status_code == 422
+    assert 1 <= len(reply.json()["errors"]) <= 1000
+    assert len(reply.content) < 1 << 20
+
+
+def test_a_table_full_of_mistakes_has_at_most_a_thousand_and_one_listed(asked):
+    rows = "fz [N],uz [m]\n" + "x,y\n" * 3000
+    reply = asked.post(f"{RIG}/table", content=rows, headers={"Content-Type": "text/csv"})
+    assert reply.status_code == 422
+    assert len(reply.json()["errors"]) <= 1001
+
+
+def test_a_json_batch_has_as_many_wrenches_as_a_binary_one(monkeypatch):
+    monkeypatch.setattr("service.http.parsing.MAX_BATCH", 10)
+    assert len(batch_parts(orjson.dumps({"wrenches": [[0.0] * 6] * 10}))[1]) == 10
+    with pytest.raises(ProblemError, match="at most 10 wrenches"):
+        batch_parts(orjson.dumps({"wrenches": [[0.0] * 6] * 11}))
+    with pytest.raises(ProblemError, match="at most 10 wrenches"):
+        batch_parts(b'{"wrenches":[' + b"[]," * 1000 + b"[]]}")
+
+
+def test_a_large_batch_is_read_in_a_file_and_answered_as_a_small_one_is(live, monkeypatch):
+    wrenches = full_wrenches(7)
+    small = live.displacements("rig", wrenches, on_thin="estimate")
+    monkeypatch.setattr(spooled, "SMALL", 64)
+    monkeypatch.setattr(spooled, "_PIECE", 64)
+    monkeypatch.setattr("service.http.replies.PIECE", 3)
+    asked = {"wrenches": wrenches.tolist(), "on_thin": "estimate", "derivatives": True}
+    reply = live.call_json("POST", f"{RIG}/displacements", asked)
+    np.testing.assert_array_equal(np.array(reply["displacements"]), small.displacements)
+    assert len(reply["errors"]) == len(reply["coverage"]) == len(reply["derivatives"]) == 7
+    assert spooled.Spooled.kept == 0
+
+
+def test_a_mistake_in_a_large_batch_is_told_as_in_a_small_one(tmp_path):
+    body = spooled.Spooled(tmp_path / "body")
+    body.path.write_bytes(b'{"wrenches":[[0,0,0,0,0,"x"]]}')
+    with pytest.raises(ProblemError) as caught:
+        large.read_batch_body(body)
+    assert caught.value.status == 422
+    assert caught.value.body["errors"][0]["loc"] == "wrenches.0.5"
+
+
+@pytest.mark.parametrize("piece", [1, 20, 200])
+def test_a_batch_read_in_pieces_is_the_batch_read_whole_or_left_to_that(monkeypatch, piece):
+    monkeypatch.setattr(large, "PIECE", 1000)
+    wrenches = full_wrenches(9)
+    body = orjson.dumps({"on_thin": "reject", "wrenches": wrenches.tolist(), "wait_s": 3})
+    whole = batch_parts(body)
+    monkeypatch.setattr(large, "PIECE", max(piece, 60))
+    fields, found = large.in_pieces(body)
+    assert fields == whole[0]
+    np.testing.assert_array_equal(found, whole[1])
+    rows = b"[1,2,3,4,5,6]"
+    for text in (
+        b'{"wrenches":[%b%b]}' % (rows, rows),
+        b'{"wrenches":[%b,,%b]}' % (rows, rows),
+        b'{"wrenches":[[1,2],%b]}' % rows,
+        b'{"wrenches":[%b],"x":[[]]}' % rows,
+        b'{"wrenches":"[[1]]"}',
+        b"[]]",
+    ):
+        with pytest.raises(ProblemError):
+            _ = large.in_pieces(text) or batch_parts(text)
+
+
+def test_files_of_bodies_are_gone_once_they_are_read_or_refused(live, monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(spooled, "_PIECE", 1000)
+    live.import_table("rig", "fz [N],uz [m]\n" + "1,1e-6\n" * 2000, dry_run=True)
+    with pytest.raises(Refused):
+        live.import_table("rig", "nonsense\n" * 2000)
+    assert spooled.Spooled.kept == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        b"",
+        b"GET /health/li",
+        b"GET /health/live HTTP/1.1\r\nHost: x\r\nX-Slow: ",
+        b"POST /v1/components/rig/displacement HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\n{",
+        b"POST /v1/components/rig/table HTTP/1.1\r\nHost: x\r\nContent-Type: text/csv\r\n"
+        b"Content-Length: 900000\r\n\r\nfx",
+    ],
+)
+def test_a_connection_that_keeps_the_server_waiting_is_closed(live, sent):
+    with opened(live) as connection:
+        connection.sendall(sent)
+        with contextlib.suppress(ConnectionResetError):
+            assert connection.recv(1000) == b""
+    assert live.is_ready()
+
+
+def test_a_connection_that_asks_within_the_time_is_answered(live):
+    with opened(live) as connection:
+        for piece in (b"GET /health/live HTTP/1.1\r\n", b"Host: x\r\n", b"\r\n"):
+            connection.sendall(piece)
+        assert connection.recv(1000).startswith(b"HTTP/1.1 200")
+
+
+@pytest.mark.parametrize(
+    "head", [b"GET /" + b"a" * 200_000, b"GET / HTTP/1.1\r\n" + b"A: b\r\n" * 40_000]
+)
+def test_a_head_that_is_longer_than_any_is_refused(live, head):
+    with opened(live) as connection:
+        told = b""
+        with contextlib.suppress(ConnectionResetError, BrokenPipeError):
+            connection.sendall(head)
+            while piece := connection.recv(1000):
+                told += piece
+        assert told in (b"", *(patient._TOO_LONG[:n] for n in range(1, 200)))
+    assert live.is_ready()
+
+
+@pytest.mark.parametrize("call", ["table", "displacements"])
+def test_who_leaves_before_the_request_is_whole_is_no_mistake_of_ours(asked, call):
+    sent = []
+    scope = {
+        "type": "http",
+        "method": "POST",
+        "path": f"/v1/components/plate_thin/{call}",
+        "query_string": b"",
+        "headers": [(b"host", b"testserver"), (b"content-type", b"application/json")],
+    }
+
+    async def leave():
+        async def receive():
+            return {"type": "http.disconnect"}
+
+        async def send(message):
+            sent.append(message)
+
+        await asked.app(scope, receive, send)
+
+    asked.portal.call(leave)
+    assert [one["status"] for one in sent if "status" in one] in ([], [499])
+
+
+def test_no_more_connections_are_held_than_there_may_be(live, monkeypatch):
+    monkeypatch.setattr(patient, "MOST_CONNECTIONS", 3)
+    held = [opened(live) for _ in range(8)]
+    closed = sum(connection.recv(1) == b"" for connection in held)  # all, in the end
+    assert closed == 8
+    for connection in held:
+        connection.close()
+
+
+class Jobs:
+    """A ledger of jobs that never end until told; it counts who asks."""
+
+    def __init__(self):
+        self.over = set()
+        self.looks = 0
+
+    def job(self, job_id):
+        return type("J", (), {"id": job_id, "is_final": job_id in self.over})()
+
+    def ended(self, job_ids):
+        self.looks += 1
+        return {one for one in job_ids if one in self.over}
+
+
+async def entered(waiting, count):
+    """Return once so many wait."""
+    while len(waiting._waiters) < count:  # noqa: ASYNC110 (there is nothing that tells)
+        await asyncio.sleep(0.01)
+
+
+def test_two_thousand_polls_take_one_look_and_no_thread_each(monkeypatch):
+    monkeypatch.setattr(polls, "LOOK_S", 0.02)
+
+    async def run():
+        ledger = Jobs()
+        waiting = Polls(ledger)
+        tasks = [asyncio.create_task(waiting.wait_all([n], 30)) for n in range(2000)]
+        await entered(waiting, 2000)
+        ledger.looks = 0
+        started = time.monotonic()
+        ledger.over = set(range(2000))
+        waiting.tell()
+        found = await asyncio.gather(*tasks)
+        assert all(jobs[0].is_final for jobs in found)
+        assert ledger.looks <= 2 + (time.monotonic() - started) / polls.LOOK_S
+        assert not waiting._waiters
+        assert not waiting._wanted
+
+    asyncio.run(run())
+
+
+def test_who_waits_is_answered_when_the_time_is_up_or_the_server_stops():
+    async def run():
+        waiting = Polls(Jobs())
+        (job,) = await waiting.wait_all([1], 0.05)
+        assert not job.is_final
+        task = asyncio.create_task(waiting.wait_all([1, 2], 60))
+        await entered(waiting, 1)
+        waiting.let_go()
+        assert len(await task) == 2
+
+    asyncio.run(run())
+
+
+def test_no_more_wait_than_may(monkeypatch):
+    monkeypatch.setattr(polls, "MOST", 1)
+
+    async def run():
+        waiting = Polls(Jobs())
+        task = asyncio.create_task(waiting.wait_all([1], 60))
+        await entered(waiting, 1)
+        with pytest.raises(TooManyPollsError):
+            await waiting.wait_all([2], 60)
+        waiting.let_go()
+        await task
+
+    asyncio.run(run())
+
+
+def test_an_attempts_zip_holds_what_lies_in_its_folder_and_nothing_it_points_to(tmp_path):
+    secret, folder = tmp_path / "secret.txt", tmp_path / "attempt"
+    secret.write_text("the machine's")
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "other.txt").write_text("the machine's")
+    folder.mkdir()
+    (folder / "log.txt").write_text(f"read {tmp_path}/mesh.msh\nTraceback")
+    (folder / "result.bin").write_bytes(bytes(3))
+    (folder / "link.txt").symlink_to(secret)
+    (folder / "links").symlink_to(tmp_path / "elsewhere")
+    (folder / "sub").mkdir()
+    (folder / "sub" / "loop").symlink_to(folder)
+    os.mkfifo(folder / "pipe")
+    with zipped(folder) as file, zipfile.ZipFile(file) as archive:
+        assert set(archive.namelist()) == {"log.txt", "result.bin", "LEFT_OUT.txt"}
+        texts = [archive.read(name) for name in archive.namelist()]
+    assert not any(b"the machine's" in text for text in texts)
+    assert not any(str(tmp_path).encode() in text for text in texts)
+    assert b"link.txt" in b"".join(texts)

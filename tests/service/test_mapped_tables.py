@@ -1,0 +1,164 @@
+"""Tables that one part of a server builds and another maps: what is seen, when, and what if not."""
+
+import threading
+from contextlib import contextmanager
+
+import pytest
+
+from service.ledger import Ledger, NewRow
+from service.library.library import Library
+from service.tables.behind import TableBehindError
+from service.tables.live import Tables
+from service.tables.mapped import MappedTables
+from service.tables.shelf import Shelf, Told
+
+RANGE = [[-10.0, 10.0]] * 3
+
+
+def new_rows(count, first=0):
+    return [
+        NewRow((i % 10, 0, 0, 0, 0, i // 10), (i * 1e-6, 0, 0, 0, 0, 1e-7))
+        for i in range(first, first + count)
+    ]
+
+
+class Part:
+    """A ledger, a library and tables of their own on one folder, as a process has them."""
+
+    def __init__(self, folder, kind):
+        self.ledger = Ledger(folder / "ledger.sqlite")
+        self.library = Library(folder / "components", folder / "none")
+        self.shelf = Shelf(folder / "shared")
+        if kind is Tables:
+            assert self.shelf.take()
+        where = self.ledger, self.library, folder / "tables"
+        self.tables = kind(*where, shelf=self.shelf)
+
+    def add(self, name, count):
+        self.library.add_table_only(name, name, RANGE, RANGE, None)
+        self.ledger.insert_rows(name, "", new_rows(count))
+
+
+@contextmanager
+def part(folder, kind, *, leave=True):
+    one = Part(folder, kind)
+    one.tables.start()
+    try:
+        yield one
+    finally:
+        one.tables.stop()
+        if kind is Tables and leave:
+            one.shelf.leave()
+        one.ledger.close()
+
+
+def trouble_of(one):
+    assert isinstance(one.tables, MappedTables)
+    return one.tables.trouble()
+
+
+@pytest.fixture
+def both(tmp_path):
+    with part(tmp_path, Tables) as builder, part(tmp_path, MappedTables) as reader:
+        yield builder, reader
+
+
+def test_a_component_and_rows_added_by_one_part_are_answered_by_all(both):
+    builder, reader = both
+    reader.add("new", 4)
+    assert reader.tables.catch_up("new", 20)
+    assert builder.tables.catch_up("new", 20)
+    answers = [repr(one.tables.surrogate("new").answer((2.5, 0, 0, 0, 0, 1.5))) for one in both]
+    assert answers[0] == answers[1]
+    assert len(reader.tables.surrogate("new").rows) == 4
+
+
+def test_a_version_replaces_the_one_before_and_its_file(both, tmp_path):
+    _, reader = both
+    reader.add("new", 4)
+    assert reader.tables.catch_up("new", 20)
+    reader.ledger.insert_rows("new", "", new_rows(2, 4))
+    assert reader.tables.catch_up("new", 20)
+    assert len(reader.tables.surrogate("new").rows) == 6
+    assert len(list((tmp_path / "shared").glob("new.*.table"))) == 1
+
+
+def test_a_component_without_rows_answers_at_once(both):
+    _, reader = both
+    reader.library.add_table_only("bare", "bare", RANGE, RANGE, None)
+    assert reader.tables.surrogate("bare").answer((1.0, 0, 0, 0, 0, 0)).coverage == "outside"
+
+
+def test_a_component_edited_on_the_disk_answers_by_its_new_range(both, tmp_path):
+    _, reader = both
+    reader.add("new", 4)
+    assert reader.tables.catch_up("new", 20)
+    file = tmp_path / "components" / "new" / "component.toml"
+    file.write_text(file.read_text().replace("10.0", "20.0"))
+    assert reader.tables.catch_up("new", 20)
+    assert reader.tables.surrogate("new").load_range.high[0] == 20.0
+
+
+def test_without_a_builder_the_last_version_answers_and_newer_rows_are_told_missing(tmp_path):
+    with part(tmp_path, MappedTables) as reader:
+        with part(tmp_path, Tables, leave=False) as builder:
+            builder.add("new", 4)
+            assert reader.tables.catch_up("new", 20)
+            builder.shelf._lock = _dropped(builder.shelf._lock)
+        reader.ledger.insert_rows("new", "", new_rows(2, 4))
+        assert len(reader.tables.surrogate("new").rows) == 4
+        with pytest.raises(TableBehindError, match="has ended and is started again"):
+            reader.tables.caught_up("new", 0.05)
+        assert "has ended" in (trouble_of(reader) or "")
+
+
+def _dropped(lock):
+    """Drop a lock as the kernel does for a process that is killed."""
+    import os
+
+    os.close(lock)
+
+
+def test_the_next_builder_goes_on_where_the_one_before_was_killed(tmp_path):
+    with part(tmp_path, MappedTables) as reader:
+        with part(tmp_path, Tables, leave=False) as builder:
+            builder.add("new", 4)
+            assert reader.tables.catch_up("new", 20)
+            builder.shelf._lock = _dropped(builder.shelf._lock)
+        reader.ledger.insert_rows("new", "", new_rows(2, 4))
+        with part(tmp_path, Tables):
+            assert reader.tables.catch_up("new", 20)
+            assert len(reader.tables.surrogate("new").rows) == 6
+            assert trouble_of(reader) is None
+
+
+def test_a_second_builder_is_refused(tmp_path):
+    one, other = Shelf(tmp_path), Shelf(tmp_path)
+    assert one.take()
+    assert not other.take()
+
+
+def test_what_the_builder_says_is_wrong_is_known_to_all(both):
+    builder, reader = both
+    builder.shelf.tell(Told("the disk is full", {"new": "damaged"}))
+    known = threading.Event()
+    for _ in range(500):
+        if reader.tables.faults():
+            break
+        known.wait(0.02)
+    assert reader.tables.faults() == {"new": "damaged"}
+    assert trouble_of(reader) == "the disk is full"
+
+
+def test_a_damaged_file_is_told_and_the_version_before_goes_on(both, tmp_path):
+    _, reader = both
+    reader.add("new", 4)
+    assert reader.tables.catch_up("new", 20)
+    (tmp_path / "shared" / f"new.999.99.{'0' * 16}.table").write_bytes(b"nonsense")
+    waiting = threading.Event()
+    for _ in range(500):
+        if reader.tables.faults():
+            break
+        waiting.wait(0.02)
+    assert "no table's image" in reader.tables.faults()["new"]
+    assert len(reader.tables.surrogate("new").rows) == 4

@@ -1,0 +1,145 @@
+"""What Prometheus is told is what has happened, at a cost no loop notices."""
+
+import time
+
+import numpy as np
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from service.telemetry.counts import EDGES, Counts
+from tests.service.live import as_rows, clean_wrenches, moved
+
+RANGE = {"force": [100.0] * 3, "moment": [10.0] * 3}
+
+
+def samples(http):
+    reply = http.get("/metrics")
+    assert reply.status_code == 200
+    assert reply.headers["content-type"].startswith("text/plain")
+    return {
+        (one.name, *sorted(one.labels.values())): one.value
+        for family in text_string_to_metric_families(reply.text)
+        for one in family.samples
+    }
+
+
+@pytest.fixture
+def rig(http):
+    http.post("/v1/components", json={"name": "rig", "title": "Rig", "range": RANGE})
+    wrenches = clean_wrenches()
+    rows = as_rows(wrenches, moved(wrenches))
+    http.post("/v1/components/rig/table?format=json", json={"rows": rows})
+    http.get("/v1/components/rig")
+    return http
+
+
+def queries(found, coverage):
+    return sum(
+        value
+        for (name, *words), value in found.items()
+        if name == "wrenchbook_queries_total" and coverage in words
+    )
+
+
+def test_each_wrench_is_counted_once_by_coverage_whichever_way_it_was_asked(rig):
+    inside = {"force": [0, 0, 5], "moment": [0, 0, 0], "on_thin": "estimate"}
+    outside = {"force": [0, 0, 500], "moment": [0, 0, 0], "on_thin": "estimate"}
+    before = samples(rig)
+    for body in (inside, inside, outside):
+        assert rig.post("/v1/components/rig/displacement", json=body).status_code == 200
+    batch = {"wrenches": [[0, 0, 5, 0, 0, 0]] * 7, "on_thin": "estimate"}
+    assert rig.post("/v1/components/rig/displacements", json=batch).status_code == 200
+    after = samples(rig)
+    count = ("wrenchbook_query_seconds_count",)
+    assert sum(queries(after, word) - queries(before, word) for word in ("covered", "thin")) == 9
+    assert queries(after, "outside") - queries(before, "outside") == 1
+    assert after[count] - before[count] == 4
+
+
+def test_a_question_answered_straight_from_the_protocol_is_counted(rig):
+    app = rig.app
+    before = samples(rig)
+    body = b'{"force": [0, 0, 5], "moment": [0, 0, 0], "on_thin": "estimate"}'
+    for _ in range(5):
+        assert app.answer_at_once("rig", [], body) is not None
+    assert (
+        samples(rig)[("wrenchbook_query_seconds_count",)]
+        == 5 + before[("wrenchbook_query_seconds_count",)]
+    )
+
+
+def test_counting_an_answer_costs_less_than_a_microsecond():
+    counts, best = Counts(), 1.0
+    for _ in range(20):
+        started = time.thread_time_ns()
+        for _ in range(10_000):
+            counts.add("covered", "kriging", 38.1)
+        best = min(best, (time.thread_time_ns() - started) / 1e9 / 10_000)
+    assert best < 1e-6
+    assert counts.queries() == {("covered", "kriging"): 200_000}
+
+
+def test_the_histogram_is_cumulative_and_ends_with_all():
+    counts = Counts()
+    for elapsed in (1.0, 19.9, 20.0, 1e9):
+        counts.add("thin", None, elapsed)
+    told = dict(counts.histogram())
+    assert (told[repr(EDGES[0])], told["10.0"], told["+Inf"]) == (3, 3, 4)
+    assert counts.queries() == {("thin", "none"): 4}
+
+
+def test_a_batch_counts_its_wrenches_by_coverage():
+    counts = Counts()
+    counts.add_batch(np.array([0, 0, 2], dtype=np.uint8), "griddata", 10.0)
+    assert counts.queries() == {("covered", "griddata"): 2, ("outside", "griddata"): 1}
+
+
+def test_jobs_solves_and_failures_are_told_by_status_and_kind(http, stand_in):
+    stand_in("quick")
+    http.post("/v1/components/spring/solve", json={"force": [0, 0, -5], "wait_s": 30})
+    stand_in("diverges")
+    http.post("/v1/components/spring/solve", json={"force": [0, 0, -7], "wait_s": 30})
+    found = samples(http)
+    assert found["wrenchbook_jobs", "done"] == 1
+    assert found["wrenchbook_failed_jobs", "not_converged"] == 1
+    assert found["wrenchbook_solve_seconds_count",] == 1
+    assert found["wrenchbook_ledger_usable",] == 1
+
+
+def test_tables_tell_version_rows_and_the_age_of_their_file(rig):
+    rig.app.state.workspace.tables.stop()  # writes what is not written yet
+    found = samples(rig)
+    assert found["wrenchbook_table_rows", "rig"] == 25
+    assert found["wrenchbook_table_version", "rig"] == 25
+    assert 0 <= found["wrenchbook_table_file_age_seconds", "rig"] < 60
+
+
+def test_metrics_are_told_while_the_ledger_cannot_be_used(rig, folder):
+    (folder / "ledger.sqlite").rename(folder / "elsewhere.sqlite")
+    time.sleep(1.1)  # what was read from the ledger is told again for a second
+    found = samples(rig)
+    assert found["wrenchbook_ledger_usable",] == 0
+    assert found["wrenchbook_ready",] == 0
+    assert found["wrenchbook_table_rows", "rig"] == 25
+
+
+def test_no_more_than_a_bounded_number_of_components_becomes_labels(rig, monkeypatch):
+    monkeypatch.setattr("service.telemetry.metrics.MOST_COMPONENTS", 2)
+    found = samples(rig)
+    assert sum(name == "wrenchbook_table_version" for name, *_ in found) <= 2
+    assert found["wrenchbook_components",] == len(rig.app.state.workspace.library.names())
+
+
+def test_kinds_of_failures_beyond_a_number_are_told_together(tmp_path, monkeypatch):
+    from service.ledger import Ledger
+
+    monkeypatch.setattr("service.ledger.statistics.MOST_KINDS", 3)
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    for number in range(6):
+        ledger.accept("a", "f", [float(number)] * 6)
+        job = ledger.claim("me")
+        error = {"kind": f"k{number}", "message": "", "remedy": ""}
+        ledger.fail(job.id, job.attempt, error)
+    found = ledger.statistics().failures
+    assert (len(found), found["other"]) == (4, 3)
+    ledger.close()

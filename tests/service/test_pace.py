@@ -1,0 +1,49 @@
+"""What people see while solves go on."""
+
+from service.cli.follow import event_line
+from service.cli.pace import Pace, error_bars
+from service.client import Event
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def test_a_pace_says_solves_a_minute_and_the_time_left():
+    clock = Clock()
+    pace = Pace(100, clock)
+    assert pace.note() == ""
+    clock.now, pace.ended = 30.0, 20
+    assert pace.note() == "40 solves/min, at most 2 min left"
+    assert pace.note(in_round=5) == "50 solves/min, at most 2 min left"
+    clock.now, pace.ended = 60.0, 60
+    assert pace.note() == "60 solves/min, at most 40 s left"
+
+
+def test_the_largest_error_bar_of_each_output_is_told():
+    axes = [
+        {"error": {"ux": 1e-6, "rx": 2e-6}},
+        {"error": {"uy": 3e-6, "rx": 5e-6, "ry": float("nan")}},
+        {"error": None},
+    ]
+    said = error_bars({"axes": axes})
+    assert "ux 1.0e-06" in said
+    assert "rx 5.0e-06" in said
+    assert "ry" not in said
+    assert error_bars({"axes": []}) == ""
+
+
+def test_events_are_told_in_words():
+    job = {"id": 3, "component": "plate", "status": "running"}
+    running = Event("job", job | {"progress": {"fraction": 0.5, "message": "step 2"}})
+    failed = Event("job", job | {"status": "failed", "error": {"kind": "k", "message": "m"}})
+    done = Event("job", job | {"status": "done", "row": 9, "error": None})
+    assert event_line(running) == "job 3 of plate: running, 50% step 2"
+    assert event_line(failed) == "job 3 of plate: failed, k: m"
+    assert event_line(done) == "job 3 of plate: done, row 9"
+    table = {"component": "plate", "table_version": 4, "rows": 4}
+    assert event_line(Event("table", table)) == "plate: table version 4, 4 rows"
+    assert event_line(Event("hello", {"tables": {}})) == ""

@@ -1,0 +1,113 @@
+"""A loop of 1 kHz that records while its server is killed: nothing queued, each wrench once.
+
+WRENCHBOOK_SOAK=60 makes a long run of it.
+"""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.client import Client, Recorder
+
+HERE = Path(__file__).parent
+SECONDS = float(os.environ.get("WRENCHBOOK_SOAK", "3"))
+RATE = 1000.0
+READY_S = 60.0
+
+
+class Site:
+    """A data directory, an address, and the server that serves it at present."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = free.getsockname()[1]
+        self.url = f"http://127.0.0.1:{self.port}"
+        self.start()
+
+    def start(self):
+        command = [sys.executable, str(HERE.parents[1] / "wrenchbook.py"), "serve"]
+        command += ["--data", str(self.folder), "--port", str(self.port), "--solvers", "0"]
+        log = (self.folder.parent / "log").open("ab")
+        self.server = subprocess.Popen([*command, "--log-level", "warning"], stdout=log, stderr=log)
+        log.close()
+
+    def wait_until_ready(self):
+        deadline = time.monotonic() + READY_S
+        with Client(self.url, timeout=5) as client:
+            while not client.is_ready():
+                assert time.monotonic() < deadline, (self.folder.parent / "log").read_text()
+                time.sleep(0.05)
+
+    def kill(self):
+        self.server.send_signal(signal.SIGKILL)
+        self.server.wait()
+
+
+@pytest.fixture
+def site(tmp_path):
+    site = Site(tmp_path / "data")
+    yield site
+    site.kill()
+
+
+def loop_wrenches(count):
+    """A loop's wrenches, (count, 6), N and N·m: a smooth path, no two within 1e-6 of the range."""
+    t = np.arange(count) / RATE
+    path = np.stack([np.sin((1 + 0.3 * load) * t + load) for load in range(6)], axis=1)
+    path *= np.array([500.0, 500, 1000, 50, 50, 50])
+    path[:, 2] += 0.01 * np.arange(count)  # 5e-6 of the range a step
+    return path
+
+
+@pytest.mark.timeout(300 + 4 * SECONDS)
+@pytest.mark.parametrize("kind", ["recording", "envelope"])
+def test_a_loop_whose_server_is_killed_loses_nothing_and_doubles_nothing(site, kind):
+    site.wait_until_ready()
+    wrenches = loop_wrenches(int(SECONDS * RATE))
+    over, kills = threading.Event(), []
+
+    def disturb():
+        while not over.wait(max(1.0, SECONDS / 5)):
+            site.kill()
+            kills.append(1)
+            site.start()
+            site.wait_until_ready()
+
+    other = threading.Thread(target=disturb)
+    other.start()
+    longest, late = 0.0, time.perf_counter()
+    with Client(site.url, timeout=10) as client:
+        recorder = Recorder(client, "plate_thin", kind=kind, block=64)
+        for number, wrench in enumerate(wrenches):
+            began = time.perf_counter()
+            recorder.add(wrench)
+            longest = max(longest, time.perf_counter() - began)
+            while (ahead := late + (number + 1) / RATE - time.perf_counter()) > 0:
+                time.sleep(ahead)
+        over.set()
+        other.join()
+        recorder.close(60)
+        assert kills
+        assert recorder.recorded == len(wrenches)
+        assert client.jobs() == []
+        found = client.recording("plate_thin") if kind == "recording" else None
+        count = found.total if found else client.envelope("plate_thin").count
+        assert count == len(wrenches)
+        if found is None:
+            assert np.array_equal(client.envelope("plate_thin").max, wrenches.max(axis=0))
+        elif found.thinned:
+            assert len(found) + found.merged + found.thinned == len(wrenches)
+        else:
+            assert np.array_equal(found.wrenches, wrenches)
+    print(
+        f"{kind}: {len(wrenches)} wrenches, {len(kills)} kills, longest add {longest * 1e3:.2f} ms"
+    )

@@ -1,0 +1,120 @@
+"""Settings of serve: the line wins over the environment, that over the file; nothing is guessed."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from service.cli.local import serve
+from service.cli.main import app
+from service.cli.settings import OTHERS, PREFIX, _fields
+
+
+@pytest.fixture
+def shown(tmp_path, monkeypatch):
+    """What `serve --show-settings` says, as TOML, or the text of its refusal."""
+    monkeypatch.setenv("COLUMNS", "1000")
+    monkeypatch.delenv("WRENCHBOOK_DATA", raising=False)
+
+    def ask(*words, **variables):
+        for name, value in variables.items():
+            monkeypatch.setenv(name, value)
+        line = ["serve", "--data", str(tmp_path), *words, "--show-settings"]
+        found = CliRunner().invoke(app, line)
+        return tomllib.loads(found.output) if found.exit_code == 0 else found.output
+
+    return ask
+
+
+def test_the_line_wins_over_the_environment_and_that_over_the_file(shown, tmp_path):
+    (tmp_path / "wrenchbook.toml").write_text("port = 1\nqueue_limit = 1\nsolvers = 1\n")
+    found = shown("--port", "3", WRENCHBOOK_PORT="2", WRENCHBOOK_QUEUE_LIMIT="2")
+    assert (found["port"], found["queue_limit"], found["solvers"]) == (3, 2, 1)
+    assert found["host"] == "127.0.0.1"
+
+
+def test_a_line_that_says_the_default_wins_too(shown, tmp_path):
+    (tmp_path / "wrenchbook.toml").write_text("port = 1\n")
+    assert shown("--port", "8000")["port"] == 8000
+
+
+def test_another_file_can_be_named(shown, tmp_path):
+    other = tmp_path / "other.toml"
+    other.write_text('log_format = "json"\n')
+    assert shown("--config", str(other))["log_format"] == "json"
+    assert "no file" in shown("--config", str(tmp_path / "none.toml"))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("prot = 1", "no setting prot"),
+        ("port = 70000", "port in"),
+        ('port = "many"', "port in"),
+        ('log_level = "loud"', "log_level in"),
+        ("port = ", "cannot be read as TOML"),
+        ('data = "elsewhere"', "cannot name another one"),
+        ("[port]\nx = 1", "port in"),
+    ],
+)
+def test_a_mistake_in_the_file_is_named_and_nothing_starts(shown, tmp_path, text, said):
+    (tmp_path / "wrenchbook.toml").write_text(text)
+    assert said in shown()
+
+
+def test_an_unknown_setting_is_refused_with_the_closest_name(shown, tmp_path):
+    (tmp_path / "wrenchbook.toml").write_text("queue_limt = 1")
+    assert "did you mean queue_limit?" in shown()
+
+
+def test_an_unknown_variable_is_refused_with_the_closest_name(shown):
+    assert "did you mean WRENCHBOOK_PORT?" in shown(WRENCHBOOK_PROT="1")
+
+
+def test_a_variable_that_cannot_be_is_named_as_such(shown):
+    assert "WRENCHBOOK_SOLVERS" in shown(WRENCHBOOK_SOLVERS="-1")
+
+
+def test_an_empty_variable_is_none(shown):
+    assert shown(WRENCHBOOK_PORT="")["port"] == 8000
+
+
+def test_a_file_is_no_data_directory(shown, tmp_path):
+    (tmp_path / "file").touch()
+    assert "is no data directory" in shown("--data", str(tmp_path / "file"))
+
+
+def test_a_data_directory_that_cannot_be_made_is_refused_at_the_start():
+    """It served, accepted nothing, and printed a traceback for each component."""
+    words = ["serve", "--data", "/proc/none", "--port", "0"]  # nobody can make anything there
+    found = CliRunner().invoke(app, words, env={"COLUMNS": "1000"})
+    assert found.exit_code == 2
+    assert "/proc/none cannot be made" in found.output
+
+
+def test_every_variable_that_make_and_the_tests_set_lets_a_server_start():
+    """`make soak` was refused by every server it started."""
+    root = Path(__file__).parents[2]
+    named = {"WRENCHBOOK_"}
+    for file in (root / "Makefile", *root.glob("tests/**/*.py"), *root.glob("fea/**/*.py")):
+        if file.name != Path(__file__).name:
+            named |= set(re.findall(r"WRENCHBOOK_[A-Z_]+", file.read_text()))
+    settings = {f"{PREFIX}{name.upper()}" for name in _fields(serve)}
+    assert named <= settings | {f"{PREFIX}{name}" for name in OTHERS} | {PREFIX}
+
+
+def test_what_is_shown_is_a_file_that_says_the_same(shown, tmp_path):
+    first = shown("--solvers", "3", "--log-format", "json")
+    del first["data"]
+    text = "\n".join(f"{name} = {value!r}" for name, value in first.items())
+    (tmp_path / "wrenchbook.toml").write_text(text.replace("False", "false"))
+    again = shown()
+    assert {name: again[name] for name in first} == first
+
+
+def test_every_option_of_serve_is_a_setting(shown):
+    found = CliRunner().invoke(app, ["serve", "--help"], env={"COLUMNS": "1000"})
+    for name in shown():
+        assert f"--{name.replace('_', '-')}" in found.output

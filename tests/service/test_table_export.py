@@ -1,0 +1,23 @@
+"""What an export holds of a table that the ledger tells in parts."""
+
+from service.ledger import Ledger, NewRow
+from service.ledger.table_rows import MOST_NEWS
+from service.library.library import Library
+from service.tables.exporting import Wanted, export_table
+
+RANGE = [[-10.0, 10.0]] * 3
+
+
+def test_an_export_holds_all_rows_of_a_table_larger_than_one_part_of_the_news(tmp_path):
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    library = Library(tmp_path / "components", tmp_path / "none")
+    library.add_table_only("rig", "rig", RANGE, RANGE, None)
+    count = MOST_NEWS + 2
+    ledger.insert_rows(
+        "rig", "", (NewRow((load / count, 0, 0, 0, 0, 0), (load,) * 6) for load in range(count))
+    )
+    path = tmp_path / "rig.csv"
+    version = export_table(ledger, library["rig"], Wanted("csv", {}), path)
+    assert len(path.read_text().splitlines()) == 1 + count
+    assert version == ledger.last_seq("rig")
+    ledger.close()
