@@ -40,8 +40,8 @@ def build(
         Of another version of the table. Axes whose points have not changed are taken from it,
         rather than made again; what is answered is the same to the last bit.
     solver_error : SolverError, optional
-        What the solver of those rows may be wrong by itself. It stays beside the table, whose own
-        bars tell what further rows would lower.
+        What the solver of those rows may be wrong by itself; rows tell how it grows. It stays
+        beside the table, whose own bars tell what further rows would lower.
     """
     kind: type[Any] = MissingOutputs if rows.partial else Surrogate
     table: AnyTable = kind(
@@ -53,6 +53,6 @@ def build(
         version=version,
         before=before if isinstance(before, kind) else None,
     )
-    table.solver_error = solver_error
+    table.solver_error = None if solver_error is None else solver_error.grown(rows)
     table.bars_are_whole = bars_are_whole(rows, solver_error)
     return table

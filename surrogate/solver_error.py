@@ -4,6 +4,11 @@ A table's bars say how far its answers are from the solver's. What the solver la
 every row, so more rows do not lower it, and no coverage depends on it: it is estimated once a
 fingerprint and added to the bars where they are told. It is added, not squared and added: a mesh
 errs one way at all wrenches alike, nothing of it averages out.
+
+A mesh that is too coarse is too stiff. With D what it adds to the stiffness at small loads, that is
+K0 dC K0 of a compliance 1/K0 that is dC short, a displacement u with the tangent T lacks T D u:
+dC w for small w, more where a part softens (a column at 0.8 of its buckling load: 25 times), and
+something in outputs of second order. Every solved row brings T and u, so rows tell by how much.
 """
 
 from __future__ import annotations
@@ -31,9 +36,10 @@ class SolverError:
     ----------
     told : mapping
         ``mesh``: shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None where it is not known;
-        ``loads``: (6,), N and N·m, largest of the range. Of a linear component ``linearity``:
-        (6,), m and rad, at such loads, growing with their square; None where it is not known.
-        Further entries are in words, for people.
+        ``loads``: (6,), N and N·m, largest of the range. ``mesh_stiffness``: (6, 6), N/m and so on,
+        what the mesh adds to the stiffness; optional. Of a linear component ``linearity``: (6,), m
+        and rad, at such loads, growing with their square; None where it is not known. Of any other
+        ``mesh_growth``: (6,), of the same form, see `grown`. Further entries are words for people.
 
     Raises
     ------
@@ -47,11 +53,14 @@ class SolverError:
         self.mesh = None if told.get("mesh") is None else _numbers(told["mesh"], (6, 6), "mesh")
         bar = told.get("linearity")
         self.linearity = None if bar is None else _numbers(bar, (6,), "linearity")
+        self.growth = _numbers(told.get("mesh_growth", [0.0] * 6), (6,), "mesh_growth")
+        if "mesh_stiffness" in told:
+            _shaped(told["mesh_stiffness"], (6, 6), "mesh_stiffness")
         matrix = np.zeros((6, 6)) if self.mesh is None else self.mesh
         shares = matrix * loads
         small = shares <= _NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
         self._matrix = np.where(small, 0.0, matrix)
-        self._square = np.zeros(6) if self.linearity is None else self.linearity
+        self._square = self.growth + (0.0 if self.linearity is None else self.linearity)
         self._loads = np.where(loads > 0, loads, np.inf)
         # Plain floats and only those that count: one answer takes a microsecond more.
         self._terms = [
@@ -73,6 +82,37 @@ class SolverError:
     def read(cls, told: Mapping[str, Any] | None) -> SolverError | None:
         """Return it from what was stored; None of nothing."""
         return None if told is None else cls(told)
+
+    def grown(self, rows: Rows) -> SolverError:
+        """Return this with what solved rows tell of the mesh's share beyond small loads.
+
+        ``mesh_growth`` is the least that, growing with the square of the largest load over its
+        range, makes the share at each row T D u or more. The square is the first term that linear
+        answers lack; where a row is near buckling it is more than the truth at smaller loads and at
+        those that do not push. It says nothing of loads beyond those of the rows.
+
+        Parameters
+        ----------
+        rows : Rows
+            Of one version of a table; those without tangents or outputs, measured ones and those
+            beyond the range tell nothing.
+        """
+        if self.mesh is None or self.linearity is not None or "mesh_stiffness" not in self.told:
+            return self
+        wrench, moved, tangent = _that_tell(rows)
+        one_over = np.array(self._one_over)
+        size = np.abs(wrench)
+        part = (size * one_over).max(axis=1, initial=0.0)
+        inside = (part > 0.0) & (part <= 1.0 + _NEGLIGIBLE)
+        wrench, moved, tangent, size, part = (
+            of[inside] for of in (wrench, moved, tangent, size, part)
+        )
+        pushed = moved @ np.array(self.told["mesh_stiffness"]).T
+        lacking = np.abs((tangent @ pushed[:, :, None])[:, :, 0])
+        beyond = np.maximum(lacking - size @ self.mesh.T, 0.0)
+        growth = (beyond / (part * part)[:, None]).max(axis=0, initial=0.0)
+        growth = np.maximum(growth, self.growth)
+        return SolverError({**self.told, "mesh_growth": growth.tolist()})
 
     def widened(
         self, error: tuple[float, ...] | None, wrench: Sequence[float]
@@ -113,10 +153,12 @@ class SolverError:
         Of ``mesh``, and of a linear component ``linearity``; None where it is not known.
         """
         sizes = np.abs(np.asarray(wrench, dtype=float))
-        mesh = None if self.mesh is None else (self._matrix @ sizes).tolist()
+        square = float((sizes * np.array(self._one_over)).max()) ** 2
+        mesh = None
+        if self.mesh is not None:
+            mesh = (self._matrix @ sizes + self.growth * square).tolist()
         found: dict[str, list[float] | None] = {"mesh": mesh}
         if "linearity" in self.told:
-            square = float((sizes * np.array(self._one_over)).max()) ** 2
             bar = self.linearity
             found["linearity"] = None if bar is None else (bar * square).tolist()
         return found
@@ -126,12 +168,27 @@ class SolverError:
         return self.parts(np.where(np.isfinite(self._loads), self._loads, 0.0).tolist())
 
 
+def _that_tell(rows: Rows) -> tuple[Floats, Floats, Floats]:
+    """Return wrenches (n, 6), displacements (n, 6) and tangents (n, 6, 6) of rows solved whole."""
+    whole = (
+        (rows.source == "fea")
+        & np.isfinite(rows.displacement).all(axis=1)
+        & np.isfinite(rows.compliance).all(axis=(1, 2))
+    )
+    return rows.wrench[whole], rows.displacement[whole], rows.compliance[whole]
+
+
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Floats:
+    found = _shaped(value, shape, name)
+    if not (found >= 0).all():
+        raise ValueError(f"{name} of a solver's error must not be negative")
+    return found
+
+
+def _shaped(value: Any, shape: tuple[int, ...], name: str) -> Floats:
     found = np.array(value, dtype=float)
-    if found.shape != shape or not (np.isfinite(found).all() and (found >= 0).all()):
-        raise ValueError(
-            f"{name} of a solver's error must be of shape {shape}, finite, not negative"
-        )
+    if found.shape != shape or not np.isfinite(found).all():
+        raise ValueError(f"{name} of a solver's error must be of shape {shape}, finite")
     return found
 
 

@@ -37,10 +37,11 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     -------
     dict
         ``mesh``: shape (6, 6) as lists, not negative, m/N, m/(N·m), rad/N, rad/(N·m): the bar at a
-        wrench is this times the size of each load. ``mesh_basis``, in words. ``cell_size``: the
-        middle one of all edges' lengths, m. ``loads``: the largest of the range, six, N and N·m. Of
-        a linear component also ``linearity`` (six numbers, m and rad, or None) and ``buckling`` (or
-        None): see `fea.accuracy.beyond_linear`; ``linearity_basis``.
+        wrench is this times the size of each load. ``mesh_stiffness``: shape (6, 6), the inverse
+        units: what the mesh adds to the stiffness, signed. ``mesh_basis``, in words.
+        ``cell_size``: the middle one of all edges' lengths, m. ``loads``: the largest of the range,
+        six, N and N·m. Of a linear component also ``linearity`` (six numbers, m and rad, or None)
+        and ``buckling`` (or None): see `fea.accuracy.beyond_linear`; ``linearity_basis``.
 
     Raises
     ------
@@ -57,19 +58,34 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
 
 
 def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
-    recovered = np.abs(recovered_error(solver))
+    recovered = recovered_error(solver)
     if second is None:
-        return {
-            "mesh": (_RECOVERED_ALONE * recovered).tolist(),
-            "mesh_basis": "stresses recovered at six unit loads; no second mesh can be made",
-        }
-    change = np.abs(solver.compliance - second.compliance)
+        return _told(
+            solver.compliance,
+            _RECOVERED_ALONE * np.array([recovered]),
+            "stresses recovered at six unit loads; no second mesh can be made",
+        )
+    change = solver.compliance - second.compliance
     own, other = (len(one.component.mesh.points) for one in (solver, second))
-    return {
-        "mesh": (0.5 * (change + recovered)).tolist(),
-        "mesh_basis": f"a coarser mesh of {other} nodes beside this one of {own}, and recovered "
-        "stresses, at six unit loads",
-    }
+    return _told(
+        solver.compliance,
+        0.5 * np.array([change, recovered]),
+        f"a coarser mesh of {other} nodes beside this one of {own}, and recovered stresses, at six "
+        "unit loads",
+    )
+
+
+def _told(compliance: Array, shares: Array, basis: str) -> dict[str, Any]:
+    """Return what is told of shares (n, 6, 6) that add up to what the compliance lacks."""
+    found = {"mesh": np.abs(shares).sum(axis=0).tolist(), "mesh_basis": basis}
+    # Loads on locked freedoms move nothing: what remains is as stiff as it is without them.
+    acting = np.diag(compliance) > 0
+    scale = np.sqrt(np.where(acting, np.diag(compliance), 1.0))
+    own = np.ix_(acting, acting)
+    stiffness = np.zeros((6, 6))
+    stiffness[own] = np.linalg.inv((compliance / np.outer(scale, scale))[own])
+    stiffness /= np.outer(scale, scale)
+    return found | {"mesh_stiffness": (stiffness @ shares.sum(axis=0) @ stiffness).tolist()}
 
 
 def _cell_size(mesh: Mesh) -> float:

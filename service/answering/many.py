@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from service.answering.estimates import drop_estimates
 from service.answering.queries import BatchOutcome, BatchQuery, WrenchJob
 from service.answering.refusals import BeyondRangeError, NotCoveredError
-from service.answering.solved import read_row
+from service.answering.solved import read_row, with_row
 from service.ordering import Placed
 from service.workspace import Workspace
 from surrogate.answer import COVERED
@@ -139,14 +139,14 @@ def _look_again(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) 
 def _take_rows(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) -> None:
     """Put the rows of the jobs that are done in the place of the table's estimates."""
     scale = workspace.library[outcome.component].load_range.scale
-    solver = workspace.solver_error(outcome.component)
+    told = workspace.solver_error(outcome.component)
     for one in outcome.jobs:
         if one.job is None or one.job.row is None or not one.own:
             continue
         row = workspace.ledger.row(one.job.row)
         asked = batch.wrenches[one.index]
         outcome.displacements[one.index], error = read_row(row, asked, scale)
-        if solver is not None:
+        if (solver := with_row(told, row)) is not None:
             error = solver.widened_many(error[None], asked[None])[0]
         outcome.errors[one.index] = error
         outcome.coverage[one.index] = COVERED

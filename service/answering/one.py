@@ -12,7 +12,7 @@ from service.answering.estimates import also, drop_estimate
 from service.answering.method_detail import detail_of
 from service.answering.queries import Outcome, Query
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
-from service.answering.solved import read_row
+from service.answering.solved import read_row, with_row
 from service.client.replies import EXACT, ROUNDED
 from service.ledger import Job
 from service.ordering import Placed
@@ -228,7 +228,7 @@ def _take_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) ->
     displacement, error = read_row(row, np.array(query.wrench), scale)
     if query.derivatives:
         outcome.derivative = None if row.compliance is None else np.array(row.compliance)
-    own, solver = tuple(error.tolist()), workspace.solver_error(outcome.component)
+    own, solver = tuple(error.tolist()), with_row(workspace.solver_error(outcome.component), row)
     outcome.displacement, outcome.error = tuple(displacement.tolist()), own
     if solver is not None:
         outcome.error = solver.widened(own, query.wrench)

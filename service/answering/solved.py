@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.ledger import LedgerRow
+from surrogate.solver_error import SolverError
+from surrogate.table.rows import Rows
 
 Floats = NDArray[np.float64]
 
@@ -38,3 +40,11 @@ def read_row(row: LedgerRow, wrench: Floats, scale: Floats) -> tuple[Floats, Flo
     share = 2 * np.abs(step / scale).max() / np.abs(wrench / scale).max()
     most = np.nanmax(np.abs(solved).reshape(2, 3), axis=1)
     return solved, bar + share * np.repeat(most, 3)
+
+
+def with_row(known: SolverError | None, row: LedgerRow) -> SolverError | None:
+    """Return what is known of the solver's error, with what a row tells that no table has yet."""
+    if known is None or row.compliance is None:
+        return known
+    columns = {"compliance": [row.compliance], "source": [row.source]}
+    return known.grown(Rows.of([row.wrench], [row.displacement], **columns))

@@ -80,7 +80,8 @@ def test_a_planar_scene_has_the_whole_tables_answers_and_bars(kind: str) -> None
     assert_equal(scene_table(whole(kind), wanted), whole(kind), within(wanted))
 
 
-@pytest.mark.xfail(strict=True, reason="sums over weights of 1e5: arrays differ by 3e-11")
+# Not strict: on some processors sums are added up in an order that meets it.
+@pytest.mark.xfail(strict=False, reason="sums over weights of 1e5: arrays differ by 3e-11")
 def test_a_planar_scene_has_the_whole_tables_numbers_in_the_array_version_too(monkeypatch) -> None:
     monkeypatch.setattr(jit, "_held_back", {object()})
     wanted = need()
