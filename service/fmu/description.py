@@ -37,6 +37,10 @@ _COVERAGE = (
     "0 covered, 1 thin, 2 outside: a displacement that is not covered is an estimate, and its "
     "error bar may be wrong"
 )
+_WITHIN = (
+    "1 if the whole bar of every displacement is within the tolerance, the solver's own error "
+    "included, 0 if not, -1 where that is not known"
+)
 _TOLERANCE = "largest error bar of a covered answer; 0: the component's own. Give both or none"
 
 
@@ -90,6 +94,7 @@ def describe(component: str, guid: str, made_by: str, told: str) -> bytes:
     return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
 
 
+_INTEGERS = ("coverage", "within_tolerance")
 _STEPS = {"canHandleVariableCommunicationStepSize": "true"}
 
 
@@ -111,6 +116,7 @@ def _add_variables(root: ElementTree.Element) -> None:
     for name, unit in (("translation", "m"), ("rotation", "rad")):
         start = {"unit": unit, "start": "0", "min": "0"}
         _add(root, f"tolerance_{name}", "parameter", _TOLERANCE, start, "fixed")
+    _add(root, "within_tolerance", "output", _WITHIN, {}, "discrete")
 
 
 def _add(
@@ -130,12 +136,13 @@ def _add(
         variability=variability,
         description=about,
     )
-    ElementTree.SubElement(variable, "Integer" if name == "coverage" else "Real", told)
+    ElementTree.SubElement(variable, "Integer" if name in _INTEGERS else "Real", told)
 
 
 def _add_structure(root: ElementTree.Element) -> None:
     """Add which outputs follow which inputs: each follows all six, at once."""
-    inputs, outputs = " ".join(map(str, range(1, 7))), range(7, 20)
+    inputs = " ".join(map(str, range(1, 7)))
+    outputs = [*range(7, 20), len(LOADS) + 2 * len(OUTPUTS) + 1 + 2 + 1]  # the last variable
     for part in ("Outputs", "InitialUnknowns"):
         unknowns = ElementTree.SubElement(root, part)
         for index in outputs:

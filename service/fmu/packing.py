@@ -62,6 +62,9 @@ def pack_table(table: AnyTable, method: str | None = None) -> bytes:
             break
     error = table.solver_error
     stream.floats(*(NO_ERROR if error is None else error.packed))
+    limit = table.tolerance
+    own = (np.nan, np.nan) if limit is None else (limit.translation, limit.rotation)
+    stream.floats(np.array([float(table.bars_are_whole), *own]))
     if stream.size > MOST_BYTES:
         raise NotExportableError(
             f"the table takes over {MOST_BYTES / 1e6:,.0f} MB, which is the most that an FMU may "

@@ -12,7 +12,7 @@
 
 /* Value references; service/fmu/description.py writes the same into modelDescription.xml. */
 enum { VR_WRENCH = 0, VR_OUTPUT = 6, VR_ERROR = 12, VR_COVERAGE = 18, VR_TOLERANCE = 19,
-       VR_END = 21 };
+       VR_WITHIN = 21 };
 
 enum { INSTANTIATED = 1, INITIALIZATION = 2, EVENT = 4, CONTINUOUS = 8, STEP = 16, TERMINATED = 32,
        FAILED = 64 };
@@ -21,7 +21,7 @@ enum { INSTANTIATED = 1, INITIALIZATION = 2, EVENT = 4, CONTINUOUS = 8, STEP = 1
 typedef struct {
     char mark[8], guid[WB_GUID];
     double wrench[6], tolerance[2], time;
-    int32_t mode, event_coverage;
+    int32_t mode, event_coverage, event_within;
 } wb_state;
 
 typedef struct {

@@ -92,6 +92,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     if (!wb_allowed(m, "fmi2NewDiscreteStates", EVENT)) return fmi2Error;
     memset(info, 0, sizeof *info);
     m->state.event_coverage = wb_answered(m)->coverage;
+    m->state.event_within = wb_answered(m)->within;
     return fmi2OK;
 }
 
@@ -102,13 +103,15 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
     return fmi2OK;
 }
 
-/* `coverage` always tells of the numbers beside it; that it has changed is an event. */
+/* `coverage` and `within_tolerance` always tell of the numbers beside them; that one has changed is
+ * an event. */
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_return, fmi2Boolean *event,
                                        fmi2Boolean *terminate) {
     wb_instance *m = c;
     (void)no_return;
     if (!wb_allowed(m, "fmi2CompletedIntegratorStep", CONTINUOUS)) return fmi2Error;
-    *event = wb_answered(m)->coverage != m->state.event_coverage;
+    *event = wb_answered(m)->coverage != m->state.event_coverage ||
+             wb_answered(m)->within != m->state.event_within;
     *terminate = fmi2False;
     return fmi2OK;
 }

@@ -24,7 +24,7 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
         if (k < VR_OUTPUT) value[i] = m->state.wrench[k];
         else if (k < VR_ERROR) value[i] = wb_answered(m)->displacement[k - VR_OUTPUT];
         else if (k < VR_COVERAGE) value[i] = wb_answered(m)->error[k - VR_ERROR];
-        else if (k >= VR_TOLERANCE && k < VR_END) value[i] = m->state.tolerance[k - VR_TOLERANCE];
+        else if (k >= VR_TOLERANCE && k < VR_WITHIN) value[i] = m->state.tolerance[k - VR_TOLERANCE];
         else return no_variable(m, "fmi2GetReal", k);
     }
     return fmi2OK;
@@ -33,7 +33,7 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
 /* Whether a variable may be set to a value now; reports if not. */
 static int may_set(wb_instance *m, fmi2ValueReference vr, double value) {
     char text[160];
-    int load = vr < VR_OUTPUT, tolerance = vr >= VR_TOLERANCE && vr < VR_END;
+    int load = vr < VR_OUTPUT, tolerance = vr >= VR_TOLERANCE && vr < VR_WITHIN;
     if (!load && !tolerance) {
         snprintf(text, sizeof text, "value reference %u cannot be set: it is no input", vr);
     } else if (load && !isfinite(value)) {
@@ -69,8 +69,9 @@ fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
     wb_instance *m = c;
     if (!wb_allowed(m, "fmi2GetInteger", ANY)) return fmi2Error;
     for (size_t i = 0; i < nvr; i++) {
-        if (vr[i] != VR_COVERAGE) return no_variable(m, "fmi2GetInteger", vr[i]);
-        value[i] = wb_answered(m)->coverage;
+        if (vr[i] == VR_COVERAGE) value[i] = wb_answered(m)->coverage;
+        else if (vr[i] == VR_WITHIN) value[i] = wb_answered(m)->within;
+        else return no_variable(m, "fmi2GetInteger", vr[i]);
     }
     return fmi2OK;
 }
@@ -79,7 +80,7 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
                           const fmi2Integer value[]) {
     (void)vr, (void)value;
     if (!wb_allowed(c, "fmi2SetInteger", SETTING)) return fmi2Error;
-    return nvr ? wb_say(c, fmi2Error, "coverage is an output: it cannot be set") : fmi2OK;
+    return nvr ? wb_say(c, fmi2Error, "integers are outputs: they cannot be set") : fmi2OK;
 }
 
 /* There are no variables of the other types. */

@@ -230,6 +230,20 @@ static void widen(const wb_table *t, const double w[6], double error[6]) {
     }
 }
 
+/* `within_tolerance`: what is said of the bar that is told, the solver's share included. */
+static int within(const wb_table *t, const double tolerance[2], const double error[6]) {
+    int held = -1;
+    if (!(t->limit[0] > 0)) return -1; /* a part of the bars is not known */
+    for (int q = 0; q < 6; q++) {
+        double most = tolerance[q / 3] > 0 ? tolerance[q / 3] : t->limit[1 + q / 3];
+        if (isnan(most)) return -1; /* no tolerance */
+        if (isnan(error[q])) continue; /* nobody has measured it */
+        if (!(error[q] <= most)) return 0;
+        held = 1;
+    }
+    return held;
+}
+
 /* `Surrogate.batch`, or `MissingOutputs.batch` where several groups tell the outputs. */
 void wb_answer_at(const wb_table *table, wb_workspace *work, const double wrench[6],
                   const double tolerance[2], wb_answer *answer) {
@@ -249,6 +263,7 @@ void wb_answer_at(const wb_table *table, wb_workspace *work, const double wrench
         if (rank > worst) worst = rank, answer->coverage = own.coverage, answer->by_row = own.by_row;
     }
     widen(table, w, answer->error);
+    answer->within = within(table, tolerance, answer->error);
 }
 
 static void slopes_of(const wb_group *g, wb_workspace *work, const double w[6], double out[36]) {

@@ -82,6 +82,7 @@ typedef struct {
     char guid[WB_GUID];
     int groups, most_rows, most_equations;
     const double *mesh, *bends, *one_over; /* the solver's own share of the bars */
+    const double *limit; /* whether bars are whole, and the component's tolerance, m and rad */
     wb_group *group;
     wb_share *share;
     unsigned char *bytes;
@@ -95,6 +96,7 @@ typedef struct {
 typedef struct {
     double displacement[6], error[6];
     int coverage, by_row;
+    int within; /* 1: the whole bar is within the tolerance; 0: it is not; -1: not known */
 } wb_answer;
 
 typedef void *(*wb_allocate)(size_t count, size_t size);

@@ -16,7 +16,7 @@ from surrogate.build import AnyTable, build
 from surrogate.table.rows import LoadRange, Rows
 
 LOADS, OUTPUTS, BARS = list(range(6)), list(range(6, 12)), list(range(12, 18))
-COVERAGE, TOLERANCE = [18], [19, 20]
+COVERAGE, TOLERANCE, WITHIN = [18], [19, 20], [21]
 SOLVED = Path(__file__).parents[2] / "surrogate" / "tables"
 
 
@@ -120,6 +120,15 @@ def answers(instance, wrenches: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
         numbers[place] = instance.getReal(OUTPUTS + BARS)
         flags[place] = instance.getInteger(COVERAGE)[0]
     return numbers[:, :6], numbers[:, 6:], flags
+
+
+def judged(instance, wrenches: np.ndarray) -> list[bool | None]:
+    """What an instance says of each wrench: whether the whole bar is within the tolerance."""
+    found: list[bool | None] = []
+    for wrench in wrenches:
+        instance.setReal(LOADS, wrench)
+        found.append({1: True, 0: False, -1: None}[instance.getInteger(WITHIN)[0]])
+    return found
 
 
 def slopes(instance, wrenches: np.ndarray) -> np.ndarray:

@@ -48,6 +48,7 @@ def test_the_variables_their_units_and_their_causality_are_those_of_the_contract
         "coverage",
         "tolerance_translation",
         "tolerance_rotation",
+        "within_tolerance",
     ]
     assert [told[name].unit for name in ("Fx", "Mz", "uz", "rx", "error_rz")] == [
         "N",
@@ -57,8 +58,8 @@ def test_the_variables_their_units_and_their_causality_are_those_of_the_contract
         "rad",
     ]
     assert {told[name].causality for name in NAMES[:6]} == {"input"}
-    assert told["coverage"].type == "Integer"
-    assert told["coverage"].causality == "output"
+    for name in ("coverage", "within_tolerance"):
+        assert (told[name].type, told[name].causality) == ("Integer", "output")
     units = {one.name: one.baseUnit for one in fmu.description.unitDefinitions}
     assert (units["N.m"].kg, units["N.m"].m, units["N.m"].s) == (1, 2, -2)
 

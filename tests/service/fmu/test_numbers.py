@@ -8,11 +8,12 @@ the C has the order of the compiled Python, and by the same exponential gives th
 import numpy as np
 import pytest
 
+from surrogate.answer import within_tolerance_many
 from surrogate.build import build
 from surrogate.derivative import derivatives_at
 from surrogate.solver_error import SolverError
 from surrogate.table.rows import LoadRange, Rows, Tolerance
-from tests.service.fmu.made import answers, opened, slopes, solved, special, wrenches_of
+from tests.service.fmu.made import answers, judged, opened, slopes, solved, special, wrenches_of
 from tests.service.live import FULL, clean_wrenches, full_wrenches, moved, tangents
 
 RANGE = LoadRange(-FULL, FULL)
@@ -76,6 +77,38 @@ def test_the_solvers_own_share_is_in_the_bars_of_an_fmu_too(tmp_path):
     expected = table.solver_error.widened_many(table.batch(asked).error, asked)
     np.testing.assert_allclose(bars, expected, rtol=1e-12)
     assert (bars > 1e-7).all()
+
+
+@pytest.mark.parametrize("own", [None, 0.5])
+@pytest.mark.parametrize("asked_for", [None, 0.3])
+def test_an_fmu_says_as_the_table_does_whether_whole_bars_are_within_the_tolerance(
+    tmp_path, own, asked_for
+):
+    """Tolerances that so much of the bars meet, each of displacement and of rotation."""
+    wrenches = np.concatenate((clean_wrenches(), full_wrenches(24)))
+    rows, asked = Rows.of(wrenches, moved(wrenches)), full_wrenches(60)
+    error = SolverError({"mesh": (1e-8 * np.eye(6)).tolist(), "loads": FULL.tolist()})
+    bars = error.widened_many(build(rows, RANGE).batch(asked).error, asked)
+    own, asked_for = (share and _met_by(bars, share) for share in (own, asked_for))
+    table = build(rows, RANGE, tolerance=own, solver_error=error)
+    expected = within_tolerance_many(bars, asked_for or own) or [None] * len(asked)
+    limits = (asked_for.translation, asked_for.rotation) if asked_for else (0.0, 0.0)
+    with opened(table, tmp_path).running(tolerance=limits) as instance:
+        assert judged(instance, asked) == expected
+    assert (own or asked_for) is None or set(expected) == {True, False}
+
+
+def _met_by(bars, share):
+    translation, rotation = np.quantile(bars.reshape(-1, 2, 3).max(axis=2), share, axis=0)
+    return Tolerance(translation, rotation)
+
+
+def test_an_fmu_of_rows_whose_solver_told_nothing_of_itself_does_not_judge_the_bar(tmp_path):
+    wrenches = full_wrenches(40)
+    rows = Rows.of(wrenches, moved(wrenches), source=["fea"] * len(wrenches))
+    table = build(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
+    with opened(table, tmp_path).running() as instance:
+        assert judged(instance, wrenches[:5]) == [None] * 5
 
 
 def test_ten_thousand_random_wrenches_have_the_tables_numbers(tmp_path):
