@@ -28,7 +28,8 @@ class Stress:
     Attributes
     ----------
     largest, error : float, Pa
-        And its 95 % error bar; None where nothing tells it.
+        And its 95 % error bar, of the table alone: without what the mesh is off. None where nothing
+        tells it.
     at : ndarray, shape (3,), m
         Where, undeformed, in the interface frame from the interface point.
     region : str

@@ -25,7 +25,7 @@ class Stress(NamedTuple):
     Attributes
     ----------
     largest, error
-        Pa, and its 95 % bar; None where nothing tells it.
+        Pa, and its 95 % bar, of the table alone; None where nothing tells it.
     at
         Shape (3,), m: the integration point, undeformed, in the interface frame.
     region, yield_strength

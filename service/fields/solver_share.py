@@ -6,7 +6,7 @@ of the interface, six numbers, a vertex moves by F q. A solve tells F: the chang
 the wrench, times the inverse of the interface's own change with the wrench (Guyan's modes, 1965).
 So a vertex is off by |F| times what the interface is off: that of the interface as a rigid body,
 t + r x (x - p), and nothing at a support. A fraction of the vertex's own displacement, as energies
-suggest, held 46 to 88 % of vertices: where one stands nearly still, between two that do not, its
+suggest, held 46 to 92 % of vertices: where one stands nearly still, between two that do not, its
 error is no part of what it moves.
 """
 
@@ -24,8 +24,8 @@ Floats = NDArray[np.float64]
 LOCAL = 0.1
 """Of the mesh's largest share on the surface, what a free vertex may be off besides: cells deform
 wrongly on their own too, by clamps and edges. On six parts 9 of 10 vertices are 3 to 18 % of the
-largest share off what follows the interface (`make bench-mesh-error`); without this 77 to 99 % of
-vertices are held, with it 97 % and more."""
+largest share off what follows the interface; without this 77 to 99 % of vertices are held, with it
+97 % and more (`make bench-surface-error`)."""
 
 _SINGULAR = 1e-9
 """Of the scaled compliance's largest singular value: below it are locked freedoms and roundoff."""

@@ -65,7 +65,7 @@ def test_a_locked_freedom_moves_nothing():
 def test_at_the_interface_the_meshs_share_is_at_least_the_interfaces_own():
     found, own = parts(told()), np.array(told().parts(WRENCH.tolist())["mesh"])
     assert found.shares["mesh"][0] >= np.linalg.norm(own[:3])
-    turned = own[:3] + [0.0, own[5], own[4]]  # t + r x (1, 0, 0), of whatever signs
+    turned = own[:3] + np.array([0.0, own[5], own[4]])  # t + r x (1, 0, 0), of whatever signs
     assert found.shares["mesh"][2] >= np.linalg.norm(turned)
 
 
@@ -172,7 +172,6 @@ def test_a_surface_has_the_meshs_share_at_a_row_and_between_rows(plate, source):
 def test_the_meshs_share_leaves_coverage_alone_and_is_held_against_the_tolerance(plate):
     own, rows, mesh, shapes = plate
     wrench = asked_of(plate)["row"]
-    strict = replace(own, tolerance=Tolerance(1e-9, 1e-9))
     for limit, error, within in (
         (Tolerance(1e-9, 1e-9), mesh, False),
         (Tolerance(1.0, 1.0), mesh, True),
@@ -180,7 +179,6 @@ def test_the_meshs_share_leaves_coverage_alone_and_is_held_against_the_tolerance
     ):
         found = shapes.answer(replace(own, tolerance=limit), rows, wrench, solver=error)
         assert (found.coverage, found.within_tolerance) == ("covered", within)
-    assert shapes.answer(strict, rows, wrench).parts.told()["mesh"] is None
 
 
 def test_without_a_bar_of_the_table_there_are_no_parts(plate):
