@@ -60,6 +60,7 @@ bench: $(VENV)/.installed-dev  ## timings as ratios, side by side in one run
 	$(BIN)/python -m pytest tests/benchmarks -s -p no:cacheprovider \
 		--ignore tests/benchmarks/test_fill.py --ignore tests/benchmarks/test_scene.py \
 		--ignore tests/benchmarks/test_loop.py --ignore tests/benchmarks/test_mesh_error.py \
+		--ignore tests/benchmarks/test_surface_error.py \
 		--ignore tests/benchmarks/test_check_cost.py --ignore tests/benchmarks/test_fea_order.py \
 		--ignore tests/benchmarks/test_import_rate.py --ignore tests/benchmarks/test_connections.py \
 		--ignore tests/benchmarks/test_fea_speed.py --ignore tests/benchmarks/test_fea_calculix.py
@@ -69,6 +70,9 @@ bench-fea: $(VENV)/.installed-dev  ## wall time of the solver beside CalculiX, i
 
 bench-mesh-error: $(VENV)/.installed-dev  ## the mesh's share of the bars beside two refinements
 	$(BIN)/python -m pytest tests/benchmarks/test_mesh_error.py -s -p no:cacheprovider --timeout 1800
+
+bench-surface-error: $(VENV)/.installed-dev  ## the same share of a surface's bars, node by node
+	$(BIN)/python -m pytest tests/benchmarks/test_surface_error.py -s -p no:cacheprovider --timeout 1800
 
 bench-check: $(VENV)/.installed-dev  ## time and memory as the check tells them, beside a solve
 	$(BIN)/python -m pytest tests/benchmarks/test_check_cost.py -s -p no:cacheprovider --timeout 1800

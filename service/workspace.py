@@ -176,7 +176,8 @@ class Workspace:
         """
         table = self.surrogate(name)
         held = table.kriging.hyperparameters if table.kriging else None
-        return self.shapes.answer(self.library[name], table.rows, wrench, held)
+        solver = self.solver_error(name)
+        return self.shapes.answer(self.library[name], table.rows, wrench, held, solver)
 
     def fill(
         self,

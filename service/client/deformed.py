@@ -28,7 +28,8 @@ class Stress:
     Attributes
     ----------
     largest, error : float, Pa
-        And its 95 % error bar; None where nothing tells it.
+        And its 95 % error bar, of the table alone: without what the mesh is off. None where nothing
+        tells it.
     at : ndarray, shape (3,), m
         Where, undeformed, in the interface frame from the interface point.
     region : str
@@ -59,13 +60,21 @@ class DeformedShape:
         Vertices, anticlockwise seen from outside.
     displacement : ndarray, shape (v, 3), m
     error : ndarray, shape (v,), m
-        95 % error bar of each vertex's displacement; None where nothing tells it.
+        95 % error bar of each vertex's displacement; None where nothing tells it. What the
+        solver's own mesh is off is in it if ``error_parts["mesh"]`` is not None.
     stress : Stress
         None where it is not known.
     coverage, reason : str
-        ``covered``, ``thin`` or ``outside``, and why.
+        ``covered``, ``thin`` or ``outside``, and why: of the table's share, which solves lower.
     source : str
         ``row``: a solve of this very wrench; ``rows``: between them; ``linear``.
+    error_parts : mapping
+        The largest of each share that `error` is the sum of, m: ``table``, ``mesh`` and of a
+        linear component ``linearity``, None where it is not known; ``mesh_basis`` in words. None
+        where `error` is.
+    within_tolerance : bool
+        Whether every bar is within the component's tolerance; None where it has none, or the
+        mesh's share is not known.
     raw : mapping
         The whole reply.
     """
@@ -79,10 +88,12 @@ class DeformedShape:
     reason: str
     source: str
     raw: Mapping[str, Any]
+    error_parts: Mapping[str, Any] | None = None
+    within_tolerance: bool | None = None
 
     @property
     def is_covered(self) -> bool:
-        """Whether the error bars are within the component's tolerance."""
+        """Whether the table's share of the bars is within the component's tolerance."""
         return self.coverage == "covered"
 
     def deformed(self, scale: float = 1.0) -> NDArray[np.float64]:
@@ -103,6 +114,8 @@ class DeformedShape:
             reason=raw.get("reason", ""),
             source=raw["source"],
             raw=raw,
+            error_parts=raw.get("error_parts"),
+            within_tolerance=raw.get("within_tolerance"),
         )
 
 

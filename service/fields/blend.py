@@ -108,6 +108,17 @@ class Blend:
         bar = None if factor is None else factor * found.sigma
         return Told(displacement, error, stress, bar)
 
+    def nearest(self, wrench: Floats) -> tuple[int, Floats]:
+        """Return the row nearest to a wrench (6,), N and N·m, and its slopes.
+
+        Its number, and the change of its vertices with the wrench: shape (v, 3, 6), m/N and
+        m/(N·m).
+        """
+        apart = (self.weights.wrenches - wrench) / self.weights.load_range.scale
+        place = int(np.linalg.norm(apart, axis=1).argmin())
+        moved = self.values[place, 1:, : 3 * len(self.geometry.vertices)]
+        return self.rows[place], np.moveaxis(moved.reshape(6, -1, 3), 0, -1)
+
 
 def _columns(row: RowFields) -> Floats:
     """Return a row's fields and slopes, shape (7, d)."""

@@ -17,11 +17,13 @@ from service.fields.blend import Blend
 from service.fields.codec import DamagedFieldsError
 from service.fields.record import Geometry, RowFields
 from service.fields.shape import Deformed, largest_stress, rounding, stress_of_row
+from service.fields.solver_share import error_parts, following
 from service.fields.store import FieldStore
 from service.library.component import Component
 from surrogate.field_weights import FieldWeights, nearest_rows
 from surrogate.kriging import Hyperparameters, SingularCovarianceError
 from surrogate.methods.method import why_beyond
+from surrogate.solver_error import SolverError
 from surrogate.table.rows import Rows
 
 Floats = NDArray[np.float64]
@@ -87,7 +89,12 @@ class DeformedShapes:
         self.threads.shutdown(cancel_futures=True)
 
     def answer(
-        self, component: Component, rows: Rows, wrench: Floats, held: Hyperparameters | None = None
+        self,
+        component: Component,
+        rows: Rows,
+        wrench: Floats,
+        held: Hyperparameters | None = None,
+        solver: SolverError | None = None,
     ) -> Deformed:
         """Return the deformed surface under a wrench (6,), N and N·m.
 
@@ -99,6 +106,9 @@ class DeformedShapes:
             All rows of the component's table.
         held : Hyperparameters, optional
             Of the table's kriging.
+        solver : SolverError, optional
+            What the component's solver may be wrong by; without it bars are of the table alone,
+            which `Deformed.parts` says.
 
         Raises
         ------
@@ -110,17 +120,18 @@ class DeformedShapes:
         acting = component.acting(np.asarray(wrench, dtype=float))
         _require_near(component, acting)
         if component.linear:
-            found = self._linear(component, acting)
+            found = self._linear(component, rows, acting)
         else:
             found = self._own(component, rows, acting) or self._between(
                 component, rows, acting, held
             )
+        found = _whole(component, found, solver)
         beyond = why_beyond(component.load_range, acting)
         if beyond and found.source != "row":
             return replace(found, coverage="outside", reason=beyond)
         return found
 
-    def _linear(self, component: Component, wrench: Floats) -> Deformed:
+    def _linear(self, component: Component, rows: Rows, wrench: Floats) -> Deformed:
         try:
             row = self._store.linear(component.name, component.fingerprint)
             if row is None:
@@ -130,9 +141,15 @@ class DeformedShapes:
             raise NoFieldsError(component, str(error)) from error
         moved = row.displacement_slopes @ wrench
         stress = largest_stress(component, geometry, row.stress_slopes @ wrench, 0.0)
-        wrench_told = tuple(wrench.tolist())
         return Deformed(
-            component.name, wrench_told, geometry, moved, rounding(moved), stress, "linear"
+            component=component.name,
+            wrench=tuple(wrench.tolist()),
+            geometry=geometry,
+            displacement=moved,
+            error=rounding(moved),
+            stress=stress,
+            source="linear",
+            follows=following(row.displacement_slopes, _any_compliance(component, rows)),
         )
 
     def _own(self, component: Component, rows: Rows, wrench: Floats) -> Deformed | None:
@@ -141,7 +158,9 @@ class DeformedShapes:
         near = apart.max(axis=1, initial=0.0) <= SAME
         for place in np.flatnonzero(near & (rows.fingerprint == component.fingerprint)).tolist():
             for row in self._readable(component, rows.wrench[place : place + 1]):
-                return self._stepped(component, row, wrench, int(rows.seq[place]))
+                found = self._stepped(component, row, wrench, int(rows.seq[place]))
+                follows = following(row.displacement_slopes, rows.compliance[place])
+                return found and replace(found, follows=follows)
         return None
 
     def _stepped(
@@ -179,6 +198,7 @@ class DeformedShapes:
         stress = None
         if told.stress is not None:
             stress = largest_stress(component, blend.geometry, told.stress, told.stress_error)
+        number, slopes = blend.nearest(wrench)
         return Deformed(
             component=component.name,
             wrench=tuple(wrench.tolist()),
@@ -190,6 +210,7 @@ class DeformedShapes:
             rows=blend.rows,
             coverage=coverage,
             reason=reason,
+            follows=following(slopes, rows.compliance[np.flatnonzero(rows.seq == number)[0]]),
         )
 
     def _having_fields(self, component: Component, rows: Rows) -> NDArray[np.intp]:
@@ -269,6 +290,24 @@ def _require_near(component: Component, wrench: Floats) -> None:
     if ((wrench < low) | (wrench > high)).any():
         beyond = why_beyond(loads, wrench)
         raise TooFarError(f"{beyond}: too far beyond it for a surface; ask nearer to the range")
+
+
+def _any_compliance(component: Component, rows: Rows) -> Floats:
+    """Return a linear component's compliance, the same of each row, (6, 6), SI; NaN without."""
+    own = rows.compliance[rows.fingerprint == component.fingerprint]
+    known = np.flatnonzero(np.isfinite(own).all(axis=(1, 2)))
+    return own[known[0]] if len(known) else np.full((6, 6), np.nan)
+
+
+def _whole(component: Component, shape: Deformed, solver: SolverError | None) -> Deformed:
+    """Return a surface whose bars hold the solver's share too; coverage stays the table's."""
+    if shape.error is None:
+        return shape
+    parts = error_parts(shape.error, shape.follows, solver, np.array(shape.wrench))
+    limit, total, within = component.tolerance, parts.total, None
+    if limit is not None and parts.are_whole:
+        within = bool(total.max(initial=0.0) <= limit.translation)
+    return replace(shape, error=total, parts=parts, within_tolerance=within)
 
 
 def _judged(component: Component, blend: Blend, error: Floats | None) -> tuple[str, str]:

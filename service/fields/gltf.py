@@ -68,7 +68,8 @@ def write_gltf(shape: Deformed) -> bytes:
     """Return the .glb file of a deformed surface.
 
     The error of each vertex, m, is the attribute ``_ERROR``, if it is known; the wrench, the
-    coverage and the largest stress are in the mesh's ``extras``.
+    coverage, the largest of each share of those errors, ``within_tolerance`` and the largest stress
+    are in the mesh's ``extras``.
     """
     buffer = _Buffer()
     attributes = {"POSITION": buffer.add(shape.geometry.vertices, _VERTICES)}
@@ -104,9 +105,12 @@ def write_gltf(shape: Deformed) -> bytes:
 
 
 def _extras(shape: Deformed) -> dict[str, Any]:
+    parts = {} if shape.parts is None else {"error_parts": shape.parts.told()}
     return {
         "wrench": list(shape.wrench),
         "coverage": shape.coverage,
+        "within_tolerance": shape.within_tolerance,
+        **parts,
         "stress": None if shape.stress is None else shape.stress._asdict(),
     }
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fea.element.equivalent_stress import von_mises
 from service.fields.record import Geometry, RowFields
+from service.fields.solver_share import ErrorParts
 from service.library.component import Component
 
 Floats = NDArray[np.float64]
@@ -24,7 +25,7 @@ class Stress(NamedTuple):
     Attributes
     ----------
     largest, error
-        Pa, and its 95 % bar; None where nothing tells it.
+        Pa, and its 95 % bar, of the table alone; None where nothing tells it.
     at
         Shape (3,), m: the integration point, undeformed, in the interface frame.
     region, yield_strength
@@ -56,6 +57,7 @@ class Deformed:
         Shape (v, 3), m.
     error
         Shape (v,), m: 95 % bar of the length of each vertex's error; None where nothing tells it.
+        The solver's own share is in it, as far as it is known: see `parts`.
     stress
         None where no row tells it between rows: the body has too many integration points.
     source
@@ -63,7 +65,13 @@ class Deformed:
     rows
         Numbers of the rows it is made of.
     coverage, reason
-        ``covered``, ``thin`` or ``outside``, and why.
+        ``covered``, ``thin`` or ``outside``, and why: of the table's share alone.
+    follows
+        Shape (v, 3, 6), m/m and m/rad: how vertices follow the interface; None where not known.
+    parts
+        What `error` is the sum of; None until the solver's share is added, or without bars.
+    within_tolerance
+        Whether all bars are; None where there is no tolerance, or they are of the table alone.
     """
 
     component: str
@@ -76,6 +84,9 @@ class Deformed:
     rows: tuple[int, ...] = ()
     coverage: str = "covered"
     reason: str = ""
+    follows: Floats | None = None
+    parts: ErrorParts | None = None
+    within_tolerance: bool | None = None
 
 
 def rounding(displacement: Floats) -> Floats:

@@ -20,7 +20,8 @@ _TYPES = {"<f8": "Float64", "<i8": "Int64", "|u1": "UInt8"}
 def write_vtu(shape: Deformed) -> bytes:
     """Return the .vtu file: undeformed triangles, in metres, with displacement and error.
 
-    Numbers are float64, as they are.
+    Numbers are float64, as they are. Beside ``error`` stand the shares it is the sum of, as
+    ``error_table``, ``error_mesh`` and ``error_linearity``; one that is not known is left out.
     """
     return "\n".join(_lines(shape)).encode()
 
@@ -40,6 +41,9 @@ def _lines(shape: Deformed) -> Iterator[str]:
     yield _array("displacement", shape.displacement.astype("<f8"))
     if shape.error is not None:
         yield _array("error", shape.error.astype("<f8"))
+    for cause, share in (shape.parts.shares if shape.parts else {}).items():
+        if share is not None:
+            yield _array(f"error_{cause}", share.astype("<f8"))
     yield "</PointData>"
     yield "<Points>" + _array("Points", geometry.vertices.astype("<f8")) + "</Points>"
     yield "<Cells>"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -73,7 +74,11 @@ def _reply(workspace: Workspace, name: str, loads: Any, form: str) -> Response:
         if form == "gltf"
         else (vtu.write_vtu, vtu.MEDIA_TYPE, "vtu")
     )
-    headers = {"Content-Disposition": f'attachment; filename="{name}.{ending}"'}
+    headers = {
+        "Content-Disposition": f'attachment; filename="{name}.{ending}"',
+        "Wrenchbook-Coverage": shape.coverage,
+        "Wrenchbook-Within-Tolerance": json.dumps(shape.within_tolerance),
+    }
     return Response(write(shape), 200, headers, kind)
 
 
@@ -91,6 +96,8 @@ def _body(workspace: Workspace, shape: Deformed) -> dict[str, Any]:
         "triangles": geometry.triangles,
         "displacement": np.ascontiguousarray(shape.displacement),
         "error": shape.error,
+        "error_parts": None if shape.parts is None else shape.parts.told(),
+        "within_tolerance": shape.within_tolerance,
         "simplified": simplified if count < geometry.whole_vertices else None,
         "stress": None if stress is None else stress._asdict(),
         "source": shape.source,

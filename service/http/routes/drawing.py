@@ -106,7 +106,7 @@ def _every(places: Places, most: int) -> Places:
     return places[np.linspace(0, len(places) - 1, most).astype(np.intp)]
 
 
-@router.get("/response", summary="What the table answers along one load, with its error bars")
+@router.get("/response", summary="What the table answers along one load, with its whole error bars")
 async def response(
     name: str,
     request: Request,
@@ -129,7 +129,11 @@ def _sweep(
     workspace: Workspace, name: str, table: AnyTable, load: str, at: Any, points: int
 ) -> dict[str, Any]:
     wrenches = sweep_of(table.load_range, LOADS.index(load), at, points)
-    found = table.batch(workspace.library[name].acting(wrenches))
+    acting = workspace.library[name].acting(wrenches)
+    found = table.batch(acting)
+    solver, bars = table.solver_error, found.error
+    if solver is not None:
+        bars = solver.widened_many(bars, acting)
     return {
         "component": name,
         "table_version": table.version,
@@ -138,6 +142,7 @@ def _sweep(
         "at": wrenches[:, LOADS.index(load)].tolist(),
         "outputs": OUTPUTS,
         "displacement": np.ascontiguousarray(found.displacement),
-        "error": np.ascontiguousarray(found.error),
+        "error": np.ascontiguousarray(bars),
+        "bars_are_whole": table.bars_are_whole,
         "coverage": found.coverage.tolist(),
     }

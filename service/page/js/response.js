@@ -55,7 +55,7 @@ function labelOf({ sweep, rows, output, load }) {
   const drawn = rows ? `${rows.shown === 1 ? "1 row lies" : `${rows.shown} rows lie`} on this line` : "no rows are drawn: other loads act";
   const k = OUTPUTS.indexOf(output), bars = sweep.error.map((one) => one[k] ?? 0);
   const widest = quantity(Math.max(...bars), unitOfOutput(output), 2);
-  return `${plain(output)} over ${plain(load)} by ${sweep.method}. The band is its 95 % error bar, at most ± ${widest}; ${share} % of the line is covered; ${drawn}.`;
+  return `${plain(output)} over ${plain(load)} by ${sweep.method}. The band is its 95 % error bar, ${sweep.bars_are_whole ? "" : "without what the solver's mesh is off, which is not known, "}at most ± ${widest}; ${share} % of the line is covered; ${drawn}.`;
 }
 
 function picture(state, shade) {

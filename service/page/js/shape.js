@@ -55,6 +55,7 @@ async function stageOf(stage, about, wrench, shape, signal) {
   put(stage,
     el("div", { class: "line" }, pill(shape.coverage), el("span", { class: "muted small" }, sourceOf(shape))),
     shape.reason ? note(shape.coverage, shape.reason) : null,
+    warned(shape),
     view.root,
     el("div", { class: "line" }, el("label", { for: "magnify" }, "Magnified"), told,
       el("button", { type: "button", class: "small", onclick: () => set(1, true) }, "True scale"),
@@ -69,6 +70,20 @@ async function stageOf(stage, about, wrench, shape, signal) {
 
 const round = (factor) => (factor > 2 ? Number(factor.toPrecision(2)) : Math.round(factor * 100) / 100);
 const said = (about, largest) => `The deformed surface of ${about.name}; its largest displacement is ${quantity(largest, "m")}.`;
+
+const BEYOND = "A bar is over the tolerance by the solver's own error, of its mesh say. More solves do not lower that; the component's overview says what does.";
+
+function warned({ coverage, error_parts: parts, within_tolerance: within }) {
+  if (parts && parts.mesh === null) return note("thin", `The bars lack what the solver's own mesh is off: ${parts.mesh_basis}.`);
+  return coverage === "covered" && within === false ? note("thin", BEYOND) : null;
+}
+
+const CAUSES = ["table", "mesh", "linearity"];
+
+function sharesOf(parts) {
+  if (!parts) return "";
+  return CAUSES.filter((cause) => cause in parts).map((cause) => `${cause} ${parts[cause] === null ? "not known" : quantity(parts[cause], "m", 2)}`).join(", ");
+}
 
 function sourceOf(shape) {
   if (shape.source === "row") return `a solve of this wrench, row ${shape.rows[0]}`;
@@ -108,6 +123,7 @@ function measured(shape, sizes, largest) {
   const found = shape.stress;
   return facts([
     ["Largest displacement", `${quantity(largest, "m", 4)}${bar === null ? "" : ` ± ${quantity(bar, "m", 2)}`} at ${at(where)}`],
+    ["Its bars, at most", sharesOf(shape.error_parts)],
     ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : ` ± ${stress(found.error)}`} at ${at(found.at)}` : "not told between rows here"],
     ["Yields", found && found.yields !== null ? (found.yields ? "yes" : `no: ${stress(found.yield_strength)} is borne`) : ""],
     ["Surface", `${shape.vertices.length} points, ${shape.triangles.length} triangles${shape.simplified ? `, simplified from ${shape.simplified.from} points` : ""}`],

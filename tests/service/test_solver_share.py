@@ -1,0 +1,207 @@
+"""The solver's own share of a surface's bars: what the interface is off, followed by the body."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fea.accuracy.estimate import accuracy_of
+from fea.solve import Solver
+from service.fields.deformed import DeformedShapes
+from service.fields.solver_share import LOCAL, NOT_FOLLOWED, error_parts, following
+from service.fields.store import FieldStore
+from service.fields.vtu import write_vtu
+from surrogate.solver_error import UNKNOWN, SolverError
+from surrogate.table.rows import Rows, Tolerance
+from tests.fea.boxes import box
+from tests.fea.components import component
+from tests.service.surfaces import keep, sheet, solved, solver, wrenches, write_bundle
+
+POINTS = np.array([[0.0, 0, 0], [0.2, -0.1, 0.3], [1.0, 0, 0]])
+LOADS = [10.0] * 3 + [1.0] * 3
+WRENCH = np.array([1.0, -2, 3, 0.1, 0.2, -0.3])
+
+
+def rigid(points):
+    """How points of a rigid body follow it, shape (v, 3, 6), m/m and m/rad."""
+    found = np.zeros((len(points), 3, 6))
+    found[:, :, :3] = np.eye(3)
+    for axis, turn in enumerate(np.eye(3)):
+        found[:, :, 3 + axis] = np.cross(turn, points)
+    return found
+
+
+def compliance():
+    """A compliance of coupled freedoms of unlike units, (6, 6)."""
+    size = np.diag([1e-6, 2e-6, 1e-4, 1e-3, 1e-3, 1e-5])
+    mixed = np.random.default_rng(3).normal(size=(6, 6)) / 3 + np.eye(6)
+    return np.sqrt(size) @ mixed @ mixed.T @ np.sqrt(size)
+
+
+def told(**more):
+    mesh = np.outer([1e-8] * 3 + [1e-7] * 3, np.ones(6))
+    return SolverError({"mesh": mesh.tolist(), "mesh_basis": "words", "loads": LOADS, **more})
+
+
+def parts(solver_error=None, points=POINTS, follows=None):
+    follows = rigid(points) if follows is None else follows
+    return error_parts(np.full(len(points), 1e-9), follows, solver_error, WRENCH)
+
+
+def test_a_rigid_body_follows_its_interface_as_one():
+    own = compliance()
+    np.testing.assert_allclose(following(rigid(POINTS) @ own, own), rigid(POINTS), atol=1e-9)
+
+
+def test_a_locked_freedom_moves_nothing():
+    own = compliance()
+    own[2], own[:, 2] = 0.0, 0.0
+    found = following(rigid(POINTS) @ own, own)
+    np.testing.assert_allclose(found[:, :, 2], 0.0, atol=1e-9)
+    kept = [0, 1, 3, 4, 5]
+    np.testing.assert_allclose(found[:, :, kept], rigid(POINTS)[:, :, kept], atol=1e-9)
+
+
+def test_at_the_interface_the_meshs_share_is_at_least_the_interfaces_own():
+    found, own = parts(told()), np.array(told().parts(WRENCH.tolist())["mesh"])
+    assert found.shares["mesh"][0] >= np.linalg.norm(own[:3])
+    turned = own[:3] + np.array([0.0, own[5], own[4]])  # t + r x (1, 0, 0), of whatever signs
+    assert found.shares["mesh"][2] >= np.linalg.norm(turned)
+
+
+def test_a_vertex_that_is_held_has_no_share():
+    follows = rigid(POINTS)
+    follows[1] = 0.0
+    assert parts(told(), follows=follows).shares["mesh"][1] == 0.0
+
+
+def test_a_vertex_that_moves_by_a_load_alone_has_the_local_share():
+    follows = rigid(POINTS)
+    follows[1] *= 1e-6
+    share = parts(told(), follows=follows).shares["mesh"]
+    assert share[1] == pytest.approx(LOCAL * share.max() / (1 + LOCAL), rel=1e-4)
+
+
+def test_the_total_is_the_sum_of_the_parts_and_names_its_sources():
+    found = parts(told(linearity=[1e-7] * 6, linearity_basis="bent"))
+    assert list(found.shares) == ["table", "mesh", "linearity"]
+    np.testing.assert_allclose(found.total, sum(found.shares.values()))
+    assert found.words == {"mesh_basis": "words", "linearity_basis": "bent"}
+    assert found.told()["mesh"] == found.shares["mesh"].max()
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (None, UNKNOWN),
+        (SolverError({"mesh": None, "mesh_basis": "why not", "loads": LOADS}), "why not"),
+    ],
+)
+def test_a_mesh_that_nothing_tells_of_is_said_to_be_unknown(error, words):
+    found = parts(error)
+    assert found.told() == {"table": 1e-9, "mesh": None, "mesh_basis": words}
+    assert not found.are_whole
+    np.testing.assert_array_equal(found.total, 1e-9)
+
+
+def test_a_surface_that_nothing_ties_to_its_interface_says_so():
+    assert following(rigid(POINTS), np.full((6, 6), np.nan)) is None
+    found = error_parts(np.ones(3), None, told(), WRENCH)
+    assert found.told() == {"table": 1.0, "mesh": None, "mesh_basis": NOT_FOLLOWED}
+
+
+def test_the_bars_of_a_bent_block_hold_what_twice_the_cells_change():
+    """Tetrahedra of first order, far too stiff: their error is no small part of the answer."""
+    coarse, fine = (Solver(component(box("tet4", cells, (1, 1, 4)))) for cells in CELLS)
+    mesh = SolverError(accuracy_of(coarse))
+    places = coarse.component.mesh.points
+    same = np.linalg.norm(places[:, None] - fine.component.mesh.points, axis=2).argmin(axis=1)
+    follows = following(coarse.linear.fields, coarse.compliance)
+    held, ratios = [], []
+    for wrench in np.vstack([np.eye(6), np.random.default_rng(4).uniform(-1, 1, (10, 6))]):
+        error = np.linalg.norm((fine.linear.fields[same] - coarse.linear.fields) @ wrench, axis=1)
+        bars = error_parts(np.zeros(len(places)), follows, mesh, wrench).total
+        free = error > 0
+        held.append((bars >= error)[free])
+        ratios.append((bars / np.where(free, error, 1.0))[free])
+    assert np.mean(np.concatenate(held)) >= 0.9
+    assert np.median(np.concatenate(ratios)) <= 5
+
+
+CELLS = (2, 2, 8), (4, 4, 16)
+
+
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory):
+    """A nonlinear plate, its rows, what its own mesh is off, and answers from its fields."""
+    folder = write_bundle(tmp_path_factory.mktemp("bundles"))
+    own = sheet(folder)
+    fields, rows = solved(folder, wrenches(own, 6))
+    store = FieldStore(tmp_path_factory.mktemp("kept") / "fields")
+    for wrench, one in zip(rows.wrench, fields, strict=True):
+        keep(store, own, wrench, one)
+    shapes = DeformedShapes(store)
+    yield own, rows, SolverError(accuracy_of(solver(folder))), shapes
+    shapes.close()
+
+
+def asked_of(plate):
+    """The wrench of a row, and one between rows."""
+    own, rows, *_ = plate
+    return {"row": rows.wrench[2], "rows": wrenches(own, 1, seed=9)[0]}
+
+
+@pytest.mark.parametrize("source", ["row", "rows"])
+def test_a_surface_has_the_meshs_share_at_a_row_and_between_rows(plate, source):
+    own, rows, mesh, shapes = plate
+    wrench = asked_of(plate)[source]
+    without = shapes.answer(own, rows, wrench)
+    found = shapes.answer(own, rows, wrench, solver=mesh)
+    assert found.source == source
+    np.testing.assert_array_equal(found.displacement, without.displacement)
+    np.testing.assert_allclose(found.error - without.error, found.parts.shares["mesh"], atol=1e-18)
+    # On the patch, which is the interface, at least the interface's own bar for that point.
+    patch = np.linalg.norm(found.geometry.vertices[:, :2], axis=1) < 0.0599
+    patch &= np.abs(found.geometry.vertices[:, 2]) < 1e-9
+    bars = np.array(mesh.parts(wrench.tolist())["mesh"])
+    rigidly = np.linalg.norm(np.abs(rigid(found.geometry.vertices[patch])) @ bars, axis=1)
+    assert patch.sum() > 20
+    assert (found.error[patch] >= rigidly).all()
+
+
+def test_the_meshs_share_leaves_coverage_alone_and_is_held_against_the_tolerance(plate):
+    own, rows, mesh, shapes = plate
+    wrench = asked_of(plate)["row"]
+    for limit, error, within in (
+        (Tolerance(1e-9, 1e-9), mesh, False),
+        (Tolerance(1.0, 1.0), mesh, True),
+        (Tolerance(1.0, 1.0), None, None),
+    ):
+        found = shapes.answer(replace(own, tolerance=limit), rows, wrench, solver=error)
+        assert (found.coverage, found.within_tolerance) == ("covered", within)
+
+
+def test_without_a_bar_of_the_table_there_are_no_parts(plate):
+    own, rows, mesh, shapes = plate
+    few = rows.take([0, 1])
+    found = shapes.answer(own, few, wrenches(own, 1, seed=9)[0], solver=mesh)
+    assert (found.error, found.parts, found.within_tolerance) == (None, None, None)
+
+
+def test_a_linear_surface_has_its_meshs_and_its_linearitys_share(tmp_path):
+    folder = write_bundle(tmp_path, nonlinear=False)
+    own = sheet(folder)
+    asked = wrenches(own, 2)
+    fields, rows = solved(folder, asked)
+    store = FieldStore(tmp_path / "fields")
+    keep(store, own, asked[0], fields[0])
+    shapes = DeformedShapes(store)
+    mesh = SolverError(accuracy_of(solver(folder)))
+    found = shapes.answer(own, rows, asked[1], solver=mesh)
+    assert list(found.parts.shares) == ["table", "mesh", "linearity"]
+    assert (found.parts.shares["linearity"] > 0).any()
+    np.testing.assert_allclose(found.error, found.parts.total)
+    alone = shapes.answer(own, Rows.empty(), asked[1], solver=mesh)
+    assert alone.parts.told()["mesh_basis"] == NOT_FOLLOWED
+    assert b'Name="error_linearity"' in write_vtu(found)
+    shapes.close()
