@@ -151,6 +151,8 @@ def _tell(reply: dict[str, Any]) -> None:
     render.row_errors(out, reply["errors"])
     if reply["ignored"]:
         render.plain(out, f"Columns left out: {', '.join(reply['ignored'])}.")
+    if above := reply.get("above"):  # servers before 0.2 do not tell it
+        render.plain(out, f"Lines above the header left out: {'; '.join(above)}.")
     verb = "would be inserted" if reply["dry_run"] else "inserted"
     out.print(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
     rows = reply["rows"]

@@ -8,15 +8,18 @@ import io
 import re
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import chain, islice
 from pathlib import Path
 from typing import BinaryIO
 
 from service.tablefile.preamble import Preamble
+from service.tablefile.titles import delimiter_in
 
 MOST_LINE = 1 << 20  # characters; a table's widest row, 54 numbers and three texts, has a few 1000
 MOST_RECORD = 4 * MOST_LINE  # a quoted text may go on over many lines
 MOST_BLANK = 1 << 20  # lines one after the other: a spreadsheet has no more in all
 _BLOCK = 1 << 20  # bytes at once
+_MOST_LOOKED_AT = 200  # lines for a header below titles, blank ones and comments among them
 
 _SEPARATOR_LINE = re.compile(r'"?sep=(?P<mark>[,;\t|])"?[,;\t]*\s*', re.IGNORECASE)
 # A line may begin with a spreadsheet's error value; it is a broken row, not a comment.
@@ -109,16 +112,20 @@ def _short(line: str, number: int = 0) -> str:
 
 
 def delimiter_of(lines: Iterator[str]) -> str:
-    """Return the delimiter: told by a ``sep=`` line, else the header's ``;``, tab or ``,``."""
+    """Return the delimiter: told by a ``sep=`` line, else by the header (see `delimiter_in`)."""
     for number, line in enumerate(lines, 1):
         _refuse_blank(number, number)
         told = _SEPARATOR_LINE.fullmatch(line)
         if told:
             return told["mark"]
-        if line.strip() and not is_comment(line) and not _is_preamble(line):
-            bare = _IN_BRACKETS.sub("", line)
-            return next((mark for mark in ";\t" if mark in bare), ",")
+        if _may_be_header(line):
+            rest = (below for below in islice(lines, _MOST_LOOKED_AT) if _may_be_header(below))
+            return delimiter_in(chain([line], rest), lambda text: _IN_BRACKETS.sub("", text))
     return ","
+
+
+def _may_be_header(line: str) -> bool:
+    return bool(line.strip()) and not is_comment(line) and not _is_preamble(line)
 
 
 def _is_preamble(line: str) -> bool:

@@ -70,7 +70,10 @@ class Column:
 
 @dataclass
 class Header:
-    """The columns by name, how many fields a line has, and what is wrong with the header."""
+    """The columns by name, how many fields a line has, and what is wrong with the header.
+
+    `blank` are places without a name, whose cells must be empty; `above` the lines of title.
+    """
 
     width: int
     columns: dict[str, Column] = field(default_factory=dict)
@@ -79,6 +82,8 @@ class Header:
     status: Column | None = None
     sequence: Column | None = None
     preamble: Preamble = field(default_factory=Preamble)
+    blank: list[int] = field(default_factory=list)
+    above: list[str] = field(default_factory=list)
 
 
 def labels_of(cells: Sequence[str]) -> list[str]:
@@ -129,6 +134,10 @@ def read_header(
 
 def _take(header: Header, wanted: _Wanted, place: int, label: str, line: int) -> None:
     """Add one column to the header, or to what is left out of it."""
+    if not label:
+        if not wanted.leaves_extra_out:
+            header.blank.append(place)
+        return
     if wanted.is_ignored(label) or label.lower() in CARRIED:
         header.ignored.append(label)
         return
@@ -158,6 +167,10 @@ class _Wanted:
         self._preamble = preamble
         self._ignore = {_plain(name) for name in options.ignore}
         self._mapping = {_plain(name): target for name, target in options.mapping.items()}
+
+    @property
+    def leaves_extra_out(self) -> bool:
+        return self._options.ignore_extra
 
     def is_ignored(self, label: str) -> bool:
         return bool(label) and bool({_plain(label), _plain(_name(label))} & self._ignore)

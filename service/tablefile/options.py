@@ -104,6 +104,8 @@ class Told:
     columns : list of FoundColumn
     ignored : list of str
         Columns that were left out.
+    above : list of str
+        Lines of title above the header, left out.
     read, tare, unmatched : int
         Rows of the file; of them those whose mean was taken off; those with no load at their time.
     """
@@ -113,6 +115,7 @@ class Told:
     gzip: bool = False
     columns: list[FoundColumn] = field(default_factory=list)
     ignored: list[str] = field(default_factory=list)
+    above: list[str] = field(default_factory=list)
     read: int = 0
     tare: int = 0
     unmatched: int = 0

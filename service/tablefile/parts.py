@@ -130,6 +130,7 @@ def _summary(told: Told, good: int, preview: list[dict[str, Any]]) -> dict[str, 
             {"column": one.label, "name": one.name, "unit": one.unit} for one in told.columns
         ],
         "ignored": told.ignored,
+        "above": told.above,
         "errors": [error.as_dict() for error in told.mistakes.listed()],
         "whole": told.mistakes.whole,
         "preview": preview,

@@ -22,11 +22,11 @@ from service.tablefile.options import FoundColumn, Options, Told
 from service.tablefile.parsed import ParsedTable
 from service.tablefile.preamble import Preamble
 from service.tablefile.spelling import TIME_COLUMN, readings
+from service.tablefile.titles import MOST_COLUMNS, below_titles, is_number
 from service.tablefile.units import UnitError
 
 # Rows as text at once: 30 MB as Python holds their fields, a hundredth of what a million would be.
 PIECE = 20_000
-MOST_COLUMNS = 256  # a name nobody knows is compared with all that are known: 0.3 ms each
 _LINE_END = re.compile(r"\r\n|\r|\n")
 
 Record = tuple[int, list[str]]
@@ -91,7 +91,7 @@ def tables(
     told.columns = [
         FoundColumn(one.label, one.name, one.unit, one.factor) for one in header.columns.values()
     ]
-    told.ignored = header.ignored
+    told.ignored, told.above = header.ignored, header.above
     if header.errors:
         for error in header.errors:
             told.mistakes.ruin(error)
@@ -140,10 +140,11 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
     else:
         message = "the file is empty" if not preamble else "there is no header"
         return Header(0, errors=[RowError(0, "file", message)]), records
+    above, (line, fields), records = below_titles((line, fields), records, options.mapping)
     if any(cell.strip() for cell in fields[MOST_COLUMNS:]):
         message = f"names {len(fields):,} columns; a table has at most {MOST_COLUMNS}"
         return Header(0, errors=[RowError(line, "header", message)]), records
-    if all(_is_number(cell) for cell in fields if cell.strip()):
+    if all(is_number(cell) for cell in fields if cell.strip()):
         message = (
             "there is no header; the first line must name the columns with units, such as "
             "fx [N], ux [mm] (a line that begins with # is a comment)"
@@ -152,12 +153,14 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
     below = next(records, None)
     units = below[1] if below and _is_units_row(labels_of(fields), below[1]) else None
     rest = records if units is not None or below is None else chain([below], records)
-    return head.read_header(fields, line, options, units, preamble), rest
+    found = head.read_header(fields, line, options, units, preamble)
+    found.above = above
+    return found, rest
 
 
 def _is_units_row(labels: list[str], cells: list[str]) -> bool:
     """Tell a row of units below a header that lacks some from the first row of numbers."""
-    if any(_is_number(cell) for cell in cells if cell.strip()):
+    if any(is_number(cell) for cell in cells if cell.strip()):
         return False
     return any(
         cell.strip() and _lacks_unit(label) for label, cell in zip(labels, cells, strict=False)
@@ -170,10 +173,6 @@ def _lacks_unit(label: str) -> bool:
     except UnitError:
         return False
     return any(not unit and name not in head.TEXTS for name, unit, _ in found)
-
-
-def _is_number(cell: str) -> bool:
-    return plain(cell.replace(",", "."), False) is not None
 
 
 def _told(records: Iterator[Record], mistakes: Mistakes) -> Iterator[Record]:
@@ -206,7 +205,7 @@ def _take(
     width = header.width
     if len(fields) > width and not any(cell.strip() for cell in fields[width:]):
         fields = fields[:width]  # a spreadsheet's empty columns on the right
-    message = check(fields, header)
+    message = check(fields, header) or _below_blank(fields, header)
     if message:
         mistakes.append(RowError(line, "line", message))
     else:
@@ -254,3 +253,14 @@ def _question(line: int, label: str, doubtful: str) -> RowError:
         f"decimal={mark} for {one}, or write {other} without the mark"
     )
     return RowError(line, label, message)
+
+
+def _below_blank(fields: list[str], header: Header) -> str:
+    """Say that a value stands below no name; an empty text if none does."""
+    found = next((place for place in header.blank if fields[place].strip()), None)
+    if found is None:
+        return ""
+    return (
+        f"has a value in column {found + 1}, which has no name in the header; name it, or "
+        "leave it out with ignore_extra"
+    )

@@ -44,7 +44,7 @@ def _loads(path: Path, options: Options, told: Told) -> tuple[np.ndarray, np.nda
     own = Told(mistakes=told.mistakes)
     said = replace(options, role="loads", tare=0)
     table = joined(list(columns_of(path, said, own)), own.mistakes)
-    told.columns, told.ignored = own.columns, own.ignored
+    told.columns, told.ignored, told.above = own.columns, own.ignored, own.above
     if own.mistakes:
         told.mistakes.whole = True  # a load that is missing is missing for rows on both its sides
         return None
@@ -70,6 +70,7 @@ def _matched(
             return
         yield _with_loads(piece, time, wrench, longest, options.time_offset_s, told)
     told.columns, told.ignored = told.columns + log.columns, told.ignored + log.ignored
+    told.above = told.above + log.above
     told.read, told.format, told.gzip = log.read, log.format, log.gzip
     if told.read and told.unmatched == told.read and not told.mistakes:
         message = (

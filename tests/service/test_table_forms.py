@@ -274,6 +274,54 @@ BOOK = written(write_xlsx, _ROWS)
 FRAME = written(write_parquet, _ROWS)
 
 
+TITLED = {
+    "titles": "Rig 3, run of 5 May\nOperator: Ann\n\n{header}\n{row}\n",
+    "a title that begins like a column": "Fx test of the plate\n{header}\n{row}\n",
+    "groups": "Force,,,Moment,,,Disp\n{header}\n{row}\n",
+    "a logger's lines": '"Start Time: 5/13/2015"\n{header}\n{row}\n',
+}
+SEVEN = "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],uz [mm]", "1,2,3,0.1,0.2,0.3,-1.5"
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t", "|"])
+@pytest.mark.parametrize("text", TITLED.values(), ids=TITLED.keys())
+def test_a_header_below_titles_is_found_whatever_parts_its_fields(text, mark):
+    header, row = (line.replace(",", mark) for line in SEVEN)
+    table, told = read(text.format(header=header, row=row).encode())
+    assert told.mistakes.listed() == ()
+    assert table.wrench.tolist() == [[1, 2, 3, 0.1, 0.2, 0.3]]
+    assert table.displacement[0, 2] == -1.5e-3
+
+
+def test_the_lines_above_a_header_are_told():
+    _, told = read("Rig 3;;\n\n{};\n{};\n".format(*(s.replace(",", ";") for s in SEVEN)).encode())
+    assert told.above == ["Rig 3"]
+
+
+def test_a_header_below_rows_is_none_and_units_above_it_are_not_guessed():
+    header, row = SEVEN
+    assert "there is no header" in error_of(f"{row}\n{header}\n{row}\n".encode())
+    bare = "fx,fy,fz,mx,my,mz,uz"
+    table, told = read(f"Force [N],,,Moment [Nm],,,Disp [mm]\n{bare}\n{row}\n".encode())
+    assert len(table) == 0
+    assert {error.field for error in told.mistakes.listed()} == set(bare.split(","))
+
+
+def test_columns_without_a_name_may_be_empty_and_nothing_else():
+    header, row = SEVEN
+    table, told = read(f",,{header},,\n,,{row},,\n".encode())
+    assert told.mistakes.listed() == ()
+    assert table.displacement[0, 2] == -1.5e-3
+    assert "column 2, which has no name" in error_of(f",,{header}\n,7,{row}\n".encode())
+
+
+def test_a_label_with_bars_does_not_part_a_header_of_commas():
+    header, row = SEVEN
+    assert "'|F|'" not in error_of(f"{header},|F|\n{row},4\n".encode())
+    table, _ = read(f"{header},|F|\n{row},4\n".encode(), Options(ignore=("|F|",)))
+    assert table.wrench[0, 0] == 1.0
+
+
 @pytest.mark.parametrize("sep", [",", ";"])
 def test_a_header_of_more_columns_than_a_table_has_is_refused_before_each_is_looked_at(sep):
     names = sep.join(f"c{n}" for n in range(100_000))

@@ -107,6 +107,11 @@ _REPLY: Final = {
             "description": "what each column was taken for",
         },
         "ignored": {"type": "array", "items": {"type": "string"}},
+        "above": {
+            "type": "array",
+            "items": {"type": "string"},
+            "description": "lines of title above the header, left out",
+        },
         "preview": {
             "type": "array",
             "items": {
