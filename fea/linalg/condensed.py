@@ -19,8 +19,10 @@ import numpy as np
 
 Array = np.ndarray
 
-_WIDTH = 256
-"""Unknowns in a block column, about; wide enough for BLAS at full speed (measured: 192 to 384)."""
+_WIDTH = 512
+"""Unknowns in a block column, about. Fewer take 10 % longer on a flange whose largest boundary is
+705, and save it 2 MB of 210.
+"""
 
 
 class Condensed(NamedTuple):
@@ -103,15 +105,15 @@ def add_leaf(target: Condensed, matrix: Array) -> None:
 
 def route(part: Condensed, places: Array, eliminated: int, boundary: int) -> Route:
     """Return where a child's unknowns go; `places` as in `Route`, the parent's m and b."""
-    pivots = int(np.searchsorted(places, eliminated))
-    ends = {*(np.flatnonzero(np.diff(places) != 1) + 1).tolist(), *part.starts, pivots}
+    pivots = int(places.searchsorted(eliminated))
+    gaps = np.flatnonzero(places[1:] - places[:-1] != 1) + 1
+    bounds = {*gaps.tolist(), *part.starts, pivots}
     columns = columns_of(boundary)
     if len(columns) > 2:
-        ends.update(np.searchsorted(places, eliminated + np.array(columns)).tolist())
-    bounds = sorted(ends)
-    firsts = places[bounds[:-1]].tolist()
-    stretches = [(low, high, to) for (low, high), to in zip(pairwise(bounds), firsts, strict=True)]
-    return Route(places, pivots, stretches)
+        bounds.update(places.searchsorted([eliminated + column for column in columns]).tolist())
+    ordered = sorted(bounds)
+    firsts = places[ordered[:-1]].tolist()
+    return Route(places, pivots, list(zip(ordered, ordered[1:], firsts, strict=False)))
 
 
 def add_to_pivots(A: Array, B: Array, part: Condensed, way: Route) -> None:
