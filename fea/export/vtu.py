@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import meshio
 import numpy as np
 
 from fea.component import Component
@@ -40,8 +41,6 @@ def write_state(path: Path, component: Component, displacements: Array) -> None:
     OSError
         If the file cannot be written.
     """
-    import meshio  # with all its formats 10 MB and 0.2 s, which no solve needs
-
     mesh = component.mesh
     marks = {"supported": component.fixed_nodes, "interface": component.section.node_ids}
     point_data: dict[str, Any] = {"displacement": displacements}

@@ -44,7 +44,7 @@ class Condensed(NamedTuple):
     blocks: list[Array]
 
     def holding(self, unknown: int) -> tuple[int, Array]:
-        """Return where the block column that holds an unknown starts, and that block."""
+        """Return where the block column of an unknown starts, and it: shape (n - a, b - a), N/m."""
         own = bisect_right(self.starts, unknown) - 1
         return self.starts[own], self.blocks[own]
 
@@ -108,7 +108,7 @@ def add_leaf(target: Condensed, matrix: Array) -> None:
 
 
 def route(part: Condensed, places: Array, eliminated: int, boundary: int) -> Route:
-    """Return where a child's unknowns go; `places` as in `Route`, the parent's m and b."""
+    """Return where a child's unknowns go: `places`, indices, shape (n,), in its parent's m + b."""
     pivots = int(places.searchsorted(eliminated))
     gaps = np.flatnonzero(places[1:] - places[:-1] != 1) + 1
     bounds = {*gaps.tolist(), *part.starts, pivots}

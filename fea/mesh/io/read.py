@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import meshio
 import numpy as np
+from meshio import _mesh
 
 from fea.mesh.io import xdmf
 from fea.mesh.io.abaqus import read_inp
@@ -15,9 +16,6 @@ from fea.mesh.io.raw import Block, MeshFileError, RawMesh, to_mesh
 from fea.mesh.mesh import Mesh
 from fea.spec.problems import BundleError, Problem
 from fea.spec.schema import UNITS
-
-if TYPE_CHECKING:
-    import meshio
 
 Array = np.ndarray
 
@@ -91,9 +89,6 @@ def _read_meshio(path: Path) -> RawMesh:
 
 def _quietly(path: Path) -> meshio.Mesh:
     """Let meshio read, which prints what it dislikes and may end the interpreter."""
-    import meshio  # with all its formats 10 MB and 0.2 s: for files that need it
-    from meshio import _mesh
-
     # It knows this kind in every table but the one of dimensions, and fails on its files.
     _mesh.topological_dimension.setdefault("wedge15", 3)
     said = io.StringIO()
