@@ -16,6 +16,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_array, csr_array
 
 from fea.assembly.body import gather
 from fea.mesh.facets import EDGES
@@ -110,23 +111,37 @@ def _at_corners(pieces: list[_Piece], nodes: int) -> dict[int, Array]:
     totals: dict[int, Array] = {}
     volumes: dict[int, Array] = {}
     for piece in pieces:
-        total = totals.setdefault(piece.material, np.zeros((nodes, 2, 6, 3, 3)))
+        total = totals.setdefault(piece.material, np.zeros((nodes, 2 * 6 * 9)))
         volume = volumes.setdefault(piece.material, np.zeros(nodes))
         own = piece.weights.sum(axis=1)
         fit = np.linalg.pinv(piece.functions)
-        for corner, row in enumerate(fit):
-            told = np.einsum("q,slmqij->mslij", row, piece.fields)
-            np.add.at(total, piece.corners[:, corner], own[:, None, None, None, None] * told)
-            np.add.at(volume, piece.corners[:, corner], own)
+        cells, points = piece.weights.shape
+        by_cell = piece.fields.transpose(2, 3, 0, 1, 4, 5).reshape(cells, points, -1)
+        told = (fit @ by_cell) * own[:, None, None]  # at each cell's corners
+        total += _sums(piece.corners, nodes) @ told.reshape(piece.corners.size, -1)
+        volume += np.bincount(
+            piece.corners.ravel(), np.repeat(own, piece.corners.shape[1]), minlength=nodes
+        )
     return {
-        material: total / np.where(volumes[material] > 0, volumes[material], 1.0)[:, *[None] * 4]
+        material: (
+            total / np.where(volumes[material] > 0, volumes[material], 1.0)[:, None]
+        ).reshape(nodes, 2, 6, 3, 3)
         for material, total in totals.items()
     }
 
 
+def _sums(corners: Array, nodes: int) -> csr_array:
+    """Return the matrix that adds what stands at the cells' corners into the nodes."""
+    count = corners.size
+    entries = (np.ones(count), (corners.ravel(), np.arange(count)))
+    return coo_array(entries, shape=(nodes, count)).tocsr()
+
+
 def _energy(piece: _Piece, smooth: Array) -> Array:
     """Return the strain energies (6, 6) of the differences of smooth and found fields, twice."""
-    told = np.einsum("qc,mcslij->slmqij", piece.functions, smooth[piece.corners], optimize=True)
+    cells, corners = piece.corners.shape
+    told = piece.functions @ smooth[piece.corners].reshape(cells, corners, -1)
+    told = told.reshape(cells, -1, 2, 6, 3, 3).transpose(2, 3, 0, 1, 4, 5)
     strain, stress = told - piece.fields
     if piece.projected:
         strain, stress = _deviatoric(strain), _deviatoric(stress)

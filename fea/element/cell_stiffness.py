@@ -133,13 +133,13 @@ class CellStiffness(ABC):
             state.tangent(out[own])
         return out
 
-    def small_strain_forces(self, fields: Array) -> Array:
+    def small_strain_forces(self, fields: Array, first: int = 0) -> Array:
         """Return the forces of several small displacement fields, by way of their stresses.
 
         Parameters
         ----------
         fields
-            Shape (k, cells, 3, nodes), m.
+            Shape (k, cells, 3, nodes), m: of the cells from `first` on.
 
         Returns
         -------
@@ -147,21 +147,22 @@ class CellStiffness(ABC):
             Shape (k, cells, 3, nodes), N.
         """
         forces = np.empty_like(fields)
-        for part in self._parts():
-            _, stress = self._small_strain(fields[:, part], part)
-            slopes = self.gradients.slopes[part]
+        for part in self._parts(fields.shape[1]):
+            own = slice(first + part.start, first + part.stop)
+            _, stress = self._small_strain(fields[:, part], own)
+            slopes = self.gradients.slopes[own]
             cells, points, _, nodes = slopes.shape
             stacked = stress.transpose(0, 1, 3, 2, 4).reshape(len(fields), cells, 3, 3 * points)
             forces[:, part] = stacked @ slopes.reshape(cells, 3 * points, nodes)
         return forces
 
-    def strain_energy_products(self, fields: Array) -> Array:
+    def strain_energy_products(self, fields: Array, first: int = 0) -> Array:
         """Integrate strain : C : strain for pairs of small displacement fields.
 
         Parameters
         ----------
         fields
-            Shape (k, cells, 3, nodes), m.
+            Shape (k, cells, 3, nodes), m: of the cells from `first` on.
 
         Returns
         -------
@@ -170,8 +171,9 @@ class CellStiffness(ABC):
         """
         count = len(fields)
         total = np.zeros((count, count))
-        for part in self._parts():
-            strain, stress = self._small_strain(fields[:, part], part)
+        for part in self._parts(fields.shape[1]):
+            own = slice(first + part.start, first + part.stop)
+            strain, stress = self._small_strain(fields[:, part], own)
             total += strain.reshape(count, -1) @ stress.reshape(count, -1).T
         return total
 
@@ -230,6 +232,7 @@ class CellStiffness(ABC):
         strain = 0.5 * (H + H.swapaxes(3, 4))
         return strain, self.small_stress(strain, part)
 
-    def _parts(self) -> Iterator[slice]:
-        for start in range(0, len(self), _CHUNK):
-            yield slice(start, start + _CHUNK)
+    def _parts(self, cells: int | None = None) -> Iterator[slice]:
+        count = len(self) if cells is None else cells
+        for start in range(0, count, _CHUNK):
+            yield slice(start, min(start + _CHUNK, count))

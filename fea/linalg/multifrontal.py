@@ -11,12 +11,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.linalg.blas import get_blas_funcs
 from scipy.linalg.lapack import get_lapack_funcs
 
+from fea.linalg.condensed import (
+    Condensed,
+    add_leaf,
+    add_to_boundary,
+    add_to_pivots,
+    products,
+    route,
+)
 from fea.linalg.nested_dissection import Dissection, Substructure
 
 Array = np.ndarray
@@ -114,7 +122,7 @@ class _CholeskyFront:
 
     __slots__ = ("L", "W", "pivots")
 
-    def __init__(self, A: Array, B: Array, C: Array) -> None:
+    def __init__(self, A: Array, B: Array) -> None:
         L, info = _potrf(A, lower=1, clean=0, overwrite_a=1)
         if info:
             raise NotDefinite
@@ -124,9 +132,9 @@ class _CholeskyFront:
         self.pivots = np.diagonal(L) ** 2
         self.L, _ = _trttf(L, uplo="L")
 
-    def condense(self, C: Array) -> Array:
-        """Take from the boundary stiffness what the eliminated unknowns give way."""
-        return _syrk(-1.0, self.W, beta=1.0, c=C, trans=1, lower=1, overwrite_c=1)
+    def products(self, boundary: int) -> Condensed:
+        """Return by how much the boundary is less stiff for what is eliminated here."""
+        return products(self.W, self.W, _square)
 
     def forward(self, x: Array, part: Substructure) -> None:
         own = slice(part.start, part.stop)
@@ -143,12 +151,16 @@ class _CholeskyFront:
         x[own] = _tfsm(1.0, self.L, y, uplo="L", trans="T")
 
 
+def _square(columns: Array) -> Array:
+    return _syrk(1.0, columns, trans=1, lower=1)
+
+
 class _LUFront:
     """LU of the pivot block and A^-1 B of one substructure."""
 
     __slots__ = ("A", "B", "W", "lu", "swaps")
 
-    def __init__(self, A: Array, B: Array, C: Array) -> None:
+    def __init__(self, A: Array, B: Array) -> None:
         self.A = A = np.tril(A) + np.tril(A, -1).T
         self.lu, self.swaps, info = _getrf(A)
         if info > 0:  # exactly singular: the factor is of use for naming the place only
@@ -157,8 +169,8 @@ class _LUFront:
         self.B = B
         self.W = _getrs(self.lu, self.swaps, B)[0] if B.size else B
 
-    def condense(self, C: Array) -> Array:
-        return C - self.B.T @ self.W
+    def products(self, boundary: int) -> Condensed:
+        return products(self.B, self.W, None)
 
     @property
     def pivots(self) -> Array:
@@ -188,23 +200,18 @@ def _eliminate(dissection: Dissection, leaf: Leaf, kind: type) -> tuple[list, Ar
     """
     diagonal = np.zeros(dissection.unknowns)
     fronts: list = []
-    condensed: dict[int, Array] = {}
+    condensed: dict[int, Condensed] = {}
     for number, part in enumerate(dissection.substructures):
         if part.children:
-            A, B, C = _join(part, condensed)
+            front, handed_on = _branch(part, condensed, kind)
         else:
             matrix = leaf(number)
             own = np.diagonal(matrix)
             diagonal[part.start : part.stop] += own[: part.eliminated]
             diagonal[part.boundary] += own[part.eliminated :]
-            A, B, C = _cut_blocks(matrix, part.eliminated)
-        if not part.eliminated:
-            fronts.append(_EMPTY)
-            condensed[number] = C
-            continue
-        front = kind(A, B, C)
+            front, handed_on = _leaf(part, matrix, kind)
         fronts.append(front)
-        condensed[number] = front.condense(C) if C.size else C
+        condensed[number] = handed_on
     return fronts, diagonal
 
 
@@ -214,60 +221,47 @@ class _EmptyFront:
     pivots = np.empty(0)
     negatives = 0
 
+    def products(self, boundary: int) -> Condensed:
+        none = np.empty((0, boundary), order="F")
+        return products(none, none, None)
+
 
 _EMPTY = _EmptyFront()
 
 
-def _cut_blocks(leaf: Array, eliminated: int) -> tuple[Array, Array, Array]:
-    own, rest = slice(0, eliminated), slice(eliminated, None)
-    return (
-        leaf[own, own].copy(order="F"),
-        leaf[own, rest].copy(order="F"),
-        leaf[rest, rest].copy(order="F"),
-    )
+def _leaf(part: Substructure, matrix: Array, kind: type) -> tuple[Any, Condensed]:
+    """Return the front of a leaf and what it hands on."""
+    own, rest = slice(0, part.eliminated), slice(part.eliminated, None)
+    matrix = matrix.T  # symmetric; so its columns lie together as a front's do
+    front = _EMPTY
+    if part.eliminated:
+        front = kind(matrix[own, own].copy(order="F"), matrix[own, rest].copy(order="F"))
+    handed_on = front.products(part.boundary.size)
+    add_leaf(handed_on, matrix[rest, rest])
+    return front, handed_on
 
 
-def _join(part: Substructure, condensed: dict[int, Array]) -> tuple[Array, Array, Array]:
-    """Add the condensed stiffness of two parts.
+def _branch(
+    part: Substructure, condensed: dict[int, Condensed], kind: type
+) -> tuple[Any, Condensed]:
+    """Return the front of a branch and what it hands on; what its parts did is dropped.
 
     Places ascend, so lower triangles stay lower.
     """
-    own, rest = part.eliminated, part.boundary.size
-    A = np.zeros((own, own), order="F")
-    B = np.zeros((own, rest), order="F")
-    C = np.zeros((rest, rest), order="F")
-    for child, places in zip(part.children, part.places, strict=True):
-        S = condensed.pop(child)
-        count = int(np.searchsorted(places, own))
-        first, second = _runs(places[:count]), _runs(places[count:] - own)
-        _add_lower(A, S[:count, :count], places[:count], first)
-        _add(B.T, S[count:, :count], second, first)
-        _add_lower(C, S[count:, count:], places[count:] - own, second)
-    return A, B, C
-
-
-def _runs(places: Array) -> list[tuple[slice, slice]]:
-    """Split ascending places into stretches without gaps: (from, to) slices."""
-    if not places.size:
-        return []
-    ends = np.flatnonzero(np.diff(places) != 1) + 1
-    bounds = [0, *ends.tolist(), places.size]
-    return [
-        (slice(low, high), slice(int(places[low]), int(places[low]) + high - low))
-        for low, high in pairwise(bounds)
+    eliminated, boundary = part.eliminated, part.boundary.size
+    ways = [
+        route(condensed[child], places, eliminated, boundary)
+        for child, places in zip(part.children, part.places, strict=True)
     ]
-
-
-def _add_lower(target: Array, part: Array, places: Array, runs: list) -> None:
-    """Add a lower triangle at ascending places, a stretch of columns at a time.
-
-    Stretch by stretch in both directions would be thousands of additions of a few numbers each.
-    """
-    for source, columns in runs:
-        target[places[source.start :], columns] += part[source.start :, source]
-
-
-def _add(target: Array, part: Array, rows: list, columns: list) -> None:
-    for source_row, row in rows:
-        for source_column, column in columns:
-            target[row, column] += part[source_row, source_column]
+    front = _EMPTY
+    if eliminated:
+        A = np.zeros((eliminated, eliminated), order="F")
+        B = np.zeros((eliminated, boundary), order="F")
+        for child, way in zip(part.children, ways, strict=True):
+            add_to_pivots(A, B, condensed[child], way)
+        front = kind(A, B)
+        del A, B  # the factor has them
+    handed_on = front.products(boundary)
+    for child, way in zip(part.children, ways, strict=True):
+        add_to_boundary(handed_on, condensed.pop(child), way, eliminated)
+    return front, handed_on

@@ -14,7 +14,6 @@ from fea.mesh.io.read import read_mesh
 from fea.mesh.mesh import FacetGroup, Mesh
 from fea.validation.boxes import box
 from fea.validation.clamped import clamped, shipped
-from tests.fea.geometry import require_gmsh
 
 NAMES = ("flange", "cheese", "box", "plate", "block")
 
@@ -64,6 +63,8 @@ def _cheese(occ) -> None:
 
 
 def _write(path: Path, draw, size: float) -> None:
+    from tests.fea.geometry import require_gmsh  # pytest, 9 MB, is no part of a solve
+
     gmsh = require_gmsh()
     start(gmsh)
     try:
