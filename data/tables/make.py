@@ -73,6 +73,8 @@ def plain() -> None:
     )
     comma = [german[0], *(line.replace(".", ",") for line in german[1:])]
     text("german.csv", ["# Messung 3. Mai", *comma], "cp1252", "\r\n")
+    titles = ["Rig 3: stiffness of the mounting plate", "Ann, 5 May", ""]
+    text("titled.csv", [*titles, *("|" + line for line in lines(SI, measured().tolist(), "|"))])
 
 
 def mistakes() -> None:
@@ -163,6 +165,11 @@ REPLIES: dict[str, dict[str, Any]] = {
     "spelled.csv": {**ALL_IN, "format": "csv"},
     "units_row.txt": {**ALL_IN, "format": "csv"},
     "german.csv": {**ALL_IN, "format": "csv", "query": ZERO},
+    "titled.csv": {
+        **ALL_IN,
+        "format": "csv",
+        "above": ["Rig 3: stiffness of the mounting plate", "Ann, 5 May"],
+    },
     "gzipped.csv.gz": {**ALL_IN, "format": "csv", "gzip": True},
     "uncertainty.csv": {**ALL_IN, "format": "csv"},
     "formula_notes.csv": {**ALL_IN, "format": "csv"},

@@ -54,7 +54,7 @@ def test_a_sample_file_gets_the_reply_that_is_told(sent, name: str):
     assert found == [(row, field) for row, field, _ in errors]
     for error, (_, _, says) in zip(body["errors"], errors, strict=True):
         assert says in error["message"]
-    for word in ("inserted", "format", "gzip", "ignored"):
+    for word in ("inserted", "format", "gzip", "ignored", "above"):
         if word in told:
             assert body[word] == told[word], word
     for word in ROWS:
@@ -69,7 +69,7 @@ def test_every_row_of_a_sample_file_is_accounted_for(sent, name: str):
 
 
 @pytest.mark.parametrize(
-    "name", ["pounds_and_thou.csv", "spelled.csv", "units_row.txt", "tare.csv"]
+    "name", ["pounds_and_thou.csv", "spelled.csv", "units_row.txt", "tare.csv", "titled.csv"]
 )
 def test_units_spellings_and_tare_give_the_same_wrenches(sent, name: str):
     plain = sent["plain_si.csv"].json()["preview"][0]["wrench"]
