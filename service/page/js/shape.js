@@ -124,7 +124,7 @@ function measured(shape, sizes, largest) {
   return facts([
     ["Largest displacement", `${quantity(largest, "m", 4)}${bar === null ? "" : ` ± ${quantity(bar, "m", 2)}`} at ${at(where)}`],
     ["Its bars, at most", sharesOf(shape.error_parts)],
-    ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : ` ± ${stress(found.error)}`} at ${at(found.at)}` : "not told between rows here"],
+    ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : ` ± ${stress(found.error)} (of the table alone)`} at ${at(found.at)}` : "not told between rows here"],
     ["Yields", found && found.yields !== null ? (found.yields ? "yes" : `no: ${stress(found.yield_strength)} is borne`) : ""],
     ["Surface", `${shape.vertices.length} points, ${shape.triangles.length} triangles${shape.simplified ? `, simplified from ${shape.simplified.from} points` : ""}`],
   ]);
