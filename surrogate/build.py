@@ -53,6 +53,6 @@ def build(
         version=version,
         before=before if isinstance(before, kind) else None,
     )
-    table.solver_error = None if solver_error is None else solver_error.grown(rows)
+    table.solver_error = None if solver_error is None else solver_error.grown(rows, load_range)
     table.bars_are_whole = bars_are_whole(rows, solver_error)
     return table

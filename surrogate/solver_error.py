@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from .table.rows import Floats, Rows
+from .table.rows import Floats, LoadRange, Rows
 
 _NEGLIGIBLE = 1e-6
 """Of a bar at full load, below which a load's share of it is left out: an estimate has 1 digit."""
@@ -71,6 +71,14 @@ class SolverError:
         self._bends = self._square.tolist() if self._square.any() else None
 
     @property
+    def can_grow(self) -> bool:
+        """Whether rows can tell how the mesh's share grows, or there is nothing to tell.
+
+        False of what was estimated before ``mesh_stiffness`` was told.
+        """
+        return self.mesh is None or "linearity" in self.told or "mesh_stiffness" in self.told
+
+    @property
     def packed(self) -> tuple[Floats, Floats, Floats]:
         """The arrays that `widened` is made of, for a program that has only those.
 
@@ -83,7 +91,7 @@ class SolverError:
         """Return it from what was stored; None of nothing."""
         return None if told is None else cls(told)
 
-    def grown(self, rows: Rows) -> SolverError:
+    def grown(self, rows: Rows, load_range: LoadRange | None = None) -> SolverError:
         """Return this with what solved rows tell of the mesh's share beyond small loads.
 
         ``mesh_growth`` is the least that, growing with the square of the largest load over its
@@ -96,6 +104,9 @@ class SolverError:
         rows : Rows
             Of one version of a table; those without tangents or outputs, measured ones and those
             beyond the range tell nothing.
+        load_range : LoadRange, optional
+            The table's. Without it a row is beyond the range where a load is larger than the
+            largest of either sign.
         """
         if self.mesh is None or self.linearity is not None or "mesh_stiffness" not in self.told:
             return self
@@ -104,6 +115,8 @@ class SolverError:
         size = np.abs(wrench)
         part = (size * one_over).max(axis=1, initial=0.0)
         inside = (part > 0.0) & (part <= 1.0 + _NEGLIGIBLE)
+        if load_range is not None:
+            inside &= ~load_range.exceeded(wrench).any(axis=1)
         wrench, moved, tangent, size, part = (
             of[inside] for of in (wrench, moved, tangent, size, part)
         )

@@ -28,7 +28,8 @@ def over_tolerance(
     """Return what of `fea.accuracy.estimate.accuracy_of` is over a tolerance, m and rad.
 
     No solve lowers it: a component whose mesh alone is over its tolerance has covered answers
-    beyond it, each with a bar that says so. At the full range, all loads at once.
+    beyond it, each with a bar that says so. At the full range, all loads at once, with what solved
+    rows have told since (``mesh_growth``).
     """
     if told is None:
         return []
@@ -36,7 +37,8 @@ def over_tolerance(
     allowed = np.repeat([translation, rotation], 3)
     found = []
     if told.get("mesh") is not None:
-        found += _of_mesh(np.array(told["mesh"]) @ loads, allowed, told.get("cell_size"))
+        bars = np.array(told["mesh"]) @ loads + np.array(told.get("mesh_growth", 0.0))
+        found += _of_mesh(bars, allowed, told.get("cell_size"))
     if told.get("linearity") is not None:
         found += _of_linearity(np.array(told["linearity"]), allowed)
     return found + _of_buckling(told.get("buckling"))

@@ -14,7 +14,7 @@ from fea.mesh.facets import EDGES
 from fea.mesh.mesh import Mesh
 from fea.solve import Solver
 from fea.spec.problems import BundleError
-from fea.spec.schema import Bundle, LoadRange
+from fea.spec.schema import FREEDOMS, Bundle, LoadRange
 
 Array = np.ndarray
 
@@ -41,7 +41,8 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
         wrench is this times the size of each load. ``mesh_stiffness``: shape (6, 6), the inverse
         units: what the mesh adds to the stiffness, signed. ``mesh_basis``, in words.
         ``cell_size``: the middle one of all edges' lengths, m. ``loads``: the largest of the range,
-        six, N and N·m. Of a linear component also ``linearity`` (six numbers, m and rad, or None)
+        six, N and N·m, 0 on locked freedoms: the guide takes these. Of a linear component also
+        ``linearity`` (six numbers, m and rad, or None)
         and ``buckling`` (or None): see `fea.accuracy.beyond_linear`; ``linearity_basis``.
 
     Raises
@@ -119,10 +120,15 @@ def unknown_of_deck(bundle: Bundle) -> dict[str, Any]:
 
 
 def _largest(bundle: Bundle | None) -> list[float]:
-    """Return the largest of each load in the component's range, N and N·m."""
+    """Return the largest of each load in the range, N and N·m, 0 where a guide takes it.
+
+    A share that grows with the square of the largest load must not grow with one that is not felt.
+    """
     if bundle is None:
         return [1.0] * 6
-    return np.maximum(np.abs(bundle.range.low), np.abs(bundle.range.high)).tolist()
+    largest = np.maximum(np.abs(bundle.range.low), np.abs(bundle.range.high))
+    locked = bundle.interface.locked if bundle.interface else ()
+    return np.where([one in locked for one in FREEDOMS], 0.0, largest).tolist()
 
 
 def _linearity(solver: Solver, loads: LoadRange) -> dict[str, Any]:

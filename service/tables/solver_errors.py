@@ -35,10 +35,16 @@ class SolverErrors:
         self._lock = threading.Lock()
 
     def claim(self, component: str, fingerprint: str) -> bool:
-        """Return whether a solve that starts now shall estimate; one at a time in this process."""
+        """Return whether a solve that starts now shall estimate; one at a time in this process.
+
+        It shall too where an older version's estimate lacks what rows tell the growth of bars by.
+        """
         key = component, fingerprint
         with self._lock:
-            if key in self._claimed or self.read(*key) is not None:
+            if key in self._claimed:
+                return False
+            known = self.read(*key)
+            if known is not None and known.can_grow:
                 return False
             self._claimed.add(key)
             return True

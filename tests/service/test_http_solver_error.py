@@ -23,6 +23,7 @@ from tests.service.test_runjob_evidence import BUNDLE
 WRENCH = [400.0, -30.0, 20.0, 5.0, -6.0, 7.0]
 DETAIL = {"force": WRENCH[:3], "moment": WRENCH[3:], "detail": True}
 TOLD = {"mesh": np.eye(6).tolist(), "loads": [1.0] * 6, "mesh_basis": "words"}
+WHOLE = TOLD | {"mesh_stiffness": np.eye(6).tolist()}
 
 
 @pytest.fixture(scope="module")
@@ -139,9 +140,18 @@ def test_one_solve_at_a_time_estimates_and_another_one_if_that_told_nothing(tmp_
     assert errors.claim("bar", "f1")
     errors.settle("bar", "f1", {"mesh": "nonsense"})
     assert errors.claim("bar", "f1")
-    errors.settle("bar", "f1", TOLD)
+    errors.settle("bar", "f1", WHOLE)
     assert not errors.claim("bar", "f1")
     assert errors.claim("bar", "f2")
+
+
+def test_an_estimate_that_no_row_can_make_grow_is_made_again(tmp_path):
+    errors = SolverErrors(tmp_path)
+    errors.settle("bar", "f1", TOLD)
+    assert errors.claim("bar", "f1")
+    for known in (WHOLE, TOLD | {"linearity": None}, TOLD | {"mesh": None}):
+        errors.settle("bar", "f1", known)
+        assert not errors.claim("bar", "f1")
 
 
 def test_a_damaged_estimate_is_as_none_and_is_made_again(tmp_path):

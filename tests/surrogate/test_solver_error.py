@@ -122,6 +122,14 @@ def test_rows_of_a_linear_part_and_measured_ones_tell_of_no_growth():
     assert not SolverError(told).grown(measured).growth.any()
 
 
+def test_rows_beyond_a_range_that_is_not_symmetric_tell_of_no_growth():
+    pulled = LoadRange(np.array([-0.1, -1, -1, -1, -1, -1]), np.ones(6))
+    error = SolverError(SOFT)
+    assert not build(column([0.8]), pulled, solver_error=error).solver_error.growth.any()
+    pushed = LoadRange(-np.ones(6), np.array([0.1, 1, 1, 1, 1, 1]))
+    assert build(column([0.8]), pushed, solver_error=error).solver_error.growth[2] > 0
+
+
 def test_growth_told_twice_is_the_same_and_goes_with_the_table_file(tmp_path):
     rows, span = column([0.3, 0.8]), LoadRange(-np.ones(6), np.ones(6))
     error = SolverError(SOFT).grown(rows)

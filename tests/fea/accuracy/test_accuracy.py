@@ -110,6 +110,16 @@ def test_rows_near_buckling_tell_that_the_mesh_counts_for_more(tmp_path):
     assert np.median(after[0, 1:3] / true[0, 1:3]) < 5
 
 
+def test_a_load_that_the_guide_takes_widens_no_bar(tmp_path):
+    guided = COLUMN.replace('coupling = "rigid"', 'coupling = "rigid"\nlocked = ["uy", "rz"]')
+    (tmp_path / "component.toml").write_text(guided)
+    told = accuracy_of(Solver(read_bundle(tmp_path)))
+    assert told["loads"] == [3000, 0, 10, 1, 1, 0]
+    error = SolverError(told | {"mesh_growth": [1e-6] * 6})
+    alone, taken = [-100.0, 0, 1, 0, 0, 0], [-100.0, 10, 1, 0, 0, 1]
+    assert error.widened((0.0,) * 6, alone) == error.widened((0.0,) * 6, taken)
+
+
 def test_the_bar_of_a_bracket_at_12_mm_holds_what_its_mesh_is_off(bracket):
     """Cells of half the size are 3 % off; those of a sixth, which take a minute, 4.7 %."""
     told = accuracy_of(bracket)
