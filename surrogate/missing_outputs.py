@@ -260,7 +260,10 @@ class MissingOutputs:
 
 
 def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
-    """Return which outputs the same rows hold, and those rows, 0 in the place of all others."""
+    """Return which outputs the same rows hold, and those rows, 0 in the place of all others.
+
+    Their slopes are 0 too: slopes of a displacement that is not there would contradict it.
+    """
     known = np.isfinite(rows.displacement)
     outputs_of: dict[bytes, list[int]] = {}
     for output in range(6):
@@ -269,6 +272,13 @@ def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
     for outputs in outputs_of.values():
         held = rows.take(known[:, outputs[0]])
         if len(held):
-            own = np.where(np.isin(np.arange(6), outputs), held.displacement, 0.0)
-            parts.append((tuple(outputs), replace(held, displacement=own)))
+            own = np.isin(np.arange(6), outputs)
+            moved = np.where(own, held.displacement, 0.0)
+            slopes = np.where(own[:, None] | ~_sloped(held), held.compliance, 0.0)
+            parts.append((tuple(outputs), replace(held, displacement=moved, compliance=slopes)))
     return parts
+
+
+def _sloped(rows: Rows) -> NDArray[np.bool_]:
+    """Return which rows bring a whole finite tangent, shape (n, 1, 1)."""
+    return np.isfinite(rows.compliance).all(axis=(1, 2), keepdims=True)

@@ -123,7 +123,9 @@ def conformal_factors(
     size = np.sqrt(np.where(square > 0, square, 1.0))
     scatter = (squares**2).sum(axis=0) / counts / size**4 - 1
     widened = _widened(counts - coefficients, scatter, settings.confidence)
-    tail = _quantile((ratios / size)[told], settings.level)
+    # An output of which nothing is missed (one that no row holds) says nothing of the tail.
+    missed = told & (square > 0)
+    tail = _quantile((ratios / size)[missed if missed.any() else told], settings.level)
     factors = tail * size * widened
     return Factors(factors, widened, (told & (ratios <= factors)).sum(axis=0) / counts)
 

@@ -37,7 +37,7 @@ class Choice:
     reason : str
     errors : dict of str to float
         Root mean square at rows left out, over the outputs' ranges, dimensionless, by method;
-        empty where none were compared.
+        of the outputs that vary; empty where none were compared.
     """
 
     method: str
@@ -86,8 +86,8 @@ def choose(
         return Choice("griddata", "there are too few rows for kriging", {})
     if _interaction_untold(rows, load_range):
         return Choice("griddata", NOT_TOLD, {})
-    size = np.maximum(np.ptp(rows.displacement, axis=0), np.finfo(float).tiny)
     errors, _ = kriging.left_out()
+    size = np.where(kriging.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
     ours = _score(errors, size)
     theirs = _score(_griddata_errors(rows, compose), size)
     scores = {"kriging": ours, "griddata": theirs}
@@ -127,6 +127,11 @@ def _griddata_errors(rows: Rows, compose: Callable[[Rows], Composition]) -> Floa
 
 
 def _score(errors: Floats, size: Floats) -> float:
-    """Return the root mean square of errors (k, 6) over the outputs' ranges (6,)."""
-    known = np.isfinite(errors).any(axis=1)
-    return float(np.sqrt(np.nanmean((errors[known] / size) ** 2)))
+    """Return the root mean square of errors (k, 6) over the outputs' ranges (6,).
+
+    Of the outputs that vary: what a range of rounding, or none, is missed by says nothing.
+    """
+    known, varying = np.isfinite(errors).any(axis=1), size > 0
+    if not (known.any() and varying.any()):
+        return 0.0
+    return float(np.sqrt(np.nanmean((errors[known][:, varying] / size[varying]) ** 2)))

@@ -1,0 +1,88 @@
+"""Measured rows beside solves: of one output alone, or at odds with the solves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surrogate.build import AnyTable, build
+from surrogate.kriging.left_out import conformal_factors
+from surrogate.table.rows import Rows
+from tests.surrogate.calibrating import Shipped, shipped
+
+NOT_UZ = [0, 1, 3, 4, 5]
+
+
+@pytest.fixture(scope="module")
+def plate() -> Shipped:
+    """38 solves of the thin plate with tangents, and 220 wrenches to ask."""
+    return shipped("plate_thin", 24, 14)
+
+
+def middle(plate: Shipped) -> np.ndarray:
+    """Places of the two asked wrenches that are nearest to the middle of the range, (2,)."""
+    scaled = (plate.asked - (plate.load_range.low + plate.load_range.high) / 2) / (
+        plate.load_range.scale
+    )
+    return np.argsort(np.abs(scaled).max(axis=1))[:2]
+
+
+def measured(plate: Shipped, factor: float = 1.0, more: float = 0.0, **columns: object) -> Rows:
+    """Two measured rows in the middle, u_z so many times the truth and so much more, m."""
+    places = middle(plate)
+    moved = plate.true[places].copy()
+    moved[:, 2] = moved[:, 2] * factor + more
+    return Rows.of(plate.asked[places], moved, source=["measured"] * 2, **columns)
+
+
+def uz_alone(rows: Rows) -> Rows:
+    """The same rows without the outputs other than u_z."""
+    moved = rows.displacement.copy()
+    moved[:, NOT_UZ] = np.nan
+    return Rows.of(rows.wrench, moved, source=rows.source.tolist())
+
+
+def others(plate: Shipped) -> np.ndarray:
+    """Which asked wrenches are not measured."""
+    return np.setdiff1d(np.arange(len(plate.asked)), middle(plate))
+
+
+def inside(plate: Shipped, table: AnyTable) -> np.ndarray:
+    """Part of the solver's displacements inside the kriging's bars, (6,)."""
+    chosen = others(plate)
+    told = table.batch(plate.asked[chosen], None, "kriging")
+    return (np.abs(told.displacement - plate.true[chosen]) <= told.error).mean(axis=0)
+
+
+def covered(plate: Shipped, table: AnyTable) -> float:
+    """Part of the wrenches that are not measured that a table covers."""
+    return float((table.batch(plate.asked[others(plate)]).coverage == 0).mean())
+
+
+def test_rows_that_measured_one_output_leave_the_kriging_the_default(plate: Shipped) -> None:
+    table = build(plate.rows + uz_alone(measured(plate)), plate.load_range)
+    told = table.coverage_summary()
+    assert told["method"] == "kriging"
+    assert covered(plate, table) > 0.95
+    assert inside(plate, table).min() >= 0.95
+
+
+def test_errors_left_out_are_finite_where_rows_lack_outputs(plate: Shipped) -> None:
+    for rows in (measured(plate), measured(plate, 1.2), measured(plate, more=2e-3)):
+        table = build(plate.rows + uz_alone(rows), plate.load_range)
+        errors = table.coverage_summary()["errors_left_out"]
+        assert set(errors) == {"kriging", "griddata"}
+        assert np.isfinite(list(errors.values())).all()
+        assert errors["kriging"] < 0.8 * errors["griddata"]
+
+
+def test_outputs_that_no_row_holds_make_no_bar_narrower() -> None:
+    rng = np.random.default_rng(1)
+    errors, ones = rng.standard_t(3, (40, 6)), np.ones((40, 6))
+    whole = conformal_factors(errors, ones, np.abs(errors))
+    only = errors * np.array([0, 0, 1, 0, 0, 0])
+    alone = conformal_factors(only, ones, np.abs(only))
+    single = conformal_factors(errors[:, [2] * 6], ones, np.abs(errors[:, [2] * 6]))
+    assert alone.factors[2] == pytest.approx(single.factors[2])
+    assert alone.factors[2] > 0.5 * whole.factors[2]
+    assert alone.held[2] >= 0.95
