@@ -44,6 +44,7 @@ from surrogate.scene.need import Need
 from surrogate.scene.plan import design_of, plan_of
 from surrogate.solver_error import SolverError
 from surrogate.table.rows import Tolerance
+from surrogate.whole_bars import solver_parts
 
 log = logging.getLogger(__name__)
 
@@ -176,8 +177,10 @@ class Workspace:
         """
         table = self.surrogate(name)
         held = table.kriging.hyperparameters if table.kriging else None
-        solver = self.solver_error(name)
-        return self.shapes.answer(self.library[name], table.rows, wrench, held, solver)
+        component, solver = self.library[name], self.solver_error(name)
+        acting = component.acting(np.asarray(wrench, dtype=float)).tolist()
+        shares = solver_parts(table, acting, table.answer(acting), None)
+        return self.shapes.answer(component, table.rows, wrench, held, solver, shares)
 
     def fill(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,8 +46,16 @@ def derivatives_at(
     """
     asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
     found = surrogate.derivatives(asked, method)
+    for place, tangent in row_tangents(surrogate, asked, tolerance, method):
+        found[place] = tangent
+    return found
+
+
+def row_tangents(
+    surrogate: AnyTable, asked: Floats, tolerance: Tolerance | None, method: str | None
+) -> Iterator[tuple[int, Floats]]:
+    """Yield which of wrenches (n, 6), N and N·m, rows answer, and their tangents (6, 6), SI."""
     for place in np.flatnonzero(surrogate.near_rows(asked)).tolist():
         wrench = asked[place].tolist()
         if surrogate.answer(wrench, tolerance, method).method == "row":
-            found[place] = surrogate.row_tangent(wrench)
-    return found
+            yield place, surrogate.row_tangent(wrench)

@@ -20,6 +20,10 @@ import numpy as np
 
 from .table.rows import Floats, LoadRange, Rows
 
+_MOST_BY_SQUARE = 1.0
+"""Of the share at small loads, at the full range: up to it growth is told by the load's square,
+which at most doubles a bar and needs nothing else; beyond it by each answer's own tangent."""
+
 _NEGLIGIBLE = 1e-6
 """Of a bar at full load, below which a load's share of it is left out: an estimate has 1 digit."""
 
@@ -54,8 +58,10 @@ class SolverError:
         bar = told.get("linearity")
         self.linearity = None if bar is None else _numbers(bar, (6,), "linearity")
         self.growth = _numbers(told.get("mesh_growth", [0.0] * 6), (6,), "mesh_growth")
+        self.stiffness = None
         if "mesh_stiffness" in told:
-            _shaped(told["mesh_stiffness"], (6, 6), "mesh_stiffness")
+            stiffness = _shaped(told["mesh_stiffness"], (6, 6), "mesh_stiffness")
+            self.stiffness = None if "linearity" in told else stiffness
         matrix = np.zeros((6, 6)) if self.mesh is None else self.mesh
         shares = matrix * loads
         small = shares <= _NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
@@ -67,6 +73,9 @@ class SolverError:
             (int(output), int(load), float(self._matrix[output, load]))
             for output, load in np.argwhere(self._matrix)
         ]
+        self.asks_tangent = self.stiffness is not None and bool(
+            (self.growth > _MOST_BY_SQUARE * (self._matrix @ loads)).any()
+        )
         self._one_over = (1.0 / self._loads).tolist()
         self._bends = self._square.tolist() if self._square.any() else None
 
@@ -79,12 +88,16 @@ class SolverError:
         return self.mesh is None or "linearity" in self.told or "mesh_stiffness" in self.told
 
     @property
-    def packed(self) -> tuple[Floats, Floats, Floats]:
+    def packed(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """The arrays that `widened` is made of, for a program that has only those.
 
-        Shape (6, 6), SI; (6,), m and rad; one over the largest loads (6,), 1/N and 1/(N·m).
+        Shape (6, 6), SI; (6,), m and rad; one over the largest loads (6,), 1/N and 1/(N·m); what
+        the mesh adds to the stiffness (6, 6), N/m and so on; whether answers' tangents are asked
+        (1,): 2 always, 1 of rows beyond the range, 0 never.
         """
-        return self._matrix, self._square, np.array(self._one_over)
+        asks = 0.0 if self.stiffness is None else 1.0 + self.asks_tangent
+        stiffness = np.zeros((6, 6)) if self.stiffness is None else self.stiffness
+        return self._matrix, self._square, np.array(self._one_over), stiffness, np.array([asks])
 
     @classmethod
     def read(cls, told: Mapping[str, Any] | None) -> SolverError | None:
@@ -96,8 +109,8 @@ class SolverError:
 
         ``mesh_growth`` is the least that, growing with the square of the largest load over its
         range, makes the share at each row T D u or more. The square is the first term that linear
-        answers lack; where a row is near buckling it is more than the truth at smaller loads and at
-        those that do not push. It says nothing of loads beyond those of the rows.
+        answers lack. Where it more than doubles bars (`asks_tangent`) it stands only for what has
+        no tangent: it would be hundreds of times the truth at loads that do not push.
 
         Parameters
         ----------
@@ -128,14 +141,28 @@ class SolverError:
         return SolverError({**self.told, "mesh_growth": growth.tolist()})
 
     def widened(
-        self, error: tuple[float, ...] | None, wrench: Sequence[float]
+        self,
+        error: tuple[float, ...] | None,
+        wrench: Sequence[float],
+        moved: Floats | None = None,
+        tangent: Floats | None = None,
     ) -> tuple[float, ...] | None:
         """Return bars (6,), m and rad, with the solver's share at a wrench (6,), N and N·m.
 
         None stays, as a whole and in one place: nothing is known there.
+
+        Parameters
+        ----------
+        moved, tangent : ndarray, shapes (6,), m and rad, and (6, 6), SI, optional
+            The displacement there and its tangent, NaN where unknown: they tell the mesh's share
+            where it has grown, for which the square of the load stands without them.
         """
         if error is None:
             return None
+        if moved is not None and tangent is not None:
+            bars = np.array([error], dtype=float)
+            told = self.widened_many(bars, np.array([wrench]), moved[None], tangent[None])[0]
+            return tuple(None if np.isnan(bar) else bar for bar in told.tolist())  # pyright: ignore[reportReturnType]
         sizes, found, terms = list(map(abs, wrench)), list(error), self._terms
         if None in found:
             terms = [term for term in terms if found[term[0]] is not None]
@@ -148,37 +175,67 @@ class SolverError:
         pairs = zip(found, self._bends, strict=True)
         return tuple(None if bar is None else bar + bend * square for bar, bend in pairs)  # pyright: ignore[reportReturnType]
 
-    def widened_many(self, errors: Floats, wrenches: Floats) -> Floats:
-        """Return bars (n, 6), m and rad, to the same digits as `widened` at each of (n, 6)."""
+    def widened_many(
+        self,
+        errors: Floats,
+        wrenches: Floats,
+        moved: Floats | None = None,
+        tangents: Floats | None = None,
+    ) -> Floats:
+        """Return bars (n, 6), m and rad, to the same digits as `widened` at each of (n, 6).
+
+        Displacements (n, 6), m and rad, and tangents (n, 6, 6), SI, are as there.
+        """
         sizes = np.abs(wrenches)
         found = np.array(errors, dtype=float)
         for load in range(6):
             found += self._matrix[:, load] * sizes[:, load, None]
-        if self._bends is not None:
-            most = (sizes * np.array(self._one_over)).max(axis=1, initial=0.0)
-            square = most * most
-            found += self._square * square[:, None]
-        return found
+        return found + self._beyond_small_loads(sizes, moved, tangents)
 
-    def parts(self, wrench: Sequence[float]) -> dict[str, list[float] | None]:
+    def _beyond_small_loads(
+        self, sizes: Floats, moved: Floats | None, tangents: Floats | None
+    ) -> Floats:
+        """Return what loads of a size (n, 6) add to the share at small ones, (n, 6), m and rad."""
+        most = (sizes * np.array(self._one_over)).max(axis=1, initial=0.0)
+        by_square = self._square * (most * most)[:, None]
+        if self.stiffness is None or moved is None or tangents is None:
+            return by_square
+        lacking = np.abs(_product(tangents, _product(self.stiffness[None], moved)))
+        share = _product(self._matrix[None], sizes)
+        # A tangent of zeros is that of a method that has none.
+        known = np.isfinite(lacking).all(axis=1) & (tangents != 0.0).any(axis=(1, 2))
+        return np.where(known[:, None], np.maximum(lacking - share, 0.0), by_square)
+
+    def parts(
+        self, wrench: Sequence[float], moved: Floats | None = None, tangent: Floats | None = None
+    ) -> dict[str, list[float] | None]:
         """Return each cause's share of a bar, (6,), m and rad, at a wrench (6,), N and N·m.
 
-        Of ``mesh``, and of a linear component ``linearity``; None where it is not known.
+        Of ``mesh``, and of a linear component ``linearity``; None where it is not known. Shape (6,)
+        and (6, 6), the displacement and the tangent are as in `widened`.
         """
-        sizes = np.abs(np.asarray(wrench, dtype=float))
-        square = float((sizes * np.array(self._one_over)).max()) ** 2
-        mesh = None
-        if self.mesh is not None:
-            mesh = (self._matrix @ sizes + self.growth * square).tolist()
-        found: dict[str, list[float] | None] = {"mesh": mesh}
-        if "linearity" in self.told:
-            bar = self.linearity
-            found["linearity"] = None if bar is None else (bar * square).tolist()
-        return found
+        sizes = np.abs(np.array([wrench], dtype=float))
+        states = (None if one is None else one[None] for one in (moved, tangent))
+        more = self._beyond_small_loads(sizes, *states)[0]
+        small = _product(self._matrix[None], sizes)[0]
+        if "linearity" not in self.told:
+            return {"mesh": None if self.mesh is None else (small + more).tolist()}
+        return {
+            "mesh": None if self.mesh is None else small.tolist(),
+            "linearity": None if self.linearity is None else more.tolist(),
+        }
 
     def at_full_range(self) -> dict[str, list[float] | None]:
         """Return `parts` at the largest loads of the range, all at once."""
         return self.parts(np.where(np.isfinite(self._loads), self._loads, 0.0).tolist())
+
+
+def _product(matrices: Floats, vectors: Floats) -> Floats:
+    """Return matrices (n or 1, 6, 6) times vectors (n, 6), summed in one order for any n."""
+    found = np.zeros((max(len(matrices), len(vectors)), 6))
+    for column in range(6):
+        found += matrices[:, :, column] * vectors[:, column, None]
+    return found
 
 
 def _that_tell(rows: Rows) -> tuple[Floats, Floats, Floats]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from surrogate.solver_error import UNKNOWN, SolverError
@@ -11,7 +11,11 @@ Bars = Sequence[float | None]
 
 
 def error_parts(
-    table: Bars | None, solver: SolverError | None, wrench: Sequence[float], *, has_fea: bool
+    table: Bars | None,
+    solver: SolverError | None,
+    shares: Mapping[str, Bars | None],
+    *,
+    has_fea: bool,
 ) -> dict[str, Any] | None:
     """Return the shares of a bar as a reply tells them.
 
@@ -21,8 +25,8 @@ def error_parts(
         The table's own bars, six, m and rad; None where it has none.
     solver
         What the solver may be wrong by; None where nothing has told.
-    wrench
-        Six numbers, N and N·m.
+    shares
+        What `SolverError.parts` tells, six an entry, m and rad.
     has_fea
         Whether rows come of a solver at all: measured tables have no share of one.
 
@@ -39,7 +43,7 @@ def error_parts(
         return told
     if solver is None:
         return told | {"mesh": None, "mesh_basis": UNKNOWN}
-    told |= {cause: _split(share) for cause, share in solver.parts(wrench).items()}
+    told |= {cause: _split(share) for cause, share in shares.items()}
     words = {name: said for name, said in solver.told.items() if name.endswith("_basis")}
     return told | words
 

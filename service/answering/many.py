@@ -12,13 +12,14 @@ from starlette.concurrency import run_in_threadpool
 from service.answering.estimates import drop_estimates
 from service.answering.queries import BatchOutcome, BatchQuery, WrenchJob
 from service.answering.refusals import BeyondRangeError, NotCoveredError
-from service.answering.solved import read_row, with_row
+from service.answering.solved import read_row, state_of
 from service.ordering import Placed
 from service.workspace import Workspace
 from surrogate.answer import COVERED
 from surrogate.build import AnyTable
 from surrogate.derivative import derivatives_at
 from surrogate.methods.method import why_beyond
+from surrogate.whole_bars import whole_bars
 
 Places = NDArray[np.intp]
 
@@ -76,8 +77,7 @@ def answered_many(name: str, surrogate: AnyTable, batch: BatchQuery) -> BatchOut
     outcome = BatchOutcome(name, *answers, surrogate.version, elapsed_us, [], method)
     if surrogate.bars_are_whole:
         outcome.tolerance = batch.tolerance or surrogate.tolerance
-    if surrogate.solver_error is not None:
-        outcome.errors = surrogate.solver_error.widened_many(answers.error, batch.wrenches)
+    outcome.errors = whole_bars(surrogate, batch.wrenches, answers, *how)
     drop_estimates(outcome)
     if batch.derivatives:
         outcome.derivatives = derivatives_at(surrogate, batch.wrenches, *how)
@@ -146,8 +146,9 @@ def _take_rows(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) -
         row = workspace.ledger.row(one.job.row)
         asked = batch.wrenches[one.index]
         outcome.displacements[one.index], error = read_row(row, asked, scale)
-        if (solver := with_row(told, row)) is not None:
-            error = solver.widened_many(error[None], asked[None])[0]
+        if told is not None:
+            state = (None if one is None else one[None] for one in state_of(row))
+            error = told.widened_many(error[None], asked[None], *state)[0]
         outcome.errors[one.index] = error
         outcome.coverage[one.index] = COVERED
         if outcome.derivatives is not None:

@@ -12,7 +12,7 @@ from service.answering.estimates import also, drop_estimate
 from service.answering.method_detail import detail_of
 from service.answering.queries import Outcome, Query
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
-from service.answering.solved import read_row, with_row
+from service.answering.solved import read_row, state_of
 from service.client.replies import EXACT, ROUNDED
 from service.ledger import Job
 from service.ordering import Placed
@@ -21,6 +21,7 @@ from surrogate.answer import within_tolerance
 from surrogate.build import AnyTable
 from surrogate.derivative import derivative_at
 from surrogate.methods.method import why_beyond
+from surrogate.whole_bars import solver_parts, whole_bar
 
 
 def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | None:
@@ -129,9 +130,10 @@ async def answered(name: str, surrogate: AnyTable, query: Query) -> Outcome:
 
 def tell_parts(workspace: Workspace, table: AnyTable, query: Query, outcome: Outcome) -> None:
     """Say what the bars of an answer of the table's are the sum of."""
-    own = table.answer(query.wrench, query.tolerance, query.method).error
+    found = table.answer(query.wrench, query.tolerance, query.method)
+    shares = solver_parts(table, query.wrench, found, query.method)
     has_fea = workspace.library.as_read(outcome.component).has_fea
-    outcome.error_parts = error_parts(own, table.solver_error, query.wrench, has_fea=has_fea)
+    outcome.error_parts = error_parts(found.error, table.solver_error, shares, has_fea=has_fea)
 
 
 def _from_table(name: str, surrogate: AnyTable, query: Query) -> Outcome:
@@ -141,7 +143,7 @@ def _from_table(name: str, surrogate: AnyTable, query: Query) -> Outcome:
     elapsed_us = (perf_counter_ns() - started) / 1e3
     displacement, error, coverage, reason, method, missing = answer
     if surrogate.solver_error is not None:
-        error = surrogate.solver_error.widened(error, query.wrench)
+        error = whole_bar(surrogate, query.wrench, answer, query.method)
     source = "table" if displacement else None
     if method == "row":
         source = surrogate.source_of(query.wrench)
@@ -228,15 +230,16 @@ def _take_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) ->
     displacement, error = read_row(row, np.array(query.wrench), scale)
     if query.derivatives:
         outcome.derivative = None if row.compliance is None else np.array(row.compliance)
-    own, solver = tuple(error.tolist()), with_row(workspace.solver_error(outcome.component), row)
+    own, solver = tuple(error.tolist()), workspace.solver_error(outcome.component)
     outcome.displacement, outcome.error = tuple(displacement.tolist()), own
     if solver is not None:
-        outcome.error = solver.widened(own, query.wrench)
+        outcome.error = solver.widened(own, query.wrench, *state_of(row))
     limit = query.tolerance or workspace.library[outcome.component].tolerance
     whole = solver is not None and solver.mesh is not None
     outcome.within_tolerance = within_tolerance(outcome.error, limit) if whole else None
     if query.detail:
-        outcome.error_parts = error_parts(own, solver, query.wrench, has_fea=True)
+        shares = {} if solver is None else solver.parts(query.wrench, *state_of(row))
+        outcome.error_parts = error_parts(own, solver, shares, has_fea=True)
     outcome.coverage, outcome.method, outcome.source = "covered", "row", row.source
     outcome.reason = EXACT if row.wrench == query.wrench else ROUNDED
     outcome.method_detail = detail_of(None, "row") if query.detail else None

@@ -6,8 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.ledger import LedgerRow
-from surrogate.solver_error import SolverError
-from surrogate.table.rows import Rows
 
 Floats = NDArray[np.float64]
 
@@ -42,9 +40,8 @@ def read_row(row: LedgerRow, wrench: Floats, scale: Floats) -> tuple[Floats, Flo
     return solved, bar + share * np.repeat(most, 3)
 
 
-def with_row(known: SolverError | None, row: LedgerRow) -> SolverError | None:
-    """Return what is known of the solver's error, with what a row tells that no table has yet."""
-    if known is None or row.compliance is None:
-        return known
-    columns = {"compliance": [row.compliance], "source": [row.source]}
-    return known.grown(Rows.of([row.wrench], [row.displacement], **columns))
+def state_of(row: LedgerRow) -> tuple[Floats | None, Floats | None]:
+    """Return a row's displacement (6,), m and rad, and tangent (6, 6), SI; None without one."""
+    if row.compliance is None:
+        return None, None
+    return np.array(row.displacement, dtype=float), np.array(row.compliance, dtype=float)

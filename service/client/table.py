@@ -118,7 +118,8 @@ class Table:
         if derivatives and answer.displacement:
             tell, by_row = room("derivative").derivative_at, answer.method == "row"
             derivative = tell(surrogate, asked, method, by_row=by_row)
-        answer = _with_solver_error(surrogate, asked, answer)
+        whole = room("whole_bars").whole_bar(surrogate, asked, answer, method)
+        answer = answer._replace(error=whole)
         body = _reply(surrogate, asked, answer)
         held = room("answer").within_tolerance(answer.error, self._judging(limit))
         body |= {
@@ -149,7 +150,8 @@ class Table:
         started = perf_counter_ns()
         found = surrogate.batch(asked, limit, method)
         elapsed_us = (perf_counter_ns() - started) / 1e3
-        told, errors = None, _widened(surrogate, found.error, asked)
+        errors = room("whole_bars").whole_bars(surrogate, asked, found, limit, method)
+        told = None
         if derivatives:
             told = room("derivative").derivatives_at(surrogate, asked, limit, method)
         held = room("answer").within_tolerance_many(errors, self._judging(limit))
@@ -196,8 +198,9 @@ class Table:
             is not known. The rest of a bar is the table's. Empty of a table that nothing has told
             of, a measured one say.
         """
-        error = self._built.surrogate.solver_error
-        told = {} if error is None else error.parts(one_wrench(force, moment).tolist())
+        asked = one_wrench(force, moment).tolist()
+        table = self._built.surrogate
+        told = room("whole_bars").solver_parts(table, asked, table.answer(asked), None)
         return {cause: share if share is None else np.array(share) for cause, share in told.items()}
 
     def close(self) -> None:
@@ -275,18 +278,6 @@ def _tolerance(tolerance: Any) -> Any:
     if tolerance is None:
         return None
     return room("table.rows").Tolerance(**tolerance_body(tolerance))
-
-
-def _with_solver_error(surrogate: Any, asked: tuple[float, ...], answer: Any) -> Any:
-    """Return an answer whose bars hold what the solver of its rows may be wrong by."""
-    error = surrogate.solver_error
-    return answer if error is None else answer._replace(error=error.widened(answer.error, asked))
-
-
-def _widened(surrogate: Any, bars: Any, asked: Any) -> Any:
-    """Return the bars (n, 6), m and rad, of many answers with the same."""
-    error = surrogate.solver_error
-    return bars if error is None else error.widened_many(bars, asked)
 
 
 def _reply(surrogate: Any, asked: tuple[float, ...], answer: Any) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -95,6 +95,7 @@ class DeformedShapes:
         wrench: Floats,
         held: Hyperparameters | None = None,
         solver: SolverError | None = None,
+        shares: Mapping[str, Sequence[float] | None] | None = None,
     ) -> Deformed:
         """Return the deformed surface under a wrench (6,), N and N·m.
 
@@ -109,6 +110,8 @@ class DeformedShapes:
         solver : SolverError, optional
             What the component's solver may be wrong by; without it bars are of the table alone,
             which `Deformed.parts` says.
+        shares : mapping, optional
+            Its shares at the interface under that wrench (`SolverError.parts`).
 
         Raises
         ------
@@ -125,7 +128,7 @@ class DeformedShapes:
             found = self._own(component, rows, acting) or self._between(
                 component, rows, acting, held
             )
-        found = _whole(component, found, solver)
+        found = _whole(component, found, solver, shares)
         beyond = why_beyond(component.load_range, acting)
         if beyond and found.source != "row":
             return replace(found, coverage="outside", reason=beyond)
@@ -299,11 +302,16 @@ def _any_compliance(component: Component, rows: Rows) -> Floats:
     return own[known[0]] if len(known) else np.full((6, 6), np.nan)
 
 
-def _whole(component: Component, shape: Deformed, solver: SolverError | None) -> Deformed:
+def _whole(
+    component: Component,
+    shape: Deformed,
+    solver: SolverError | None,
+    shares: Mapping[str, Sequence[float] | None] | None,
+) -> Deformed:
     """Return a surface whose bars hold the solver's share too; coverage stays the table's."""
     if shape.error is None:
         return shape
-    parts = error_parts(shape.error, shape.follows, solver, np.array(shape.wrench))
+    parts = error_parts(shape.error, shape.follows, solver, np.array(shape.wrench), shares)
     limit, total, within = component.tolerance, parts.total, None
     if limit is not None and parts.are_whole:
         within = bool(total.max(initial=0.0) <= limit.translation)

@@ -12,6 +12,7 @@ error is no part of what it moves.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -88,7 +89,11 @@ def following(slopes: Floats, compliance: Floats) -> Floats | None:
 
 
 def error_parts(
-    table: Floats, follows: Floats | None, solver: SolverError | None, wrench: Floats
+    table: Floats,
+    follows: Floats | None,
+    solver: SolverError | None,
+    wrench: Floats,
+    shares: Mapping[str, Sequence[float] | None] | None = None,
 ) -> ErrorParts:
     """Return the shares of a surface's bars.
 
@@ -102,20 +107,22 @@ def error_parts(
         What the solver may be wrong by; None where nothing has told.
     wrench
         Shape (6,), N and N·m.
+    shares
+        The interface's, six an entry, m and rad; those at small loads without.
     """
-    shares: dict[str, Floats | None] = {"table": table, "mesh": None}
+    found: dict[str, Floats | None] = {"table": table, "mesh": None}
     if solver is None:
-        return ErrorParts(shares, {"mesh_basis": UNKNOWN})
+        return ErrorParts(found, {"mesh_basis": UNKNOWN})
     words = {name: str(said) for name, said in solver.told.items() if name.endswith("_basis")}
     if follows is None:
-        return ErrorParts(shares, words | {"mesh_basis": NOT_FOLLOWED})
-    for cause, bars in solver.parts(wrench.tolist()).items():
-        shares[cause] = None if bars is None else _carried(follows, np.array(bars))
-    mesh = shares["mesh"]
+        return ErrorParts(found, words | {"mesh_basis": NOT_FOLLOWED})
+    for cause, bars in (shares or solver.parts(wrench.tolist())).items():
+        found[cause] = None if bars is None else _carried(follows, np.array(bars))
+    mesh = found["mesh"]
     if mesh is not None:
         free = follows.any(axis=(1, 2))
-        shares["mesh"] = mesh + LOCAL * mesh.max(initial=0.0) * free
-    return ErrorParts(shares, words)
+        found["mesh"] = mesh + LOCAL * mesh.max(initial=0.0) * free
+    return ErrorParts(found, words)
 
 
 def _carried(follows: Floats, bars: Floats) -> Floats:

@@ -29,7 +29,7 @@ from surrogate.table.rows import CLEAN
 
 METHODS = ("griddata", "tangent", "kriging", "linear", "nearest")  # their numbers in c/wb_table.h
 NO_REFERENCE = -1
-NO_ERROR = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+NO_ERROR = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros((6, 6)), np.zeros(1)
 
 
 class NotExportableError(ValueError):

@@ -13,6 +13,7 @@ from service.gathering.gathering import Envelope
 from surrogate.answer import COVERED, NAMES, OUTSIDE
 from surrogate.build import AnyTable
 from surrogate.table.rows import Tolerance
+from surrogate.whole_bars import whole_bars
 
 Floats = NDArray[np.float64]
 
@@ -62,9 +63,7 @@ def bound_of(surrogate: AnyTable, envelope: Envelope, tolerance: Tolerance | Non
     exact = surrogate.linear and surrogate.fit.complete
     points = np.concatenate([_corners(low, high), envelope.lowest, envelope.highest])
     answers = surrogate.batch(points)
-    if surrogate.solver_error is not None:
-        widened = surrogate.solver_error.widened_many(answers.error, points)
-        answers = answers._replace(error=widened)
+    answers = answers._replace(error=whole_bars(surrogate, points, answers))
     coverage = int(answers.coverage.max(initial=COVERED))
     if exact:
         most = _over_box(surrogate.fit.matrix, low, high) + answers.error.max(axis=0)

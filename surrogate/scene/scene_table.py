@@ -157,6 +157,10 @@ class SceneTable:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
         return any(rows.has(wrench) for rows in self._exact)
 
+    def beyond(self, wrenches: Floats) -> NDArray[np.bool_]:
+        """Return which wrenches (k, 6), N and N·m, are beyond the table's range, shape (k,)."""
+        return np.asarray(self.parts[0].load_range.exceeded(wrenches).any(axis=1))
+
     def near_rows(self, wrenches: Floats) -> NDArray[np.bool_]:
         """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
         near = [rows.near(wrenches) for rows in self._exact]

@@ -10,6 +10,8 @@ from surrogate.solver_error import SolverError
 from surrogate.table.hdf5 import read_table, write_table
 from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange, Rows
+from surrogate.whole_bars import solver_parts, whole_bar, whole_bars
+from tests.surrogate.softening import SHORT, SOFT, column, softening_table
 
 MESH = np.abs(np.random.default_rng(5).normal(size=(6, 6))) * 1e-6
 LOADS = [1e3, 1e3, 2e3, 10.0, 10.0, 0.0]
@@ -61,31 +63,6 @@ def test_what_is_no_estimate_is_refused(told):
         SolverError(told)
 
 
-def column(pushed, stiffer=0.0):
-    """A column of stiffness 1 at its tip, which buckles at a push of 1 and shortens as it bends.
-
-    Rows (k, 6) of F_x = -push and F_z = 0.01: its u_z, and u_x of second order, with tangents.
-    """
-    wrench, moved, tangent = np.zeros((len(pushed), 6)), np.zeros((len(pushed), 6)), []
-    for row, push in enumerate(pushed):
-        stiffness = 1.0 + stiffer - push
-        side = 0.01 / stiffness
-        wrench[row, [0, 2]], moved[row, [0, 2]] = (-push, 0.01), (-0.5 * side**2, side)
-        slopes = np.zeros((6, 6))
-        slopes[2, [0, 2]] = -side / stiffness, 1.0 / stiffness
-        slopes[0] = -side * slopes[2]
-        tangent.append(slopes)
-    return Rows.of(wrench, moved, compliance=tangent, source=["fea"] * len(pushed))
-
-
-SHORT = 0.004  # of the column's compliance: what its mesh lacks
-SOFT = {
-    "mesh": np.diag([0, 0, SHORT, 0, 0, 0]).tolist(),
-    "mesh_stiffness": np.diag([0, 0, SHORT, 0, 0, 0]).tolist(),
-    "loads": [1.0, 1.0, 0.01, 1.0, 1.0, 1.0],
-}
-
-
 def test_the_meshs_share_grows_as_rows_say_where_a_part_softens():
     rows = column([0.0, 0.5, 0.8])
     lacking = column([0.0, 0.5, 0.8], stiffer=-SHORT).displacement - rows.displacement
@@ -94,6 +71,62 @@ def test_the_meshs_share_grows_as_rows_say_where_a_part_softens():
     # T D u is the first order of what the mesh changes: at 0.8 a few in a hundred are left out.
     assert (1.04 * told >= np.abs(lacking)).all()
     assert told[2, 2] < 1.2 * abs(lacking[2, 2])
+
+
+def told_by_tangents(rows):
+    """Return the mesh's share at rows (k, 6) by their own tangents."""
+    error = SolverError(SOFT).grown(rows)
+    return error.widened_many(
+        np.zeros((len(rows), 6)), rows.wrench, rows.displacement, rows.compliance
+    )
+
+
+def test_with_the_tangent_the_meshs_share_is_that_of_each_answer():
+    rows = column([0.0, 0.5, 0.8])
+    lacking = column([0.0, 0.5, 0.8], stiffer=-SHORT).displacement - rows.displacement
+    assert SolverError(SOFT).grown(rows).asks_tangent
+    np.testing.assert_allclose(told_by_tangents(rows), np.abs(lacking), rtol=0.05, atol=1e-12)
+
+
+def test_where_no_tangent_is_known_the_square_of_the_load_stands_for_it():
+    rows = column([0.5, 0.8])
+    error = SolverError(SOFT).grown(rows)
+    by_square = error.widened_many(np.zeros((2, 6)), rows.wrench)
+    for unknown in (np.full((2, 6, 6), np.nan), np.zeros((2, 6, 6))):
+        told = error.widened_many(np.zeros((2, 6)), rows.wrench, rows.displacement, unknown)
+        np.testing.assert_array_equal(told, by_square)
+
+
+def test_whole_bars_are_the_same_one_by_one_and_in_a_batch_and_hold_the_mesh():
+    table = softening_table()
+    assert table.solver_error.asks_tangent
+    asked = column([0.05, 0.33, 0.62, 0.8]).wrench
+    found = table.batch(asked)
+    many = whole_bars(table, asked, found)
+    for wrench, bars in zip(asked.tolist(), many, strict=True):
+        answer = table.answer(wrench)
+        one = whole_bar(table, wrench, answer, None)
+        np.testing.assert_array_equal(np.array(one, dtype=float), bars)
+        parts = solver_parts(table, wrench, answer, None)["mesh"]
+        np.testing.assert_allclose(np.add(answer.error, parts), bars, rtol=1e-12)
+    true = column([0.05, 0.33, 0.62, 0.8], stiffer=-SHORT).displacement - found.displacement
+    share = (many - found.error)[:, 2]
+    assert (1.05 * share >= np.abs(true[:, 2])).all()
+    assert (share < 2 * np.abs(true[:, 2])).all()
+
+
+def test_a_row_beyond_the_range_has_its_own_share_whatever_the_others_say():
+    rows, span = column([0.0, 0.1, 0.2, 0.8]), LoadRange(-0.3 * np.ones(6), np.ones(6))
+    told = SOFT | {"loads": [0.3, 1.0, 0.01, 1.0, 1.0, 1.0]}
+    table = build(rows, span, solver_error=SolverError(told))
+    wrench = rows.wrench[3].tolist()
+    answer = table.answer(wrench)
+    assert answer.method == "row"
+    lacking = column([0.8], stiffer=-SHORT).displacement[0] - rows.displacement[3]
+    bar = whole_bar(table, wrench, answer, None)
+    assert 1.05 * bar[2] >= lacking[2]
+    many = whole_bars(table, rows.wrench[3:], table.batch(rows.wrench[3:]))
+    np.testing.assert_array_equal(many[0], np.array(bar, dtype=float))
 
 
 def test_an_output_of_second_order_has_its_meshs_share():

@@ -220,13 +220,40 @@ static void answer_of(const wb_group *g, wb_workspace *work, const double w[6],
     if (tell_row(g, row, w, tolerance, a)) a->coverage = WB_COVERED, a->by_row = 1;
 }
 
+/* What the mesh lacks by an answer's tangent, T D u; 0 where that is not known. */
+static int lacking_of(const wb_table *t, wb_workspace *work, const double w[6], const wb_answer *a,
+                      double lacking[6]) {
+    double tangent[36], pushed[6] = {0}, size = 0;
+    wb_derivative_at(t, work, w, a, tangent);
+    for (int k = 0; k < 6; k++)
+        for (int q = 0; q < 6; q++) pushed[q] += t->stiffer[6 * q + k] * a->displacement[k];
+    for (int k = 0; k < 36; k++) size += fabs(tangent[k]);
+    if (!(size > 0)) return 0; /* a method without tangents, or none is known */
+    for (int q = 0; q < 6; q++) {
+        lacking[q] = 0;
+        for (int k = 0; k < 6; k++) lacking[q] += tangent[6 * q + k] * pushed[k];
+        if (!isfinite(lacking[q])) return 0;
+    }
+    return 1;
+}
+
+static int is_beyond_any(const wb_table *t, const double w[6]) {
+    for (int i = 0; i < t->groups; i++)
+        if (is_beyond(&t->group[i], w)) return 1;
+    return 0;
+}
+
 /* `SolverError.widened`: what the solver of the rows may be wrong by itself. */
-static void widen(const wb_table *t, const double w[6], double error[6]) {
-    double most = 0;
+static void widen(const wb_table *t, wb_workspace *work, const double w[6], wb_answer *a) {
+    double most = 0, lacking[6];
+    int asks = *t->asks > 1 || (*t->asks > 0 && a->by_row && is_beyond_any(t, w));
+    int told = asks && lacking_of(t, work, w, a, lacking);
     for (int k = 0; k < 6; k++) most = larger(fabs(w[k]) * t->one_over[k], most);
     for (int q = 0; q < 6; q++) {
-        for (int k = 0; k < 6; k++) error[q] += t->mesh[6 * q + k] * fabs(w[k]);
-        error[q] += t->bends[q] * (most * most);
+        double small = 0;
+        for (int k = 0; k < 6; k++) small += t->mesh[6 * q + k] * fabs(w[k]);
+        a->error[q] += small;
+        a->error[q] += told ? larger(fabs(lacking[q]) - small, 0) : t->bends[q] * (most * most);
     }
 }
 
@@ -262,7 +289,7 @@ void wb_answer_at(const wb_table *table, wb_workspace *work, const double wrench
         int rank = 2 * own.coverage + !own.by_row;
         if (rank > worst) worst = rank, answer->coverage = own.coverage, answer->by_row = own.by_row;
     }
-    widen(table, w, answer->error);
+    widen(table, work, w, answer);
     answer->within = within(table, tolerance, answer->error);
 }
 

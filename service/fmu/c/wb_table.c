@@ -201,7 +201,7 @@ static void read_all(reader *r, wb_table *t) {
                 t->most_equations = g->kriging.share[s].equations;
     }
     t->mesh = doubles(r, 36), t->bends = doubles(r, 6), t->one_over = doubles(r, 6);
-    t->limit = doubles(r, 3);
+    t->stiffer = doubles(r, 36), t->asks = doubles(r, 1), t->limit = doubles(r, 3);
     r->bad |= r->at != r->end;
 }
 

@@ -81,7 +81,8 @@ typedef struct {
 typedef struct {
     char guid[WB_GUID];
     int groups, most_rows, most_equations;
-    const double *mesh, *bends, *one_over; /* the solver's own share of the bars */
+    const double *mesh, *bends, *one_over; /* the solver's own share of the bars, */
+    const double *stiffer, *asks;          /* and where it grows by an answer's tangent */
     const double *limit; /* whether bars are whole, and the component's tolerance, m and rad */
     wb_group *group;
     wb_share *share;

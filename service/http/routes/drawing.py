@@ -16,6 +16,7 @@ from service.workspace import Workspace
 from surrogate.build import AnyTable
 from surrogate.table.axes import AXES
 from surrogate.table.rows import CLEAN, LOADS, OUTPUTS
+from surrogate.whole_bars import whole_bars
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"])
 CATCH_UP_S = 25.0
@@ -131,9 +132,7 @@ def _sweep(
     wrenches = sweep_of(table.load_range, LOADS.index(load), at, points)
     acting = workspace.library[name].acting(wrenches)
     found = table.batch(acting)
-    solver, bars = table.solver_error, found.error
-    if solver is not None:
-        bars = solver.widened_many(bars, acting)
+    bars = whole_bars(table, acting, found)
     return {
         "component": name,
         "table_version": table.version,

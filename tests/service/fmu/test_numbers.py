@@ -13,8 +13,10 @@ from surrogate.build import build
 from surrogate.derivative import derivatives_at
 from surrogate.solver_error import SolverError
 from surrogate.table.rows import LoadRange, Rows, Tolerance
+from surrogate.whole_bars import whole_bars
 from tests.service.fmu.made import answers, judged, opened, slopes, solved, special, wrenches_of
 from tests.service.live import FULL, clean_wrenches, full_wrenches, moved, tangents
+from tests.surrogate.softening import SOFT, column, softening_table
 
 RANGE = LoadRange(-FULL, FULL)
 SAME = 1e-12  # m and rad
@@ -77,6 +79,23 @@ def test_the_solvers_own_share_is_in_the_bars_of_an_fmu_too(tmp_path):
     expected = table.solver_error.widened_many(table.batch(asked).error, asked)
     np.testing.assert_allclose(bars, expected, rtol=1e-12)
     assert (bars > 1e-7).all()
+
+
+def test_an_fmu_has_the_meshs_share_where_a_part_softens_and_of_a_row_beyond_the_range(tmp_path):
+    table = softening_table()
+    assert table.solver_error.asks_tangent
+    asked = np.concatenate((column([0.05, 0.33, 0.62, 0.8]).wrench, table.rows.wrench[:3]))
+    with opened(table, tmp_path).running() as instance:
+        _, bars, _ = answers(instance, asked)
+    np.testing.assert_allclose(bars, whole_bars(table, asked, table.batch(asked)), rtol=1e-9)
+    span = LoadRange(-0.3 * np.ones(6), np.ones(6))
+    told = SolverError(SOFT | {"loads": [0.3, 1.0, 0.01, 1.0, 1.0, 1.0]})
+    table = build(column([0.0, 0.1, 0.2, 0.8]), span, solver_error=told)
+    asked = table.rows.wrench
+    (tmp_path / "beyond").mkdir()
+    with opened(table, tmp_path / "beyond").running() as instance:
+        _, bars, _ = answers(instance, asked)
+    np.testing.assert_allclose(bars, whole_bars(table, asked, table.batch(asked)), rtol=1e-9)
 
 
 @pytest.mark.parametrize("own", [None, 0.5])
