@@ -236,10 +236,6 @@ class MissingOutputs:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
         return any(part.has_row(wrench) for _, part in self.groups)
 
-    def beyond(self, wrenches: Floats) -> NDArray[np.bool_]:
-        """Return which wrenches (k, 6), N and N·m, are beyond the load range, shape (k,)."""
-        return np.asarray(self.load_range.exceeded(wrenches).any(axis=1))
-
     def near_rows(self, wrenches: Floats) -> NDArray[np.bool_]:
         """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
         return np.logical_or.reduce([part.near_rows(wrenches) for _, part in self.groups])

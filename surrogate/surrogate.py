@@ -267,10 +267,6 @@ class Surrogate:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
         return self.exact.has(wrench)
 
-    def beyond(self, wrenches: Floats) -> NDArray[np.bool_]:
-        """Return which wrenches (k, 6), N and N·m, are beyond the load range, shape (k,)."""
-        return np.asarray(self.load_range.exceeded(wrenches).any(axis=1))
-
     def near_rows(self, wrenches: Floats) -> NDArray[np.bool_]:
         """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
         return self.exact.near(wrenches)

@@ -59,7 +59,10 @@ def whole_bars(
     tangents = None
     if error.asks_tangent:
         tangents = derivatives_at(table, wrenches, tolerance, method)
-    elif error.stiffness is not None and (beyond := table.beyond(wrenches)).any():
+    elif (
+        error.stiffness is not None
+        and (beyond := table.load_range.exceeded(wrenches).any(axis=1)).any()
+    ):
         tangents = np.full((len(wrenches), 6, 6), np.nan)
         places = np.flatnonzero(beyond)
         for place, tangent in row_tangents(table, wrenches[places], tolerance, method):
@@ -78,7 +81,7 @@ def _state(
     assert error is not None
     if error.stiffness is None or answer.displacement is None:
         return None, None
-    if not (error.asks_tangent or (by_row and table.beyond(np.array([wrench]))[0])):
+    if not (error.asks_tangent or (by_row and table.load_range.exceeded([wrench]).any())):
         return None, None
     moved = np.array(answer.displacement, dtype=float)
     return moved, derivative_at(table, wrench, method, by_row=by_row)

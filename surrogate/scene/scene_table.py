@@ -16,7 +16,7 @@ from ..exact_rows import ExactRows, sources_at
 from ..solver_error import SolverError, bars_are_whole
 from ..surrogate import Surrogate
 from ..table.merging import merge
-from ..table.rows import OUTPUTS, Floats, Rows, Tolerance
+from ..table.rows import OUTPUTS, Floats, LoadRange, Rows, Tolerance
 from .need import Need
 from .part import Part, PartAnswer, part_of, parts_of
 
@@ -157,9 +157,10 @@ class SceneTable:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
         return any(rows.has(wrench) for rows in self._exact)
 
-    def beyond(self, wrenches: Floats) -> NDArray[np.bool_]:
-        """Return which wrenches (k, 6), N and N·m, are beyond the table's range, shape (k,)."""
-        return np.asarray(self.parts[0].load_range.exceeded(wrenches).any(axis=1))
+    @property
+    def load_range(self) -> LoadRange:
+        """The whole table's, N and N·m: rows beyond it answer their own wrench alone."""
+        return self.parts[0].load_range
 
     def near_rows(self, wrenches: Floats) -> NDArray[np.bool_]:
         """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""

@@ -35,8 +35,7 @@ from tests.surrogate.responses import (
 
 SEEDS = (31, 32, 33)
 
-# What does not meet the contract yet, for every run to see. Not strict: some miss it by a hair, and
-# processors round differently.
+# What does not meet the contract yet, for every run to see.
 KINKS_FILLED = "39 filled solves see a kink through six loads too seldom: 87.5 % inside"
 NOT_SHARP = {
     "smooth": "the median bar is 5.0 to 5.6 x the median error",
@@ -46,7 +45,7 @@ NOT_SHARP = {
 
 def but(names: dict[str, str]) -> list[object]:
     """Return the responses by name, those that miss what is asked marked."""
-    marks = {name: [pytest.mark.xfail(strict=False, reason=why)] for name, why in names.items()}
+    marks = {name: [pytest.mark.xfail(strict=True, reason=why)] for name, why in names.items()}
     return [pytest.param(name, marks=marks.get(name, [])) for name in RESPONSES]
 
 

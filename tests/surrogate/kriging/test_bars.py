@@ -10,7 +10,6 @@ from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spr
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches
 
 # What is wider than it should be, since bars that hold go before bars that are sharp.
-# Not strict: some miss it by a hair, and processors round differently.
 WIDE = {
     "boundary_layer": "left-out errors have a heavy tail: bars are 14 x the median error",
     "hardening": "bars are just over 5 x the median error",
@@ -49,7 +48,7 @@ def test_bars_hold_with_ten_clean_rows_an_axis_and_thirty_full_ones(name: str) -
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.xfail(strict=False, reason=WIDE[name]))
+        pytest.param(name, marks=pytest.mark.xfail(strict=True, reason=WIDE[name]))
         if name in WIDE
         else name
         for name in RESPONSES

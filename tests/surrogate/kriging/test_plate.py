@@ -38,8 +38,7 @@ def test_full_wrenches_alone_answer_to_a_tenth_of_a_percent(full: int, worst: fl
 
 
 # Missed since sizes of errors are told by slopes as well, which holds more on made-up responses.
-# Not strict: it is by two errors of 220, and processors round differently.
-JUST_UNDER = pytest.mark.xfail(strict=False, reason="uy of 30 rows: 89 % of 220 errors are inside")
+JUST_UNDER = pytest.mark.xfail(strict=True, reason="uy of 30 rows: 89 % of 220 errors are inside")
 
 
 @pytest.mark.parametrize("full", [15, pytest.param(30, marks=JUST_UNDER), 60])
