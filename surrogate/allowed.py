@@ -1,4 +1,4 @@
-"""How large an answer's error bars may be for it to be covered."""
+"""How large the interpolation error of an answer may be for it to be covered: one rule."""
 
 from __future__ import annotations
 
@@ -11,40 +11,47 @@ import numpy as np
 from .answer import allowed_by
 from .table.rows import Floats, Rows, Tolerance
 
-WITHOUT_TOLERANCE = 0.01  # of an output's range: what a kriging's bar may be where nobody says
-_ANY = (np.inf,) * 6
+WITHOUT_TOLERANCE = 0.01  # of an output's variation, where neither request nor component has one
+# Of the largest variation of its kind (translations, rotations): an output that varies by less is
+# rounding, and a hundredth of that would leave nothing covered.
+STILL = 1e-6
 
 
 @dataclass(frozen=True)
 class Allowed:
-    """The largest bars of covered answers, by what is asked for.
+    """The largest interpolation errors of covered answers.
 
     Attributes
     ----------
     tolerance : Tolerance or None, m and rad
         The component's own.
+    variation : ndarray, shape (6,), m and rad
+        Largest less smallest value of each output over the rows.
     ranges : ndarray, shape (6,), m and rad
-        What each output varies by over the rows and from zero.
+        The same with zero counted as one of the values.
     """
 
     tolerance: Tolerance | None
+    variation: Floats
     ranges: Floats
 
-    def of(self, method: str, tolerance: Tolerance | None) -> Sequence[float]:
-        """Return the largest bar of each output, shape (6,), m and rad, for a covered answer."""
+    def of(self, tolerance: Tolerance | None) -> Sequence[float]:
+        """Return the largest error of each output, shape (6,), m and rad, for a covered answer."""
         limit = tolerance or self.tolerance
-        if limit is not None:
-            return allowed_by(limit)
-        return self._hundredths if method == "kriging" else _ANY
+        return self._by_variation if limit is None else allowed_by(limit)
 
     @cached_property
-    def _hundredths(self) -> list[float]:
-        """A hundredth of each output's range; what no row moves has none to take a share of."""
-        return np.where(self.ranges > 0, WITHOUT_TOLERANCE * self.ranges, np.inf).tolist()
+    def _by_variation(self) -> list[float]:
+        largest = np.repeat(self.variation.reshape(2, 3).max(axis=1), 3)
+        varies = np.maximum(self.variation, STILL * largest)
+        # A kind of output that nothing moves has no variation to take a part of.
+        return np.where(varies > 0, WITHOUT_TOLERANCE * varies, np.inf).tolist()
 
 
 def allowed_of(rows: Rows, tolerance: Tolerance | None) -> Allowed:
     """Return what is allowed of a table whose answers are made of these rows."""
     moved = rows.displacement
-    high = np.maximum(moved.max(axis=0, initial=0.0), 0.0)
-    return Allowed(tolerance, high - np.minimum(moved.min(axis=0, initial=0.0), 0.0))
+    if not len(moved):
+        return Allowed(tolerance, np.zeros(6), np.zeros(6))
+    low, high = moved.min(axis=0), moved.max(axis=0)
+    return Allowed(tolerance, high - low, np.maximum(high, 0.0) - np.minimum(low, 0.0))

@@ -22,11 +22,6 @@ UNKNOWN_TOGETHER = (
     "of several axes do together"
 )
 
-UNKNOWN_SIZE = (
-    "rows left out tell too little of how large errors are: a few of them make nearly all of the "
-    "error, or bars miss too many of them; solve or import more rows"
-)
-
 Mask = NDArray[np.bool_]
 
 
@@ -43,8 +38,6 @@ class Doubt:
         Whether nothing tells what the component does without load.
     full_wrenches, needed : int
         How many rows load more than one axis, and how many must for `knows_interaction`.
-    size_known : bool
-        Whether left-out rows tell how large errors are.
     """
 
     load_range: LoadRange
@@ -52,20 +45,18 @@ class Doubt:
     rest_unknown: bool
     full_wrenches: int
     needed: int
-    size_known: bool = True
 
     @cached_property
     def none(self) -> bool:
         """Whether no wrench is doubtful, whatever it loads."""
-        return self.knows_interaction and not self.rest_unknown and self.size_known
+        return self.knows_interaction and not self.rest_unknown
 
     def of_many(self, asked: Floats) -> tuple[Mask, Mask]:
         """Return which wrenches (n, 6), N and N·m, are in doubt, and which at rest, (n,).
 
-        For what loads of several axes do together, or all for the size of errors; and for what the
-        component does without load.
+        For what loads of several axes do together, and for what the component does without load.
         """
-        together = np.full(len(asked), not self.size_known)
+        together = np.zeros(len(asked), dtype=bool)
         at_rest = np.zeros(len(asked), dtype=bool)
         if not self.knows_interaction:
             together |= np.asarray(~clean_wrenches(asked, self.load_range).any(axis=1))
@@ -82,7 +73,7 @@ class Doubt:
         if not loaded and self.rest_unknown:
             return UNKNOWN_AT_REST
         if self.knows_interaction or any(loaded.issubset(axis.inputs) for axis in AXES):
-            return "" if self.size_known else UNKNOWN_SIZE
+            return ""
         tangents = " and no tangents" if self.needed == ENOUGH_FULL else ""
         return UNKNOWN_TOGETHER.format(
             full=self.full_wrenches, tangents=tangents, needed=self.needed

@@ -27,8 +27,8 @@ from .kriging import (
     TooFewRowsError,
     equation_count,
     fits_one_factor,
-    nearest_in_words,
     readings_of,
+    too_large_in_words,
 )
 from .methods.makers import makers
 from .methods.reference import BentReference, KrigingReference, Reference, interaction_of
@@ -147,11 +147,11 @@ class Surrogate:
 
     @cached_property
     def kriging(self) -> Kriging | None:
-        """The kriging; None for linear components and where rows are too few or contradict.
+        """The kriging; None where one factor does not hold it.
 
-        One by nearest rows is made when it is first asked for: nothing else rests on it.
+        That is of linear components, and where rows are too few or too many, or contradict.
         """
-        if self.linear:
+        if self.linear or not self.one_factor:
             return None
         try:
             return Kriging.build(self.used, self.load_range, readings=self._readings())
@@ -176,7 +176,7 @@ class Surrogate:
             self._methods.check(name)
             reason = ONLY_BEYOND if len(self.rows) else EMPTY
             nothing, allowed = Answer(None, None, "outside", reason, "estimate"), self.allowed
-            return self.exact.instead_of(wrench, nothing, allowed.of(name, tolerance))
+            return self.exact.instead_of(wrench, nothing, allowed.of(tolerance))
         found = self._methods.get(name)
         told = found.one(tuple(map(float, wrench)))
         displacement, error, state, reason = told[:6], told[6:12], int(told[12]), ""
@@ -184,9 +184,10 @@ class Surrogate:
             reason = found.reason(np.array(wrench, dtype=float))
         elif not self.doubt.none and (reason := self.doubt.of_one(wrench)):
             state = OUTSIDE if reason == UNKNOWN_AT_REST else THIN
-        allowed = self.allowed.of(name, tolerance)
+        allowed = self.allowed.of(tolerance)
         if state == COVERED and not within(error, allowed):
-            state, reason = THIN, over_tolerance(error, allowed) or UNKNOWN_ERROR
+            unknown = None if isfinite(sum(error)) else self._why_unknown(wrench)
+            state, reason = THIN, unknown or over_tolerance(error, allowed)
         bars = error if isfinite(sum(error)) else None
         answer = Answer(displacement, bars, NAMES[state], reason, name)
         return answer if state == COVERED else self.exact.instead_of(wrench, answer, allowed)
@@ -206,7 +207,7 @@ class Surrogate:
         """
         asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
         name = method or self.default
-        allowed = self.allowed.of(name, tolerance)
+        allowed = self.allowed.of(tolerance)
         if not len(self.used):
             self._methods.check(name)
             return self.exact.put_into(asked, no_answers(len(asked)), allowed)
@@ -319,11 +320,13 @@ class Surrogate:
     def _doubt(self) -> Doubt:
         by_axes = len(self.used) > 0 and not self.linear and self.default == "griddata"
         rest_unknown = by_axes and not self.composition.at_rest.known
-        found = doubt_of(self.used, self.load_range, linear=self.linear, rest_unknown=rest_unknown)
-        # Another method's bars hold its difference from the kriging besides.
-        by_kriging = self.default == "kriging" and self.one_factor and self.kriging is not None
-        sized = not (by_kriging and self.kriging and self.kriging.doubtful)
-        return replace(found, size_known=sized)
+        return doubt_of(self.used, self.load_range, linear=self.linear, rest_unknown=rest_unknown)
+
+    def _why_unknown(self, wrench: Sequence[float]) -> str:
+        """Return why the error of an answer to a wrench (6,), N and N·m, is not known."""
+        told = isinstance(self.reference, KrigingReference) and self.kriging is not None
+        found = self.kriging.why_unknown(np.array(wrench)) if told and self.kriging else ""
+        return found or UNKNOWN_ERROR
 
     def _readings(self) -> Readings:
         """Return what was measured behind each of `used`, for the noise that nobody stated."""
@@ -346,5 +349,5 @@ class Surrogate:
     @property
     def _kriging_detail(self) -> str:
         if not self.one_factor:
-            return nearest_in_words(len(self.used), self.equations)
+            return too_large_in_words(len(self.used), self.equations)
         return "" if self.kriging is None else self.kriging.detail

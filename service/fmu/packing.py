@@ -8,7 +8,7 @@ once more, in C; a test holds both to the same numbers.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from surrogate.composition.packed import pack
 from surrogate.composition.pure_moment import PureMomentCut
 from surrogate.kriging import Kriging
 from surrogate.kriging.compiled_tables import Tables, tables_of
-from surrogate.kriging.dense import Dense
 from surrogate.methods.reference import BentReference, KrigingReference
 from surrogate.missing_outputs import MissingOutputs
 from surrogate.surrogate import Surrogate
@@ -50,8 +49,7 @@ def pack_table(table: AnyTable, method: str | None = None) -> bytes:
     Raises
     ------
     NotExportableError
-        If the table has no rows within its load range, its kriging is one of nearest rows, or the
-        arrays are more than 256 MB.
+        If the table has no rows within its load range, or the arrays are more than 256 MB.
     """
     groups = groups_of(table, method)
     stream = Stream()
@@ -111,7 +109,6 @@ def _pack_group(stream: Stream, group: Group) -> None:
         mode,
         part.doubt.knows_interaction,
         part.doubt.rest_unknown,
-        part.doubt.size_known,
         _is_exact(group),
     )
     _pack_limits(stream, group)
@@ -162,7 +159,7 @@ def _pack_limits(stream: Stream, group: Group) -> None:
     # The ends that `LoadRange.exceeded` holds a load against.
     low = np.minimum(part.load_range.low, 0.0) - 1e-9 * scale
     high = np.maximum(part.load_range.high, 0.0) + 1e-9 * scale
-    allowed = np.array(part.allowed.of(group.method, None))
+    allowed = np.array(part.allowed.of(None))
     stream.floats(low, high, CLEAN * scale, allowed, scale)
 
 
@@ -231,32 +228,23 @@ def _pack_cut(stream: Stream, cut: PureMomentCut | None) -> None:
 
 
 def _pack_kriging(stream: Stream, kriging: Kriging) -> None:
-    """Pack a dense kriging: what all its outputs share, then each factor's neighbourhoods.
-
-    Raises
-    ------
-    NotExportableError
-        If it answers by the nearest rows.
-    """
+    """Pack a kriging: what all its outputs share, then each factor's neighbourhoods."""
     inside = kriging.inside
-    if not isinstance(inside, Dense):
-        raise NotExportableError(
-            f"{kriging.detail}: an FMU holds one factor over all rows only; export with "
-            "--method griddata"
-        )
-    told = [_tables(kriging, replace(inside, shares=(share,))) for share in inside.shares]
+    told = [
+        _tables(kriging, replace(inside, shares=(share,), calibrations=(found,)))
+        for share, found in zip(inside.shares, inside.calibrations, strict=True)
+    ]
     first = told[0]
     stream.ints(first.x.shape[1])
     stream.floats(first.x, first.terms, first.weights, first.coefficients, first.scales)
-    stream.floats(first.floor, first.tangent)
+    stream.floats(first.floor, first.tangent, first.span)
     stream.ints(len(told))
     for share, tables in zip(inside.shares, told, strict=True):
         _pack_share(stream, np.isin(np.arange(6), share.factor.outputs), tables)
 
 
-def _tables(kriging: Kriging, inside: Dense) -> Tables:
-    floor = kriging.settings.bar_floor
-    found = tables_of(inside, kriging.scaling, kriging.conformal, kriging.tangent, floor)
+def _tables(kriging: Kriging, inside: Any) -> Tables:
+    found = tables_of(inside, kriging.scaling, kriging.tangent, kriging.settings.bar_floor)
     assert found is not None  # of one factor
     return found
 
@@ -267,3 +255,5 @@ def _pack_share(stream: Stream, outputs: np.ndarray, tables: Tables) -> None:
     stream.ints(size, outputs, tables.places)
     stream.floats(tables.columns[:, *places], tables.unsettled, tables.least)
     stream.floats(tables.mean_covariance)
+    stream.ints(len(tables.factors))
+    stream.floats(tables.sigma, tables.factors)

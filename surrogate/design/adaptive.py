@@ -29,7 +29,8 @@ from ..missing_outputs import MissingOutputs
 from ..surrogate import Surrogate
 from ..table.axes import AXES
 from ..table.rows import Floats, LoadRange, Tolerance
-from .initial import Known, first_count, first_design, spread_wrenches
+from ..table.spread import spread_wrenches
+from .initial import Known, first_count, first_design
 
 SAMPLE = 256  # wrenches at which bars are held against the tolerance: 95 % of them are 243
 ENOUGH = 0.95  # of the sample within the tolerance ends a fill, as bars hold 95 % of errors
@@ -211,15 +212,20 @@ class _Refinement:
 
     def _losses(self, wrenches: Floats) -> Floats:
         """Return the largest bar over what is allowed (n,) at wrenches (n, 6), as of now."""
-        over = (self.surrogate.batch(wrenches).error / self.allowed)[:, self.outputs]
-        return np.nan_to_num(over, nan=np.finfo(float).max).max(axis=1)
+        return (self._errors(np.empty((0, 6)), wrenches) / self.allowed)[:, self.outputs].max(
+            axis=1
+        )
+
+    def _errors(self, solved: Floats, wrenches: Floats) -> Floats:
+        """Return the error bars (n, 6), m and rad, at wrenches (n, 6) once others are solved."""
+        return self.kriging.sigma_with(solved, wrenches)
 
     def _left(self, solved: Floats, wrenches: Floats) -> Floats:
         """Return the part of their bars (n,) that is left at wrenches (n, 6) once others are."""
         if not len(solved):
             return np.ones(len(wrenches))
-        now = self.kriging.answer_many(wrenches)[1].sum(axis=1)
-        later = self.kriging.sigma_with(solved, wrenches).sum(axis=1)
+        now = self._errors(solved[:0], wrenches).sum(axis=1)
+        later = self._errors(solved, wrenches).sum(axis=1)
         return np.divide(later, now, out=np.ones_like(now), where=now > 0)
 
 

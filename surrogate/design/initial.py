@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..table.rows import CLEAN, LOADS, Floats, LoadRange
+from ..table.spread import spread_wrenches
 
 # Signs of eight corners: the third of the 2^(6-3) fractions, in which no load's effect is another's
 # (Box and Hunter 1961): the last three are the products of two of the first three.
@@ -74,16 +75,3 @@ def first_design(span: LoadRange, known: Known, count: int) -> Floats:
             break
         chosen.extend(known.new(spread_wrenches(span, 1, place)))
     return np.array(chosen[:count]).reshape(-1, len(LOADS))
-
-
-def spread_wrenches(span: LoadRange, count: int, start: int = 1) -> Floats:
-    """Return `count` evenly spread wrenches of a span, shape (count, 6), N and N·m."""
-    vary = np.flatnonzero(span.high > span.low)
-    root = 2.0  # the root of x^(d + 1) = x + 1, by which the recurrence steps
-    for _ in range(60):
-        root = (1 + root) ** (1 / (len(vary) + 1))
-    step = root ** -np.arange(1.0, len(vary) + 1)
-    fraction = (0.5 + np.arange(start, start + count)[:, None] * step) % 1.0
-    wrenches = np.tile(span.low, (count, 1))
-    wrenches[:, vary] += fraction * (span.high - span.low)[vary]
-    return wrenches

@@ -1,12 +1,12 @@
 """The Gaussian process over all rows of a table and the tangents that solved rows bring."""
 
 from .correlation import Hyperparameters
-from .equations import TooFewRowsError
+from .equations import TooFewRowsError, TooManyRowsError
 from .factor import SingularCovarianceError
 from .kriging import Kriging
 from .readings import Readings, readings_of
 from .settings import KrigingSettings
-from .size import equation_count, fits_one_factor, nearest_in_words
+from .size import equation_count, fits_one_factor, too_large_in_words
 
 __all__ = [
     "Hyperparameters",
@@ -15,8 +15,9 @@ __all__ = [
     "Readings",
     "SingularCovarianceError",
     "TooFewRowsError",
+    "TooManyRowsError",
     "equation_count",
     "fits_one_factor",
-    "nearest_in_words",
     "readings_of",
+    "too_large_in_words",
 ]

@@ -140,6 +140,29 @@ def _weighed(flat, weights):
     return a, b, c, d, e, f
 
 
+def _is_known(tables, sigma, at):
+    """Return whether the error at scaled loads (6,) with a posterior deviation is known."""
+    for a in range(LOADS):
+        if not tables.span[0, a] <= at[a] <= tables.span[1, a]:
+            return False
+    return sigma <= tables.sigma[len(tables.sigma) - 1]
+
+
+def _factor(tables, sigma, q):
+    """Return what a deviation is multiplied by for an error bar: as `np.interp`."""
+    last = len(tables.factors) - 1
+    if sigma >= tables.sigma[last]:
+        return tables.factors[last, q]
+    if sigma <= tables.sigma[0]:
+        return tables.factors[0, q]
+    k = 0
+    while tables.sigma[k + 1] <= sigma:
+        k += 1
+    low, width = tables.sigma[k], tables.sigma[k + 1] - tables.sigma[k]
+    rise = (tables.factors[k + 1, q] - tables.factors[k, q]) / width
+    return rise * (sigma - low) + tables.factors[k, q]
+
+
 def _answers(tables, wrenches, displacement, bar, derivative):
     """Write displacements and bars (m, 6) and derivatives (m, 6, 6), SI, at wrenches (m, 6)."""
     n, centre, rate = tables.x.shape[1], tables.scales[0], tables.scales[1]
@@ -163,6 +186,7 @@ def _answers(tables, wrenches, displacement, bar, derivative):
                 told[a, q] = sums[q] + tables.coefficients[a, q]
         flat = covariances[0]
         sigma = np.sqrt(_squared_deviation(tables, anchor, at, flat, chosen))
+        known = _is_known(tables, sigma, at)
         for q in range(OUTPUTS):
             value = told[0, q]
             for a in range(LOADS):
@@ -172,7 +196,8 @@ def _answers(tables, wrenches, displacement, bar, derivative):
             displacement[place, q] = value * spread[q] + offset[q]
             size = (np.abs(value) + 1.0) * spread[q] + np.abs(offset[q])
             least = max(tables.floor * size, tables.scales[5, q])
-            bar[place, q] = max(sigma * tables.scales[4, q], least)
+            wide = sigma * _factor(tables, sigma, q) * tables.scales[4, q]
+            bar[place, q] = max(wide, least) if known else np.nan
 
 
 def _covariances(term, apart, first, second, flat):
@@ -210,6 +235,7 @@ def _values(tables, wrenches, displacement, bar):
         own = flat.reshape(PLACES * n)
         told = _weighed(own, tables.weights)
         sigma = np.sqrt(_squared_deviation(tables, anchor, at, own, chosen))
+        known = _is_known(tables, sigma, at)
         for q in range(OUTPUTS):
             value = told[q] + tables.coefficients[0, q]
             for a in range(LOADS):
@@ -217,7 +243,8 @@ def _values(tables, wrenches, displacement, bar):
             displacement[place, q] = value * spread[q] + offset[q]
             size = (np.abs(value) + 1.0) * spread[q] + np.abs(offset[q])
             least = max(tables.floor * size, tables.scales[5, q])
-            bar[place, q] = max(sigma * tables.scales[4, q], least)
+            wide = sigma * _factor(tables, sigma, q) * tables.scales[4, q]
+            bar[place, q] = max(wide, least) if known else np.nan
 
 
 def _one(tables, ends, wrench):
@@ -244,6 +271,8 @@ KERNELS = (
     "_squared_deviation",
     "_reduced",
     "_weighed",
+    "_is_known",
+    "_factor",
     "_answers",
     "_covariances",
     "_values",

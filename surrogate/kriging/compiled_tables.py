@@ -40,8 +40,14 @@ class Tables(NamedTuple):
     mean_covariance : ndarray, shape (7, 7)
     scales : ndarray, shape (6, 6)
         Centre and rate of the loads, which are scaled to (wrench - centre) rate (the rate of a load
-        that takes no part is 0); offset, spread, bar over sigma of the outputs, and what these lose
-        to rounding, m and rad.
+        that takes no part is 0); offset, spread, process deviation of the outputs, m and rad, and
+        what these lose to rounding.
+    sigma : ndarray, shape (k,)
+        Process deviations of the calibration, ascending; then the largest at which errors are known.
+    factors : ndarray, shape (k, 6)
+        What a deviation of `sigma` is multiplied by.
+    span : ndarray, shape (2, 6)
+        Ends of the scaled loads between which errors are known.
     floor : float
         Smallest bar, of an answer's size.
     tangent : ndarray, shape (6, 6), SI
@@ -59,16 +65,17 @@ class Tables(NamedTuple):
     least: Floats
     mean_covariance: Floats
     scales: Floats
+    sigma: Floats
+    factors: Floats
+    span: Floats
     floor: float
     tangent: Floats
 
 
-def tables_of(
-    inside: Dense, scaling: Scaling, conformal: Floats, tangent: Floats, floor: float
-) -> Tables | None:
+def tables_of(inside: Dense, scaling: Scaling, tangent: Floats, floor: float) -> Tables | None:
     """Return the tables of a dense kriging, or None where its outputs do not share one factor.
 
-    Shapes: `conformal` (6,), dimensionless; `tangent` (6, 6), SI.
+    `tangent` has shape (6, 6), SI.
     """
     if len(inside.shares) != 1:
         return None
@@ -85,7 +92,9 @@ def tables_of(
         number[row], least[row] = place, local.least
     rates, weights = inside.held.terms
     rate = np.where(scaling.active, 1 / scaling.half, 0.0)
-    bar = conformal * inside.deviation * scaling.spread
+    deviation, found = inside.deviation * scaling.spread, inside.calibrations[0]
+    factors = np.zeros((len(found.sigma), OUTPUTS))
+    factors[:, share.factor.outputs] = found.factors
     lost = inside.rounding * scaling.spread
     return Tables(
         x=np.ascontiguousarray(inside.equations.x.T),
@@ -98,7 +107,10 @@ def tables_of(
         unsettled=unsettled,
         least=least,
         mean_covariance=np.ascontiguousarray(share.factor.mean_covariance),
-        scales=np.stack((scaling.centre, rate, scaling.offset, scaling.spread, bar, lost)),
+        scales=np.stack((scaling.centre, rate, scaling.offset, scaling.spread, deviation, lost)),
+        sigma=np.append(found.sigma, found.reach),
+        factors=factors,
+        span=inside.span,
         floor=floor,
         tangent=np.where(scaling.active, 0.0, tangent),
     )

@@ -7,8 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..table.rows import Floats
+from ..table.axes import AXES, CLEAN
+from ..table.rows import Floats, LoadRange
+from ..table.spread import spread_wrenches
+from .calibration import Calibration, Level, calibrate, groupings
 from .correlation import (
+    LOADS,
     PLACES,
     Hyperparameters,
     Mask,
@@ -17,13 +21,15 @@ from .correlation import (
     mean_terms,
     numbers,
 )
-from .equations import OUTPUTS, Equations
+from .equations import OUTPUTS, Equations, Scaling
 from .factor import Factor, border, factorise
-from .left_out import LeftOut, left_out
+from .left_out import left_out
 from .neighbourhood import Finder, LocalFactor, local_factor
 from .rounding import rounding_of
 from .settings import DEFAULTS, KrigingSettings
 from .shares import Share
+
+ASKED = 256  # places that stand for what is asked: their median is known to a tenth of its size
 
 
 @dataclass(frozen=True)
@@ -62,13 +68,13 @@ class Dense:
     deviation : ndarray, shape (6,), spreads
         Process standard deviation.
     rounding : ndarray, shape (6,), spreads
-        What answers may lose to it: no bar is smaller.
-    rows : ndarray of int, shape (k,)
-        Rows left out.
-    errors, deviations : ndarray, shape (k, 6), spreads
-        Of these; NaN where a row does not bring the output.
-    sizes : ndarray, shape (k, 6), dimensionless
-        Root mean square of errors over deviations, of values and slopes; NaN likewise.
+        What answers may lose to it: no error bar is smaller.
+    errors : ndarray, shape (n, 6), spreads
+        Of rows left out, each by itself; NaN where a row does not bring the output.
+    calibrations : tuple of Calibration
+        One of each of `shares`.
+    span : ndarray, shape (2, 6), half ranges
+        Ends of the loads that the rows span: beyond them errors are not known.
     """
 
     equations: Equations
@@ -78,42 +84,43 @@ class Dense:
     coefficients: Floats
     deviation: Floats
     rounding: Floats
-    rows: NDArray[np.intp]
     errors: Floats
-    deviations: Floats
-    sizes: Floats
+    calibrations: tuple[Calibration, ...]
+    span: Floats
 
     def answers(self, x: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return values and sigmas (m, 6) and slopes (m, outputs, loads) at places (m, 6)."""
+        """Return values and errors (m, 6) and slopes (m, outputs, loads) at places (m, 6).
+
+        Errors are 95 % error bars, larger than which some answers are beyond what `within_reach`
+        tells.
+        """
         across = block(x, self.equations.x, self.held, slopes_x=True, slopes_v=True)
         across = across.reshape(len(x), PLACES, -1)
         told = across @ self.weights.reshape(-1, OUTPUTS)
         values = told[:, 0] + self.coefficients[0] + x @ self.coefficients[1:]
         slopes = told[:, 1:] + self.coefficients[1:]
-        return values, self._sigmas(x, across[:, 0]), slopes.transpose(0, 2, 1)
+        sigmas, errors = self._sigmas(x, across[:, 0]), np.empty((len(x), OUTPUTS))
+        for share, found, sigma in zip(self.shares, self.calibrations, sigmas, strict=True):
+            outputs = share.factor.outputs
+            errors[:, outputs] = sigma[:, None] * found.at(sigma) * self.deviation[outputs]
+        return values, errors, slopes.transpose(0, 2, 1)
 
-    def _sigmas(self, x: Floats, across: Floats) -> Floats:
-        """Return the posterior deviation at places (m, 6), shape (m, 6), spreads.
+    def within_reach(self, x: Floats) -> NDArray[np.bool_]:
+        """Return of which outputs the error is known at places (m, 6), shape (m, 6)."""
+        across = block(x, self.equations.x, self.held, slopes_x=False, slopes_v=True)
+        sigmas = self._sigmas(x, across.reshape(len(x), -1))
+        out = np.empty((len(x), OUTPUTS), dtype=bool)
+        for share, found, sigma in zip(self.shares, self.calibrations, sigmas, strict=True):
+            out[:, share.factor.outputs] = (sigma <= found.reach)[:, None]
+        return out & ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
 
-        `across` (m, 7 n) is the covariance of their values with all places of all rows.
+    def _sigmas(self, x: Floats, across: Floats) -> list[Floats]:
+        """Return the posterior deviation at places (m, 6), (m,) for each share.
+
+        In process deviations. `across` (m, 7 n) is the covariance of their values with all places
+        of all rows.
         """
-        out = np.empty((len(x), OUTPUTS))
-        terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
-        prior = float(self.held.prior[0])
-        for share in self.shares:
-            squared = np.empty(len(x))
-            place = np.searchsorted(share.anchors, share.finder.nearest(x))
-            for anchor in np.unique(place):
-                asked, local = np.flatnonzero(place == anchor), share.around[anchor]
-                squared[asked] = local.squared_deviation(
-                    across[np.ix_(asked, local.places)],
-                    terms[asked],
-                    prior,
-                    share.factor.mean_covariance,
-                )
-            sigma = np.sqrt(squared)[:, None] * self.deviation[share.factor.outputs]
-            out[:, share.factor.outputs] = sigma
-        return out
+        return [deviations(x, across, self.held, share) for share in self.shares]
 
     def sigmas_with(self, pending: Floats, x: Floats) -> Floats:
         """Return sigma at places (m, 6) over what it will be once others are solved, shape (m,).
@@ -147,10 +154,27 @@ class Dense:
         return reduced, mean_terms(x, known) - reduced @ factor.TF
 
 
+def deviations(x: Floats, across: Floats, held: Hyperparameters, share: Spread) -> Floats:
+    """Return the posterior deviation (m,), process deviations, at places (m, 6), of one factor.
+
+    `across` (m, 7 n) is the covariance of their values with all places of all rows.
+    """
+    terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
+    squared, prior = np.empty(len(x)), float(held.prior[0])
+    place = np.searchsorted(share.anchors, share.finder.nearest(x))
+    for anchor in np.unique(place):
+        asked, local = np.flatnonzero(place == anchor), share.around[anchor]
+        squared[asked] = local.squared_deviation(
+            across[np.ix_(asked, local.places)], terms[asked], prior, share.factor.mean_covariance
+        )
+    return np.sqrt(squared)
+
+
 def dense(
     equations: Equations,
     held: Hyperparameters,
     shares: list[Share],
+    scaling: Scaling,
     before: Dense | None = None,
     settings: KrigingSettings = DEFAULTS,
 ) -> Dense:
@@ -158,6 +182,8 @@ def dense(
 
     Parameters
     ----------
+    scaling : Scaling
+        Tells which loads take part and where no load is.
     before : Dense, optional
         Of the table's first rows, with the same hyperparameters, scaling and shares: its factors
         are bordered.
@@ -169,6 +195,11 @@ def dense(
         factor = _factor(equations, held, share, table, known, settings)
         spreads.append(_spread(equations, held, factor, table, known, settings))
     weights, coefficients, deviation = _together(equations, [own.factor for own in spreads])
+    errors = np.full((len(equations), OUTPUTS), np.nan)
+    for own in spreads:
+        alone = left_out(equations, own.factor, np.arange(len(own.factor.rows)))
+        errors[np.ix_(own.factor.rows, own.factor.outputs)] = alone.errors
+    span = span_of(equations, scaling, settings)
     return Dense(
         equations,
         held,
@@ -177,33 +208,114 @@ def dense(
         coefficients,
         deviation,
         rounding_of(equations, table, weights),
-        *_all_left_out(equations, held, spreads, table, settings),
+        errors,
+        tuple(_calibrated(equations, held, own, table, scaling, span, settings) for own in spreads),
+        span,
     )
 
 
-def _all_left_out(
+def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -> Floats:
+    """Return the ends of the loads that rows span, shape (2, 6), half ranges.
+
+    Rows that are spread evenly over an interval leave so much of it beyond the outermost ones, at
+    most, at the confidence of the settings: of n uniform numbers the largest is above the part
+    a^(1/n) of their interval with the probability 1 - a. A load that takes no part has no ends.
+    """
+    low, high = equations.x.min(axis=0), equations.x.max(axis=0)
+    beyond = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + settings.same
+    ends = np.stack((low - beyond, high + beyond))
+    return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
+
+
+def _asked(span: Floats, full: NDArray[np.bool_], settings: KrigingSettings) -> Floats:
+    """Return places as they are asked for: spread over what the rows span, (m, 6), half ranges.
+
+    Where nearly all rows load one axis each, so do these.
+    """
+    active = np.isfinite(span[0])
+    low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
+    places = spread_wrenches(LoadRange(low, high), ASKED)
+    if full.sum() < settings.few_full:
+        inputs = [np.isin(np.arange(6), axis.inputs) for axis in AXES]
+        places = places * np.stack(inputs)[np.arange(ASKED) % len(AXES)]
+    return places
+
+
+def _calibrated(
     equations: Equations,
     held: Hyperparameters,
-    spreads: list[Spread],
+    spread: Spread,
     table: Floats,
+    scaling: Scaling,
+    span: Floats,
     settings: KrigingSettings,
-) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
-    """Return the rows left out (k,), their errors, deviations and sizes (k, 6)."""
-    errors = np.full((len(equations), OUTPUTS), np.nan)
-    deviations, sizes = errors.copy(), errors.copy()
-    for spread in spreads:
-        out, squared = _left_out(equations, held, spread, table, settings)
-        # With hardly more rows than the mean has terms, rounding leaves no variance to speak of:
-        # such a row says nothing.
-        squared[~(squared > 0)] = np.nan
-        places = np.ix_(out.rows, spread.factor.outputs)
-        errors[places] = np.where(np.isnan(squared)[:, None], np.nan, out.errors)
-        deviations[places] = np.sqrt(squared)[:, None] * np.sqrt(spread.factor.variance)
-        unstated = (equations.readings[places] > 0).any(axis=1, keepdims=True)
-        alone = np.abs(errors[places]) / deviations[places]
-        sizes[places] = np.where(unstated, alone, out.sizes)
-    told = np.flatnonzero(np.isfinite(errors).any(axis=1))
-    return told, errors[told], deviations[told], sizes[told]
+) -> Calibration:
+    """Return by how much a share's deviations are multiplied for its error bars."""
+    own = equations.take(spread.factor.rows)
+    at_rest = scaling.loads(np.zeros((1, LOADS)))
+    loaded = np.abs(own.x - at_rest) > CLEAN
+    full = ~np.any([~loaded[:, axis.others].any(axis=1) for axis in AXES], axis=0)
+    # What is asked loads all axes too, and rows at the corners of one axis err more.
+    rows = np.flatnonzero(full) if full.sum() >= settings.full_rows else np.arange(len(own))
+    chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
+    rows = rows[np.unique(chosen.round().astype(np.intp))]
+    levels = (
+        level
+        for labels in groupings(own.x * np.sqrt(held.inverse_squares), settings)
+        if (level := _level(equations, held, spread, table, labels, rows, settings)) is not None
+    )
+    asked = _asked(span, full, settings)
+    across = block(asked, equations.x, held, slopes_x=False, slopes_v=True)
+    sigma = deviations(asked, across.reshape(len(asked), -1), held, spread)
+    # The mean's coefficients, which all rows settle: these in proportion.
+    coefficients = (1 + scaling.active.sum()) * len(rows) / len(own)
+    return calibrate(levels, len(spread.factor.outputs), sigma, coefficients, settings)
+
+
+def _level(
+    equations: Equations,
+    held: Hyperparameters,
+    spread: Spread,
+    table: Floats,
+    labels: NDArray[np.intp],
+    rows: NDArray[np.intp],
+    settings: KrigingSettings,
+) -> Level | None:
+    """Return what some of a factor's rows show, left out in groups; None if they show nothing.
+
+    The errors are those of the whole factor; sigma is from the neighbourhood of the nearest row
+    left, without the group, since that is what an answer's error bar is made of.
+    """
+    factor, prior = spread.factor, float(held.prior[0])
+    if len(np.unique(labels)) < 2:
+        return None
+    out = left_out(equations, factor, labels)
+    anchors = spread.finder.nearest_others(rows, equations.x, labels)
+    noise, number = _noise(equations, factor), numbers(equations.known)
+    # What was found to be noise may be response that the kernel does not follow: bars hold it.
+    unstated = (equations.readings[:, factor.outputs] > 0).any(axis=1)
+    stated = np.where(unstated, 0.0, noise)
+    squared = np.full(len(rows), np.nan)
+    lists = spread.finder.members(equations.x[anchors], labels, labels[rows])
+    for place, (row, members) in enumerate(zip(factor.rows[rows], lists, strict=True)):
+        local = local_factor(equations, noise, held, members, factor.nugget, settings, table)
+        told = number[members][equations.known[members]]
+        found = local.squared_deviation(
+            table[np.ix_(number[row, :1], told)],
+            np.append(1.0, equations.x[row])[None],
+            prior,
+            out.mean_covariances[rows[place]],
+        )
+        squared[place] = found[0] + stated[row] + factor.nugget * prior
+    # With hardly more rows than the mean has terms, rounding leaves no variance to speak of.
+    finite = np.isfinite(out.errors[rows]).all(axis=1)
+    known: NDArray[np.bool_] = np.asarray((squared > 0) & finite)
+    if not known.any():
+        return None
+    sigma, errors = np.sqrt(squared[known]), out.errors[rows[known]] / np.sqrt(factor.variance)
+    alone = np.abs(errors) / sigma[:, None]
+    sizes = np.where(unstated[factor.rows[rows[known]], None], alone, out.sizes[rows[known]])
+    return Level(labels[rows[known]], errors, sizes, sigma)
 
 
 def _together(equations: Equations, factors: list[Factor]) -> tuple[Floats, Floats, Floats]:
@@ -263,36 +375,3 @@ def _noise(equations: Equations, factor: Factor) -> Floats:
     noise = np.zeros(len(equations))
     noise[factor.rows] = factor.noise
     return noise
-
-
-def _left_out(
-    equations: Equations,
-    held: Hyperparameters,
-    spread: Spread,
-    table: Floats,
-    settings: KrigingSettings,
-) -> tuple[LeftOut, Floats]:
-    """Return the rows left out and sigma squared (k,) as an answer there would tell it.
-
-    The errors are those of the whole factor; sigma is from the neighbourhood of the nearest row
-    left, without the row itself, since that is what an answer's bar is made of.
-    """
-    factor, prior = spread.factor, float(held.prior[0])
-    out = left_out(equations, factor, settings)
-    anchors = spread.finder.nearest_others(out.rows, equations.x)
-    noise, number = _noise(equations, factor), numbers(equations.known)
-    # What was found to be noise may be response that the kernel does not follow: bars hold it.
-    stated = np.where((equations.readings[:, factor.outputs] > 0).any(axis=1), 0.0, noise)
-    squared = np.empty(len(out.rows))
-    lists = spread.finder.members(equations.x[anchors], without=out.rows)
-    for place, (row, members) in enumerate(zip(out.rows, lists, strict=True)):
-        local = local_factor(equations, noise, held, members, factor.nugget, settings, table)
-        told = number[members][equations.known[members]]
-        found = local.squared_deviation(
-            table[np.ix_(number[row, :1], told)],
-            np.append(1.0, equations.x[row])[None],
-            prior,
-            out.mean_covariances[place],
-        )
-        squared[place] = found[0] + stated[row] + factor.nugget * prior
-    return out, squared

@@ -23,6 +23,10 @@ class TooFewRowsError(RowError):
     """A table with too few rows in its load range for a kriging."""
 
 
+class TooManyRowsError(RowError):
+    """A table with more equations than one factor holds."""
+
+
 @dataclass(frozen=True)
 class Scaling:
     """Between SI and the numbers a kriging works in.
@@ -49,6 +53,10 @@ class Scaling:
     def loads(self, wrenches: Floats) -> Floats:
         """Return wrenches (n, 6), N and N·m, in half ranges from the centre; inert loads are 0."""
         return np.where(self.active, (wrenches - self.centre) / self.half, 0.0)
+
+    def wrenches(self, places: Floats) -> Floats:
+        """Return wrenches (n, 6), N and N·m, at places in half ranges from the centre."""
+        return self.centre + places * self.half
 
 
 DECIMALS = 12  # of scaled loads: a thousandth of what bars are told to

@@ -7,11 +7,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..jit import ready
-from ..table.axes import AXES, CLEAN
-from ..table.rows import Floats, LoadRange, Rows
+from ..table.rows import LOAD_UNITS, Floats, LoadRange, Rows
+from ..table.rows import LOADS as LOAD_NAMES
 from . import compiled
 from .compiled_tables import Tables, tables_of
 from .correlation import LOADS, Hyperparameters
@@ -21,19 +20,28 @@ from .equations import (
     Equations,
     Scaling,
     TooFewRowsError,
+    TooManyRowsError,
     equations_of,
     later_order,
     places_within,
     scaling_of,
 )
 from .estimate import estimated
-from .left_out import conformal_factors, doubtful
-from .nearest import Nearest, nearest
 from .readings import Readings, readings_of
 from .settings import DEFAULTS, KrigingSettings
 from .shares import Share, shares_of
-from .size import nearest_in_words
+from .size import fits_one_factor
 from .threads import one_thread
+
+UNKNOWN_ERRORS = (
+    "how large errors are is not known: rows left out show nothing of wrenches as far from the rows "
+    "as those of the load range are (rows along one motion or near each other, or few rows that make "
+    "nearly all of the error); solve or import rows spread over the range"
+)
+TOO_FAR = (
+    "how large the error is is not known: no row is as far from the others as this wrench is from "
+    "the rows; solve or import rows around it"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +60,8 @@ class Kriging:
         Of one reading whose uncertainty nobody stated.
     estimated_rows : int
         Rows of the table when the hyperparameters were estimated.
-    inside : Dense or Nearest
+    inside : Dense
         What answers, in scaled numbers.
-    conformal : ndarray, shape (6,)
-        What sigma is multiplied by for a 95 % bar.
-    doubtful : bool
-        Whether left-out rows are too few, or too unlike, to tell how large errors are.
     tangent : ndarray, shape (6, 6), SI
         Mean tangent of the rows: the derivative by loads that take no part.
     detail : str
@@ -71,9 +75,7 @@ class Kriging:
     noise_scale: Floats
     reading_variance: Floats
     estimated_rows: int
-    inside: Dense | Nearest
-    conformal: Floats
-    doubtful: bool
+    inside: Dense
     tangent: Floats
     detail: str
 
@@ -100,6 +102,8 @@ class Kriging:
         ------
         TooFewRowsError
             If too few rows lie in the load range.
+        TooManyRowsError
+            If one factor does not hold their equations.
         SingularCovarianceError
             If rows contradict each other so that no nugget makes the covariance regular.
         """
@@ -126,6 +130,11 @@ class Kriging:
             )
         tangents = inside.compliance[np.isfinite(inside.compliance).all(axis=(1, 2))]
         tangent = tangents.mean(axis=0) if len(tangents) else np.zeros((OUTPUTS, LOADS))
+        if not fits_one_factor(equations.count, settings):
+            raise TooManyRowsError(
+                f"{len(equations)} rows bring {equations.count} equations, more than the "
+                f"{settings.dense_equations} that one factor holds"
+            )
         usable = previous is not None and previous.settings == settings
         follows = _follows(previous, load_range, scaling) if usable else None
         if follows is not None and len(equations) < settings.growth * follows.estimated_rows:
@@ -133,8 +142,8 @@ class Kriging:
         before = follows.hyperparameters if follows is not None else None
         held, noise_scale, variance = estimated(equations, scaling, before, settings)
         noisy = equations.with_reading_noise(variance)
-        fresh = _built(noisy, held, noise_scale, None, settings)
-        blank = cls(
+        fresh = _built(noisy, held, noise_scale, scaling, None, settings)
+        return cls(
             load_range=load_range,
             settings=settings,
             scaling=scaling,
@@ -143,20 +152,16 @@ class Kriging:
             reading_variance=variance,
             estimated_rows=len(equations),
             inside=fresh,
-            conformal=np.ones(OUTPUTS),
-            doubtful=False,
             tangent=tangent,
-            detail="",
+            detail=_in_words(fresh),
         )
-        return blank._calibrated(fresh, tangent)
 
     @cached_property
     def tables(self) -> Tables | None:
         """What compiled code answers from; None without it, or where it does not apply."""
-        if compiled.answers is None or not isinstance(self.inside, Dense):
+        if compiled.answers is None:
             return None
-        floor = self.settings.bar_floor
-        return tables_of(self.inside, self.scaling, self.conformal, self.tangent, floor)
+        return tables_of(self.inside, self.scaling, self.tangent, self.settings.bar_floor)
 
     def with_tables(self, tables: Tables) -> Kriging:
         """Return this with the tables that compiled code answers from, which are at hand."""
@@ -169,9 +174,25 @@ class Kriging:
         return {name: value for name, value in vars(self).items() if name != "tables"}
 
     @property
-    def is_dense(self) -> bool:
-        """Whether one factor over all rows answers, rather than the nearest rows."""
-        return isinstance(self.inside, Dense)
+    def knows_errors(self) -> bool:
+        """Whether left-out rows show how large errors are, of all outputs."""
+        return all(one.known for one in self.inside.calibrations)
+
+    def why_unknown(self, wrench: Floats) -> str:
+        """Return why the error at a wrench (6,), N and N·m, is not known; empty if it is."""
+        if not self.knows_errors:
+            return UNKNOWN_ERRORS
+        x = self.scaling.loads(np.asarray(wrench, dtype=float).reshape(1, LOADS))
+        if self.inside.within_reach(x).all():
+            return ""
+        low, high = self.scaling.wrenches(self.inside.span)
+        found = [
+            f"{LOAD_NAMES[load]} = {wrench[load]:.6g} {LOAD_UNITS[load]} is further from the rows, "
+            f"which tell errors from {low[load]:.6g} to {high[load]:.6g} {LOAD_UNITS[load]}"
+            for load in range(LOADS)
+            if not low[load] <= wrench[load] <= high[load]
+        ]
+        return "; ".join(found) or TOO_FAR
 
     def answer(self, wrench: Floats) -> tuple[Floats, Floats]:
         """Return displacement and 95 % error bar at one wrench (6,), each (6,), m and rad."""
@@ -228,12 +249,13 @@ class Kriging:
 
     def _evaluate(self, wrenches: Floats) -> tuple[Floats, Floats, Floats]:
         """Return what `evaluate` does, without compiled code."""
-        values, sigmas, slopes = self.inside.answers(self.scaling.loads(wrenches))
+        x = self.scaling.loads(wrenches)
+        values, errors, slopes = self.inside.answers(x)
         spread, offset = self.scaling.spread, self.scaling.offset
         size = (np.abs(values) + 1) * spread + np.abs(offset)
         # Never below what rounding makes of an answer.
         least = np.maximum(self.settings.bar_floor * size, self.inside.rounding * spread)
-        bars = np.maximum(sigmas * self.conformal * spread, least)
+        bars = np.where(self.inside.within_reach(x), np.maximum(errors * spread, least), np.nan)
         by_load = slopes * spread[:, None] / self.scaling.half
         derivative = np.where(self.scaling.active, by_load, self.tangent)
         return values * spread + offset, bars, derivative
@@ -241,29 +263,27 @@ class Kriging:
     def sigma_with(self, pending: Floats, at: Floats) -> Floats:
         """Return the error bars (n, 6), m and rad, at wrenches if others were solved too.
 
+        As far as they are known or not: a design goes where they are not.
+
         Parameters
         ----------
         pending, at : ndarray, shapes (m, 6) and (n, 6), N and N·m
             What is being solved (with slopes, if rows bring them), and where to tell the bars.
         """
-        _, bars = self.answer_many(at)
-        if not len(pending) or not len(at):
-            return bars
         others, places = self.scaling.loads(pending), self.scaling.loads(at)
-        size = self.settings.chunk
-        left = [
-            self.inside.sigmas_with(others, places[start : start + size])
-            for start in range(0, len(places), size)
-        ]
-        return bars * np.concatenate(left)[:, None]
+        size, spread = self.settings.chunk, self.scaling.spread
+        bars = np.empty((len(at), OUTPUTS))
+        with one_thread():
+            for start in range(0, len(at), size):
+                part = slice(start, start + size)
+                bars[part] = self.inside.answers(places[part])[1] * spread
+                if len(pending):
+                    bars[part] *= self.inside.sigmas_with(others, places[part])[:, None]
+        return bars
 
-    def left_out(self) -> tuple[Floats, Floats]:
-        """Return errors and sigma at rows left out whole, each (k, 6), m and rad.
-
-        NaN where a row does not bring the output. Without the conformal factor.
-        """
-        spread = self.scaling.spread
-        return self.inside.errors * spread, self.inside.deviations * spread
+    def left_out(self) -> Floats:
+        """Return the errors (n, 6), m and rad, at rows left out; NaN where a row has no output."""
+        return self.inside.errors * self.scaling.spread
 
     def _extended(self, inside: Rows, behind: Readings, tangent: Floats) -> Kriging:
         """Return the kriging of a later version of the table, with these hyperparameters."""
@@ -272,34 +292,10 @@ class Kriging:
         order = later_order(self.inside.equations, equations)
         before = self.inside if order is not None else None
         equations = equations if order is None else equations.take(order)
-        later = _built(equations, self.hyperparameters, self.noise_scale, before, self.settings)
-        return self._calibrated(later, tangent)
-
-    def _calibrated(self, inside: Dense | Nearest, tangent: Floats) -> Kriging:
-        """Return this with another inside, its bars calibrated on its rows left out."""
-        if not len(inside.rows):
-            raise TooFewRowsError("no row can be left out to tell the error; solve or import more")
-        kept = self._asked_like(inside)
-        left = inside.errors[kept], inside.deviations[kept], inside.sizes[kept]
-        # the mean's coefficients, which all rows settle: these in proportion
-        settled = (1 + self.scaling.active.sum()) * kept.mean()
-        found = conformal_factors(*left, settled, self.settings)
-        return replace(
-            self,
-            inside=inside,
-            conformal=found.factors,
-            doubtful=doubtful(found, left[0], self.settings),
-            tangent=tangent,
-            detail=_in_words(inside),
+        later = _built(
+            equations, self.hyperparameters, self.noise_scale, self.scaling, before, self.settings
         )
-
-    def _asked_like(self, inside: Dense | Nearest) -> NDArray[np.bool_]:
-        """Return which of the rows left out load more than one axis, or all if these are few."""
-        at_rest = self.scaling.loads(np.zeros((1, LOADS)))
-        loaded = np.abs(inside.equations.x[inside.rows] - at_rest) > CLEAN
-        clean = [~loaded[:, axis.others].any(axis=1) for axis in AXES]
-        full = ~np.any(clean, axis=0)
-        return full if full.sum() >= self.settings.full_rows else np.ones(len(full), dtype=bool)
+        return replace(self, inside=later, tangent=tangent, detail=_in_words(later))
 
 
 def _follows(previous: Kriging | None, load_range: LoadRange, scaling: Scaling) -> Kriging | None:
@@ -319,15 +315,14 @@ def _built(
     equations: Equations,
     held: Hyperparameters,
     noise_scale: Floats,
-    before: Dense | Nearest | None,
+    scaling: Scaling,
+    before: Dense | None,
     settings: KrigingSettings,
-) -> Dense | Nearest:
-    """Return what answers: one dense factor, or the nearest rows of a large table."""
+) -> Dense:
+    """Return what answers: one factor, or one for each kind of output."""
     shares = shares_of(equations, noise_scale, settings)
-    if equations.count > settings.dense_equations:
-        return nearest(equations, held, shares, settings)
-    known = before if isinstance(before, Dense) and _bordered(before, shares) else None
-    return dense(equations, held, shares, known, settings)
+    known = before if before is not None and _bordered(before, shares) else None
+    return dense(equations, held, shares, scaling, known, settings)
 
 
 def _bordered(before: Dense, shares: list[Share]) -> bool:
@@ -343,8 +338,6 @@ def _bordered(before: Dense, shares: list[Share]) -> bool:
     )
 
 
-def _in_words(inside: Dense | Nearest) -> str:
+def _in_words(inside: Dense) -> str:
     rows, equations = len(inside.equations), inside.equations.count
-    if isinstance(inside, Dense):
-        return f"kriging, one factor over {rows} rows ({equations} equations)"
-    return nearest_in_words(rows, equations)
+    return f"kriging, one factor over {rows} rows ({equations} equations)"

@@ -70,43 +70,59 @@ class Finder:
         distance = np.asarray(self.trees[0].query(places)[0], dtype=float)
         return self.rows[[near[0] for near in self._as_near(places, distance)]]
 
-    def nearest_others(self, rows: Places, x: Floats) -> Places:
-        """Return the row nearest to each of some of its own rows, itself left out.
+    def nearest_others(self, rows: Places, x: Floats, labels: Places) -> Places:
+        """Return the row nearest to each of some of its own rows that has another label.
 
         Parameters
         ----------
         rows : ndarray of int, shape (k,)
+            Places among its rows.
         x : ndarray, shape (n, 6), dimensionless
             Of all rows of the table.
+        labels : ndarray of int, shape (r,)
+            Group of each of its rows, of which there are two or more.
         """
-        places = x[rows] * self.roots[0]
-        distance = np.asarray(self.trees[0].query(places, k=2)[0], dtype=float)[:, 1]
-        lists = [self.rows[near] for near in self._as_near(places, distance)]
-        return np.array(
-            [near[near != row][0] for row, near in zip(rows, lists, strict=True)], dtype=np.intp
-        )
+        places = x[self.rows] * self.roots[0]
+        apart = ((places[rows][:, None] - places) ** 2).sum(axis=2)
+        apart[labels[rows][:, None] == labels] = np.inf
+        near = apart <= apart.min(axis=1, keepdims=True) + TIE
+        return self.rows[near.argmax(axis=1)]
 
     def _as_near(self, places: Floats, distance: Floats) -> NDArray[np.object_]:
         """Return which of its rows are within a distance (m,) of places (m, 6), ascending."""
         radius = np.sqrt(distance**2 + TIE)
         return self.trees[0].query_ball_point(places, radius, return_sorted=True)
 
-    def members(self, x: Floats, without: Places | None = None) -> list[Places]:
-        """Return the neighbours of each place (m, 6), nearest first, without one row each."""
-        count = min(self.most_rows + 1, len(self.rows))
+    def members(
+        self, x: Floats, labels: Places | None = None, without: Places | None = None
+    ) -> list[Places]:
+        """Return the neighbours of each place (m, 6), nearest first.
+
+        Parameters
+        ----------
+        labels : ndarray of int, shape (r,), optional
+            Group of each of its rows.
+        without : ndarray of int, shape (m,), optional
+            For each place the label of the group that is left out.
+        """
+        largest = 0 if labels is None else int(np.bincount(labels).max())
+        count = min(self.most_rows + largest, len(self.rows))
         found = [
             np.asarray(tree.query(x * root, k=count)[1]).reshape(len(x), count)
             for tree, root in zip(self.trees, self.roots, strict=True)
         ]
         turns = np.stack(found, axis=2).reshape(len(x), -1)
-        left_out = np.full(len(x), -1) if without is None else without
-        return [self._first(turn, out) for turn, out in zip(turns, left_out, strict=True)]
+        lists = [np.array(list(dict.fromkeys(turn)), dtype=np.intp) for turn in turns.tolist()]
+        if labels is not None and without is not None:
+            lists = [
+                near[labels[near] != label] for near, label in zip(lists, without, strict=True)
+            ]
+        return [self._first(near) for near in lists]
 
-    def _first(self, turn: Places, left_out: int) -> Places:
-        """Return the rows of a list of places that the limits allow, each once."""
-        each = np.array(list(dict.fromkeys(turn.tolist())), dtype=np.intp)
-        each = each[self.rows[each] != left_out][: self.most_rows]
-        return self.rows[each[np.cumsum(self.size[each]) <= self.most_equations]]
+    def _first(self, near: Places) -> Places:
+        """Return the rows of a list of places, each once, that the limits allow."""
+        near = near[: self.most_rows]
+        return self.rows[near[np.cumsum(self.size[near]) <= self.most_equations]]
 
 
 @dataclass(frozen=True)

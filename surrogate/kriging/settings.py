@@ -68,12 +68,6 @@ class KrigingSettings:
     # 140 x 140 triangle; 40 measured ones keep the triangles of 2,500 rows within 32 MB.
     deviation_rows: int = 40
     deviation_equations: int = 140
-    # Beyond one factor the mean and the process variances come from this many equations, spread
-    # widely, and an answer solves for the nearest rows, up to so many rows and equations: 30 solved
-    # ones take some 3 ms.
-    mean_equations: int = 700
-    local_rows: int = 100
-    local_equations: int = 210
     # Answers at once, so that their covariances with 400 solved rows stay within 25 MB.
     chunk: int = 1000
     # Decimals of the logarithms that the estimate ends at: a length to 0.05 %, and the same one
@@ -81,8 +75,30 @@ class KrigingSettings:
     decimals: int = 3
     # Outputs whose noise over process variance is within this factor share one factorisation.
     like_noise: float = 2.0
-    # Left-out rows of a large table: enough for a 95 % quantile an output.
-    left_out_rows: int = 400
+    # Rows left out at each level of grouping: enough for a 95 % quantile of six outputs, whose tail
+    # they share; each costs half a millisecond a level.
+    left_out_rows: int = 96
+    # Groups of left-out rows: from one level to the next so many times fewer, down to three, whose
+    # spread still tells something. Twice as few hold as well, with wider bars for twins.
+    group_growth: float = 1.5
+    least_groups: int = 3
+    # A level resembles what is asked if the median deviation of its left-out rows is 0.6 of that at
+    # random wrenches: left-out rows are the others' distance apart, wrenches lie between. Where no
+    # level has half of it, errors are not known. Below the first level that resembles it, factors
+    # are at least the normal 1.96: rows along a motion predict each other far better than what lies
+    # beside the motion (with 60 of `plate_thin` 31 to 48 % of the covered were outside). From it on
+    # left-out rows are as what is asked, and tell by themselves.
+    resembling: float = 0.6
+    barely_resembling: float = 0.5
+    # The quantile of left-out deviations beyond which errors are not known, and that of the
+    # deviations at random wrenches up to which groups grow.
+    far: float = 0.95
+    enough: float = 0.8
+    # Fewer rows of more than one axis tell nothing of such wrenches, which are not covered then.
+    few_full: int = 4
+    # How likely rows that are spread evenly leave more beyond the outermost ones than is counted as
+    # theirs: of six loads with two ends each one end in nine tables.
+    beyond_rows: float = 0.01
     # With so many rows of more than one axis bars are calibrated on them alone: what is asked loads
     # all axes too, and rows at the corners of one axis err more (bars up to 16 x their errors).
     # Fewer than 15 tell no size: measured with 4 and 8, 52 to 100 % of errors were inside.

@@ -31,6 +31,9 @@ def fits_one_factor(equations: int, settings: KrigingSettings = DEFAULTS) -> boo
     return equations <= settings.dense_equations
 
 
-def nearest_in_words(rows: int, equations: int) -> str:
-    """Say how a kriging by nearest rows answers."""
-    return f"kriging over the nearest of {rows} rows ({equations} equations in all)"
+def too_large_in_words(rows: int, equations: int, settings: KrigingSettings = DEFAULTS) -> str:
+    """Return why a table of so many rows and equations has no kriging."""
+    return (
+        f"no kriging: {rows} rows bring {equations} equations, one factor holds "
+        f"{settings.dense_equations}"
+    )

@@ -86,7 +86,7 @@ def choose(
         return Choice("griddata", "there are too few rows for kriging", {})
     if _interaction_untold(rows, load_range):
         return Choice("griddata", NOT_TOLD, {})
-    errors, _ = kriging.left_out()
+    errors = kriging.left_out()
     size = np.where(kriging.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
     ours = _score(errors, size)
     theirs = _score(_griddata_errors(rows, compose), size)

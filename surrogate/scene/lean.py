@@ -9,6 +9,7 @@ wrench of the scene is nearest to. What stays is untouched: the answers are the 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
@@ -21,20 +22,17 @@ from .reach import nearest_anywhere
 
 
 def lean_kriging(kriging: Kriging, need: Need) -> Kriging:
-    """Return what answers as a kriging does at a scene's wrenches; a large table's as it is."""
+    """Return what answers as a kriging does at a scene's wrenches."""
     inside = kriging.inside
-    if not isinstance(inside, Dense):
-        return kriging
     low, high = _box(need, kriging.scaling)
+    read = [np.isin(share.factor.outputs, need.outputs).any() for share in inside.shares]
     shares = tuple(
-        _lean_spread(inside, share, low, high)
-        for share in inside.shares
-        if np.isin(share.factor.outputs, need.outputs).any()
+        _lean_spread(inside, share, low, high) for share in compress(inside.shares, read)
     )
     unread = np.setdiff1d(np.arange(6), need.outputs)
     weights = inside.weights.copy()
     weights[:, :, unread] = 0.0
-    n, none = len(inside.equations), np.zeros((0, 6))
+    n = len(inside.equations)
     equations = replace(  # what the rows said is in their weights
         inside.equations,
         told=np.zeros((n, 0, 0)),
@@ -46,9 +44,8 @@ def lean_kriging(kriging: Kriging, need: Need) -> Kriging:
         equations=equations,
         shares=shares,
         weights=weights,
-        rows=inside.rows[:0],
-        errors=none,
-        deviations=none,
+        errors=inside.errors[:0],
+        calibrations=tuple(compress(inside.calibrations, read)),
     )
     return without_copies(replace(kriging, inside=lean))
 
@@ -59,7 +56,7 @@ def without_copies(kriging: Kriging) -> Kriging:
     Where there is compiled code; else there are no tables, and nothing is there twice.
     """
     tables, inside = kriging.tables, kriging.inside
-    if tables is None or not isinstance(inside, Dense):
+    if tables is None:
         return kriging
     around = tuple(
         replace(

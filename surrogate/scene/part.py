@@ -95,7 +95,7 @@ class Part:
     linear: bool
     load_range: LoadRange
     tolerance: Tolerance | None
-    ranges: Floats
+    limits: Allowed
     rows: int
     fit: ComplianceFit
     kriging: Kriging | None
@@ -106,7 +106,7 @@ class Part:
     @cached_property
     def answering(self) -> Method | None:
         """The method, made of what is kept; None where no row is within the load range."""
-        if not self.ranges.any() and self.axes is None and self.kriging is None:
+        if not self.limits.ranges.any() and self.axes is None and self.kriging is None:
             return Linear(self.fit, self.load_range, None) if self.method == "linear" else None
         if self.method == "linear":
             return Linear(self.fit, self.load_range, None)
@@ -185,7 +185,7 @@ class Part:
 
     def allowed(self, tolerance: Tolerance | None) -> Floats:
         """Return the largest bar of each output, (6,), m and rad, of a covered answer."""
-        return np.array(Allowed(self.tolerance, self.ranges).of(self.method, tolerance))
+        return np.array(self.limits.of(tolerance or self.tolerance))
 
     def _reference(self) -> Reference:
         if self.kriging is not None:
@@ -210,7 +210,7 @@ def part_of(whole: Surrogate, outputs: tuple[int, ...], need: Need) -> Part:
         linear=whole.linear,
         load_range=whole.load_range,
         tolerance=need.tolerance or whole.tolerance,
-        ranges=whole.ranges,
+        limits=whole.allowed,
         rows=len(whole.rows),
         fit=whole.fit,
         kriging=lean_kriging(whole.kriging, told) if dense and whole.kriging else None,

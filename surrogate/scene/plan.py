@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike
 from ..answer import allowed_by
 from ..build import AnyTable
 from ..design.adaptive import Design, next_wrenches
-from ..design.initial import Known, first_count, first_design, spread_wrenches
+from ..design.initial import Known, first_count, first_design
 from ..surrogate import Surrogate
 from ..table.rows import LOADS, OUTPUT_UNITS, OUTPUTS, Floats, LoadRange
+from ..table.spread import spread_wrenches
 from .need import Need
 from .part import parts_of
 

@@ -241,7 +241,7 @@ class SceneTable:
 def _exact_rows(rows: Rows, part: Part) -> ExactRows:
     """Return the rows that answer in a part's stead: those that hold its outputs."""
     kept = rows.take(np.isfinite(rows.displacement[:, list(part.outputs)]).all(axis=1))
-    return ExactRows(kept.wrench, part.load_range, part.ranges, kept, np.arange(len(kept)))
+    return ExactRows(kept.wrench, part.load_range, part.limits.ranges, kept, np.arange(len(kept)))
 
 
 def scene_table(whole: AnyTable, need: Need, plan: dict[str, Any] | None = None) -> SceneTable:

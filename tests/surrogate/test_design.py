@@ -1,5 +1,4 @@
 import time
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from surrogate.answer import allowed_by
 from surrogate.build import build
 from surrogate.design.adaptive import ENOUGH, next_wrenches
 from surrogate.design.initial import CORNERS, Known, first_design, spread_wrenches
-from surrogate.kriging.left_out import LeftOut
 from surrogate.missing_outputs import MissingOutputs
 from surrogate.surrogate import Surrogate
 from surrogate.table.axes import clean_rows
@@ -202,19 +200,14 @@ def test_a_table_whose_rows_lack_outputs_is_filled_for_those_that_fewest_rows_ho
     np.testing.assert_array_equal(asked, thin)
 
 
-def test_a_table_of_which_no_row_can_be_left_out_has_no_kriging_but_next_wrenches(
+def test_a_table_of_which_no_row_tells_an_error_covers_nothing_but_has_next_wrenches(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Its bars were infinite, or no numbers, and so was what would be left of them."""
-    own = dense._left_out
-
-    def nothing_told(*given: Any) -> tuple[LeftOut, np.ndarray]:
-        found, squared = own(*given)
-        return found, 0 * squared  # as rounding leaves it of a few rows
-
-    monkeypatch.setattr(dense, "_left_out", nothing_told)
+    """Its error bars were infinite, or no numbers, and so was what would be left of them."""
+    monkeypatch.setattr(dense, "_level", lambda *_: None)  # as rounding leaves it of a few rows
     wrenches = spread_wrenches(RANGE, 20)
     surrogate = build(Rows.of(wrenches, wrenches * 1e-6, source=["fea"] * 20), RANGE)
-    assert surrogate.kriging is None
-    assert surrogate.default == "griddata"
+    assert isinstance(surrogate, Surrogate)
+    assert surrogate.kriging is not None
+    assert not surrogate.kriging.knows_errors
     assert len(next_wrenches(surrogate, 3, pending=-wrenches).wrenches) == 3

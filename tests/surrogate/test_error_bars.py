@@ -7,8 +7,7 @@ import pytest
 
 from surrogate.bars.conformal import conformal_factor
 from surrogate.build import build
-from surrogate.doubt import UNKNOWN_SIZE
-from surrogate.kriging.left_out import conformal_factors, doubtful
+from surrogate.kriging.kriging import UNKNOWN_ERRORS
 from surrogate.surrogate import Surrogate
 from surrogate.table.rows import Rows, Tolerance
 from tests.surrogate.calibrating import (
@@ -169,11 +168,14 @@ def test_no_bar_is_nothing_off_a_row() -> None:
     assert (surrogate.batch(full_wrenches(200, 2) * HIGH).error > 0).all()
 
 
-def test_the_bar_grows_away_from_the_rows() -> None:
+def test_errors_are_known_only_within_what_the_rows_span() -> None:
+    """Rows in the middle of the range show nothing of its ends."""
     scaled = np.clip(full_wrenches(40, 1), -0.5, 0.5)
     surrogate = build(solved(coupled, scaled), RANGE)
-    near, far = (surrogate.batch(full_wrenches(200, 2) * HIGH * part).error for part in (0.4, 1.0))
-    assert (np.median(far, axis=0) > 3 * np.median(near, axis=0)).all()
+    near, far = (surrogate.batch(full_wrenches(200, 2) * HIGH * part) for part in (0.4, 1.0))
+    assert np.isfinite(near.error).all(axis=1).mean() > 0.9
+    assert np.isnan(far.error).any(axis=1).mean() > 0.9
+    assert not (far.coverage == 0)[np.isnan(far.error).any(axis=1)].any()
 
 
 def test_the_factor_covers_its_level_and_is_careful_with_few_errors() -> None:
@@ -186,50 +188,6 @@ def test_the_factor_covers_its_level_and_is_careful_with_few_errors() -> None:
     assert np.isinf(conformal_factor(errors[:30], np.zeros((30, 1)))[0])
 
 
-def test_the_factors_of_a_kriging_hold_their_level_per_output() -> None:
-    rng = np.random.default_rng(5)
-    size = np.array([1.0, 2.0, 0.5, 1.0, 3.0, 1.0])
-    inside = []
-    for _ in range(200):
-        errors = rng.normal(size=(40, 6)) * size
-        factors = conformal_factors(errors, np.ones((40, 6)), np.abs(errors)).factors
-        inside.append((np.abs(rng.normal(size=(100, 6))) * size <= factors).mean(axis=0))
-    assert 0.93 < np.mean(inside) < 0.99
-
-
-def test_few_rows_widen_bars_so_that_nearly_all_tables_hold() -> None:
-    """Of 15 rows with seven normal numbers each, 95 % of which are to be inside in all outputs."""
-    rng = np.random.default_rng(6)
-    tables = 400
-    held = 0
-    for _ in range(tables):
-        whole = rng.normal(size=(15, 6, 7))
-        found = conformal_factors(
-            whole[..., 0], np.ones((15, 6)), np.sqrt((whole**2).mean(axis=2)), 0
-        )
-        held += bool((found.factors >= 1.645).all())  # 90 % of a normal distribution
-    assert held >= 0.95 * tables
-
-
-def test_rows_of_which_a_few_make_all_of_the_error_widen_bars_most() -> None:
-    ones = np.ones((40, 6))
-    even, few = ones.copy(), 0.1 * ones
-    few[:2] = 4.0
-    narrow, wide = (conformal_factors(one, ones, one, 7).widened for one in (even, few))
-    assert (narrow < 1.4).all()
-    assert (wide > 2).all()
-
-
-def test_left_out_rows_that_do_not_tell_the_size_of_errors_are_doubtful() -> None:
-    ones = np.ones((40, 6))
-    few = 0.1 * ones
-    few[:1] = 4.0
-    assert doubtful(conformal_factors(few, ones, few, 7), few)
-    assert not doubtful(conformal_factors(ones, ones, ones, 7), ones)
-    rounding = 1e-7 * few
-    assert not doubtful(conformal_factors(rounding, ones, rounding, 7), rounding)
-
-
 def test_a_table_whose_left_out_rows_tell_no_size_covers_nothing_and_says_why() -> None:
     """Play off the origin, 15 filled solves: two rows make nearly all of the left-out error."""
     rows = filled(RESPONSES["clearance"], 15, 103)
@@ -237,4 +195,4 @@ def test_a_table_whose_left_out_rows_tell_no_size_covers_nothing_and_says_why() 
     asked = full_wrenches(20, 1) * HIGH
     assert (surrogate.batch(asked).coverage == 1).all()
     told = surrogate.answer(asked[0].tolist())
-    assert (told.coverage, told.reason) == ("thin", UNKNOWN_SIZE)
+    assert (told.coverage, told.reason) == ("thin", UNKNOWN_ERRORS)

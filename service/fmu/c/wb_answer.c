@@ -196,7 +196,7 @@ static void judge(const wb_group *g, const double w[6], const double tolerance[2
         known &= isfinite(a->error[q]) != 0;
     }
     if (a->coverage == WB_COVERED && g->rest_unknown && is_at_rest(g, w)) a->coverage = WB_OUTSIDE;
-    int doubtful = !g->size_known || (!g->knows_interaction && loads_several(g, w));
+    int doubtful = !g->knows_interaction && loads_several(g, w);
     if (a->coverage == WB_COVERED && (over || doubtful)) a->coverage = WB_THIN;
     for (int q = 0; !known && q < 6; q++) a->error[q] = NAN;
 }

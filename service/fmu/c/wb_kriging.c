@@ -102,6 +102,24 @@ static void weigh(const wb_kriging *k, const double *flat, double told[6]) {
         for (int q = 0; q < OUTPUTS; q++) told[q] += flat[i] * k->weights[OUTPUTS * i + q];
 }
 
+/* `_is_known`: whether the error at scaled loads with a posterior deviation is known. */
+static int is_known(const wb_kriging *k, const wb_share *share, double sigma, const double at[6]) {
+    for (int a = 0; a < LOADS; a++)
+        if (!(k->span[a] <= at[a] && at[a] <= k->span[LOADS + a])) return 0;
+    return sigma <= share->sigma[share->levels];
+}
+
+/* `_factor`: what a deviation is multiplied by for an error bar. */
+static double factor_of(const wb_share *share, double sigma, int q) {
+    int last = share->levels - 1, n = 0;
+    const double *f = share->factors + q, *s = share->sigma;
+    if (sigma >= s[last]) return f[OUTPUTS * last];
+    if (sigma <= s[0]) return f[0];
+    while (s[n + 1] <= sigma) n++;
+    return (f[OUTPUTS * (n + 1)] - f[OUTPUTS * n]) / (s[n + 1] - s[n]) * (sigma - s[n])
+           + f[OUTPUTS * n];
+}
+
 /* `_values`: displacement and 95 % bar, m and rad. */
 void wb_kriging_values(const wb_kriging *k, wb_workspace *work, const double wrench[6],
                        double displacement[6], double bar[6]) {
@@ -121,7 +139,8 @@ void wb_kriging_values(const wb_kriging *k, wb_workspace *work, const double wre
         double own = sqrt(squared_deviation(k, share, anchor, at, work->across, work->chosen,
                                             work->reduced));
         for (int q = 0; q < OUTPUTS; q++)
-            if (share->outputs[q]) sigma[q] = own;
+            if (share->outputs[q])
+                sigma[q] = is_known(k, share, own, at) ? own * factor_of(share, own, q) : NAN;
     }
     for (int q = 0; q < OUTPUTS; q++) {
         double value = told[q] + k->coefficients[q];

@@ -125,6 +125,9 @@ static void read_share(reader *r, wb_share *share, int64_t rows) {
     share->unsettled = doubles(r, rows * e * 7);
     share->least = doubles(r, rows);
     share->mean_covariance = doubles(r, 49);
+    share->levels = one(r, 1, 1000);
+    share->sigma = doubles(r, share->levels + 1);
+    share->factors = doubles(r, 6 * (int64_t)share->levels);
     if (!r->bad) within(r, share->places, rows * e, 0, 7 * rows);
 }
 
@@ -137,6 +140,7 @@ static void read_kriging(reader *r, wb_kriging *k, wb_share **share) {
     k->scales = doubles(r, 36);
     k->floor = doubles(r, 1);
     k->tangent = doubles(r, 36);
+    k->span = doubles(r, 12);
     k->shares = one(r, 1, 6);
     k->share = *share;
     for (int s = 0; !r->bad && s < k->shares; s++) read_share(r, (*share)++, n);
@@ -165,7 +169,6 @@ static void read_group(reader *r, wb_group *g, wb_share **share) {
     g->reference = one(r, WB_NO_REFERENCE, WB_ITSELF);
     g->knows_interaction = one(r, 0, 1);
     g->rest_unknown = one(r, 0, 1);
-    g->size_known = one(r, 0, 1);
     g->exact_fit = one(r, 0, 1);
     g->low = doubles(r, 6);
     g->high = doubles(r, 6);

@@ -51,21 +51,21 @@ typedef struct {
 
 /* The neighbourhoods that tell sigma for some outputs. */
 typedef struct {
-    int equations;
+    int equations, levels;
     const int32_t *outputs, *places;
-    const double *reduce, *unsettled, *least, *mean_covariance;
+    const double *reduce, *unsettled, *least, *mean_covariance, *sigma, *factors;
 } wb_share;
 
 /* A dense kriging: `surrogate.kriging.compiled.Tables`. */
 typedef struct {
     int rows, shares;
-    const double *x, *terms, *weights, *coefficients, *scales, *floor, *tangent;
+    const double *x, *terms, *weights, *coefficients, *scales, *floor, *tangent, *span;
     wb_share *share;
 } wb_kriging;
 
 /* One surrogate: the outputs that the same rows hold. */
 typedef struct {
-    int method, reference, knows_interaction, rest_unknown, size_known;
+    int method, reference, knows_interaction, rest_unknown;
     int has_composition, has_kriging, has_fit, exact_fit, nearest_rows, rows, tangents;
     const int32_t *outputs, *row_number, *row_tangent;
     const double *low, *high, *small, *allowed, *scale;

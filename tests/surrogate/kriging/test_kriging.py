@@ -6,7 +6,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from surrogate.kriging import Kriging, KrigingSettings, TooFewRowsError, compiled
+from surrogate.kriging import (
+    Kriging,
+    KrigingSettings,
+    TooFewRowsError,
+    TooManyRowsError,
+    compiled,
+)
 from surrogate.kriging.dense import Dense
 from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.kriging.responses import (
@@ -253,11 +259,14 @@ def test_rows_that_do_not_err_are_found_to_have_no_noise() -> None:
 
 
 def test_pending_solves_lower_bars_where_they_are_and_nowhere_raise_them(kriging: Kriging) -> None:
-    before = kriging.answer_many(ASKED)[1]
+    before = kriging.sigma_with(np.empty((0, 6)), ASKED)
     after = kriging.sigma_with(ASKED[:3], ASKED)
     assert (after <= before * (1 + 1e-12)).all()
     assert (after[:3] < 0.05 * before[:3]).all()
-    np.testing.assert_array_equal(kriging.sigma_with(np.empty((0, 6)), ASKED), before)
+    told = kriging.answer_many(ASKED)[1]
+    known = np.isfinite(told).all(axis=1)
+    assert known.mean() > 0.9
+    np.testing.assert_allclose(told[known], before[known], rtol=1e-6)
 
 
 def test_the_detail_tells_how_it_answers(kriging: Kriging) -> None:
@@ -271,28 +280,12 @@ def test_bars_never_vanish_even_where_nothing_is_left_to_learn() -> None:
     assert (np.abs(displacement - ASKED / HIGH * 1e-3) <= bar).all()
 
 
-LOCAL = KrigingSettings(dense_equations=150)
-
-
 @pytest.mark.parametrize("measured", [False, True])
-def test_a_table_too_large_for_one_factor_answers_from_the_nearest_rows(measured: bool) -> None:
+def test_a_table_too_large_for_one_factor_has_no_kriging_and_says_so(measured: bool) -> None:
     x = spread_wrenches(10, 60, 31) if not measured else spread_wrenches(60, 240, 31)
     rows = table(COUPLED, x) if measured else solved(COUPLED, x)
-    kriging = Kriging.build(rows, RANGE, settings=LOCAL)
-    assert kriging.detail.startswith("kriging over the nearest of")
-    told, bar, slope = kriging.evaluate(ASKED)
-    error = np.abs(told - COUPLED(ASKED / HIGH))
-    assert (error <= bar).mean() >= 0.9
-    assert (np.sqrt((error**2).mean(axis=0)) / _size(rows)).max() < 0.03
-    step = 1e-3 * HIGH[2] * np.eye(6)[2]
-    ahead, behind = kriging.answer(ASKED[0] + step)[0], kriging.answer(ASKED[0] - step)[0]
-    difference = (ahead - behind) / (2 * step[2])
-    np.testing.assert_allclose(slope[0, :, 2] * HIGH[2], difference * HIGH[2], atol=1e-7)
-    after = kriging.sigma_with(ASKED[:2], ASKED)
-    assert (after <= bar * (1 + 1e-12)).all()
-    assert (after[:2] < 0.5 * bar[:2]).all()
-    again = pickle.loads(pickle.dumps(kriging))
-    np.testing.assert_array_equal(again.answer_many(ASKED)[0], told)
+    with pytest.raises(TooManyRowsError, match="more than the 150 that one factor holds"):
+        Kriging.build(rows, RANGE, settings=KrigingSettings(dense_equations=150))
 
 
 def test_without_numba_the_same_answers_come_from_numpy(
@@ -314,7 +307,6 @@ def test_many_threads_read_one_kriging_at_once(kriging: Kriging) -> None:
 
 
 def test_left_out_rows_are_told_in_si_units(kriging: Kriging) -> None:
-    errors, deviations = kriging.left_out()
-    assert errors.shape == deviations.shape == (len(ROWS), 6)
+    errors = kriging.left_out()
+    assert errors.shape == (len(ROWS), 6)
     assert (np.abs(errors).max(axis=0) < 0.2 * _size(ROWS)).all()
-    assert (deviations > 0).all()

@@ -34,7 +34,9 @@ def test_no_bar_is_less_than_the_two_versions_differ_by(name: str, gentle: Krigi
     one, other = kriging.evaluate(asked), kriging._evaluate(asked)
     apart = np.abs(one[0] - other[0])
     least = kriging.inside.rounding * kriging.scaling.spread
-    assert (apart <= np.minimum(one[1], other[1])).all()
+    np.testing.assert_array_equal(np.isnan(one[1]), np.isnan(other[1]))
+    known = np.isfinite(one[1])
+    assert (apart <= np.minimum(one[1], other[1]))[known].all()
     assert (apart <= np.maximum(least, 1e-11 * kriging.scaling.spread)).all()
 
 
@@ -45,6 +47,8 @@ def test_weights_that_are_huge_are_told_by_the_floor_of_the_bars(gentle: Kriging
 
 def test_the_nugget_keeps_rounding_below_a_thousandth_of_every_bar(gentle: Kriging) -> None:
     _, bars, _ = gentle.evaluate(_asked(gentle))
+    bars = bars[np.isfinite(bars).all(axis=1)]
+    assert len(bars)
     assert (gentle.inside.rounding * gentle.scaling.spread < 1e-3 * bars).all()
 
 
@@ -76,7 +80,7 @@ def test_a_row_left_out_takes_the_first_of_its_equally_near_others() -> None:
     rows: Rows = solved(RESPONSES["smooth"], x)
     finder: Finder = Kriging.build(rows, RANGE).inside.shares[0].finder
     own, places = Kriging.build(rows, RANGE).inside.equations.x, np.arange(13)
-    found = finder.nearest_others(places, own)
+    found = finder.nearest_others(places, own, places)
     distance = (((own[:, None] - own) * finder.roots[0]) ** 2).sum(axis=2)
     np.fill_diagonal(distance, np.inf)
     tied = distance <= distance.min(axis=1, keepdims=True) + 1e-10

@@ -1,0 +1,208 @@
+"""By how much posterior deviations are multiplied to hold 95 % of the errors: what left-out rows show.
+
+A left-out row shows how wrong answers are that are as far from their rows as it was from its own,
+and nothing of answers further away. So rows are left out in groups (complete linkage in the metric
+of the length scales): at first each by itself, then with their neighbours, until the deviations at
+what is left out are as large as those at random wrenches of the loads that the rows span. Each level
+of grouping gives a deviation and a factor for it; in between the factor is interpolated. Beyond the
+largest deviation that left-out rows had, and where no three groups reach half of what random wrenches
+have (rows along a motion, twins), errors are not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.special import gammaincinv
+
+from ..table.rows import Floats
+from .correlation import PLACES
+from .equations import OUTPUTS
+from .settings import DEFAULTS, KrigingSettings
+
+Labels = NDArray[np.intp]
+
+# Levels whose deviations differ by less are one: where deviations are those of the nugget, groups do
+# not change them, and the largest factor is theirs.
+APART = 1.05
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The factor of the deviations of one factor's outputs.
+
+    Attributes
+    ----------
+    sigma : ndarray, shape (k,), process deviations
+        Ascending; none where errors are not known.
+    factors : ndarray, shape (k, q), dimensionless
+        What a deviation of `sigma` is multiplied by for a 95 % error bar, one an output.
+    reach : float, process deviations
+        Beyond it errors are not known; 0 if they are nowhere.
+    """
+
+    sigma: Floats
+    factors: Floats
+    reach: float
+
+    @property
+    def known(self) -> bool:
+        """Whether left-out rows show how large errors are."""
+        return self.reach > 0
+
+    def at(self, sigma: Floats) -> Floats:
+        """Return the factors (m, q) of deviations (m,), process deviations, within reach or not."""
+        columns = [np.interp(sigma, self.sigma, column) for column in self.factors.T]
+        return np.stack(columns, axis=1)
+
+
+class Level(NamedTuple):
+    """Rows left out in groups of one size: dimensionless.
+
+    Attributes
+    ----------
+    groups : ndarray of int, shape (k,)
+        Group of each row left out.
+    errors : ndarray, shape (k, q), process deviations
+    sizes : ndarray, shape (k, q)
+        See `left_out.LeftOut`.
+    sigma : ndarray, shape (k,), process deviations
+        As an answer at the row would have it.
+    """
+
+    groups: Labels
+    errors: Floats
+    sizes: Floats
+    sigma: Floats
+
+
+def groupings(places: Floats, settings: KrigingSettings = DEFAULTS) -> Iterator[Labels]:
+    """Yield groups of places (n, 6), scaled by length scales: each alone, then fewer and larger."""
+    count = len(places)
+    tree = linkage(places, "complete") if count > 1 else np.empty((0, 4))
+    wanted, before = count, count + 1
+    while wanted >= settings.least_groups:
+        labels = fcluster(tree, wanted, "maxclust") if len(tree) else np.ones(count, dtype=int)
+        if labels.max() < before:
+            before = int(labels.max())
+            yield np.asarray(labels, dtype=np.intp)
+        wanted = min(int(wanted / settings.group_growth), wanted - 1)
+
+
+def calibrate(
+    levels: Iterator[Level],
+    outputs: int,
+    asked: Floats,
+    coefficients: float,
+    settings: KrigingSettings = DEFAULTS,
+) -> Calibration:
+    """Return the factors that levels of ever larger groups show.
+
+    Parameters
+    ----------
+    levels : iterator of Level
+        Taken for as long as left-out rows are nearer to the others than `asked`.
+    outputs : int
+        How many a level has.
+    asked : ndarray, shape (m,), process deviations
+        At random wrenches of the loads that the rows span.
+    coefficients : float
+        Of the mean, that single rows settle too.
+    """
+    typical, enough = np.median(asked), np.quantile(asked, settings.enough)
+    sigma, factors, reach, resembles = [], [], 0.0, False
+    most, least = np.zeros(1), settings.half_width
+    for level in levels:
+        middle = float(np.median(level.sigma))
+        if middle >= settings.resembling * typical:
+            least = 0.0  # these rows are as far away as what is asked: their own errors tell
+        found = _factors(level, coefficients if not sigma else 0.0, settings, sure=not resembles)
+        if found is None:
+            break
+        resembles |= middle >= settings.resembling * typical
+        most = np.maximum(most, np.maximum(found, least))
+        reach = max(reach, float(np.quantile(level.sigma, settings.far)))
+        if sigma and middle <= APART * sigma[-1]:
+            factors[-1] = most
+        else:
+            sigma.append(middle)
+            factors.append(most)
+        if reach >= enough and resembles:
+            break
+    if not sigma or sigma[-1] < settings.barely_resembling * typical:
+        return Calibration(np.ones(1), np.full((1, outputs), settings.half_width), 0.0)
+    return Calibration(np.array(sigma), np.array(factors), reach)
+
+
+def _factors(
+    level: Level, coefficients: float, settings: KrigingSettings, *, sure: bool
+) -> Floats | None:
+    """Return the factors (q,) that hold `level` of one level's errors; None if it does not show them.
+
+    The ratios |error| / sigma have a size, one an output, and a tail, whose shape the outputs share.
+    The size is told by slopes as well as by values: seven numbers a row. The tail's quantile is that
+    of all ratios over their output's size, at the rank that holds for one more (split conformal
+    prediction: Lei et al. 2018). Groups count alike, however many rows they have.
+
+    Parameters
+    ----------
+    sure : bool
+        Whether sizes are widened for the small number of groups.
+    """
+    group = np.unique(level.groups, return_inverse=True)[1]
+    count = int(group.max()) + 1
+    weights = 1.0 / np.bincount(group)[group]
+    ratios = np.abs(level.errors) / level.sigma[:, None]
+    squares = np.stack(
+        [np.bincount(group, weights * column**2, count) for column in level.sizes.T], axis=1
+    )
+    square = squares.mean(axis=0)
+    size = np.sqrt(np.where(square > 0, square, 1.0))
+    scatter = (squares**2).mean(axis=0) / size**4 - 1
+    # Values and slopes of a row are up to seven independent numbers; rows of one group are alike.
+    scatter = np.maximum(scatter, 2 / PLACES if count == len(group) else 2.0)
+    widened = _widened(np.maximum(count - coefficients, 1.0), scatter, settings.confidence)
+    missed = square > 0  # an output of which nothing is missed says nothing of the tail
+    columns = missed if missed.any() else np.ones_like(missed)
+    tail = _quantile((ratios / size)[:, columns], weights, settings.level)
+    factors = tail * size * (widened if sure else 1.0)
+    inside = (weights[:, None] * (ratios <= factors)).sum(axis=0) / count
+    # Below the deviation that the nugget allows errors are rounding, whose size means nothing.
+    matter = (np.abs(level.errors) > np.sqrt(settings.nugget)).any(axis=0)
+    bad = (widened > settings.most_widened) | (inside < settings.least_held)
+    return None if (matter & bad).any() else factors
+
+
+def _widened(groups: float, scatter: Floats, confidence: float) -> Floats:
+    """Return by how much a size may be larger than groups show, (q,), at a confidence in all outputs.
+
+    The factor of normal tolerance intervals, sqrt(f / chi2_a(f)): with it an interval holds its
+    content at confidence 1 - a, the centre being known (Krishnamoorthy and Mathew 2009,
+    "Statistical Tolerance Regions"). a is a sixth of 1 - confidence, for six outputs (Bonferroni). f
+    is the degrees of freedom of a chi square whose variance is that of the mean square (Satterthwaite
+    1946): as many as groups where each brings one normal number, up to seven times that where values
+    and slopes of single rows are alike, and few where a few groups make most of the size.
+
+    Parameters
+    ----------
+    groups : float
+        Their number, less that which settles the mean.
+    scatter : ndarray, shape (q,), dimensionless
+        Variance of the groups' mean squares over their squared mean.
+    """
+    freedom = 2 * groups / scatter
+    return np.sqrt(freedom / (2 * gammaincinv(freedom / 2, (1 - confidence) / OUTPUTS)))
+
+
+def _quantile(ratios: Floats, weights: Floats, level: float) -> float:
+    """Return the smallest of ratios (k, q), weighed (k,), that so many of one more are below."""
+    flat, weight = ratios.ravel(), np.repeat(weights, ratios.shape[1])
+    order, total = np.argsort(flat), weight.sum()
+    below = np.cumsum(weight[order]) / total
+    place = int(np.searchsorted(below, level * (total + 1) / total))
+    return float(flat[order][min(place, len(flat) - 1)])
