@@ -212,9 +212,8 @@ class _Refinement:
 
     def _losses(self, wrenches: Floats) -> Floats:
         """Return the largest bar over what is allowed (n,) at wrenches (n, 6), as of now."""
-        return (self._errors(np.empty((0, 6)), wrenches) / self.allowed)[:, self.outputs].max(
-            axis=1
-        )
+        over = self._errors(np.empty((0, 6)), wrenches) / self.allowed
+        return over[:, self.outputs].max(axis=1)
 
     def _errors(self, solved: Floats, wrenches: Floats) -> Floats:
         """Return the error bars (n, 6), m and rad, at wrenches (n, 6) once others are solved."""

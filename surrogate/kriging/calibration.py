@@ -1,12 +1,12 @@
-"""By how much posterior deviations are multiplied to hold 95 % of the errors: what left-out rows show.
+"""The factors by which posterior deviations are multiplied to hold 95 % of the errors.
 
 A left-out row shows how wrong answers are that are as far from their rows as it was from its own,
 and nothing of answers further away. So rows are left out in groups (complete linkage in the metric
 of the length scales): at first each by itself, then with their neighbours, until the deviations at
-what is left out are as large as those at random wrenches of the loads that the rows span. Each level
-of grouping gives a deviation and a factor for it; in between the factor is interpolated. Beyond the
-largest deviation that left-out rows had, and where no three groups reach half of what random wrenches
-have (rows along a motion, twins), errors are not known.
+what is left out are as large as those at random wrenches of the loads that the rows span. Each
+level of grouping gives a deviation and a factor for it; in between the factor is interpolated.
+Beyond the deviations of left-out rows, and where no three groups reach half of what random wrenches
+have (rows along a motion), errors are not known.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from .settings import DEFAULTS, KrigingSettings
 
 Labels = NDArray[np.intp]
 
-# Levels whose deviations differ by less are one: where deviations are those of the nugget, groups do
-# not change them, and the largest factor is theirs.
+# Levels whose deviations differ by less are one: where deviations are those of the nugget, groups
+# do not change them, and the largest factor is theirs.
 APART = 1.05
 
 
@@ -142,12 +142,12 @@ def calibrate(
 def _factors(
     level: Level, coefficients: float, settings: KrigingSettings, *, sure: bool
 ) -> Floats | None:
-    """Return the factors (q,) that hold `level` of one level's errors; None if it does not show them.
+    """Return the factors (q,) that hold 95 % of one level's errors; None if it shows no size.
 
-    The ratios |error| / sigma have a size, one an output, and a tail, whose shape the outputs share.
-    The size is told by slopes as well as by values: seven numbers a row. The tail's quantile is that
-    of all ratios over their output's size, at the rank that holds for one more (split conformal
-    prediction: Lei et al. 2018). Groups count alike, however many rows they have.
+    The ratios |error| / sigma have a size, one an output, and a tail, whose shape the outputs
+    share. The size comes from slopes as well as from values: seven numbers a row. The tail's
+    quantile is that of all ratios over their output's size, at the rank that holds for one more
+    (split conformal prediction: Lei et al. 2018). Groups count alike, however many rows they have.
 
     Parameters
     ----------
@@ -179,14 +179,15 @@ def _factors(
 
 
 def _widened(groups: float, scatter: Floats, confidence: float) -> Floats:
-    """Return by how much a size may be larger than groups show, (q,), at a confidence in all outputs.
+    """Return by how much sizes may be larger than groups show, (q,), at a confidence in all.
 
     The factor of normal tolerance intervals, sqrt(f / chi2_a(f)): with it an interval holds its
     content at confidence 1 - a, the centre being known (Krishnamoorthy and Mathew 2009,
-    "Statistical Tolerance Regions"). a is a sixth of 1 - confidence, for six outputs (Bonferroni). f
-    is the degrees of freedom of a chi square whose variance is that of the mean square (Satterthwaite
-    1946): as many as groups where each brings one normal number, up to seven times that where values
-    and slopes of single rows are alike, and few where a few groups make most of the size.
+    "Statistical Tolerance Regions"). a is a sixth of 1 - confidence, for six outputs (Bonferroni).
+    f is the degrees of freedom of a chi square whose variance is that of the mean square
+    (Satterthwaite 1946): as many as groups where each brings one normal number, up to seven times
+    that where values and slopes of single rows are alike, and few where a few groups make most of
+    the size.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ class Tables(NamedTuple):
         that takes no part is 0); offset, spread, process deviation of the outputs, m and rad, and
         what these lose to rounding.
     sigma : ndarray, shape (k,)
-        Process deviations of the calibration, ascending; then the largest at which errors are known.
+        Process deviations of the calibration, ascending; then the largest with known errors.
     factors : ndarray, shape (k, 6)
         What a deviation of `sigma` is multiplied by.
     span : ndarray, shape (2, 6)

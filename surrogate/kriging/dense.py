@@ -293,7 +293,7 @@ def _level(
     anchors = spread.finder.nearest_others(rows, equations.x, labels)
     noise, number = _noise(equations, factor), numbers(equations.known)
     # What was found to be noise may be response that the kernel does not follow: bars hold it.
-    unstated = (equations.readings[:, factor.outputs] > 0).any(axis=1)
+    unstated = np.asarray((equations.readings[:, factor.outputs] > 0).any(axis=1))
     stated = np.where(unstated, 0.0, noise)
     squared = np.full(len(rows), np.nan)
     lists = spread.finder.members(equations.x[anchors], labels, labels[rows])
@@ -309,12 +309,13 @@ def _level(
         squared[place] = found[0] + stated[row] + factor.nugget * prior
     # With hardly more rows than the mean has terms, rounding leaves no variance to speak of.
     finite = np.isfinite(out.errors[rows]).all(axis=1)
-    known: NDArray[np.bool_] = np.asarray((squared > 0) & finite)
-    if not known.any():
+    known = np.flatnonzero((squared > 0) & finite)
+    if not len(known):
         return None
     sigma, errors = np.sqrt(squared[known]), out.errors[rows[known]] / np.sqrt(factor.variance)
     alone = np.abs(errors) / sigma[:, None]
-    sizes = np.where(unstated[factor.rows[rows[known]], None], alone, out.sizes[rows[known]])
+    by_value = unstated[factor.rows[rows[known]]][:, None]
+    sizes = np.where(by_value, alone, out.sizes[rows[known]])
     return Level(labels[rows[known]], errors, sizes, sigma)
 
 

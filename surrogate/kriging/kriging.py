@@ -34,9 +34,9 @@ from .size import fits_one_factor
 from .threads import one_thread
 
 UNKNOWN_ERRORS = (
-    "how large errors are is not known: rows left out show nothing of wrenches as far from the rows "
-    "as those of the load range are (rows along one motion or near each other, or few rows that make "
-    "nearly all of the error); solve or import rows spread over the range"
+    "how large errors are is not known: rows left out show nothing of wrenches as far from the "
+    "rows as those of the load range are (rows along one motion or near each other, or few rows "
+    "that make nearly all of the error); solve or import rows spread over the range"
 )
 TOO_FAR = (
     "how large the error is is not known: no row is as far from the others as this wrench is from "

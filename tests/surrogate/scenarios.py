@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surrogate.build import build
+from surrogate.build import AnyTable, build
 from surrogate.kriging import Kriging
 from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.calibrating import TABLES
@@ -119,17 +119,18 @@ def corner(count: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(0, 1, (count, 6))
 
 
+def _table(truth: Truth, parts: np.ndarray) -> AnyTable:
+    rows = truth.rows(truth.at(parts))
+    return build(rows, truth.load_range, tolerance=truth.tolerance)
+
+
 def on_demand(truth: Truth, first: np.ndarray, path: np.ndarray, lot: int = 6) -> np.ndarray:
     """Return the parts that a loop along a path queues, `lot` solves at a time, after the first.
 
     A wrench that is not covered is queued unless an open job is within `JOINED` of the range.
     """
     parts = list(first)
-    table = (
-        build(truth.rows(truth.at(np.array(parts))), truth.load_range, tolerance=truth.tolerance)
-        if len(parts)
-        else None
-    )
+    table = _table(truth, np.array(parts)) if parts else None
     queued: list[np.ndarray] = []
     for place, wrench in zip(path, truth.at(path), strict=True):
         if table is not None and table.answer(wrench.tolist()).coverage == "covered":
@@ -140,8 +141,7 @@ def on_demand(truth: Truth, first: np.ndarray, path: np.ndarray, lot: int = 6) -
         if len(queued) == lot:
             parts += queued
             queued = []
-            rows = truth.rows(truth.at(np.array(parts)))
-            table = build(rows, truth.load_range, tolerance=truth.tolerance)
+            table = _table(truth, np.array(parts))
     return np.array(parts + queued)
 
 
@@ -159,7 +159,7 @@ SCENARIOS: dict[str, Callable[[Truth, int], np.ndarray]] = {
     "motion 60, spread 13": lambda _, seed: np.concatenate((motion(60, seed), spread(13, seed))),
     "motion 60, spread 40": lambda _, seed: np.concatenate((motion(60, seed), spread(40, seed))),
     "on demand from empty": lambda truth, seed: on_demand(
-        truth, np.empty((0, 6)), motion(240, seed)
+        truth, spread(0, seed), motion(240, seed)
     ),
     "on demand after 13": lambda truth, seed: on_demand(truth, spread(13, seed), motion(240, seed)),
     "corner 30": lambda _, seed: corner(30, seed),
@@ -179,21 +179,18 @@ def asked_of(scenario: str, seed: int) -> np.ndarray:
 
 def judged(truth: Truth, parts: np.ndarray, asked: np.ndarray) -> Verdict:
     """Return what the answers of a table with rows at some parts are worth at others."""
-    table = build(truth.rows(truth.at(parts)), truth.load_range, tolerance=truth.tolerance)
+    table = _table(truth, parts)
     wrenches = truth.at(asked)
     true, found = truth.rows(wrenches).displacement, table.batch(wrenches)
     covered = found.coverage == 0
     error = np.abs(found.displacement - true)
     rounding = ROUNDING * np.abs(true).max(axis=0)
     out = ~(error <= found.error + rounding)[covered]
-    with np.errstate(all="ignore"):
-        known = np.isfinite(found.error).all(axis=1)
-        ratio = (
-            np.median(found.error[known], axis=0)
-            / np.maximum(np.median(error[known], axis=0), rounding)
-            if known.any()
-            else np.array([np.nan])
-        )
+    known = np.isfinite(found.error).all(axis=1)
+    ratio = np.full(6, np.nan)
+    if known.any():
+        typical = np.maximum(np.median(error[known], axis=0), rounding + np.finfo(float).tiny)
+        ratio = np.median(found.error[known], axis=0) / typical
     return Verdict(
         float(covered.mean()),
         float(out.any(axis=1).mean()) if covered.any() else 0.0,

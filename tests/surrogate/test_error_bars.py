@@ -49,8 +49,10 @@ def but(names: dict[str, str]) -> list[object]:
 
 
 def together(found: list[Calibration]) -> np.ndarray:
-    """Return the part of errors inside per output, the mean of tables of one kind."""
-    return np.mean([one.inside for one in found], axis=0)
+    """Return the part of errors inside per output, the mean of tables that know their errors."""
+    inside = np.array([one.inside for one in found])
+    assert np.isfinite(inside).any()
+    return np.nanmean(inside, axis=0)
 
 
 @cache
@@ -148,24 +150,23 @@ def test_the_bars_of_other_methods_hold(method: str) -> None:
 @pytest.mark.parametrize("response", [smooth, kinked])
 def test_bars_hold_where_a_table_is_too_large_for_one_factor(response) -> None:
     rows = solved(response, spread_wrenches(120, 60, 2))
-    surrogate = Surrogate(rows, RANGE)
-    assert surrogate.kriging is not None
-    assert not surrogate.kriging.is_dense
+    assert Surrogate(rows, RANGE).kriging is None
     assert synthetic(response, rows).inside.min() >= INSIDE
 
 
 def test_stored_uncertainty_of_rows_is_in_the_bar() -> None:
     scaled = spread_wrenches(30, 40, 3)
     plain = build(table(smooth, scaled), RANGE).batch(full_wrenches(50, 2) * HIGH)
+    assert np.isfinite(plain.error).all(axis=1).mean() > 0.8
     doubt = np.full((len(scaled), 6), 5e-4)
     rows = Rows.of(scaled * HIGH, smooth(scaled), uncertainty=doubt)
     wide = build(rows, RANGE).batch(full_wrenches(50, 2) * HIGH)
-    assert np.median(wide.error) > np.median(plain.error)
+    assert np.nanmedian(wide.error) > np.nanmedian(plain.error)
 
 
 def test_no_bar_is_nothing_off_a_row() -> None:
     surrogate = build(solved(coupled, full_wrenches(30, 1)), RANGE)
-    assert (surrogate.batch(full_wrenches(200, 2) * HIGH).error > 0).all()
+    assert not (surrogate.batch(full_wrenches(200, 2) * HIGH).error <= 0).any()
 
 
 def test_errors_are_known_only_within_what_the_rows_span() -> None:
