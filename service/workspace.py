@@ -178,8 +178,8 @@ class Workspace:
         table = self.surrogate(name)
         held = table.kriging.hyperparameters if table.kriging else None
         component, solver = self.library[name], self.solver_error(name)
-        acting = component.acting(np.asarray(wrench, dtype=float)).tolist()
-        shares = solver_parts(table, acting, table.answer(acting), None)
+        asked = wrench.tolist()
+        shares = solver_parts(table, asked, table.answer(asked), None)
         return self.shapes.answer(component, table.rows, wrench, held, solver, shares)
 
     def fill(

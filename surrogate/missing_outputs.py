@@ -55,6 +55,7 @@ class MissingOutputs:
         off_axis: OffAxis = "correct",
         version: int = 0,
         before: MissingOutputs | None = None,
+        locked: Sequence[int] = (),
     ) -> None:
         """Build from rows; axes that another version has as well are taken from it."""
         self.rows, self.load_range = rows, load_range
@@ -70,6 +71,7 @@ class MissingOutputs:
                     off_axis=off_axis,
                     version=version,
                     before=known.get(outputs),
+                    locked=locked,
                 ),
             )
             for outputs, held in _by_output(rows)
@@ -122,6 +124,11 @@ class MissingOutputs:
     def default(self) -> str:
         """The method that answers where none is asked for."""
         return self.thinnest.default
+
+    @property
+    def locked(self) -> tuple[int, ...]:
+        """The places of the loads on locked freedoms, which change no answer."""
+        return self.thinnest.locked
 
     @property
     def version(self) -> int:
@@ -230,7 +237,7 @@ class MissingOutputs:
 
         Of several rows that have it, which may hold different outputs, all their sources.
         """
-        return sources_at(self.rows, [part.exact.wrench_at(wrench) for _, part in self.groups])
+        return sources_at(self.rows, [part.row_wrench(wrench) for _, part in self.groups])
 
     def has_row(self, wrench: Sequence[float]) -> bool:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""

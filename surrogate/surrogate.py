@@ -38,7 +38,15 @@ from .solver_error import SolverError
 from .table.axes import OffAxis
 from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import merge
-from .table.rows import Floats, LoadRange, Rows, Tolerance
+from .table.rows import (
+    Floats,
+    LoadRange,
+    Rows,
+    Tolerance,
+    acting,
+    acting_one,
+    without_locked,
+)
 
 EMPTY = "the table has no rows"
 ONLY_BEYOND = "all rows of the table are outside its load range"
@@ -61,6 +69,8 @@ class Surrogate:
     linear : bool
         Whether the component is linear, so that its 6x6 compliance is the whole truth.
     version : int
+    locked : tuple of int
+        Places, in `LOADS`, of the loads on locked freedoms: every call sets them to zero first.
     fit : ComplianceFit
     equations : int
         How many a kriging of the table has.
@@ -91,6 +101,7 @@ class Surrogate:
         off_axis: OffAxis = "correct",
         version: int = 0,
         before: Surrogate | None = None,
+        locked: Sequence[int] = (),
     ) -> None:
         """Build from rows; axes that another version has as well are taken from it."""
         started = thread_time()
@@ -99,6 +110,7 @@ class Surrogate:
         self.rows, self.load_range, self.tolerance = rows, load_range, tolerance
         self.linear, self.version = linear, version
         self.off_axis: OffAxis = off_axis
+        self.locked = tuple(locked)
         merged = merge(rows, load_range)
         self._merged = merged
         self.used, self.members = merged.usable()
@@ -171,6 +183,7 @@ class Surrogate:
         UnknownMethodError
             If the method is none of `METHODS`.
         """
+        wrench = acting_one(wrench, self.locked)
         name = method or self.default
         if not len(self.used):
             self._methods.check(name)
@@ -204,7 +217,7 @@ class Surrogate:
         UnknownMethodError
             If the method is none of `METHODS`.
         """
-        asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
+        asked = acting(wrenches, self.locked).reshape(-1, 6)
         name = method or self.default
         allowed = self.allowed.of(name, tolerance)
         if not len(self.used):
@@ -230,12 +243,12 @@ class Surrogate:
         UnknownMethodError
             If the method is none of `METHODS`.
         """
-        asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
+        asked = acting(wrenches, self.locked).reshape(-1, 6)
         name = method or self.default
         if not len(self.used):
             self._methods.check(name)
             return np.full((len(asked), 6, 6), np.nan)
-        return self._methods.get(name).derivatives(asked)
+        return without_locked(self._methods.get(name).derivatives(asked), self.locked)
 
     def explain(
         self,
@@ -249,7 +262,7 @@ class Surrogate:
         """
         name = method or self.default
         self._methods.check(name)
-        asked = np.array(wrench, dtype=float)
+        asked = acting(wrench, self.locked)
         if name == "linear" and len(self.used):
             found = self.answer(wrench, tolerance, name)
             return explain_linear(self.fit, self.used, self.members, asked, found)
@@ -261,19 +274,24 @@ class Surrogate:
 
         Of several rows that have its wrench, all their sources.
         """
-        return sources_at(self.rows, [self.exact.wrench_at(wrench)])
+        return sources_at(self.rows, [self.row_wrench(wrench)])
+
+    def row_wrench(self, wrench: Sequence[float]) -> Floats | None:
+        """Return the wrench (6,), N and N·m, of the row at or beside one; None without a row."""
+        return self.exact.wrench_at(acting_one(wrench, self.locked))
 
     def has_row(self, wrench: Sequence[float]) -> bool:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
-        return self.exact.has(wrench)
+        return self.exact.has(acting_one(wrench, self.locked))
 
     def near_rows(self, wrenches: Floats) -> NDArray[np.bool_]:
         """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
-        return self.exact.near(wrenches)
+        return self.exact.near(acting(wrenches, self.locked))
 
     def row_tangent(self, wrench: Sequence[float]) -> Floats:
         """Return that row's tangent (6, 6), m/N, m/(N·m), rad/N, rad/(N·m); NaN if it has none."""
-        return self.exact.tangent(wrench)
+        tangent = self.exact.tangent(acting_one(wrench, self.locked))
+        return without_locked(tangent, self.locked)
 
     def coverage_summary(self) -> dict[str, Any]:
         """Return how the table covers the load range, as JSON-able values."""

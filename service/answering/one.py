@@ -15,12 +15,14 @@ from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveF
 from service.answering.solved import read_row, state_of
 from service.client.replies import EXACT, ROUNDED
 from service.ledger import Job
+from service.library.component import Component
 from service.ordering import Placed
 from service.workspace import Workspace
 from surrogate.answer import within_tolerance
 from surrogate.build import AnyTable
 from surrogate.derivative import derivative_at
 from surrogate.methods.method import why_beyond
+from surrogate.table.rows import acting_one
 from surrogate.whole_bars import solver_parts, whole_bar
 
 
@@ -36,7 +38,6 @@ def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | N
         If there is no such component.
     """
     surrogate = workspace.surrogate(name)
-    query = acting(workspace, name, query)
     outcome = _from_table(name, surrogate, query)
     if outcome.coverage != "covered":
         if query.on_thin != "estimate" or (surrogate.linear and not surrogate.fit.complete):
@@ -63,7 +64,6 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
         If the solve of this wrench failed.
     """
     surrogate = workspace.surrogate(name)
-    query = acting(workspace, name, query)
     if query.on_thin == "solve":
         outcome = _unanswered(name, surrogate)
     else:
@@ -99,16 +99,14 @@ def refuse_uncovered(query: Query, outcome: Outcome) -> None:
 
 def _note(workspace: Workspace, query: Query, outcome: Outcome) -> None:
     """Count what the table does not cover."""
-    span = workspace.library.as_read(outcome.component).load_range
-    workspace.demand.note(outcome.component, span, query.wrench, outcome.coverage)
+    component = workspace.library.as_read(outcome.component)
+    wrench = _acting(component, query).wrench
+    workspace.demand.note(outcome.component, component.load_range, wrench, outcome.coverage)
 
 
-def acting(workspace: Workspace, name: str, query: Query) -> Query:
-    """Leave out the loads on locked freedoms: the rest has the same answer."""
-    component = workspace.library.as_read(name)
-    if not component.idle:
-        return query
-    return query._replace(wrench=tuple(component.acting(np.array(query.wrench)).tolist()))
+def _acting(component: Component, query: Query) -> Query:
+    """Return a query without the loads on locked freedoms: jobs and demand leave these out."""
+    return query._replace(wrench=tuple(acting_one(query.wrench, component.idle)))
 
 
 async def answered(name: str, surrogate: AnyTable, query: Query) -> Outcome:
@@ -172,6 +170,7 @@ def _unanswered(name: str, surrogate: AnyTable) -> Outcome:
 
 async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     """Have the wrench solved as the query wants it, and take the solve's row if it is there."""
+    query = _acting(workspace.library.as_read(outcome.component), query)
     if query.on_thin == "queue":
         placed = await run_in_threadpool(_queued, workspace, query, outcome)
     else:
