@@ -18,6 +18,7 @@ from .answer import NAMES, Answer, Batch
 from .composition.composition import Composition
 from .exact_rows import sources_at
 from .kriging import Kriging
+from .limits import within_limits, within_limits_many
 from .solver_error import SolverError
 from .surrogate import Surrogate
 from .table.axes import OffAxis
@@ -148,9 +149,15 @@ class MissingOutputs:
         UnknownMethodError
             If the method is none of `METHODS`.
         """
+        return within_limits(self._joined(wrench, tolerance, method))
+
+    def _joined(
+        self, wrench: Sequence[float], tolerance: Tolerance | None, method: str | None
+    ) -> Answer:
+        """Return the parts' answers to a wrench (6,), N and N·m, as one."""
         moved: list[float | None] = [None] * 6
         bars: list[float | None] = [None] * 6
-        answers = [part.answer(wrench, tolerance, method) for _, part in self.groups]
+        answers = [part.estimate(wrench, tolerance, method) for _, part in self.groups]
         for (outputs, _), found in zip(self.groups, answers, strict=True):
             for output in outputs:
                 moved[output] = found.displacement[output] if found.displacement else None
@@ -184,11 +191,20 @@ class MissingOutputs:
         UnknownMethodError
             If the method is none of `METHODS`.
         """
+        return within_limits_many(self.estimates(wrenches, tolerance, method))
+
+    def estimates(
+        self,
+        wrenches: ArrayLike,
+        tolerance: Tolerance | None = None,
+        method: str | None = None,
+    ) -> Batch:
+        """Return `batch`, wrenches (n, 6), N and N·m, with estimates beyond `limits` too."""
         asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
         moved, bars = np.full((len(asked), 6), np.nan), np.full((len(asked), 6), np.nan)
         coverage = np.zeros(len(asked), dtype=np.uint8)
         for outputs, part in self.groups:
-            found = part.batch(asked, tolerance, method)
+            found = part.estimates(asked, tolerance, method)
             chosen = list(outputs)
             moved[:, chosen] = found.displacement[:, chosen]
             bars[:, chosen] = found.error[:, chosen]

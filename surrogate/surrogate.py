@@ -30,6 +30,7 @@ from .kriging import (
     nearest_in_words,
     readings_of,
 )
+from .limits import within_limits, within_limits_many
 from .methods.makers import makers
 from .methods.reference import BentReference, KrigingReference, Reference, interaction_of
 from .methods.registry import Registry
@@ -183,6 +184,30 @@ class Surrogate:
         UnknownMethodError
             If the method is none of `METHODS`.
         """
+        return within_limits(self.estimate(wrench, tolerance, method))
+
+    def batch(
+        self,
+        wrenches: ArrayLike,
+        tolerance: Tolerance | None = None,
+        method: str | None = None,
+    ) -> Batch:
+        """Answer many wrenches, shape (n, 6), N and N·m, with the same numbers as `answer`.
+
+        Raises
+        ------
+        UnknownMethodError
+            If the method is none of `METHODS`.
+        """
+        return within_limits_many(self.estimates(wrenches, tolerance, method))
+
+    def estimate(
+        self,
+        wrench: Sequence[float],
+        tolerance: Tolerance | None = None,
+        method: str | None = None,
+    ) -> Answer:
+        """Return `answer` with estimates beyond `limits` too: a part of another's answer."""
         wrench = acting_one(wrench, self.locked)
         name = method or self.default
         if not len(self.used):
@@ -204,19 +229,13 @@ class Surrogate:
         answer = Answer(displacement, bars, NAMES[state], reason, name)
         return answer if state == COVERED else self.exact.instead_of(wrench, answer, allowed)
 
-    def batch(
+    def estimates(
         self,
         wrenches: ArrayLike,
         tolerance: Tolerance | None = None,
         method: str | None = None,
     ) -> Batch:
-        """Answer many wrenches, shape (n, 6), N and N·m, with the same numbers as `answer`.
-
-        Raises
-        ------
-        UnknownMethodError
-            If the method is none of `METHODS`.
-        """
+        """Return `batch`, wrenches (n, 6), N and N·m, with estimates beyond `limits` too."""
         asked = acting(wrenches, self.locked).reshape(-1, 6)
         name = method or self.default
         allowed = self.allowed.of(name, tolerance)

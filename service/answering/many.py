@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
-from service.answering.estimates import drop_estimates
 from service.answering.queries import BatchOutcome, BatchQuery, WrenchJob
 from service.answering.refusals import BeyondRangeError, NotCoveredError
 from service.answering.solved import read_row, state_of
@@ -78,7 +77,6 @@ def answered_many(name: str, surrogate: AnyTable, batch: BatchQuery) -> BatchOut
     if surrogate.bars_are_whole:
         outcome.tolerance = batch.tolerance or surrogate.tolerance
     outcome.errors = whole_bars(surrogate, batch.wrenches, answers, *how)
-    drop_estimates(outcome)
     if batch.derivatives:
         outcome.derivatives = derivatives_at(surrogate, batch.wrenches, *how)
     return outcome

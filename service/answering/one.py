@@ -8,9 +8,8 @@ import numpy as np
 from starlette.concurrency import run_in_threadpool
 
 from service.answering.error_parts import error_parts
-from service.answering.estimates import also, drop_estimate
 from service.answering.method_detail import detail_of
-from service.answering.queries import Outcome, Query
+from service.answering.queries import Outcome, Query, also
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
 from service.answering.solved import read_row, state_of
 from service.client.replies import EXACT, ROUNDED
@@ -43,7 +42,6 @@ def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | N
         if query.on_thin != "estimate" or (surrogate.linear and not surrogate.fit.complete):
             return None
         _note(workspace, query, outcome)
-        drop_estimate(outcome)
     return outcome
 
 
@@ -72,7 +70,6 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
             tell_parts(workspace, surrogate, query, outcome)
         if outcome.coverage != "covered":
             _note(workspace, query, outcome)
-            drop_estimate(outcome)
             if surrogate.linear and not surrogate.fit.complete:
                 await _name_awaited(workspace, query, outcome)
         if outcome.coverage == "covered" or query.on_thin == "estimate":
@@ -115,7 +112,7 @@ async def answered(name: str, surrogate: AnyTable, query: Query) -> Outcome:
         outcome = _from_table(name, surrogate, query)
     else:
         outcome = await run_in_threadpool(_from_table, name, surrogate, query)
-    if query.derivatives and outcome.displacement:
+    if query.derivatives:
         outcome.derivative = derivative_at(
             surrogate, query.wrench, query.method, by_row=outcome.method == "row"
         )

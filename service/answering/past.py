@@ -9,10 +9,9 @@ import numpy as np
 from anyio import to_thread
 from starlette.concurrency import run_in_threadpool
 
-from service.answering.estimates import also, drop_estimate
 from service.answering.many import answered_many, refuse_thin
 from service.answering.one import answered, refuse_uncovered, tell_parts
-from service.answering.queries import BatchOutcome, BatchQuery, Outcome, Query, WrenchJob
+from service.answering.queries import BatchOutcome, BatchQuery, Outcome, Query, WrenchJob, also
 from service.workspace import Workspace
 from surrogate.build import AnyTable
 
@@ -36,7 +35,6 @@ async def answer_at(workspace: Workspace, name: str, query: Query, version: int)
     if query.detail:
         tell_parts(workspace, table, query, outcome)
     if outcome.coverage != "covered":
-        drop_estimate(outcome)
         refuse_uncovered(query, outcome)
         if query.on_thin == "queue":
             outcome.unsolved, outcome.reason = True, also(outcome.reason, NOT_QUEUED)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..answer import COVERED, NAMES, OUTSIDE, Answer, Batch, UnknownMethodError
 from ..build import AnyTable
 from ..exact_rows import ExactRows, sources_at
+from ..limits import within_limits, within_limits_many
 from ..solver_error import SolverError, bars_are_whole
 from ..surrogate import Surrogate
 from ..table.merging import merge
@@ -135,7 +136,7 @@ class SceneTable:
         """
         self._check(method)
         asked = self.need.acting(np.asarray(wrenches, dtype=float).reshape(-1, 6))
-        return self._estimated(asked, tolerance, rows=True)
+        return within_limits_many(self._estimated(asked, tolerance, rows=True))
 
     def derivatives(self, wrenches: ArrayLike, method: str | None = None) -> Floats:
         """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
@@ -221,7 +222,7 @@ class SceneTable:
             moved, error = _known(moved), _known(error)
         any_moved = any(one is not None for one in moved)
         any_error = any(one is not None for one in error)
-        return Answer(
+        found = Answer(
             tuple(moved) if any_moved else None,  # pyright: ignore[reportArgumentType]  # None: not read
             tuple(error) if any_error else None,  # pyright: ignore[reportArgumentType]
             NAMES[state],
@@ -229,6 +230,7 @@ class SceneTable:
             method,
             self.missing,
         )
+        return within_limits(found)
 
     def _estimated(
         self, asked: Floats, tolerance: Tolerance | None, *, rows: bool = False

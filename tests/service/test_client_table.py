@@ -118,6 +118,21 @@ def test_a_download_leaves_out_loads_on_locked_freedoms_as_the_server_does(clien
     }
 
 
+@pytest.mark.parametrize("name", ["bar", "partial", "solved"])
+def test_an_estimate_beyond_what_tables_may_hold_is_null_in_a_download_too(
+    client: Client, name: str
+) -> None:
+    """The server alone left it out: a download moved a bar by 3e94 m."""
+    table = client.download(name)
+    compare(client, table, name, 1e7)
+    far = 1e7 * full_wrenches(1, 5)[0]
+    answer = table.answer(far)
+    assert answer.translation is None
+    assert answer.error_translation is None
+    assert "20 degrees and 10 m" in answer.reason
+    assert np.isnan(table.batch(far[None]).displacements).all()
+
+
 def test_refresh_takes_new_rows_and_withdrawals_and_tells_whether_there_were_any(
     client: Client,
 ) -> None:
