@@ -132,6 +132,14 @@ class MissingOutputs:
         return self.thinnest.locked
 
     @property
+    def steepest(self) -> Floats:
+        """What each output moves over half the load range at most, (6,), m and rad: `ExactRows`."""
+        found = np.zeros(6)
+        for outputs, part in self.groups:
+            found[list(outputs)] = part.steepest[list(outputs)]
+        return found
+
+    @property
     def version(self) -> int:
         """The table's version."""
         return self.thinnest.version

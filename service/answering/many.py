@@ -141,15 +141,15 @@ def _look_again(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) 
 
 def _take_rows(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) -> None:
     """Put the rows of the jobs that are done in the place of the table's estimates."""
-    component = workspace.library[outcome.component]
-    batch, scale = _acting(component, batch), component.load_range.scale
+    batch = _acting(workspace.library[outcome.component], batch)
+    table = workspace.tables.surrogate(outcome.component)
     told = workspace.solver_error(outcome.component)
     for one in outcome.jobs:
         if one.job is None or one.job.row is None or not one.own:
             continue
         row = workspace.ledger.row(one.job.row)
         asked = batch.wrenches[one.index]
-        outcome.displacements[one.index], error = read_row(row, asked, scale)
+        outcome.displacements[one.index], error = read_row(row, asked, table)
         if told is not None:
             state = (None if one is None else one[None] for one in state_of(row))
             error = told.widened_many(error[None], asked[None], *state)[0]

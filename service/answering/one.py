@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from time import perf_counter_ns
+from typing import Any
 
 import numpy as np
 from starlette.concurrency import run_in_threadpool
@@ -222,11 +223,12 @@ def _own_job(workspace: Workspace, query: Query, name: str) -> Job:
 def _take_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) -> None:
     """Answer with the row of a solve in the place of the table's estimate."""
     row = workspace.ledger.row(seq)
-    scale = workspace.library[outcome.component].load_range.scale
-    displacement, error = read_row(row, np.array(query.wrench), scale)
+    table = workspace.tables.surrogate(outcome.component)
+    displacement, error = read_row(row, np.array(query.wrench), table)
     if query.derivatives:
         outcome.derivative = None if row.compliance is None else np.array(row.compliance)
-    own, solver = tuple(error.tolist()), workspace.solver_error(outcome.component)
+    own: tuple[Any, ...] = tuple(None if np.isnan(bar) else bar for bar in error.tolist())
+    solver = workspace.solver_error(outcome.component)
     outcome.displacement, outcome.error = tuple(displacement.tolist()), own
     if solver is not None:
         outcome.error = solver.widened(own, query.wrench, *state_of(row))
