@@ -17,6 +17,7 @@ from service.client.replies import EXACT, ROUNDED
 from service.ledger import Job
 from service.library.component import Component
 from service.ordering import Placed
+from service.tables.other_setup import others_in_words
 from service.workspace import Workspace
 from surrogate.answer import within_tolerance
 from surrogate.build import AnyTable
@@ -157,6 +158,8 @@ def _from_table(name: str, surrogate: AnyTable, query: Query) -> Outcome:
         reason,
     )
     outcome.missing = missing
+    if coverage != "covered" and surrogate.other_wrenches:
+        outcome.reason = also(reason, others_in_words(name, surrogate))
     limit = query.tolerance or surrogate.tolerance
     outcome.within_tolerance = within_tolerance(error, limit) if surrogate.bars_are_whole else None
     return outcome

@@ -78,7 +78,10 @@ def component_table(components: Sequence[dict[str, Any]]) -> Table:
             " ".join(f"{max(map(abs, span)):g}" for span in one["range"][word])
             for word in ("force", "moment")
         )
-        table.add_row(one["name"], escape(one["title"]), str(one["rows"]), kind, force, moment)
+        rows, others = str(one["rows"]), one.get("another_setup", {}).get("rows")
+        if others:
+            rows += f" (and {others} of another setup)"
+        table.add_row(one["name"], escape(one["title"]), rows, kind, force, moment)
     return table
 
 

@@ -222,3 +222,14 @@ def test_recording_starts_with_its_budget_clears_and_not_both(stub: Stub, run: R
     assert stub.seen[1].method == "DELETE"
     assert run("envelope", "plate", "--start", "--clear")[0] != 0
     assert len(stub.seen) == 2
+
+
+def test_resolve_queues_the_wrenches_of_another_setup(stub: Stub, run: Run):
+    stub.answers(Answer(QUEUED_NONE))
+    status, out, _ = run("resolve", "plate", "--budget", "7", "--beyond-range")
+    assert (status, stub.seen[0].body) == (0, {"budget": 7, "beyond_range": True})
+    assert (stub.seen[0].method, stub.seen[0].path) == (
+        "POST",
+        "/v1/components/plate/table/resolve",
+    )
+    assert "0 solves; 5 wrenches were solved or covered before" in out
