@@ -8,7 +8,6 @@ flooding the queue. Loads on locked freedoms are in no job: see `Component.actin
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from service.ledger import Job, Ledger, OpenJob
+from service.ledger import Job, Ledger, OpenJob, packed, unpacked
 from service.library.component import Component
 from service.library.library import Library
 
@@ -27,7 +26,6 @@ REACH = 0.05  # of a load's scale: an open job as near as this is joined
 QUEUE_LIMIT = 64  # open jobs of a component that queries may have
 MOST_FAILED = 100_000  # failed jobs that a fill leaves out: more than anyone lets happen
 BLOCK = 65_536  # differences of wrenches looked at in one go, 3 MB
-WRENCH_BYTES = 6 * 8
 
 
 class NoSetupError(ValueError):
@@ -271,20 +269,6 @@ def spread(scaled: Floats, reach: float, most: int) -> list[int]:
             left = left[np.abs(scaled[left] - scaled[left[0]]).max(axis=1) > reach]
         start = stop
     return picked
-
-
-def packed(wrenches: Floats) -> list[bytes]:
-    """Return each wrench as the ledger packs it: little-endian, no minus zero.
-
-    The wrenches have shape (n, 6), N and N·m.
-    """
-    block = (np.asarray(wrenches, dtype="<f8") + 0.0).tobytes()
-    return [block[at : at + WRENCH_BYTES] for at in range(0, len(block), WRENCH_BYTES)]
-
-
-def unpacked(wrenches: Iterable[bytes]) -> Floats:
-    """Return packed wrenches as an array of shape (n, 6), N and N·m."""
-    return np.frombuffer(b"".join(wrenches), dtype="<f8").reshape(-1, 6).astype(float)
 
 
 def _from_queries(jobs: list[OpenJob]) -> int:

@@ -68,6 +68,7 @@ class Workspace:
             settings.folder / "components",
             allow_decks=settings.allow_decks,
             on_added=self._on_added,
+            on_copy=self._on_copy,
         )
         self.catalogue = Catalogue(settings.folder / "library.json")
         self.demand = Demand(settings.folder / "demand.json")
@@ -178,8 +179,8 @@ class Workspace:
         table = self.surrogate(name)
         held = table.kriging.hyperparameters if table.kriging else None
         component, solver = self.library[name], self.solver_error(name)
-        acting = component.acting(np.asarray(wrench, dtype=float)).tolist()
-        shares = solver_parts(table, acting, table.answer(acting), None)
+        asked = wrench.tolist()
+        shares = solver_parts(table, asked, table.answer(asked), None)
         return self.shapes.answer(component, table.rows, wrench, held, solver, shares)
 
     def fill(
@@ -285,12 +286,19 @@ class Workspace:
 
     def _on_added(self, component: Component) -> None:
         told = solver_error_of(component.folder, component.fingerprint)
-        if told is not None:  # its check estimated it already: the first solve need not
+        known = self.errors.read(component.name, component.fingerprint)
+        # Its check estimated it already: the first solve need not. A copy has its original's, which
+        # a solve may have told since.
+        if told is not None and (known is None or not known.can_grow):
             self.errors.settle(component.name, component.fingerprint, told)
         try:
             self.surrogate(component.name)
         except TableBehindError:
             self.tables.notify()  # the ledger has rows of an earlier component of this name
+
+    def _on_copy(self, component: Component, name: str) -> None:
+        """Carry the solver's error along, before rows of the copy can be answered without it."""
+        self.errors.copy(component.name, component.fingerprint, name)
 
     def _ask_compliance(self, name: str, surrogate: AnyTable) -> None:
         """Queue what tells a linear component's compliance, once a version of its table."""

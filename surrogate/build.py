@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from .missing_outputs import MissingOutputs
@@ -23,6 +24,7 @@ def build(
     version: int = 0,
     before: AnyTable | None = None,
     solver_error: SolverError | None = None,
+    locked: Sequence[int] = (),
 ) -> AnyTable:
     """Build what answers from valid rows of one fingerprint.
 
@@ -42,6 +44,8 @@ def build(
     solver_error : SolverError, optional
         What the solver of those rows may be wrong by itself; rows tell how it grows. It stays
         beside the table, whose own bars tell what further rows would lower.
+    locked : sequence of int
+        Places, in `LOADS`, of the loads on locked freedoms: answers leave these loads out.
     """
     kind: type[Any] = MissingOutputs if rows.partial else Surrogate
     table: AnyTable = kind(
@@ -52,6 +56,7 @@ def build(
         off_axis=off_axis,
         version=version,
         before=before if isinstance(before, kind) else None,
+        locked=locked,
     )
     table.solver_error = None if solver_error is None else solver_error.grown(rows, load_range)
     table.bars_are_whole = bars_are_whole(rows, solver_error)

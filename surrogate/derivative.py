@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .build import AnyTable
+from .missing_outputs import MissingOutputs
 from .table.rows import Floats, Tolerance
 
 
@@ -59,3 +60,30 @@ def row_tangents(
         wrench = asked[place].tolist()
         if surrogate.answer(wrench, tolerance, method).method == "row":
             yield place, surrogate.row_tangent(wrench)
+
+
+def tangent_at_zero(table: AnyTable) -> tuple[Floats, str]:
+    """Return the compliance at zero load, and what tells it.
+
+    It is the tangent of the row at zero load, else du/dw of the table's default method there. The
+    fitted compliance (`AnyTable.fit`) is another one: the mean over the load range.
+
+    Returns
+    -------
+    matrix : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
+        NaN where unknown: for a load that no row tells, and an output that no row holds.
+    origin : str
+        ``row``, a method, or ``none``.
+    """
+    zero = np.zeros(6)
+    found = table.derivatives(zero)[0]
+    groups = table.groups if isinstance(table, MissingOutputs) else ((range(6), table),)
+    for outputs, part in groups:
+        unknown = ~part.fit.known
+        unknown[list(part.locked)] = False  # no output depends on them: zero
+        found[np.ix_(list(outputs), np.flatnonzero(unknown).tolist())] = np.nan
+    row = table.row_tangent(zero.tolist())
+    told = np.isfinite(row)
+    if told.any():
+        return np.where(told, row, found), "row"
+    return found, table.default if np.isfinite(found).any() else "none"

@@ -18,6 +18,7 @@ from .answer import NAMES, Answer, Batch
 from .composition.composition import Composition
 from .exact_rows import sources_at
 from .kriging import Kriging
+from .limits import within_limits, within_limits_many
 from .solver_error import SolverError
 from .surrogate import Surrogate
 from .table.axes import OffAxis
@@ -40,10 +41,15 @@ class MissingOutputs:
         The names of the outputs that no row holds.
     solver_error : SolverError or None
         What the solver may be wrong by: in no bar here; `bars_are_whole` says if it is known.
+    other_rows, other_wrenches : int
+        Rows of another setup of the component, which are no part of the table, and how many
+        wrenches of theirs no row of the table has.
     """
 
     solver_error: SolverError | None = None
     bars_are_whole: bool = True
+    other_rows: int = 0
+    other_wrenches: int = 0
 
     def __init__(
         self,
@@ -55,6 +61,7 @@ class MissingOutputs:
         off_axis: OffAxis = "correct",
         version: int = 0,
         before: MissingOutputs | None = None,
+        locked: Sequence[int] = (),
     ) -> None:
         """Build from rows; axes that another version has as well are taken from it."""
         self.rows, self.load_range = rows, load_range
@@ -70,6 +77,7 @@ class MissingOutputs:
                     off_axis=off_axis,
                     version=version,
                     before=known.get(outputs),
+                    locked=locked,
                 ),
             )
             for outputs, held in _by_output(rows)
@@ -124,6 +132,19 @@ class MissingOutputs:
         return self.thinnest.default
 
     @property
+    def locked(self) -> tuple[int, ...]:
+        """The places of the loads on locked freedoms, which change no answer."""
+        return self.thinnest.locked
+
+    @property
+    def steepest(self) -> Floats:
+        """What each output moves over half the load range at most, (6,), m and rad: `ExactRows`."""
+        found = np.zeros(6)
+        for outputs, part in self.groups:
+            found[list(outputs)] = part.steepest[list(outputs)]
+        return found
+
+    @property
     def version(self) -> int:
         """The table's version."""
         return self.thinnest.version
@@ -141,9 +162,15 @@ class MissingOutputs:
         UnknownMethodError
             If the method is none of `METHODS`.
         """
+        return within_limits(self._joined(wrench, tolerance, method))
+
+    def _joined(
+        self, wrench: Sequence[float], tolerance: Tolerance | None, method: str | None
+    ) -> Answer:
+        """Return the parts' answers to a wrench (6,), N and N·m, as one."""
         moved: list[float | None] = [None] * 6
         bars: list[float | None] = [None] * 6
-        answers = [part.answer(wrench, tolerance, method) for _, part in self.groups]
+        answers = [part.estimate(wrench, tolerance, method) for _, part in self.groups]
         for (outputs, _), found in zip(self.groups, answers, strict=True):
             for output in outputs:
                 moved[output] = found.displacement[output] if found.displacement else None
@@ -177,11 +204,20 @@ class MissingOutputs:
         UnknownMethodError
             If the method is none of `METHODS`.
         """
+        return within_limits_many(self.estimates(wrenches, tolerance, method))
+
+    def estimates(
+        self,
+        wrenches: ArrayLike,
+        tolerance: Tolerance | None = None,
+        method: str | None = None,
+    ) -> Batch:
+        """Return `batch`, wrenches (n, 6), N and N·m, with estimates beyond `limits` too."""
         asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
         moved, bars = np.full((len(asked), 6), np.nan), np.full((len(asked), 6), np.nan)
         coverage = np.zeros(len(asked), dtype=np.uint8)
         for outputs, part in self.groups:
-            found = part.batch(asked, tolerance, method)
+            found = part.estimates(asked, tolerance, method)
             chosen = list(outputs)
             moved[:, chosen] = found.displacement[:, chosen]
             bars[:, chosen] = found.error[:, chosen]
@@ -230,7 +266,7 @@ class MissingOutputs:
 
         Of several rows that have it, which may hold different outputs, all their sources.
         """
-        return sources_at(self.rows, [part.exact.wrench_at(wrench) for _, part in self.groups])
+        return sources_at(self.rows, [part.row_wrench(wrench) for _, part in self.groups])
 
     def has_row(self, wrench: Sequence[float]) -> bool:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""

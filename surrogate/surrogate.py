@@ -30,6 +30,7 @@ from .kriging import (
     readings_of,
     too_large_in_words,
 )
+from .limits import within_limits, within_limits_many
 from .methods.makers import makers
 from .methods.reference import BentReference, KrigingReference, Reference, interaction_of
 from .methods.registry import Registry
@@ -38,7 +39,15 @@ from .solver_error import SolverError
 from .table.axes import OffAxis
 from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import merge
-from .table.rows import Floats, LoadRange, Rows, Tolerance
+from .table.rows import (
+    Floats,
+    LoadRange,
+    Rows,
+    Tolerance,
+    acting,
+    acting_one,
+    without_locked,
+)
 
 EMPTY = "the table has no rows"
 ONLY_BEYOND = "all rows of the table are outside its load range"
@@ -61,6 +70,8 @@ class Surrogate:
     linear : bool
         Whether the component is linear, so that its 6x6 compliance is the whole truth.
     version : int
+    locked : tuple of int
+        Places, in `LOADS`, of the loads on locked freedoms: every call sets them to zero first.
     fit : ComplianceFit
     equations : int
         How many a kriging of the table has.
@@ -76,10 +87,15 @@ class Surrogate:
         Processor time that building it took.
     solver_error : SolverError or None
         What the solver may be wrong by: in no bar here; `bars_are_whole` says if it is known.
+    other_rows, other_wrenches : int
+        Rows of another setup of the component, which are no part of the table, and how many
+        wrenches of theirs no row of the table has.
     """
 
     solver_error: SolverError | None = None
     bars_are_whole: bool = True
+    other_rows: int = 0
+    other_wrenches: int = 0
 
     def __init__(
         self,
@@ -91,6 +107,7 @@ class Surrogate:
         off_axis: OffAxis = "correct",
         version: int = 0,
         before: Surrogate | None = None,
+        locked: Sequence[int] = (),
     ) -> None:
         """Build from rows; axes that another version has as well are taken from it."""
         started = thread_time()
@@ -99,6 +116,7 @@ class Surrogate:
         self.rows, self.load_range, self.tolerance = rows, load_range, tolerance
         self.linear, self.version = linear, version
         self.off_axis: OffAxis = off_axis
+        self.locked = tuple(locked)
         merged = merge(rows, load_range)
         self._merged = merged
         self.used, self.members = merged.usable()
@@ -171,6 +189,31 @@ class Surrogate:
         UnknownMethodError
             If the method is none of `METHODS`.
         """
+        return within_limits(self.estimate(wrench, tolerance, method))
+
+    def batch(
+        self,
+        wrenches: ArrayLike,
+        tolerance: Tolerance | None = None,
+        method: str | None = None,
+    ) -> Batch:
+        """Answer many wrenches, shape (n, 6), N and N·m, with the same numbers as `answer`.
+
+        Raises
+        ------
+        UnknownMethodError
+            If the method is none of `METHODS`.
+        """
+        return within_limits_many(self.estimates(wrenches, tolerance, method))
+
+    def estimate(
+        self,
+        wrench: Sequence[float],
+        tolerance: Tolerance | None = None,
+        method: str | None = None,
+    ) -> Answer:
+        """Return `answer` with estimates beyond `limits` too: a part of another's answer."""
+        wrench = acting_one(wrench, self.locked)
         name = method or self.default
         if not len(self.used):
             self._methods.check(name)
@@ -192,20 +235,14 @@ class Surrogate:
         answer = Answer(displacement, bars, NAMES[state], reason, name)
         return answer if state == COVERED else self.exact.instead_of(wrench, answer, allowed)
 
-    def batch(
+    def estimates(
         self,
         wrenches: ArrayLike,
         tolerance: Tolerance | None = None,
         method: str | None = None,
     ) -> Batch:
-        """Answer many wrenches, shape (n, 6), N and N·m, with the same numbers as `answer`.
-
-        Raises
-        ------
-        UnknownMethodError
-            If the method is none of `METHODS`.
-        """
-        asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
+        """Return `batch`, wrenches (n, 6), N and N·m, with estimates beyond `limits` too."""
+        asked = acting(wrenches, self.locked).reshape(-1, 6)
         name = method or self.default
         allowed = self.allowed.of(tolerance)
         if not len(self.used):
@@ -231,12 +268,12 @@ class Surrogate:
         UnknownMethodError
             If the method is none of `METHODS`.
         """
-        asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
+        asked = acting(wrenches, self.locked).reshape(-1, 6)
         name = method or self.default
         if not len(self.used):
             self._methods.check(name)
             return np.full((len(asked), 6, 6), np.nan)
-        return self._methods.get(name).derivatives(asked)
+        return without_locked(self._methods.get(name).derivatives(asked), self.locked)
 
     def explain(
         self,
@@ -250,7 +287,7 @@ class Surrogate:
         """
         name = method or self.default
         self._methods.check(name)
-        asked = np.array(wrench, dtype=float)
+        asked = acting(wrench, self.locked)
         if name == "linear" and len(self.used):
             found = self.answer(wrench, tolerance, name)
             return explain_linear(self.fit, self.used, self.members, asked, found)
@@ -262,19 +299,24 @@ class Surrogate:
 
         Of several rows that have its wrench, all their sources.
         """
-        return sources_at(self.rows, [self.exact.wrench_at(wrench)])
+        return sources_at(self.rows, [self.row_wrench(wrench)])
+
+    def row_wrench(self, wrench: Sequence[float]) -> Floats | None:
+        """Return the wrench (6,), N and N·m, of the row at or beside one; None without a row."""
+        return self.exact.wrench_at(acting_one(wrench, self.locked))
 
     def has_row(self, wrench: Sequence[float]) -> bool:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
-        return self.exact.has(wrench)
+        return self.exact.has(acting_one(wrench, self.locked))
 
     def near_rows(self, wrenches: Floats) -> NDArray[np.bool_]:
         """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
-        return self.exact.near(wrenches)
+        return self.exact.near(acting(wrenches, self.locked))
 
     def row_tangent(self, wrench: Sequence[float]) -> Floats:
         """Return that row's tangent (6, 6), m/N, m/(N·m), rad/N, rad/(N·m); NaN if it has none."""
-        return self.exact.tangent(wrench)
+        tangent = self.exact.tangent(acting_one(wrench, self.locked))
+        return without_locked(tangent, self.locked)
 
     def coverage_summary(self) -> dict[str, Any]:
         """Return how the table covers the load range, as JSON-able values."""
@@ -303,6 +345,11 @@ class Surrogate:
     def allowed(self) -> Allowed:
         """How large the bars of covered answers may be."""
         return allowed_of(self.used, self.tolerance)
+
+    @property
+    def steepest(self) -> Floats:
+        """What each output moves over half the load range at most, (6,), m and rad: `ExactRows`."""
+        return self.exact.steepest
 
     @property
     def ranges(self) -> Floats:

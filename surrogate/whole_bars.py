@@ -13,7 +13,7 @@ import numpy as np
 from .answer import Answer, Batch
 from .build import AnyTable
 from .derivative import derivative_at, derivatives_at, row_tangents
-from .table.rows import Floats, Tolerance
+from .table.rows import Floats, Tolerance, acting, acting_one
 
 
 def whole_bar(
@@ -29,6 +29,7 @@ def whole_bar(
     error = table.solver_error
     if error is None or answer.error is None:
         return answer.error
+    wrench = acting_one(wrench, table.locked)
     return error.widened(answer.error, wrench, *_state(table, wrench, answer, method))
 
 
@@ -39,6 +40,7 @@ def solver_parts(
     error = table.solver_error
     if error is None:
         return {}
+    wrench = acting_one(wrench, table.locked)
     return error.parts(wrench, *_state(table, wrench, answer, method))
 
 
@@ -56,7 +58,7 @@ def whole_bars(
     error = table.solver_error
     if error is None:
         return found.error
-    tangents = None
+    tangents, wrenches = None, acting(wrenches, table.locked)
     if error.asks_tangent:
         tangents = derivatives_at(table, wrenches, tolerance, method)
     elif (

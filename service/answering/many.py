@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
-from service.answering.estimates import drop_estimates
 from service.answering.queries import BatchOutcome, BatchQuery, WrenchJob
 from service.answering.refusals import BeyondRangeError, NotCoveredError
 from service.answering.solved import read_row, state_of
+from service.library.component import Component
 from service.ordering import Placed
 from service.workspace import Workspace
 from surrogate.answer import COVERED
@@ -41,8 +41,6 @@ async def answer_or_submit_many(workspace: Workspace, name: str, batch: BatchQue
     NoSetupError
         If a solve is needed and the component has no finite-element setup.
     """
-    acting = workspace.library.as_read(name).acting(batch.wrenches)
-    batch = replace(batch, wrenches=acting)
     outcome = await run_in_threadpool(_answered, workspace, name, batch)
     if batch.on_thin == "wait":
         waited = {one.job.id for one in outcome.jobs if one.job and not one.job.is_final}
@@ -57,7 +55,8 @@ def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcom
     outcome = answered_many(name, workspace.surrogate(name), batch)
     thin = np.flatnonzero(outcome.coverage)
     if len(thin):
-        span = workspace.library.as_read(name).load_range
+        component = workspace.library.as_read(name)
+        span, batch = component.load_range, _acting(component, batch)
         workspace.demand.note_batch(name, span, batch.wrenches, outcome.coverage)
     if not len(thin) or batch.on_thin == "estimate":
         return outcome
@@ -78,7 +77,6 @@ def answered_many(name: str, surrogate: AnyTable, batch: BatchQuery) -> BatchOut
     if surrogate.bars_are_whole:
         outcome.tolerance = batch.tolerance or surrogate.tolerance
     outcome.errors = whole_bars(surrogate, batch.wrenches, answers, *how)
-    drop_estimates(outcome)
     if batch.derivatives:
         outcome.derivatives = derivatives_at(surrogate, batch.wrenches, *how)
     return outcome
@@ -98,6 +96,11 @@ def refuse_thin(batch: BatchQuery, thin: Places) -> None:
             f"{thin[0]}. Ask with on_thin 'queue', 'wait' or 'estimate'.",
             uncovered=thin.tolist(),
         )
+
+
+def _acting(component: Component, batch: BatchQuery) -> BatchQuery:
+    """Return a batch without the loads on locked freedoms: jobs and demand leave these out."""
+    return replace(batch, wrenches=component.acting(batch.wrenches))
 
 
 def _placed(workspace: Workspace, name: str, batch: BatchQuery, thin: Places) -> list[WrenchJob]:
@@ -138,14 +141,15 @@ def _look_again(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) 
 
 def _take_rows(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) -> None:
     """Put the rows of the jobs that are done in the place of the table's estimates."""
-    scale = workspace.library[outcome.component].load_range.scale
+    batch = _acting(workspace.library[outcome.component], batch)
+    table = workspace.tables.surrogate(outcome.component)
     told = workspace.solver_error(outcome.component)
     for one in outcome.jobs:
         if one.job is None or one.job.row is None or not one.own:
             continue
         row = workspace.ledger.row(one.job.row)
         asked = batch.wrenches[one.index]
-        outcome.displacements[one.index], error = read_row(row, asked, scale)
+        outcome.displacements[one.index], error = read_row(row, asked, table)
         if told is not None:
             state = (None if one is None else one[None] for one in state_of(row))
             error = told.widened_many(error[None], asked[None], *state)[0]

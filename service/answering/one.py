@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from time import perf_counter_ns
+from typing import Any
 
 import numpy as np
 from starlette.concurrency import run_in_threadpool
 
 from service.answering.error_parts import error_parts
-from service.answering.estimates import also, drop_estimate
 from service.answering.method_detail import detail_of
-from service.answering.queries import Outcome, Query
+from service.answering.queries import Outcome, Query, also
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
 from service.answering.solved import read_row, state_of
 from service.client.replies import EXACT, ROUNDED
 from service.ledger import Job
+from service.library.component import Component
 from service.ordering import Placed
+from service.tables.other_setup import others_in_words
 from service.workspace import Workspace
 from surrogate.answer import within_tolerance
 from surrogate.build import AnyTable
 from surrogate.derivative import derivative_at
 from surrogate.methods.method import why_beyond
+from surrogate.table.rows import acting_one
 from surrogate.whole_bars import solver_parts, whole_bar
 
 
@@ -36,13 +39,11 @@ def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | N
         If there is no such component.
     """
     surrogate = workspace.surrogate(name)
-    query = acting(workspace, name, query)
     outcome = _from_table(name, surrogate, query)
     if outcome.coverage != "covered":
         if query.on_thin != "estimate" or (surrogate.linear and not surrogate.fit.complete):
             return None
         _note(workspace, query, outcome)
-        drop_estimate(outcome)
     return outcome
 
 
@@ -63,7 +64,6 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
         If the solve of this wrench failed.
     """
     surrogate = workspace.surrogate(name)
-    query = acting(workspace, name, query)
     if query.on_thin == "solve":
         outcome = _unanswered(name, surrogate)
     else:
@@ -72,7 +72,6 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
             tell_parts(workspace, surrogate, query, outcome)
         if outcome.coverage != "covered":
             _note(workspace, query, outcome)
-            drop_estimate(outcome)
             if surrogate.linear and not surrogate.fit.complete:
                 await _name_awaited(workspace, query, outcome)
         if outcome.coverage == "covered" or query.on_thin == "estimate":
@@ -99,16 +98,14 @@ def refuse_uncovered(query: Query, outcome: Outcome) -> None:
 
 def _note(workspace: Workspace, query: Query, outcome: Outcome) -> None:
     """Count what the table does not cover."""
-    span = workspace.library.as_read(outcome.component).load_range
-    workspace.demand.note(outcome.component, span, query.wrench, outcome.coverage)
+    component = workspace.library.as_read(outcome.component)
+    wrench = _acting(component, query).wrench
+    workspace.demand.note(outcome.component, component.load_range, wrench, outcome.coverage)
 
 
-def acting(workspace: Workspace, name: str, query: Query) -> Query:
-    """Leave out the loads on locked freedoms: the rest has the same answer."""
-    component = workspace.library.as_read(name)
-    if not component.idle:
-        return query
-    return query._replace(wrench=tuple(component.acting(np.array(query.wrench)).tolist()))
+def _acting(component: Component, query: Query) -> Query:
+    """Return a query without the loads on locked freedoms: jobs and demand leave these out."""
+    return query._replace(wrench=tuple(acting_one(query.wrench, component.idle)))
 
 
 async def answered(name: str, surrogate: AnyTable, query: Query) -> Outcome:
@@ -117,7 +114,7 @@ async def answered(name: str, surrogate: AnyTable, query: Query) -> Outcome:
         outcome = _from_table(name, surrogate, query)
     else:
         outcome = await run_in_threadpool(_from_table, name, surrogate, query)
-    if query.derivatives and outcome.displacement:
+    if query.derivatives:
         outcome.derivative = derivative_at(
             surrogate, query.wrench, query.method, by_row=outcome.method == "row"
         )
@@ -161,6 +158,8 @@ def _from_table(name: str, surrogate: AnyTable, query: Query) -> Outcome:
         reason,
     )
     outcome.missing = missing
+    if coverage != "covered" and surrogate.other_wrenches:
+        outcome.reason = also(reason, others_in_words(name, surrogate))
     limit = query.tolerance or surrogate.tolerance
     outcome.within_tolerance = within_tolerance(error, limit) if surrogate.bars_are_whole else None
     return outcome
@@ -172,6 +171,7 @@ def _unanswered(name: str, surrogate: AnyTable) -> Outcome:
 
 async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     """Have the wrench solved as the query wants it, and take the solve's row if it is there."""
+    query = _acting(workspace.library.as_read(outcome.component), query)
     if query.on_thin == "queue":
         placed = await run_in_threadpool(_queued, workspace, query, outcome)
     else:
@@ -226,11 +226,12 @@ def _own_job(workspace: Workspace, query: Query, name: str) -> Job:
 def _take_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) -> None:
     """Answer with the row of a solve in the place of the table's estimate."""
     row = workspace.ledger.row(seq)
-    scale = workspace.library[outcome.component].load_range.scale
-    displacement, error = read_row(row, np.array(query.wrench), scale)
+    table = workspace.tables.surrogate(outcome.component)
+    displacement, error = read_row(row, np.array(query.wrench), table)
     if query.derivatives:
         outcome.derivative = None if row.compliance is None else np.array(row.compliance)
-    own, solver = tuple(error.tolist()), workspace.solver_error(outcome.component)
+    own: tuple[Any, ...] = tuple(None if np.isnan(bar) else bar for bar in error.tolist())
+    solver = workspace.solver_error(outcome.component)
     outcome.displacement, outcome.error = tuple(displacement.tolist()), own
     if solver is not None:
         outcome.error = solver.widened(own, query.wrench, *state_of(row))

@@ -5,16 +5,13 @@ Nothing is queued, since a solve makes a new version, and nothing is counted as 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from anyio import to_thread
 from starlette.concurrency import run_in_threadpool
 
-from service.answering.estimates import also, drop_estimate
 from service.answering.many import answered_many, refuse_thin
-from service.answering.one import acting, answered, refuse_uncovered, tell_parts
-from service.answering.queries import BatchOutcome, BatchQuery, Outcome, Query, WrenchJob
+from service.answering.one import answered, refuse_uncovered, tell_parts
+from service.answering.queries import BatchOutcome, BatchQuery, Outcome, Query, WrenchJob, also
 from service.workspace import Workspace
 from surrogate.build import AnyTable
 
@@ -34,12 +31,10 @@ async def answer_at(workspace: Workspace, name: str, query: Query, version: int)
         If it does not cover the wrench and ``on_thin`` is ``reject``.
     """
     table = await table_at(workspace, name, version)
-    query = acting(workspace, name, query)
     outcome = await answered(name, table, query)
     if query.detail:
         tell_parts(workspace, table, query, outcome)
     if outcome.coverage != "covered":
-        drop_estimate(outcome)
         refuse_uncovered(query, outcome)
         if query.on_thin == "queue":
             outcome.unsolved, outcome.reason = True, also(outcome.reason, NOT_QUEUED)
@@ -51,8 +46,6 @@ async def answer_many_at(
 ) -> BatchOutcome:
     """Answer a batch from a component's table as it was at a version; errors as `answer_at`."""
     table = await table_at(workspace, name, version)
-    wrenches = workspace.library.as_read(name).acting(batch.wrenches)
-    batch = replace(batch, wrenches=wrenches)
     outcome = await run_in_threadpool(answered_many, name, table, batch)
     thin = np.flatnonzero(outcome.coverage)
     if len(thin):

@@ -121,6 +121,11 @@ class Outcome:
     error_parts: dict[str, Any] | None = None
 
 
+def also(reason: str, more: str) -> str:
+    """Join two reasons, of which either may be empty."""
+    return f"{reason}; {more}" if reason and more else reason or more
+
+
 @dataclass(frozen=True, slots=True)
 class WrenchJob:
     """The solve of one wrench of a batch: the wrench's number, its job, or why it has none.

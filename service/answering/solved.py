@@ -1,4 +1,4 @@
-"""What the row of a solve says of the wrench that was asked."""
+"""Answer of the row that a solve has just given, before the table holds it."""
 
 from __future__ import annotations
 
@@ -6,38 +6,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.ledger import LedgerRow
+from service.tables.news import table_rows
+from surrogate.build import AnyTable
+from surrogate.exact_rows import beside
 
 Floats = NDArray[np.float64]
 
 
-def read_row(row: LedgerRow, wrench: Floats, scale: Floats) -> tuple[Floats, Floats]:
+def read_row(row: LedgerRow, wrench: Floats, table: AnyTable) -> tuple[Floats, Floats]:
     """Return the displacement and the error bar of a row for the wrench it was rounded from.
 
-    The row's tangent leads from its wrench to the asked one; the bar grows by that step. A row
-    without a tangent answers as it is, and the bars of translation and of rotation grow by twice
-    the step of a response in proportion to the largest load: smaller loads may move more.
+    They are those that the table answers with once it holds the row (`surrogate.exact_rows`).
 
     Parameters
     ----------
     row : LedgerRow
     wrench : ndarray, shape (6,), N and N·m
-    scale : ndarray, shape (6,), N and N·m
-        Of the load range.
+    table : AnyTable
+        The component's newest.
 
     Returns
     -------
     displacement, error : ndarray, shape (6,), m and rad
+        An error is NaN where nothing tells how far the row's wrench is from this one.
     """
-    solved, step = np.array(row.displacement), wrench - row.wrench
-    bar = np.array(row.uncertainty or (0.0,) * 6)
-    if not step.any():
-        return solved, bar
-    if row.compliance is not None:
-        moved = np.array(row.compliance) @ step
-        return solved + moved, bar + np.abs(moved)
-    share = 2 * np.abs(step / scale).max() / np.abs(wrench / scale).max()
-    most = np.nanmax(np.abs(solved).reshape(2, 3), axis=1)
-    return solved, bar + share * np.repeat(most, 3)
+    rows, scale = table_rows((row,)), table.load_range.scale
+    found = beside(rows, 0, rows.wrench[0], wrench, scale, table.steepest)
+    return found.displacement, found.error
 
 
 def state_of(row: LedgerRow) -> tuple[Floats | None, Floats | None]:

@@ -1,4 +1,4 @@
-"""Commands about what a simulator's loop has met: recordings and envelopes."""
+"""Commands whose solves are known beforehand: recordings, envelopes, rows of another setup."""
 
 from __future__ import annotations
 
@@ -79,6 +79,18 @@ def envelope(
             _show_envelope(out, client.envelope(name))
 
 
+def resolve(
+    name: Name,
+    budget: Annotated[int | None, typer.Option(min=1, help="most solves to spend")] = None,
+    beyond_range: BeyondRange = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """Solve the wrenches again whose rows belong to another setup of a component."""
+    with connected(server, data) as client:
+        _follow(Screen(), client, client.resolve(name, budget, beyond_range=beyond_range))
+
+
 def _check(start: bool, clear: bool) -> None:
     if start and clear:
         raise typer.BadParameter("give --start or --clear, not both")
@@ -115,4 +127,4 @@ def _show_envelope(out: Console, found: Envelope) -> None:
         render.plain(out, found.reason)
 
 
-GATHERING_COMMANDS = (recording, envelope)
+GATHERING_COMMANDS = (recording, envelope, resolve)

@@ -208,6 +208,20 @@ def report(
 
 
 @app.command()
+def compliance(
+    name: Name, as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: Data = None
+) -> None:
+    """Show a component's 6x6 compliance: at zero load, and its mean over the load range."""
+    with connected(server, data) as client:
+        found = client.compliance(name)
+    if as_json:
+        print_json(found)
+    else:
+        for table in render.compliance_tables(found):
+            out.print(table)
+
+
+@app.command()
 def components(as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: Data = None) -> None:
     """List the library."""
     with connected(server, data) as client:

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from service.cli.pace import Pace, error_bars
 from service.client import Client, Displacement, Job, ProblemError
-from service.contract import DISPLACEMENT_NAMES
+from service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
 
 POLL_S = 0.2
 
@@ -69,6 +69,28 @@ def method_line(component: dict[str, Any]) -> str:
     return f"{coverage['method']} answers: {coverage['method_reason']}."
 
 
+def compliance_tables(told: dict[str, Any]) -> list[Table]:
+    """Lay out the compliance at zero load, and the mean over the load range."""
+    known = [load in told["known_loads"] for load in WRENCH_NAMES]
+    mean = [
+        [value if tells else None for value, tells in zip(line, known, strict=True)]
+        for line in told["matrix"]
+    ]
+    matrices = (
+        (f"tangent at zero load ({told['tangent_origin']})", told["tangent"]),
+        (f"mean over the load range ({told['origin']})", mean),
+    )
+    tables = []
+    for title, lines in matrices:
+        table = Table(title=title, title_justify="left", caption="m and rad over N and N·m")
+        for heading in ("", *WRENCH_NAMES):
+            table.add_column(heading, justify="right" if heading else "left")
+        for output, line in zip(DISPLACEMENT_NAMES, lines, strict=True):
+            table.add_row(output, *("-" if value is None else f"{value:.3e}" for value in line))
+        tables.append(table)
+    return tables
+
+
 def component_table(components: Sequence[dict[str, Any]]) -> Table:
     """Lay out the library."""
     table = Table("name", "title", "rows", "analysis", "largest force, N", "largest moment, N·m")
@@ -78,7 +100,10 @@ def component_table(components: Sequence[dict[str, Any]]) -> Table:
             " ".join(f"{max(map(abs, span)):g}" for span in one["range"][word])
             for word in ("force", "moment")
         )
-        table.add_row(one["name"], escape(one["title"]), str(one["rows"]), kind, force, moment)
+        rows, others = str(one["rows"]), one.get("another_setup", {}).get("rows")
+        if others:
+            rows += f" (and {others} of another setup)"
+        table.add_row(one["name"], escape(one["title"]), rows, kind, force, moment)
     return table
 
 

@@ -224,6 +224,17 @@ class GatheringCalls(Connection):
         body = options(beyond_range=beyond_range or None)
         return Started.read(self.call_json("POST", component_path(name, "envelope/start"), body))
 
+    def resolve(
+        self, name: str, budget: int | None = None, *, beyond_range: bool = False
+    ) -> Started:
+        """Queue a solve for each wrench that only rows of another setup of a component have.
+
+        A component whose files change is another setup: its earlier rows leave the table
+        (``another_setup`` of `component`). Parameters and errors are those of `start_recording`.
+        """
+        body = options(budget=budget, beyond_range=beyond_range or None)
+        return Started.read(self.call_json("POST", component_path(name, "table/resolve"), body))
+
     def send_block(
         self, name: str, kind: Kind, wrenches: bytes, client: str, sequence: int
     ) -> dict[str, Any]:

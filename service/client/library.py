@@ -79,6 +79,23 @@ class Library(Connection):
         """
         return self.call_json("GET", component_path(name))
 
+    def compliance(self, name: str) -> dict[str, Any]:
+        """Return a component's 6x6 compliance and what physics says about its rows.
+
+        Returns
+        -------
+        dict
+            ``tangent``: at zero load, 6 lines of 6, m/N, m/(N·m), rad/N, rad/(N·m), None where it
+            is not known; ``tangent_origin``. ``matrix``: the mean over the load range, with its
+            ``origin`` and ``error``. ``checks``.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such component (404).
+        """
+        return self.call_json("GET", component_path(name, "compliance"))
+
     def add_component(self, component: str | Path | Mapping[str, Any]) -> dict[str, Any]:
         """Add a component.
 

@@ -97,6 +97,7 @@ def build(content: bytes, etag: str | None, before: Any = None) -> Built:
             version=meta.last_seq,
             before=before,
             solver_error=room("solver_error").SolverError.read(meta.solver_error),
+            locked=meta.locked,
         )
     return Built(content, etag, surrogate, meta.component)
 

@@ -115,7 +115,7 @@ class Table:
         answer = surrogate.answer(asked, limit, method)
         elapsed_us = (perf_counter_ns() - started) / 1e3
         derivative = None
-        if derivatives and answer.displacement:
+        if derivatives:
             tell, by_row = room("derivative").derivative_at, answer.method == "row"
             derivative = tell(surrogate, asked, method, by_row=by_row)
         whole = room("whole_bars").whole_bar(surrogate, asked, answer, method)

@@ -194,6 +194,9 @@ class Copies:
         self, name: str, told: dict[str, Any], content: bytes, etag: str | None, before: Copy | None
     ) -> None:
         built = build(content, etag, before.built.surrogate if before else None)
+        others = told.get("another_setup", {})  # an older server does not tell
+        built.surrogate.other_rows = others.get("rows", 0)
+        built.surrogate.other_wrenches = others.get("wrenches", 0)
         if built.component != name:
             raise TableFileError(f"it is the table of {built.component!r}")
         ask_once(built.surrogate)

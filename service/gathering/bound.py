@@ -62,7 +62,7 @@ def bound_of(surrogate: AnyTable, envelope: Envelope, tolerance: Tolerance | Non
         return Bound(unknown, "unknown", "", "outside", None, "no wrench has come yet")
     exact = surrogate.linear and surrogate.fit.complete
     points = np.concatenate([_corners(low, high), envelope.lowest, envelope.highest])
-    answers = surrogate.batch(points)
+    answers = surrogate.estimates(points)
     answers = answers._replace(error=whole_bars(surrogate, points, answers))
     coverage = int(answers.coverage.max(initial=COVERED))
     if exact:

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gathering.net import MOST_OUTSIDE, Net, Taken, scaled_loads, take
-from service.ledger import Block, Kept, Kind, Tally
+from service.ledger import Block, Kept, Kind, Tally, packed, unpacked
 from service.library.component import Component
-from service.ordering import packed, unpacked
 from service.workspace import Workspace
 
 Floats = NDArray[np.float64]

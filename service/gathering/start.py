@@ -1,4 +1,4 @@
-"""LM_start: the solves of what a recording or an envelope holds."""
+"""LM_start: the solves of what a recording, an envelope or another setup of a component holds."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from service.gathering.gathering import Gathering
 from service.gathering.net import farthest_first, scaled_loads
-from service.ledger import Job
+from service.ledger import Job, packed
 from service.library.component import Component
-from service.ordering import NoSetupError, packed
+from service.ordering import NoSetupError
+from service.tables.other_setup import unsolved
 from service.workspace import CATCH_UP_S, Workspace
 from surrogate.answer import COVERED
 
@@ -106,6 +107,33 @@ def start_envelope(
     counted = Started([], int(solved.sum()), beyond_range=beyond)
     known = surrogate.rows.wrench
     return _ordered(workspace, component, inside[~solved], known, len(inside), counted, "envelope")
+
+
+def start_resolving(workspace: Workspace, name: str, budget: int, *, beyond_range: bool) -> Started:
+    """Queue a solve for each wrench of rows of another setup that no row of the table has.
+
+    Raises
+    ------
+    UnknownComponentError
+        If there is no such component.
+    NoSetupError
+        If nothing can be solved for it.
+    TableBehindError
+        If the table does not hold all rows yet.
+    """
+    component = workspace.orders.solvable(name)
+    others = workspace.ledger.of_other_setups(name, component.fingerprint)
+    wrenches = unsolved(component, others, np.empty((0, 6)))
+    if not len(wrenches):
+        return Started([], reason=f"no row of {name!r} belongs to another setup")
+    if component.linear:
+        return _start_linear(workspace, component, wrenches, beyond_range)
+    surrogate = workspace.tables.caught_up(name, CATCH_UP_S)
+    left = unsolved(component, others, surrogate.rows.wrench)
+    inside, beyond = _within(component, left, beyond_range)
+    counted = Started([], len(wrenches) - len(left), beyond_range=beyond)
+    known = surrogate.rows.wrench
+    return _ordered(workspace, component, inside, known, budget, counted, "resolve")
 
 
 def _solvable(workspace: Workspace, name: str) -> Component:

@@ -181,7 +181,7 @@ class BlockBody(BlockKey):
 
 
 class StartBody(Body):
-    """How many new solves the start of a recording or an envelope may cost."""
+    """How many new solves the start of a recording, or of another setup's rows, may cost."""
 
     budget: Annotated[int, Field(ge=1, le=MAX_BLOCK)] = MAX_BLOCK
     beyond_range: Flag = False

@@ -21,6 +21,7 @@ from service.http.library_schemas import LIBRARY_CALLS
 from service.http.schemas import (
     BYTES,
     CANCELLED,
+    COMPLIANCE,
     DISPLACEMENT,
     DISPLACEMENTS,
     JOBS,
@@ -87,7 +88,7 @@ CALLS: Final[dict[tuple[str, str], Call]] = {
         {200: "hull and gaps"}, _OF_A_COMPONENT, {JSON: OBJECT}
     ),
     ("get", "/v1/components/{name}/compliance"): Call(
-        {200: "the 6x6 and its checks"}, _OF_A_COMPONENT, {JSON: OBJECT}
+        {200: "the 6x6 at zero load, its mean and its checks"}, _OF_A_COMPONENT, {JSON: COMPLIANCE}
     ),
     ("get", "/v1/components/{name}/deformed"): Call(
         {200: "the surface; outside the load range, or with too few rows, it is flagged"},

@@ -135,4 +135,7 @@ def _calls(kind: str, taken: Schema, status: int, whole: Schema) -> dict[tuple[s
 GATHER_CALLS: Final[dict[tuple[str, str], Call]] = {
     **_calls("recording", RECORDED, 201, RECORDING),
     **_calls("envelope", WIDENED, 200, ENVELOPE),
+    ("post", "/v1/components/{name}/table/resolve"): Call(
+        _STARTED, (404, 409, 413, 422), {JSON: STARTED}, {JSON: body_of(StartBody)}
+    ),
 }

@@ -73,6 +73,42 @@ PROBLEM: Final[Schema] = {
     },
 }
 OBJECT: Final[Schema] = {"type": "object"}
+_MATRIX: Final[Schema] = {
+    "type": "array",
+    "items": {"type": "array", "items": {"type": ["number", "null"]}},
+    "minItems": 6,
+    "maxItems": 6,
+}
+COMPLIANCE: Final[Schema] = {
+    "type": "object",
+    "properties": {
+        "component": {"type": "string"},
+        "table_version": {"type": "integer"},
+        "tangent": {
+            **_MATRIX,
+            "description": "du/dw at zero load, a line an output, m and rad over N and N·m; null "
+            "where it is not known",
+        },
+        "tangent_origin": {
+            "type": "string",
+            "description": "row: the tangent of the row at zero load; none: not known; else the "
+            "method that interpolates it",
+        },
+        "matrix": {
+            **_MATRIX,
+            "description": "the mean over the load range: the fit of one 6x6 to all rows; of a "
+            "linear component its compliance. Zero where no row tells a load: known_loads",
+        },
+        "origin": {"enum": ["stored", "fitted", "none"], "description": "of matrix"},
+        "known_loads": {"type": "array", "items": {"type": "string"}},
+        "error": {**SIX, "description": "95 % error bar of matrix at the rows, m and rad"},
+        "rows": {"type": "array", "items": {"type": "string"}},
+        "columns": {"type": "array", "items": {"type": "string"}},
+        "rows_checked": {"type": "integer"},
+        "ok": {"type": ["boolean", "null"]},
+        "checks": {"type": "object", "description": "by name: ok, and what was found"},
+    },
+}
 BYTES: Final[Schema] = {"type": "string", "format": "binary"}
 TEXT: Final[Schema] = {"type": "string"}
 

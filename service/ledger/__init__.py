@@ -19,7 +19,7 @@ from service.ledger.errors import (
 from service.ledger.gathered import Block, Kept, Kind, Tally, block_of
 from service.ledger.imports import About, Import
 from service.ledger.ledger import Ledger
-from service.ledger.packing import PackedRow, packed_columns
+from service.ledger.packing import PackedRow, packed, packed_columns, unpacked
 from service.ledger.records import (
     FINAL,
     STATUSES,
@@ -69,5 +69,7 @@ __all__ = [
     "UnknownRowError",
     "UnknownVersionError",
     "block_of",
+    "packed",
     "packed_columns",
+    "unpacked",
 ]

@@ -4,7 +4,7 @@ A million rows one by one take a minute; their columns turned into bytes, and on
 made for each, some ten seconds.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from hashlib import blake2b
 
 import numpy as np
@@ -13,6 +13,21 @@ from service.ledger.records import seal
 
 PackedRow = tuple[object, ...]
 _NAN = np.float64(np.nan)
+_WRENCH_BYTES = 6 * 8
+
+
+def packed(wrenches: np.ndarray) -> list[bytes]:
+    """Return each wrench as the ledger packs it: little-endian, no minus zero.
+
+    The wrenches have shape (n, 6), N and N·m.
+    """
+    block = (np.asarray(wrenches, dtype="<f8") + 0.0).tobytes()
+    return [block[at : at + _WRENCH_BYTES] for at in range(0, len(block), _WRENCH_BYTES)]
+
+
+def unpacked(wrenches: Iterable[bytes]) -> np.ndarray:
+    """Return packed wrenches as an array of shape (n, 6), N and N·m."""
+    return np.frombuffer(b"".join(wrenches), dtype="<f8").reshape(-1, 6).astype(float)
 
 
 def packed_columns(

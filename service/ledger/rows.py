@@ -163,6 +163,19 @@ def count(db: Connection, component: str) -> int:
     return db.execute(shown, (component,)).fetchone()[0]
 
 
+def of_other_setups(db: Connection, component: str, fingerprint: str) -> dict[bytes, int]:
+    """Return the packed wrenches of a component's rows of other setups, and how many rows each has.
+
+    Measured rows, of no setup, and withdrawn ones are none of them.
+    """
+    where = (
+        "WHERE component = :component AND fingerprint <> '' AND fingerprint <> :fingerprint"
+        f" AND {LIVE} GROUP BY wrench ORDER BY min(seq)"
+    )
+    values = {"component": component, "fingerprint": fingerprint, "until": _EVER}
+    return dict(db.execute(f"SELECT wrench, count(*) FROM rows {where}", values))
+
+
 def digest(db: Connection, component: str, until: int) -> str:
     """Return a digest of which rows a component has, and their edits, up to and with a seq."""
     whole = blake2b(digest_size=16)

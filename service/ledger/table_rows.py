@@ -144,6 +144,14 @@ class TableRows:
         with self._db.reading() as db:
             return rows.count(db, component)
 
+    def of_other_setups(self, component: str, fingerprint: str) -> dict[bytes, int]:
+        """Return how many rows of other setups have each wrench (packed), the oldest first.
+
+        They are in no table. Measured rows, of no setup, and withdrawn ones are none of them.
+        """
+        with self._db.reading() as db:
+            return rows.of_other_setups(db, component, fingerprint)
+
     def digest(self, component: str, until: int) -> str:
         """Return a digest of which rows a component has up to a seq, and how they stand."""
         with self._db.reading() as db:

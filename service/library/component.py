@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fea.bundle.read import FILE_NAME, Bundle
 from fea.spec.schema import FREEDOMS
-from surrogate.table.rows import LoadRange, Tolerance
+from surrogate.table.rows import LoadRange, Tolerance, acting
 
 FileStamp = tuple[tuple[int, int] | None, ...]
 
@@ -54,13 +54,9 @@ class Component:
         The guide takes these: no answer depends on them, the compliance's columns for them are
         zero. Two wrenches whose answers cannot differ are one wrench; that is why a loop's are
         rounded to 1e-6 of the load range, and here it is exact. So such loads are in no job's key,
-        no reach, no row and no question to a table, and lie beyond no range.
+        no reach and no row, and lie beyond no range. Tables leave them out by themselves.
         """
-        if not self.idle:
-            return wrenches
-        kept = np.array(wrenches, dtype=float)
-        kept[..., list(self.idle)] = 0.0
-        return kept
+        return acting(wrenches, self.idle)
 
     @property
     def acting_range(self) -> LoadRange:

@@ -62,7 +62,10 @@ class Library:
         Whether bundles with a deck, and so with a command to run, may be added.
 
     on_added:
-        Called with each component that `add_zip` or `add_table_only` has added.
+        Called with each component that has been added.
+    on_copy:
+        Called with a component and the name of its copy before anything can see the copy; an
+        OSError adds nothing.
 
     A bundle that cannot be read is left out and told by `broken`; the others go on.
     """
@@ -74,9 +77,10 @@ class Library:
         *,
         allow_decks: bool = False,
         on_added: Callable[[Component], None] = lambda _: None,
+        on_copy: Callable[[Component, str], None] = lambda *_: None,
     ) -> None:
         self._own, self._shipped = own, shipped
-        self._on_added = on_added
+        self._on_added, self._on_copy = on_added, on_copy
         self._allow_decks = allow_decks
         self._lock = threading.Lock()
         self._version, self._next_look, self._own_stamp = 0, 0.0, 0
@@ -240,7 +244,7 @@ class Library:
         with self._incoming() as incoming:
             folder = incoming / "bundle"
             copy_bundle(source, new, title, folder)
-            component = self._adopt(folder)
+            component = self._adopt(folder, lambda taken: self._on_copy(source, taken))
         self._on_added(component)
         return component
 
@@ -257,8 +261,11 @@ class Library:
                 "Nothing was added; make room on the disk or make it writable, then send it again."
             ) from error
 
-    def _adopt(self, folder: Path) -> Component:
-        """Move a checked bundle into the library under its own name, in one step."""
+    def _adopt(self, folder: Path, before: Callable[[str], None] = lambda _: None) -> Component:
+        """Move a checked bundle into the library under its own name, in one step.
+
+        `before` is called with that name while nothing can see the component yet.
+        """
         name = read_bundle(folder).name
         final = self._own / name
         with self._lock:
@@ -266,6 +273,7 @@ class Library:
             if name in self._components or os.path.lexists(final):
                 raise ComponentExistsError(_TAKEN.format(name=name))
             sync_tree(folder)
+            before(name)
             try:
                 folder.rename(final)  # never into a folder that is there: shutil.move would
             except OSError as error:

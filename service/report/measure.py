@@ -16,11 +16,11 @@ from scipy.stats import qmc
 from fea.failure import SolveFailed
 from fea.mesh.refine import refined
 from fea.solve import Solver
-from fea.spec.schema import Bundle
+from fea.spec.schema import FREEDOMS, Bundle
 from service.report.timing import Times, answer_times, times_without_fast
 from surrogate.answer import METHODS
 from surrogate.build import AnyTable, build
-from surrogate.table.rows import LoadRange, Rows
+from surrogate.table.rows import LoadRange, Rows, acting
 
 Array = np.ndarray
 Report = Callable[[float, str], None]
@@ -41,7 +41,9 @@ def measure(
         Wrenches to compare.
     """
     linear = not bundle.analysis.nonlinear
-    wrenches = random_wrenches(load_range, count, seed)
+    held = bundle.interface.locked if bundle.interface else ()
+    locked = [place for place, name in enumerate(FREEDOMS) if name in held]
+    wrenches = acting(random_wrenches(load_range, count, seed), locked)
     levels = _solve_levels(bundle, wrenches, report)
     finest, own = levels[-1], next(level for level in levels if level["level"] == "own")
     solved = _solved_in_both(finest, own)

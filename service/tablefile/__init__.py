@@ -10,7 +10,6 @@ from service.tablefile.csvwrite import write_csv
 from service.tablefile.hdf5form import read_hdf5, write_hdf5
 from service.tablefile.jsonform import read_json
 from service.tablefile.jsonwrite import write_json
-from service.tablefile.limits import ROTATION_LIMIT, TRANSLATION_LIMIT
 from service.tablefile.mistakes import Mistakes, RowError
 from service.tablefile.options import FORMATS, Format, Options, Told
 from service.tablefile.parsed import ParsedTable, TableRows
@@ -21,8 +20,6 @@ from service.tablefile.units import UnitError, si_factor
 __all__ = [
     "FORMATS",
     "MOST_PREVIEW",
-    "ROTATION_LIMIT",
-    "TRANSLATION_LIMIT",
     "Format",
     "Mistakes",
     "Options",

@@ -9,20 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.tablefile.spelling import DISPLACEMENT, UNCERTAINTY, WRENCH
+from surrogate.limits import (
+    ROTATION_LIMIT,
+    TRANSLATION_LIMIT,
+    is_too_far,
+    rotation_angles,
+)
 from surrogate.table.rows import LoadRange
 
 Array = np.ndarray
-
-ROTATION_LIMIT = math.radians(20.0)
-"""Longest rotation vector a table may hold, rad: beyond it the small-deformation contract ends."""
-
-TRANSLATION_LIMIT = 10.0
-"""Largest translation a table may hold, m.
-
-A cantilever's tip moves by 2/3 of its length times its tip's turn (u = P L^3 / 3EI, r = P L^2 /
-2EI), so within 20 degrees a part has to be 43 m long to move by 10 m: no part of a machine is
-refused. A millimetre taken for a metre is noticed from 10 mm on, a micrometre from 10 um on.
-"""
 
 LOAD_LIMIT = 10.0
 """Times the component's range a load may be: a test goes to a few times the service load, while
@@ -76,25 +71,9 @@ def largest_loads(load_range: LoadRange) -> Array:
     return np.where(size > 0.0, LOAD_LIMIT * size, np.inf).ravel()
 
 
-def beyond_limits(displacement: Array) -> Array:
-    """Tell which displacements, shape (n, 6), m and rad, no table may hold; NaN exceeds nothing."""
-    moved = np.abs(displacement[:, :3]) > TRANSLATION_LIMIT
-    return moved.any(axis=1) | _turns_too_far(_angle(displacement))
-
-
-def _angle(displacement: Array) -> Array:
-    with np.errstate(over="ignore"):
-        return np.sqrt(np.nansum(displacement[:, 3:] ** 2, axis=1))
-
-
-def _turns_too_far(angle: Array) -> Array:
-    # The last bits of a conversion from degrees must not refuse exactly 20 degrees.
-    return angle > ROTATION_LIMIT * (1.0 + 1e-12)
-
-
 def _turned(displacement: Array) -> Iterator[Excess]:
-    angle = _angle(displacement)
-    for at in np.flatnonzero(_turns_too_far(angle)).tolist():
+    angle = rotation_angles(displacement)
+    for at in np.flatnonzero(is_too_far(angle)).tolist():
         name = DISPLACEMENT[3 + int(np.nanargmax(np.abs(displacement[at, 3:])))]
         message = (
             f"the rotation is {math.degrees(angle[at]):.4g} degrees; a table ends at 20 "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,11 @@ FEA = "fea"
 
 
 def disagreement(
-    rows: Rows, span: LoadRange, tolerance: Tolerance | None, linear: bool
+    rows: Rows,
+    span: LoadRange,
+    tolerance: Tolerance | None,
+    linear: bool,
+    locked: Sequence[int] = (),
 ) -> dict[str, Any]:
     """Compare each measured row with a table of the solved rows alone.
 
@@ -27,6 +32,8 @@ def disagreement(
     tolerance : Tolerance or None, m and rad
     linear : bool
         Whether the component is linear.
+    locked : sequence of int
+        The places of the loads on locked freedoms.
 
     Returns
     -------
@@ -42,7 +49,8 @@ def disagreement(
     if not told["solved"] or not within.any():
         reason = "there is no solved row" if not told["solved"] else "there is no measured row"
         return told | {"compared": 0, "outside": 0, "outputs": {}, "rows": [], "reason": reason}
-    table = build(rows.take(solved), span, tolerance=tolerance, linear=linear, version=0)
+    of_solves = rows.take(solved)
+    table = build(of_solves, span, tolerance=tolerance, linear=linear, locked=locked)
     places = np.flatnonzero(within)
     places = places[:: max(1, -(-len(places) // MOST_ROWS))]
     return told | _compared(table, rows.take(places))

@@ -109,6 +109,7 @@ class TableFiles:
             last_seq=last_seq,
             load_range=component.load_range,
             fingerprint=component.fingerprint,
+            locked=component.idle,
             contract=" ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items()),
             **self._ledger_words(component.name, last_seq),
         )

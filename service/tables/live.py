@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from service.ledger import Ledger, LedgerUnavailableError
@@ -18,6 +19,7 @@ from service.tables.files import TableFiles
 from service.tables.making import ask_once, make
 from service.tables.memory import give_back
 from service.tables.news import usable, without
+from service.tables.other_setup import count_others
 from service.tables.shelf import Shelf
 from service.tables.solver_errors import SolverErrors
 from service.tables.warm_up import use_compiled_code
@@ -311,6 +313,8 @@ class Tables:
         started = time.monotonic()
         before = self._surrogates.get(component.name)
         surrogate = make(component, rows, version, before, self._errors)
+        with suppress(LedgerUnavailableError):
+            count_others(self._ledger, component, surrogate)
         ask_once(surrogate)
         if self._shelf is not None:
             surrogate = self._shelf.put(component, surrogate)

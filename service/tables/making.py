@@ -31,6 +31,7 @@ def make(
         version=version,
         before=before,
         solver_error=own and own.read(component.name, component.fingerprint),
+        locked=component.idle,
     )
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
-from service.ledger import News
+from service.ledger import LedgerRow, News
 from service.library.component import Component
 from surrogate.table.rows import Rows
 
@@ -19,18 +21,20 @@ def usable(component: Component, news: News) -> Rows:
 
     FEA rows of another setup are never mixed in.
     """
+    return table_rows(row for row in news.rows if row.fingerprint in ("", component.fingerprint))
+
+
+def table_rows(rows: Iterable[LedgerRow]) -> Rows:
+    """Return rows of the ledger as those of a table."""
     return Rows.from_records(
-        [
-            {
-                "seq": row.seq,
-                "wrench": row.wrench,
-                "displacement": row.displacement,
-                "compliance": row.compliance,
-                "uncertainty": row.uncertainty,
-                "source": row.source,
-                "fingerprint": row.fingerprint,
-            }
-            for row in news.rows
-            if row.fingerprint in ("", component.fingerprint)
-        ]
+        {
+            "seq": row.seq,
+            "wrench": row.wrench,
+            "displacement": row.displacement,
+            "compliance": row.compliance,
+            "uncertainty": row.uncertainty,
+            "source": row.source,
+            "fingerprint": row.fingerprint,
+        }
+        for row in rows
     )

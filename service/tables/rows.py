@@ -102,6 +102,7 @@ def table_meta(component: Component, version: int, error: SolverError | None = N
         tolerance=component.tolerance,
         linear=component.linear,
         solver_error=error and error.told,
+        locked=component.idle,
         contract=CONTRACT_WORDS,
     )
 

@@ -54,9 +54,7 @@ class SolverErrors:
         try:
             if told is not None:
                 SolverError(told)
-                path = self._path(component, fingerprint)
-                path.parent.mkdir(parents=True, exist_ok=True)
-                write_whole_bytes(path, json.dumps(dict(told), allow_nan=False).encode())
+                self._write(component, fingerprint, told)
         except (OSError, ValueError, TypeError) as error:
             _log.warning("%s: the solver's error was not kept: %s", component, error)
         finally:
@@ -67,6 +65,18 @@ class SolverErrors:
         """Let the next solve estimate: the one that was to has ended without."""
         self.settle(component, fingerprint, None)
 
+    def copy(self, component: str, fingerprint: str, other: str) -> None:
+        """Give a component's copy, which has the same set-up, the same estimate.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        known = self.read(component, fingerprint)
+        if known is not None:
+            self._write(other, fingerprint, known.told)
+
     def read(self, component: str, fingerprint: str) -> SolverError | None:
         """Return what is known of a set-up; None of one that was never estimated."""
         try:
@@ -76,6 +86,11 @@ class SolverErrors:
         except (OSError, ValueError, TypeError, AttributeError) as error:
             _log.warning("%s: the solver's error cannot be read: %s", component, error)
             return None
+
+    def _write(self, component: str, fingerprint: str, told: Mapping[str, Any]) -> None:
+        path = self._path(component, fingerprint)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole_bytes(path, json.dumps(dict(told), allow_nan=False).encode())
 
     def _path(self, component: str, fingerprint: str) -> Path:
         return self._folder / component / f"{fingerprint}.json"

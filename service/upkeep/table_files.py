@@ -13,6 +13,7 @@ from service.library.component import Component
 from service.library.library import Library
 from service.tables.files import TableFiles, new_row
 from service.tables.news import usable, without
+from service.tables.other_setup import unsolved
 from service.upkeep.findings import MEND, Finding, move_aside
 from surrogate.table.hdf5 import TableFileError, read_table
 from surrogate.table.meta import TableMeta
@@ -28,6 +29,7 @@ def check_tables(ledger: Ledger, library: Library, folder: Path, *, mend: bool) 
     files = TableFiles(folder, ledger)
     for name in library.names():
         found += _compare(ledger, library[name], files, whole.get(name), folder, mend=mend)
+        found += _of_another_setup(ledger, library[name])
     strangers = sorted(whole.keys() - set(library.names()))
     what = "{} is the table of a component that is not in the library"
     remedy = "put its bundle into components/ again, or move the file away"
@@ -130,6 +132,23 @@ def _compare(
     back = ledger.count_rows(name) - before
     remedy = f"{back} rows put back into the ledger; the file written anew with {len(rows)} rows"
     return [Finding("mended", what, remedy)]
+
+
+def _of_another_setup(ledger: Ledger, component: Component) -> list[Finding]:
+    """Tell the rows that no table shows, since the component's files have changed."""
+    others = ledger.of_other_setups(component.name, component.fingerprint)
+    if not others:
+        return []
+    rows, _ = whole_table(ledger, component)
+    told = component.linear and bool(np.isfinite(rows.compliance).all(axis=(1, 2)).any())
+    wrenches = unsolved(component, others, rows.wrench)
+    if told or not len(wrenches):  # one solve of a linear component tells all of it
+        return []
+    what = f"{sum(others.values())} rows of {component.name} belong to another setup of it"
+    again = f"wrenchbook resolve {component.name} solves their {len(wrenches)} wrenches again"
+    back = "they come back if its files are as they were"
+    remedy = f"{again}; {back}" if component.has_fea else back
+    return [Finding("note", what, remedy)]
 
 
 def whole_table(ledger: Ledger, component: Component) -> tuple[Rows, int]:

@@ -9,7 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..table.axes import AXES
-from ..table.rows import LOAD_UNITS, LOADS, ON_END, OUTPUTS, Floats, LoadRange, Tolerance
+from ..table.rows import (
+    LOAD_UNITS,
+    LOADS,
+    ON_END,
+    OUTPUTS,
+    Floats,
+    LoadRange,
+    Tolerance,
+    acting,
+)
 
 Mask = NDArray[np.bool_]
 
@@ -55,7 +64,7 @@ class Need:
 
     def acting(self, wrenches: Floats) -> Floats:
         """Return wrenches (n, 6), N and N·m, without the loads on locked freedoms."""
-        return np.where(np.isin(np.arange(6), self.idle), 0.0, wrenches)
+        return acting(wrenches, self.idle)
 
     def beyond(self, wrenches: Floats) -> Mask:
         """Return which loads of wrenches (n, 6), N and N·m, the scene has not, shape (n, 6)."""

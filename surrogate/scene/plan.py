@@ -136,7 +136,7 @@ def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
         full = np.maximum(np.abs(need.span.low), np.abs(need.span.high))
         most = np.abs(fit.matrix) @ full + fit.bar
         if not surrogate.linear:
-            found = surrogate.batch(_sample(need))
+            found = surrogate.estimates(_sample(need))
             if not found.coverage.any():  # slopes of a table that is thin here prove nothing
                 most = np.fmin(most, _reach(surrogate, need) + found.error.max(axis=0))
             most = np.maximum(most, (np.abs(found.displacement) + found.error).max(axis=0))
@@ -154,7 +154,7 @@ def _reach(surrogate: Surrogate, need: Need) -> Floats:
     bends from one compliance at its largest.
     """
     middle = (need.span.low + need.span.high) / 2
-    there = surrogate.batch(middle)
+    there = surrogate.estimates(middle)
     steepest = np.abs(surrogate.derivatives(_sample(need))).max(axis=0)
     moved = np.abs(there.displacement[0]) + steepest @ (need.span.high - middle)
     return np.asarray(moved + there.error[0])
@@ -188,7 +188,7 @@ def _one_compliance(table: AnyTable, need: Need) -> tuple[Floats | None, str]:
     if need.tolerance is None:
         return None, "its response is looked up; no tolerance says what may be left out"
     asked, read = _sample(need), list(need.outputs)
-    found = table.batch(asked, need.tolerance)
+    found = table.estimates(asked, need.tolerance)
     scale = table.load_range.scale
     told = np.asarray(np.isfinite(found.displacement).all(axis=0))
     moved = np.where(told, found.displacement, 0.0)

@@ -13,10 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 from ..answer import COVERED, NAMES, OUTSIDE, Answer, Batch, UnknownMethodError
 from ..build import AnyTable
 from ..exact_rows import ExactRows, sources_at
+from ..limits import within_limits, within_limits_many
 from ..solver_error import SolverError, bars_are_whole
 from ..surrogate import Surrogate
 from ..table.merging import merge
-from ..table.rows import OUTPUTS, Floats, LoadRange, Rows, Tolerance
+from ..table.rows import (
+    OUTPUTS,
+    Floats,
+    LoadRange,
+    Rows,
+    Tolerance,
+    acting_one,
+    without_locked,
+)
 from .need import Need
 from .part import Part, PartAnswer, part_of, parts_of
 
@@ -92,10 +101,8 @@ class SceneTable:
             If a method is asked for that is not the whole table's default.
         """
         self._check(method)
+        wrench = acting_one(wrench, self.locked)
         asked = np.array((wrench,), dtype=float)
-        if self.need.idle:
-            asked = self.need.acting(asked)
-            wrench = asked[0].tolist()
         for load, low, high in zip(wrench, *self._ends, strict=True):
             if not low <= load <= high:
                 return self._beyond(asked, tolerance)
@@ -129,7 +136,7 @@ class SceneTable:
         """
         self._check(method)
         asked = self.need.acting(np.asarray(wrenches, dtype=float).reshape(-1, 6))
-        return self._estimated(asked, tolerance, rows=True)
+        return within_limits_many(self._estimated(asked, tolerance, rows=True))
 
     def derivatives(self, wrenches: ArrayLike, method: str | None = None) -> Floats:
         """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
@@ -147,14 +154,16 @@ class SceneTable:
         for part in self.parts:
             own = list(part.outputs)
             found[:, own] = part.derivatives(asked)[:, own]
-        return found
+        return without_locked(found, self.locked)
 
     def source_of(self, wrench: Sequence[float]) -> str | None:
         """Return the source of the rows at or beside a wrench, N and N·m; None if none is."""
+        wrench = acting_one(wrench, self.locked)
         return sources_at(self.rows, [rows.wrench_at(wrench) for rows in self._exact])
 
     def has_row(self, wrench: Sequence[float]) -> bool:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
+        wrench = acting_one(wrench, self.locked)
         return any(rows.has(wrench) for rows in self._exact)
 
     @property
@@ -162,17 +171,23 @@ class SceneTable:
         """The whole table's, N and N·m: rows beyond it answer their own wrench alone."""
         return self.parts[0].load_range
 
+    @property
+    def locked(self) -> tuple[int, ...]:
+        """The places of the loads on locked freedoms, which change no answer."""
+        return self.need.idle
+
     def near_rows(self, wrenches: Floats) -> NDArray[np.bool_]:
         """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
+        wrenches = self.need.acting(wrenches)
         near = [rows.near(wrenches) for rows in self._exact]
         return np.logical_or.reduce(near) if near else np.zeros(len(wrenches), dtype=bool)
 
     def row_tangent(self, wrench: Sequence[float]) -> Floats:
         """Return the tangent (6, 6), SI, of the rows at or beside a wrench; NaN where none has."""
-        found = np.full((6, 6), np.nan)
+        found, wrench = np.full((6, 6), np.nan), acting_one(wrench, self.locked)
         for part, rows in zip(self.parts, self._exact, strict=True):
             found[list(part.outputs)] = rows.tangent(wrench)[list(part.outputs)]
-        return found
+        return without_locked(found, self.locked)
 
     def _check(self, method: str | None) -> None:
         if method is not None and method != self.default:
@@ -207,7 +222,7 @@ class SceneTable:
             moved, error = _known(moved), _known(error)
         any_moved = any(one is not None for one in moved)
         any_error = any(one is not None for one in error)
-        return Answer(
+        found = Answer(
             tuple(moved) if any_moved else None,  # pyright: ignore[reportArgumentType]  # None: not read
             tuple(error) if any_error else None,  # pyright: ignore[reportArgumentType]
             NAMES[state],
@@ -215,6 +230,7 @@ class SceneTable:
             method,
             self.missing,
         )
+        return within_limits(found)
 
     def _estimated(
         self, asked: Floats, tolerance: Tolerance | None, *, rows: bool = False

@@ -24,7 +24,15 @@ from h5py import h5l  # pyright: ignore[reportAttributeAccessIssue] (compiled, n
 from .axes import OffAxis
 from .file_digest import USER_BLOCK, is_as_written, sync, write_digest
 from .meta import SCHEMA_VERSION, TableMeta
-from .rows import LOAD_UNITS, OUTPUT_UNITS, LoadRange, Rows, Tolerance, unknown_column
+from .rows import (
+    LOAD_UNITS,
+    OUTPUT_UNITS,
+    OUTPUTS,
+    LoadRange,
+    Rows,
+    Tolerance,
+    unknown_column,
+)
 
 FORMAT = "wrenchbook table"
 # What an upload may unpack to. A row takes 450 bytes, so that this is two million rows; a
@@ -123,6 +131,7 @@ def _write_meta(file: h5py.File, meta: TableMeta) -> None:
     file.attrs["ledger"] = meta.ledger
     file.attrs["linear"] = meta.linear
     file.attrs["off_axis"] = meta.off_axis
+    file.attrs["locked"] = " ".join(OUTPUTS[load] for load in meta.locked)
     if meta.tolerance is not None:
         file.attrs["tolerance"] = (meta.tolerance.translation, meta.tolerance.rotation)
     if meta.solver_error is not None:
@@ -199,6 +208,7 @@ def _read_meta(file: h5py.File) -> TableMeta:
         off_axis=_off_axis(str(file.attrs.get("off_axis", "correct"))),
         edits=_read_edits(file),
         solver_error=json.loads(str(file.attrs.get("solver_error", "null"))),
+        locked=tuple(map(OUTPUTS.index, str(file.attrs.get("locked", "")).split())),
     )
 
 

@@ -52,6 +52,9 @@ class TableMeta:
     solver_error : mapping or None
         What the solver of the rows may be wrong by, as `surrogate.solver_error` reads it; None if
         nothing has told.
+    locked : tuple of int
+        Places, in `LOADS`, of the loads on locked freedoms: answers leave these loads out. The file
+        has the names of the freedoms; a file of an older version has none, and no load is locked.
     """
 
     component: str
@@ -67,3 +70,4 @@ class TableMeta:
     ledger: str = ""
     edits: tuple[tuple[str, bool, float], ...] | None = None
     solver_error: Mapping[str, Any] | None = None
+    locked: tuple[int, ...] = ()

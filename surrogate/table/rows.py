@@ -89,6 +89,42 @@ class LoadRange:
         return np.asarray(~self.exceeded(wrenches).any(axis=-1))
 
 
+def acting(wrenches: ArrayLike, locked: Sequence[int]) -> Floats:
+    """Return wrenches, shape (..., 6), N and N·m, with the loads on locked freedoms set to zero.
+
+    A guide carries these loads: no displacement depends on them.
+
+    Parameters
+    ----------
+    locked : sequence of int
+        Places, in `LOADS`, of the loads on locked freedoms.
+    """
+    if not len(locked):
+        return np.asarray(wrenches, dtype=float)
+    found = np.array(wrenches, dtype=float)
+    found[..., list(locked)] = 0.0
+    return found
+
+
+def acting_one(wrench: Sequence[float], locked: Sequence[int]) -> Sequence[float]:
+    """Return `acting` of one wrench (6,), N and N·m; without an array, for single answers."""
+    if not locked:
+        return wrench
+    return [0.0 if load in locked else amount for load, amount in enumerate(wrench)]
+
+
+def without_locked(slopes: Floats, locked: Sequence[int]) -> Floats:
+    """Return du/dw, shape (..., 6, 6), SI, with zeros for the loads on locked freedoms.
+
+    NaN stays: an output without a value has no slope either.
+    """
+    if not locked:
+        return slopes
+    found = slopes.copy()
+    found[..., list(locked)] = np.where(np.isnan(found[..., list(locked)]), np.nan, 0.0)
+    return found
+
+
 @dataclass(frozen=True)
 class Tolerance:
     """The largest error bar an answer may have and still be `covered`.

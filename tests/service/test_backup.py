@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from service.ledger import Ledger, NewRow
+from service.tables.solver_errors import SolverErrors
 from service.upkeep.archive import MANIFEST, BackupError
 from service.upkeep.backup import back_up, verify
 from service.upkeep.restore import restore
@@ -57,6 +58,17 @@ def test_a_restored_directory_gives_the_same_answers_and_jobs(folder, backup, tm
     restore(backup, tmp_path / "again")
     assert answers(tmp_path / "again") == answers(folder)
     assert (tmp_path / "again" / "surfaces" / "rig.bin").read_bytes() == b"surface"
+
+
+def test_a_restored_directory_keeps_what_solvers_may_be_wrong_by(folder, tmp_path):
+    """Without it the mesh's share would leave every bar."""
+    told = {"mesh": np.eye(6).tolist(), "loads": [1.0] * 6}
+    SolverErrors(folder / "solver_errors").settle("rig", "f", told)
+    back_up(folder, tmp_path / "b")
+    restore(tmp_path / "b", tmp_path / "again")
+    found = SolverErrors(tmp_path / "again" / "solver_errors").read("rig", "f")
+    assert found is not None
+    assert found.told == told
 
 
 def test_a_backup_leaves_out_attempts_drafts_and_the_ledgers_log(folder, tmp_path):

@@ -222,3 +222,30 @@ def test_recording_starts_with_its_budget_clears_and_not_both(stub: Stub, run: R
     assert stub.seen[1].method == "DELETE"
     assert run("envelope", "plate", "--start", "--clear")[0] != 0
     assert len(stub.seen) == 2
+
+
+def test_compliance_shows_the_tangent_at_zero_load_and_beside_it_the_mean(stub: Stub, run: Run):
+    told = {
+        "tangent": [[3.0e-6, None, *[1e-9] * 4], *[[0.0] * 6] * 5], "tangent_origin": "kriging",
+        "matrix": [[2.17e-6, 0.0, *[1e-9] * 4], *[[0.0] * 6] * 5], "origin": "fitted",
+        "known_loads": ["fx", "fz", "mx", "my", "mz"],
+    }  # fmt: skip
+    stub.answers(Answer(told))
+    status, out, _ = run("compliance", "plate")
+    assert status == 0
+    assert out.index("tangent at zero load (kriging)") < out.index("3.000e-06")
+    assert out.index("mean over the load range (fitted)") < out.index("2.170e-06")
+    assert len([line for line in out.splitlines() if " - " in line]) == 7
+    stub.answers(Answer(told))
+    assert json.loads(run("compliance", "plate", "--json")[1]) == told
+
+
+def test_resolve_queues_the_wrenches_of_another_setup(stub: Stub, run: Run):
+    stub.answers(Answer(QUEUED_NONE))
+    status, out, _ = run("resolve", "plate", "--budget", "7", "--beyond-range")
+    assert (status, stub.seen[0].body) == (0, {"budget": 7, "beyond_range": True})
+    assert (stub.seen[0].method, stub.seen[0].path) == (
+        "POST",
+        "/v1/components/plate/table/resolve",
+    )
+    assert "0 solves; 5 wrenches were solved or covered before" in out

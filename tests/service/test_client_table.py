@@ -57,9 +57,12 @@ def same(here: Displacement, there: Displacement) -> None:
     assert here.job is None
 
 
-def compare(client: Client, table: Table, name: str, **how: object) -> None:
+def compare(
+    client: Client, table: Table, name: str, scale: np.ndarray | float = 1.0, **how: object
+) -> None:
     """The table and the server say the same of wrenches on rows, between and beyond them."""
     asked = np.concatenate([full_wrenches(12, 5), clean_wrenches()[:6], 3.0 * full_wrenches(2, 6)])
+    asked = asked * scale
     for wrench in asked:
         here = table.answer(wrench, derivatives=True, **how)
         there = client.displacement(
@@ -87,6 +90,47 @@ def test_a_table_answers_what_the_server_does_to_the_last_bit(client: Client, na
 @pytest.mark.parametrize("method", ["griddata", "nearest", "tangent", "kriging"])
 def test_by_every_method_too(client: Client, method: str) -> None:
     compare(client, client.download("offset"), "offset", method=method, tolerance=(1e-3, 1e-3))
+
+
+def guided_rows(client: Client) -> np.ndarray:
+    """Give `spring`, of which ux, uy, rx and ry are locked, rows of its two free loads, SI."""
+    wrenches = full_wrenches(20, 3) / FULL * [0, 0, 2.0, 0, 0, 0.01]
+    slopes = np.zeros((20, 6, 6))
+    slopes[:, 2, 2], slopes[:, 5, 5] = 1e-3, 2.0
+    add_rows(client, "spring", as_rows(wrenches, (slopes @ wrenches[:, :, None])[:, :, 0], slopes))
+    return wrenches
+
+
+def test_a_download_leaves_out_loads_on_locked_freedoms_as_the_server_does(client: Client) -> None:
+    """The server alone did: 10 of 30 answers of a download were outside that it had covered."""
+    rows = guided_rows(client)
+    table = client.download("spring")
+    asked = rows + np.array([0.9, -0.8, 0, 0.005, 0.004, 0])
+    here = table.batch(asked)
+    np.testing.assert_array_equal(here.displacements, table.batch(rows).displacements)
+    assert set(here.coverage) == {"covered"}
+    derivative = table.answer(asked[0], derivatives=True).derivative
+    assert not derivative[:, [0, 1, 3, 4]].any()
+    compare(client, table, "spring", [0.01, 0.01, 0.02, 0.001, 0.001, 0.001])
+    parts = table.error_parts(asked[0])
+    assert {name: share.tolist() for name, share in parts.items()} == {
+        name: share.tolist() for name, share in table.error_parts(rows[0]).items()
+    }
+
+
+@pytest.mark.parametrize("name", ["bar", "partial", "solved"])
+def test_an_estimate_beyond_what_tables_may_hold_is_null_in_a_download_too(
+    client: Client, name: str
+) -> None:
+    """The server alone left it out: a download moved a bar by 3e94 m."""
+    table = client.download(name)
+    compare(client, table, name, 1e7)
+    far = 1e7 * full_wrenches(1, 5)[0]
+    answer = table.answer(far)
+    assert answer.translation is None
+    assert answer.error_translation is None
+    assert "20 degrees and 10 m" in answer.reason
+    assert np.isnan(table.batch(far[None]).displacements).all()
 
 
 def test_refresh_takes_new_rows_and_withdrawals_and_tells_whether_there_were_any(

@@ -1,12 +1,14 @@
 """A component.toml edited under a running server is a new setup at once: jobs, rows and table."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from starlette.testclient import TestClient
 
 from fea.bundle.shipped import SHIPPED
 from service.http.app import create_app
+from service.upkeep.doctor import examine
 from service.workspace import Settings
 
 CALL = "/v1/components/mine"
@@ -89,3 +91,94 @@ def test_an_edit_with_a_mistake_is_told_and_mended_without_a_restart(served, tom
     toml.write_text(sound)
     solve(served)
     assert served.get("/health/ready").json()["broken"] == {}
+
+
+def settled(http, check):
+    """Wait until the component says what is expected of it."""
+    deadline = time.monotonic() + 20
+    while not check(about := http.get(CALL).json()):
+        assert time.monotonic() < deadline, about
+        time.sleep(0.02)
+    return about
+
+
+def solve_many(http, count):
+    for step in range(count):
+        body = {"force": [10.0 + step, 0.0, -20.0], "moment": [0.0, 3.0, 0.0], "wait_s": 20}
+        assert http.post(f"{CALL}/solve", json=body).json()["source"] == "fea"
+
+
+STIFFER = ("poisson_ratio = 0.3", "poisson_ratio = 0.2")
+
+
+def test_solved_rows_do_not_leave_the_table_in_silence(served, toml, folder):
+    """A changed fingerprint left rows: 0 and warnings: [], and nothing told of the solves."""
+    solve_many(served, 3)
+    assert served.get(CALL).json()["another_setup"] == {"rows": 0, "wrenches": 0}
+    edit(toml, stiffer=STIFFER)
+    about = settled(served, lambda one: one["another_setup"]["rows"])
+    assert about["rows"] == 0
+    assert about["another_setup"] == {"rows": 3, "wrenches": 3}
+    (warning,) = [one for one in about["warnings"] if one["where"] == "rows"]
+    assert "3 rows belong to another setup" in warning["message"]
+    assert f"POST {CALL}/table/resolve" in warning["message"]
+    (listed,) = [
+        one for one in served.get("/v1/components").json()["components"] if one["name"] == "mine"
+    ]
+    assert listed["another_setup"] == about["another_setup"]
+    for more in ({}, {"detail": True}):
+        body = {**WRENCH, "on_thin": "estimate", **more}
+        reply = served.post(f"{CALL}/displacement", json=body).json()
+        assert "3 rows belong to another setup of 'mine'" in reply["reason"]
+    refused = served.post(f"{CALL}/displacement", json={**WRENCH, "on_thin": "reject"})
+    assert "wrenchbook resolve mine" in refused.json()["detail"]
+    found = [one for one in examine(folder) if "another setup" in one.what]
+    assert [(one.kind, one.what) for one in found] == [
+        ("note", "3 rows of mine belong to another setup of it")
+    ]
+    assert "wrenchbook resolve mine" in found[0].remedy
+    edit(toml, back=STIFFER[::-1])
+    about = settled(served, lambda one: one["rows"] == 3)
+    assert about["another_setup"] == {"rows": 0, "wrenches": 0}
+    assert not [one for one in about["warnings"] if one["where"] == "rows"]
+    assert not [one for one in examine(folder) if "another setup" in one.what]
+
+
+def test_one_call_solves_them_again_each_once(served, toml):
+    solve_many(served, 3)
+    edit(toml, stiffer=STIFFER)
+    settled(served, lambda one: one["another_setup"]["rows"])
+    solve_many(served, 1)  # one of the three
+    first = served.post(f"{CALL}/table/resolve", json={"budget": 1})
+    assert first.status_code == 202
+    assert (first.json()["solved"], len(first.json()["jobs"])) == (1, 1)
+    assert first.json()["left"] == 1
+    with ThreadPoolExecutor(4) as pool:
+        replies = pool.map(lambda _: served.post(f"{CALL}/table/resolve", json={}), range(8))
+        assert {reply.status_code for reply in replies} <= {200, 202}
+    about = settled(served, lambda one: one["rows"] == 3)
+    assert about["another_setup"] == {"rows": 3, "wrenches": 0}
+    assert not [one for one in about["warnings"] if one["where"] == "rows"]
+    assert sum(about["jobs"].values()) == 6  # three of either setup
+    done = served.post(f"{CALL}/table/resolve", json={})
+    assert (done.status_code, done.json()["jobs"], done.json()["solved"]) == (200, [], 3)
+
+
+def test_resolving_keeps_to_the_load_range_and_needs_a_setup_and_rows(served, toml):
+    reply = served.post(f"{CALL}/table/resolve", json={})
+    assert (reply.status_code, reply.json()["jobs"]) == (200, [])
+    assert "no row of 'mine' belongs to another setup" in reply.json()["reason"]
+    solve_many(served, 1)
+    edit(toml, narrower=("force = [1000, 1000, 2000]", "force = [1, 1, 1]"), stiffer=STIFFER)
+    settled(served, lambda one: one["another_setup"]["rows"])
+    reply = served.post(f"{CALL}/table/resolve", json={}).json()
+    assert (reply["jobs"], reply["beyond_range"]) == ([], 1)
+    assert "beyond_range" in reply["reason"]
+    reply = served.post(f"{CALL}/table/resolve", json={"beyond_range": True})
+    assert (reply.status_code, len(reply.json()["jobs"])) == (202, 1)
+    wrong = served.post(f"{CALL}/table/resolve", json={"budget": 0})
+    assert wrong.status_code == 422
+    range_ = {"force": [1.0] * 3, "moment": [1.0] * 3}
+    served.post("/v1/components", json={"name": "rig", "title": "rig", "range": range_})
+    assert served.post("/v1/components/rig/table/resolve", json={}).status_code == 409
+    assert served.post("/v1/components/nope/table/resolve", json={}).status_code == 404

@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from service.gathering import net as net_module
 from service.gathering.net import Net, farthest_first, scaled_loads, spaced, take
-from service.ordering import packed
+from service.ledger import packed
 
 ONE = np.ones(6)
 

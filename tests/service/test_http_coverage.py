@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.service.live import FULL, as_rows, full_wrenches, moved, tangents
 from tests.service.test_http_displacement import load_plane_table
 
 CALL = "/v1/components/plane"
@@ -29,6 +30,49 @@ def test_compliance_is_the_6x6_with_its_checks(http):
     assert body["checks"]["linear"]["says"].startswith("a 6x6 suffices")
     assert body["checks"]["symmetric"]["asymmetry"] < 1e-9
     assert body["known_loads"] == ["fx", "fy", "fz", "mx", "my", "mz"]
+
+
+def test_compliance_at_no_load_is_the_tangent_and_not_a_fit_over_the_range(http):
+    """The page showed the fit, 2.17e-6, as "at no load"; the tangent is 3.00e-6."""
+    range_ = {"force": [100.0] * 3, "moment": [10.0] * 3}
+    http.post("/v1/components", json={"name": "soft", "title": "soft", "range": range_})
+    wrenches = full_wrenches(40)
+    load(http, "soft", as_rows(wrenches, moved(wrenches), tangents(wrenches)))
+    body = http.get("/v1/components/soft/compliance").json()
+    tangent = tangents(np.zeros((1, 6)))[0]
+    assert body["tangent_origin"] == "kriging"
+    # Of what the largest load moves: 1e-4 m or rad.
+    np.testing.assert_allclose(body["tangent"] * FULL, tangent * FULL, atol=3e-6)
+    mean = np.diag(body["matrix"])
+    assert (mean < 0.9 * np.diag(tangent)).all()
+    assert body["origin"] == "fitted"
+    rest = np.zeros((1, 6))
+    load(http, "soft", as_rows(rest, moved(rest), tangent[None]))
+    body = http.get("/v1/components/soft/compliance").json()
+    assert body["tangent_origin"] == "row"
+    assert body["tangent"] == tangent.tolist()
+
+
+def test_the_tangent_at_no_load_is_null_where_no_row_tells_it(http):
+    range_ = {"force": [100.0] * 3, "moment": [10.0] * 3}
+    http.post("/v1/components", json={"name": "rig", "title": "rig", "range": range_})
+    empty = http.get("/v1/components/rig/compliance").json()
+    assert (empty["tangent"], empty["tangent_origin"]) == ([[None] * 6] * 6, "none")
+    wrenches = np.zeros((9, 6))
+    wrenches[:, 2] = np.linspace(-100, 100, 9)
+    partial = moved(wrenches)
+    partial[:, 4] = np.nan
+    load(http, "rig", as_rows(wrenches, partial))
+    told = http.get("/v1/components/rig/compliance").json()["tangent"]
+    assert [[value is not None for value in line] for line in told] == [
+        [load == 2 and output != 4 for load in range(6)] for output in range(6)
+    ]
+    assert told[2][2] == pytest.approx(1e-6, rel=0.05)
+
+
+def load(http, name, rows):
+    reply = http.post(f"/v1/components/{name}/table", json={"rows": rows})
+    assert reply.status_code == 200, reply.text
 
 
 @pytest.mark.parametrize("call", ["coverage", "compliance"])

@@ -11,7 +11,9 @@ from service.answering.queries import Query
 from service.cli.render import answer_table, own_error_lines
 from service.jobs import solve_attempt
 from service.jobs.attempt import Spec, prepare, read_outcome
+from service.library.component import LibraryUnavailableError
 from service.settings import Settings
+from service.tables import solver_errors
 from service.tables.solver_errors import SolverErrors
 from service.workspace import Workspace
 from surrogate.build import build
@@ -97,6 +99,62 @@ def test_the_component_tells_it_at_full_range_with_its_buckling_factor(client):
     assert 1e-6 < told["mesh"][2] < 1e-4
     assert told["buckling"] == pytest.approx(6.8, rel=0.05)
     assert told["linearity"][2] > 1e-4
+
+
+def test_copies_and_renames_keep_the_meshes_share(client):
+    """The bar of u_z fell from 1.48e-4 to 1.06e-6 m in a copy."""
+    own = told_of(client)
+    post(client, "bar", "copy", {"name": "bar_copy"})
+    post(client, "bar_copy", "rename", {"name": "bar_renamed"})
+    for name in ("bar_copy", "bar_renamed"):
+        told = json.loads(ask(client, name, DETAIL).content)
+        assert told["error"] == own["error"]
+        assert told["error_parts"] == own["error_parts"]
+        assert told["within_tolerance"] == own["within_tolerance"]
+        assert client.component(name)["solver_error"] == client.component("bar")["solver_error"]
+    np.testing.assert_array_equal(
+        client.download("bar_renamed").answer(WRENCH).error_vector, six(own["error"])
+    )
+
+
+def post(client, name, call, body):
+    headers = {"Content-Type": "application/json"}
+    content = json.dumps(body).encode()
+    return client.call("POST", f"/v1/components/{name}/{call}", content, headers=headers)
+
+
+def test_a_copy_is_not_seen_without_its_estimate_nor_made_if_that_cannot_be_written(
+    tmp_path, monkeypatch
+):
+    workspace = Workspace(Settings(tmp_path, solvers=0))
+    fingerprint = workspace.library["plate"].fingerprint
+    workspace.errors.settle("plate", fingerprint, WHOLE)
+    seen = []
+
+    def full_disk(*_):
+        seen.append("second" in workspace.library)
+        raise OSError("no space left")
+
+    monkeypatch.setattr(solver_errors, "write_whole_bytes", full_disk)
+    with pytest.raises(LibraryUnavailableError):
+        workspace.library.add_copy("plate", "second", None)
+    assert seen == [False]
+    assert "second" not in workspace.library
+    monkeypatch.undo()
+    assert workspace.library.add_copy("plate", "second", None).fingerprint == fingerprint
+    assert workspace.errors.read("second", fingerprint).told == WHOLE
+    workspace.close()
+
+
+def test_a_copy_keeps_what_a_solve_has_told_since_the_check(tmp_path, monkeypatch):
+    """The check's report is in the folder that is copied, and told of an older estimate."""
+    workspace = Workspace(Settings(tmp_path, solvers=0))
+    newer = WHOLE | {"mesh_basis": "newer"}
+    workspace.errors.settle("plate", workspace.library["plate"].fingerprint, newer)
+    monkeypatch.setattr("service.workspace.solver_error_of", lambda *_: WHOLE)
+    made = workspace.library.add_copy("plate", "second", None)
+    assert workspace.errors.read("second", made.fingerprint).told == newer
+    workspace.close()
 
 
 def test_a_component_that_was_never_solved_says_how_to_have_an_estimate(client):

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from service.gathering.gathering import Gathering
-from service.ledger import BlockKeyError, Ledger, block_of
-from service.ordering import packed
+from service.ledger import BlockKeyError, Ledger, block_of, packed
 from surrogate.table.rows import LoadRange
 
 RANGE = LoadRange(np.array([-10.0] * 6), np.array([10.0] * 6))

@@ -57,7 +57,8 @@ TABLES = {
 @pytest.fixture(scope="module", params=TABLES, ids=lambda name: name.replace(" ", "_"))
 def pair(request, tmp_path_factory):
     rows, linear = TABLES[request.param]
-    built = build(rows(), RANGE, linear=linear, version=7)
+    built = build(rows(), RANGE, linear=linear, version=7, locked=(1,))
+    built.other_rows, built.other_wrenches = 5, 3
     path = tmp_path_factory.mktemp("images") / "one.table"
     write_image(built, path)
     return built, read_image(path)
@@ -78,6 +79,8 @@ def test_a_mapped_table_answers_the_same_bits(pair, method):
 
 
 def test_a_mapped_table_says_the_same_of_itself(pair):
+    for name in ("locked", "other_rows", "other_wrenches"):
+        assert getattr(pair[1], name) == getattr(pair[0], name)
     built, mapped = pair
     assert repr(built.coverage_summary()) == repr(mapped.coverage_summary())
     assert (built.version, built.default) == (mapped.version, mapped.default)

@@ -102,13 +102,14 @@ def test_affine_responses_are_exact_wherever_the_table_reaches(seed: int) -> Non
 
 def test_changing_the_units_changes_no_answer() -> None:
     scaled, asked = clean_wrenches(60, 3), full_wrenches(100, 4)
-    plain = build(table(smooth, scaled), RANGE).batch(asked * HIGH)
+    # Estimates too: what is not given beyond 20 degrees and 10 m is a limit in SI.
+    plain = build(table(smooth, scaled), RANGE).estimates(asked * HIGH)
     # pound-force and inch, millimetre and milliradian
     force, moment, length = 4.4482216152605, 0.1129848290276167, 1e3
     loads = np.repeat([1 / force, 1 / moment], 3)
     rows = Rows.of(scaled * HIGH * loads, smooth(scaled) * length)
     load_range = LoadRange(RANGE.low * loads, RANGE.high * loads)
-    other = build(rows, load_range).batch(asked * HIGH * loads)
+    other = build(rows, load_range).estimates(asked * HIGH * loads)
     np.testing.assert_allclose(other.displacement / length, plain.displacement, rtol=1e-9)
     rounding = 1e-10 * np.ptp(plain.displacement, axis=0).max()  # what no bar is told below
     np.testing.assert_allclose(other.error / length, plain.error, rtol=1e-9, atol=rounding)

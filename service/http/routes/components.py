@@ -25,7 +25,9 @@ from service.http.received import form_of
 from service.library.bundle_zip import MAX_BUNDLE_BYTES
 from service.library.checked import interface_of, vibration_of, warnings_of
 from service.library.component import Component
+from service.tables.other_setup import warning_of
 from service.workspace import Workspace
+from surrogate.build import AnyTable
 from surrogate.solver_error import UNKNOWN, SolverError
 from surrogate.table.rows import Tolerance
 
@@ -148,7 +150,10 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
         "fingerprint": component.fingerprint,
         "contract": CONTRACT,
         "interface": interface_of(component),
-        "warnings": _warnings(component, own_error, told=surrogate.bars_are_whole),
+        "warnings": [
+            *_warnings(component, own_error, told=surrogate.bars_are_whole),
+            *({"where": "rows", "message": one} for one in _of_rows(component, surrogate)),
+        ],
         "vibration": vibration_of(component.folder),
         "solver_error": _solver_error(component, own_error),
         "sources": dict(zip(sources.tolist(), counts.tolist(), strict=True)),
@@ -172,6 +177,11 @@ def _warnings(
         *(one for one in checked if one["where"] != WHERE),
         *({"where": one.where, "message": one.message} for one in now),
     ]
+
+
+def _of_rows(component: Component, surrogate: AnyTable) -> list[str]:
+    """Return what there is to know of rows that are in the ledger and not in the table."""
+    return [told] if (told := warning_of(component, surrogate)) else []
 
 
 def _solver_error(component: Component, error: SolverError | None) -> dict[str, Any] | None:
@@ -207,6 +217,7 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
         "rows": len(surrogate.rows),
         "solved": solved,
         "measured": len(surrogate.rows) - solved,
+        "another_setup": {"rows": surrogate.other_rows, "wrenches": surrogate.other_wrenches},
         "archived": card.archived,
         "notes": card.notes,
         "renamed_to": card.renamed_to,

@@ -11,6 +11,7 @@ from starlette.responses import Response
 from service.http.replies import json_reply
 from service.workspace import Workspace
 from surrogate.build import AnyTable
+from surrogate.derivative import tangent_at_zero
 from surrogate.describe.gaps import axis_gaps
 from surrogate.table.physics_checks import check_physics
 from surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
@@ -34,7 +35,10 @@ def _coverage(name: str, surrogate: AnyTable) -> Response:
     return json_reply(body)
 
 
-@router.get("/compliance", summary="The fitted 6x6, its checks, and the rows that break them")
+@router.get(
+    "/compliance",
+    summary="The 6x6 at zero load, its mean over the load range, and what breaks physics",
+)
 async def compliance(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     return await run_in_threadpool(_compliance, name, await workspace.newest(name, CATCH_UP_S))
@@ -42,9 +46,12 @@ async def compliance(name: str, request: Request) -> Response:
 
 def _compliance(name: str, surrogate: AnyTable) -> Response:
     fit = surrogate.fit
+    tangent, origin = tangent_at_zero(surrogate)
     body: dict[str, Any] = {
         "component": name,
         "table_version": surrogate.version,
+        "tangent": tangent.tolist(),  # NaN is null
+        "tangent_origin": origin,
         "origin": fit.origin,
         "matrix": fit.matrix.tolist(),
         "known_loads": [load for load, known in zip(LOADS, fit.known, strict=True) if known],

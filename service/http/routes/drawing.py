@@ -123,16 +123,13 @@ async def response(
     workspace: Workspace = request.app.state.workspace
     table = await workspace.newest(name, CATCH_UP_S)
     at = np.array([fx, fy, fz, mx, my, mz])
-    return json_reply(await run_in_threadpool(_sweep, workspace, name, table, load, at, points))
+    return json_reply(await run_in_threadpool(_sweep, name, table, load, at, points))
 
 
-def _sweep(
-    workspace: Workspace, name: str, table: AnyTable, load: str, at: Any, points: int
-) -> dict[str, Any]:
+def _sweep(name: str, table: AnyTable, load: str, at: Any, points: int) -> dict[str, Any]:
     wrenches = sweep_of(table.load_range, LOADS.index(load), at, points)
-    acting = workspace.library[name].acting(wrenches)
-    found = table.batch(acting)
-    bars = whole_bars(table, acting, found)
+    found = table.batch(wrenches)
+    bars = whole_bars(table, wrenches, found)
     return {
         "component": name,
         "table_version": table.version,

@@ -14,7 +14,7 @@ from starlette.responses import Response
 from service.contract import CONTRACT_TEXT
 from service.gathering.bound import bound_of
 from service.gathering.gathering import Envelope, Gathering, Took
-from service.gathering.start import Started, start_envelope, start_recording
+from service.gathering.start import Started, start_envelope, start_recording, start_resolving
 from service.http.binary import is_binary, read_wrenches
 from service.http.bodies import MAX_BLOCK, BlockKey, EnvelopeStartBody, StartBody
 from service.http.limited import read_limited
@@ -23,9 +23,8 @@ from service.http.parsing import read_block, read_body
 from service.http.problems import bad_body, plain_errors
 from service.http.replies import json_reply
 from service.http.routes.displacement import DirectRoute
-from service.ledger import Block, Tally, block_of
+from service.ledger import Block, Tally, block_of, packed
 from service.ledger.gathered import MERGE
-from service.ordering import packed
 from service.workspace import Workspace
 from surrogate.table.rows import Tolerance
 
@@ -134,6 +133,17 @@ async def start_of_envelope(request: Request) -> Response:
         name,
         beyond_range=order.beyond_range,
     )
+    return _started(name, started)
+
+
+@blocks.post(
+    "/table/resolve", summary="Solve the wrenches of rows of another setup of the component again"
+)
+async def resolve(request: Request) -> Response:
+    order = read_body(StartBody, await read_limited(request.receive))
+    name, workspace = request.path_params["name"], request.app.state.workspace
+    how = workspace, name, order.budget
+    started = await run_in_threadpool(start_resolving, *how, beyond_range=order.beyond_range)
     return _started(name, started)
 
 

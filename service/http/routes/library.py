@@ -87,7 +87,8 @@ def disagree(name: str, request: Request) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
     component = workspace.library[name]
     table = workspace.tables.caught_up(name, CATCH_UP_S)
-    found = disagreement(table.rows, component.load_range, component.tolerance, component.linear)
+    how = component.load_range, component.tolerance, component.linear, table.locked
+    found = disagreement(table.rows, *how)
     return {"component": name, "table_version": table.version, **found}
 
 

@@ -17,27 +17,35 @@ export async function show(root, about, signal) {
   const told = await get(`${of(about.name)}/compliance`, signal);
   const beside = await get(`${of(about.name)}/disagreement`, signal).catch(() => null);
   put(root,
-    el("section", { class: "card" }, el("h2", {}, "Compliance at no load"),
-      told.origin === "none" ? el("p", { class: "muted" }, "No rows tell it yet.") : matrix(told)),
+    el("section", { class: "card" }, el("h2", {}, "Compliance at zero load"),
+      told.tangent_origin === "none" ? el("p", { class: "muted" }, "No rows tell it yet.") : matrix(told.tangent, "Tangent at zero load", `${ORIGINS[told.tangent_origin] || `du/dw of ${told.tangent_origin}`} at zero load`)),
+    told.origin === "none" ? null : el("section", { class: "card" }, el("h2", {}, "Mean compliance over the load range"),
+      matrix(mean(told), "Mean compliance", `${told.origin} from ${count(told.rows_checked)} rows`)),
     el("section", { class: "card" }, el("h2", {}, "What physics asks of the rows"), checks(told)),
     beside?.compared ? el("section", { class: "card" }, el("h2", {}, "Measured beside solved"), disagreement(beside)) : null);
 }
 
+const ORIGINS = { row: "tangent of the row" };
+
+// Its columns are zero where no row tells a load.
+const mean = (told) => told.matrix.map((line) => line.map((value, j) => (told.known_loads.includes(LOADS[j]) ? value : null)));
+
 // Shades compare entries that have one unit only: each cell against its 3 x 3 block.
-function matrix(told) {
-  const largest = (i, j) => Math.max(...[0, 1, 2].flatMap((a) => [0, 1, 2].map((b) => Math.abs(told.matrix[3 * Math.floor(i / 3) + a][3 * Math.floor(j / 3) + b]))));
+function matrix(values, name, origin) {
+  const size = (value) => (value === null ? 0 : Math.abs(value));
+  const largest = (i, j) => Math.max(...[0, 1, 2].flatMap((a) => [0, 1, 2].map((b) => size(values[3 * Math.floor(i / 3) + a][3 * Math.floor(j / 3) + b]))));
   const cell = (value, i, j) => {
-    const made = el("td", {}, told.known_loads.includes(LOADS[j]) ? number(value, 3) : "–");
-    const part = largest(i, j) ? Math.abs(value) / largest(i, j) : 0;
+    const made = el("td", {}, value === null ? "–" : number(value, 3));
+    const part = largest(i, j) ? size(value) / largest(i, j) : 0;
     made.style.background = `color-mix(in srgb, var(--accent) ${Math.round(26 * part)}%, transparent)`;
     return made;
   };
   const units = ["m", "rad"];
   return [
-    el("div", { class: "wide", tabindex: "0", role: "region", "aria-label": "Compliance, 6 by 6" }, el("table", { class: "matrix" },
+    el("div", { class: "wide", tabindex: "0", role: "region", "aria-label": `${name}, 6 by 6` }, el("table", { class: "matrix" },
       el("thead", {}, el("tr", {}, el("th", {}), LOADS.map((load) => el("th", { class: "number", scope: "col" }, symbol(load))))),
-      el("tbody", {}, told.matrix.map((line, i) => el("tr", {}, el("th", { scope: "row" }, symbol(OUTPUTS[i])), line.map((value, j) => cell(value, i, j))))))),
-    el("p", { class: "muted small" }, `${units[0]} and ${units[1]} over N and N·m, ${told.origin} from ${count(told.rows_checked)} rows. Each block of one unit is shaded by its largest entry.`),
+      el("tbody", {}, values.map((line, i) => el("tr", {}, el("th", { scope: "row" }, symbol(OUTPUTS[i])), line.map((value, j) => cell(value, i, j))))))),
+    el("p", { class: "muted small" }, `${units[0]} and ${units[1]} over N and N·m, ${origin}. Each block of one unit is shaded by its largest entry.`),
   ];
 }
 

@@ -10,8 +10,11 @@ export async function show(root, { name }, signal) {
   put(root, el("p", { class: "muted" }, "…"));
   const about = await get(of(name), signal);
   const glance = el("div", { class: "stack" }, el("p", { class: "muted" }, "…"));
+  const checked = about.warnings.filter((one) => one.where !== "rows");
+  const ofRows = about.warnings.filter((one) => one.where === "rows");
   put(root,
-    about.warnings.length ? note("thin", el("strong", {}, "What the check of its bundle says"), el("ul", {}, about.warnings.map((one) => el("li", {}, textOf(one))))) : null,
+    ofRows.length ? note("thin", ofRows.map((one) => el("p", {}, textOf(one))), about.another_setup.wrenches ? resolve(about) : null) : null,
+    checked.length ? note("thin", el("strong", {}, "What the check of its bundle says"), el("ul", {}, checked.map((one) => el("li", {}, textOf(one))))) : null,
     el("div", { class: "halves" },
       el("section", { class: "card" }, el("h2", {}, "How much is answered"), glance),
       el("section", { class: "card" }, el("h2", {}, "How it answers"), method(about)),
@@ -34,6 +37,17 @@ async function cover(place, about, signal) {
   if (about.has_fea) parts.push(fill(about));
   else parts.push(el("p", {}, el("a", { href: `#/c/${about.name}/table` }, "Import measured rows"), "."));
   put(place, parts);
+}
+
+// Rows of another setup: the component's files have changed since these were solved.
+function resolve(about) {
+  const order = async () => {
+    try {
+      const reply = await post(`${of(about.name)}/table/resolve`, {});
+      notify(reply.jobs.length ? `${reply.jobs.length} solves are queued. ${reply.reason || ""}` : reply.reason || "Nothing to solve.");
+    } catch (error) { notify(error.message, "wrong"); }
+  };
+  return el("button", { onclick: order }, "Solve them again");
 }
 
 function fill(about) {

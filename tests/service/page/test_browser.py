@@ -214,6 +214,25 @@ def test_an_entry_is_noted_renamed_put_away_and_brought_back_by_keyboard(browser
     assert browser.mistakes() == []
 
 
+def test_rows_of_another_setup_are_told_and_solved_again_by_one_button(
+    browser, client, tmp_path, tmp_path_factory
+):
+    add(browser, bundle(tmp_path, "reworked", nonlinear="true"))
+    client.solve("reworked", [0, 0, -50.0], [0, 0, 0], wait_s=120)
+    (file,) = tmp_path_factory.getbasetemp().glob("page0/workspace/components/reworked/*.toml")
+    file.write_text(file.read_text().replace("poisson_ratio = 0.", "poisson_ratio = 0.1"))
+    browser.until(lambda: client.component("reworked")["another_setup"]["wrenches"])
+    browser.visit("#/c/reworked")
+    assert "1 rows belong to another setup" in browser.named(".note", "another setup").text
+    browser.named(".note button", "Solve them again").click()
+    browser.until(lambda: not client.component("reworked")["another_setup"]["wrenches"])
+    assert client.component("reworked")["rows"] > 0
+    browser.visit("#/c/reworked")
+    browser.named("h2", "How it answers")
+    assert not [one for one in browser.all(".note") if "another setup" in one.text]
+    assert browser.mistakes() == []
+
+
 def test_an_earlier_version_is_asked_on_the_page(browser, plate):
     version = plate.component("plate_thin")["table_version"]
     browser.visit(f"{PLATE}/query")

@@ -1,0 +1,92 @@
+"""Loads on locked freedoms are left out by the table itself, in whatever form it is asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from surrogate.build import build
+from surrogate.derivative import derivatives_at
+from surrogate.scene.need import need_of
+from surrogate.scene.scene_table import SceneTable, scene_table
+from surrogate.solver_error import SolverError
+from surrogate.table.hdf5 import read_table, write_table
+from surrogate.table.meta import TableMeta
+from surrogate.table.rows import Rows
+from surrogate.whole_bars import whole_bar, whole_bars
+from tests.surrogate.kriging.responses import RESPONSES, solved
+from tests.surrogate.responses import HIGH, RANGE
+
+LOCKED = (0, 1, 3, 4)  # of a guide along z
+FREE = [2, 5]
+MESH = SolverError({"mesh": np.full((6, 6), 1e-9).tolist(), "loads": HIGH.tolist()})
+
+
+def guided(partial: bool = False, scene: bool = False) -> Any:
+    wrenches = np.random.default_rng(4).uniform(-1, 1, (30, 6)) * np.isin(np.arange(6), FREE)
+    rows = solved(RESPONSES["hardening"], wrenches)
+    slopes = np.where(np.isin(np.arange(6), FREE), rows.compliance, 0.0)
+    rows = replace(rows, compliance=slopes)
+    if partial:
+        lacking = np.where(np.arange(6) == 4, np.nan, rows.displacement)
+        rows = Rows.of(rows.wrench, lacking, compliance=slopes)
+    table = build(rows, RANGE, locked=LOCKED, solver_error=MESH)
+    return scene_table(table, need_of(RANGE, idle=LOCKED)) if scene else table
+
+
+@pytest.mark.parametrize(("partial", "scene"), [(False, False), (True, False), (False, True)])
+def test_no_call_of_a_table_sees_the_loads_on_locked_freedoms(partial: bool, scene: bool) -> None:
+    table = guided(partial, scene)
+    bare = np.concatenate((table.rows.wrench[:5], table.rows.wrench[5:15] * 0.7))
+    full = bare + np.isin(np.arange(6), LOCKED) * 2.0 * HIGH  # beyond the range
+    found, expected = table.batch(full), table.batch(bare)
+    assert not expected.coverage.any()
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(table.near_rows(full), table.near_rows(bare))
+    assert table.near_rows(full).sum() == 5
+    bars = whole_bars(table, bare, expected)
+    np.testing.assert_array_equal(whole_bars(table, full, found), bars)
+    slopes = derivatives_at(table, full)
+    np.testing.assert_array_equal(slopes, derivatives_at(table, bare))
+    known = np.isfinite(expected.displacement[0])
+    assert not slopes[:, known][:, :, LOCKED].any()
+    for with_all, without in zip(full.tolist(), bare.tolist(), strict=True):
+        answer = table.answer(with_all)
+        assert answer == table.answer(without)
+        assert whole_bar(table, with_all, answer, None) == whole_bar(table, without, answer, None)
+        assert table.source_of(with_all) == table.source_of(without)
+        assert table.has_row(with_all) == table.has_row(without)
+        np.testing.assert_array_equal(table.row_tangent(with_all), table.row_tangent(without))
+        if not isinstance(table, SceneTable):
+            assert table.explain(with_all) == table.explain(without)
+
+
+def test_a_file_has_the_names_of_the_locked_freedoms(tmp_path: Path) -> None:
+    path = tmp_path / "spring.h5"
+    write_table(path, Rows.empty(), TableMeta("spring", 0, RANGE, locked=LOCKED))
+    assert read_table(path)[1].locked == LOCKED
+    with h5py.File(path) as file:
+        assert file.attrs["locked"] == "ux uy rx ry"
+    write_table(path, Rows.empty(), TableMeta("spring", 0, RANGE))
+    assert read_table(path)[1].locked == ()
+
+
+def test_a_file_without_the_entry_locks_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As files of version 0.2 are."""
+    monkeypatch.setattr(h5py.AttributeManager, "__setitem__", _all_but_locked)
+    write_table(tmp_path / "old.h5", Rows.empty(), TableMeta("old", 0, RANGE, locked=LOCKED))
+    monkeypatch.undo()
+    assert read_table(tmp_path / "old.h5")[1].locked == ()
+
+
+def _all_but_locked(attributes: h5py.AttributeManager, name: str, value: object) -> None:
+    if name != "locked":
+        attributes.create(name, data=value)
