@@ -12,7 +12,7 @@ from .table.rows import OUTPUT_UNITS, OUTPUTS, Floats, Tolerance
 
 COVERED, THIN, OUTSIDE = 0, 1, 2
 NAMES = ("covered", "thin", "outside")
-METHODS = ("griddata", "kriging", "linear", "nearest", "tangent")
+METHODS = ("griddata", "additive", "kriging", "linear", "nearest", "tangent")
 
 
 class UnknownMethodError(ValueError):

@@ -31,7 +31,7 @@ from .kriging import (
     readings_of,
 )
 from .methods.makers import makers
-from .methods.reference import BentReference, KrigingReference, Reference, interaction_of
+from .methods.reference import AxesReference, KrigingReference, Reference, interaction_of
 from .methods.registry import Registry
 from .methods.selection import Choice, choose, linear_choice, without_kriging
 from .solver_error import SolverError
@@ -106,14 +106,14 @@ class Surrogate:
         self.equations = self._equations()
         self.one_factor = fits_one_factor(self.equations)
         self._methods = Registry(makers(self))
+        if len(self.used) and not (linear and self.fit.complete):
+            # Not kept: versions would hold each other without end.
+            known = before.composition_if_made if before is not None else None
+            self.composition = self._compose(known)
         self.choice = self._choice()
-        # Not kept: versions would hold each other without end.
-        known = before.composition_if_made if before is not None else None
-        if known is not None and self.default != "linear":
-            self.composition = self._compose(self.used, known)
         if len(self.used):
             _ = self._methods.get(self.default)
-        if self.default == "griddata" and (thinning := self.composition.thinning):
+        if self.by_axes and (thinning := self.composition.thinning):
             self.choice = replace(self.choice, reason=f"{self.choice.reason}; {thinning}")
         self.doubt = self._doubt()
         self.exact = ExactRows(rows.wrench, load_range, self.ranges, merged.rows, merged.owner)
@@ -127,10 +127,15 @@ class Surrogate:
     @cached_property
     def composition(self) -> Composition:
         """The three axes of the straight direction influence."""
-        return self._compose(self.used)
+        return self._compose(None)
 
-    def _compose(self, rows: Rows, before: Composition | None = None) -> Composition:
-        return build_composition(rows, self.load_range, self.fit, self.off_axis, before)
+    def _compose(self, before: Composition | None) -> Composition:
+        return build_composition(self.used, self.load_range, self.fit, self.off_axis, before)
+
+    @property
+    def by_axes(self) -> bool:
+        """Whether the default method is one of the axes'."""
+        return len(self.used) > 0 and self.default in ("griddata", "additive")
 
     @property
     def composition_if_made(self) -> Composition | None:
@@ -139,11 +144,11 @@ class Surrogate:
 
     @cached_property
     def reference(self) -> Reference:
-        """What the answers of methods are held against for their bars."""
-        if self.one_factor and self.kriging is not None:
+        """What the answers of methods are compared with for their error bars."""
+        if self.default == "kriging" and self.kriging is not None:
             return KrigingReference(self.kriging)
         interaction = interaction_of(self.used, self.load_range, self.composition)
-        return BentReference(self.composition, interaction)
+        return AxesReference(self.composition, interaction)
 
     @cached_property
     def kriging(self) -> Kriging | None:
@@ -317,8 +322,7 @@ class Surrogate:
         self._methods = Registry(makers(self), state["_methods"])
 
     def _doubt(self) -> Doubt:
-        by_axes = len(self.used) > 0 and not self.linear and self.default == "griddata"
-        rest_unknown = by_axes and not self.composition.at_rest.known
+        rest_unknown = self.by_axes and not self.linear and not self.composition.at_rest.known
         found = doubt_of(self.used, self.load_range, linear=self.linear, rest_unknown=rest_unknown)
         # Another method's bars hold its difference from the kriging besides.
         by_kriging = self.default == "kriging" and self.one_factor and self.kriging is not None
@@ -337,14 +341,18 @@ class Surrogate:
             return 0
 
     def _choice(self) -> Choice:
+        if not len(self.used):
+            return Choice("griddata", "there are no rows", {})
         if self.linear:
-            return linear_choice(self.fit)
+            return linear_choice(self.used, self.load_range, self.fit, self.composition_if_made)
         if not self.one_factor:
-            return without_kriging(self.used, self.load_range, self._kriging_detail)
-        return choose(self.used, self.load_range, self.kriging, self._compose)
+            detail = self._kriging_detail
+            return without_kriging(self.used, self.load_range, self.composition, detail)
+        return choose(self.used, self.load_range, self.composition, lambda: self.kriging)
 
     @property
     def _kriging_detail(self) -> str:
         if not self.one_factor:
             return nearest_in_words(len(self.used), self.equations)
-        return "" if self.kriging is None else self.kriging.detail
+        by_kriging = self.default == "kriging" and self.kriging is not None
+        return self.kriging.detail if by_kriging and self.kriging else ""

@@ -1,8 +1,9 @@
 """A surrogate as the flat arrays that an FMU answers from.
 
-The binding to the room `surrogate` is at its packed arrays (`composition.packed`,
-`kriging.compiled`) and at the public attributes beside them. What is computed from them is written
-once more, in C; a test holds both to the same numbers.
+The binding to the room `surrogate` is at its packed arrays (`kriging.compiled`) and at the public
+attributes beside them. What is computed from them is written once more, in C; a test holds both to
+the same numbers. Tables that the axes answer are refused until the packed table is what an FMU
+holds: the C code here has the law of their error bars that version 0.2 had.
 """
 
 from __future__ import annotations
@@ -13,22 +14,21 @@ from typing import NamedTuple
 import numpy as np
 
 from service.fmu.stream import MOST_BYTES, Stream
+from surrogate.answer import METHODS as ALL_METHODS
 from surrogate.answer import UnknownMethodError
 from surrogate.build import AnyTable
-from surrogate.composition.composition import Composition
-from surrogate.composition.packed import pack
-from surrogate.composition.pure_moment import PureMomentCut
 from surrogate.kriging import Kriging
 from surrogate.kriging.compiled_tables import Tables, tables_of
 from surrogate.kriging.dense import Dense
-from surrogate.methods.reference import BentReference, KrigingReference
+from surrogate.methods.reference import KrigingReference
 from surrogate.missing_outputs import MissingOutputs
 from surrogate.surrogate import Surrogate
 from surrogate.table.compliance import ComplianceFit
 from surrogate.table.rows import CLEAN
 
 METHODS = ("griddata", "tangent", "kriging", "linear", "nearest")  # their numbers in c/wb_table.h
-NO_REFERENCE = -1
+NO_REFERENCE, BY_KRIGING = -1, 2
+AXES = ("griddata", "additive", "tangent")
 NO_ERROR = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros((6, 6)), np.zeros(1)
 
 
@@ -81,9 +81,9 @@ def groups_of(table: AnyTable, method: str | None = None) -> list[Group]:
     UnknownMethodError
         If the method is none of `METHODS`.
     NotExportableError
-        If one has no rows within the load range.
+        If one has no rows within the load range, or the axes tell its answers or error bars.
     """
-    if method is not None and method not in METHODS:
+    if method is not None and method not in ALL_METHODS:
         raise UnknownMethodError(method)
     several = isinstance(table, MissingOutputs)
     parts = table.groups if several else ((tuple(range(6)), table),)
@@ -98,13 +98,18 @@ def groups_of(table: AnyTable, method: str | None = None) -> list[Group]:
         chosen = method or part.default
         if chosen == "kriging" and part.kriging is None:
             chosen = "tangent"  # what answers in its place: `Surrogate`
-        groups.append(Group(outputs, part, chosen))
+        group = Group(outputs, part, chosen)
+        if chosen in AXES or (not _is_exact(group) and part.default != "kriging"):
+            raise NotExportableError(
+                "no FMU holds yet what the axes answer this table by, or tell its error bars by "
+                f"({part.choice.reason})"
+            )
+        groups.append(group)
     return groups
 
 
 def _pack_group(stream: Stream, group: Group) -> None:
     part, mode = group.surrogate, _reference_mode(group)
-    composes = group.method in ("griddata", "tangent") or mode in (0, 1)
     stream.ints(
         np.isin(np.arange(6), group.outputs),
         METHODS.index(group.method),
@@ -116,9 +121,7 @@ def _pack_group(stream: Stream, group: Group) -> None:
     )
     _pack_limits(stream, group)
     _pack_rows(stream, part)
-    stream.ints(composes)
-    if composes:
-        _pack_composition(stream, part.composition)
+    stream.ints(0)  # no composition
     kriging = _kriging_of(group, mode)
     stream.ints(kriging is not None)
     if kriging is not None:
@@ -140,20 +143,18 @@ def _reference_mode(group: Group) -> int:
     """Return what the bars are held against; a kriging and an exact compliance tell their own."""
     if group.method == "kriging" or _is_exact(group):
         return NO_REFERENCE
-    return group.surrogate.reference.mode
+    return BY_KRIGING
 
 
 def _kriging_of(group: Group, mode: int) -> Kriging | None:
-    """Return the kriging that answers, is the reference, or tells what the axes miss."""
+    """Return the kriging that answers or is the reference."""
     if group.method == "kriging":
         return group.surrogate.kriging
     if mode == NO_REFERENCE:
         return None
     reference = group.surrogate.reference
-    if isinstance(reference, KrigingReference):
-        return reference.kriging
-    assert isinstance(reference, BentReference)
-    return reference.interaction
+    assert isinstance(reference, KrigingReference)
+    return reference.kriging
 
 
 def _pack_limits(stream: Stream, group: Group) -> None:
@@ -184,50 +185,6 @@ def _pack_rows(stream: Stream, part: Surrogate) -> None:
 def _pack_fit(stream: Stream, fit: ComplianceFit) -> None:
     stream.floats(fit.matrix, fit.bar)
     stream.ints(fit.known)
-
-
-def _pack_composition(stream: Stream, composition: Composition) -> None:
-    packed = pack(composition)
-    slopes, place = [np.empty((0, 12))], [np.empty((0, 3))]
-    facets, simplex_first, facet_first = [np.empty((0, 4), dtype=int)], [0], [0]
-    points = 0
-    for table in composition.tables:
-        if table is None:
-            simplex_first.append(simplex_first[-1])
-            facet_first.append(facet_first[-1])
-            continue
-        numbered, shape = table.triangulation.numbered, table.triangulation
-        order = numbered.point_order
-        slopes.append(table.slopes[order][:, list(table.axis.outputs)].reshape(-1, 12))
-        place.append(shape.points[order])
-        new_point, new_simplex = np.argsort(order), np.argsort(numbered.simplex_order)
-        own = np.zeros((len(shape.hull) if shape.dimension else 0, 4), dtype=int)
-        if shape.dimension:
-            own[:, : shape.dimension] = new_point[shape.hull] + points
-            own[:, 3] = new_simplex[shape.behind_hull] + simplex_first[-1]
-        facets.append(own)
-        points += len(order)
-        simplex_first.append(simplex_first[-1] + len(numbered.simplex_order))
-        facet_first.append(facet_first[-1] + len(own))
-    stream.ints(len(packed.vertex), len(packed.simplex))
-    stream.floats(packed.vertex, np.concatenate(place), np.concatenate(slopes), packed.maps)
-    stream.ints(packed.simplex, packed.grid)
-    stream.floats(packed.floats)
-    stream.ints(packed.ints, simplex_first, facet_first, np.concatenate(facets))
-    stream.floats(packed.rest_point)
-    _pack_fit(stream, composition.fit)
-    for cuts in composition.cuts:
-        for place_ in range(2):
-            _pack_cut(stream, cuts[place_] if place_ < len(cuts) else None)
-
-
-def _pack_cut(stream: Stream, cut: PureMomentCut | None) -> None:
-    stream.ints(cut is not None)
-    if cut is None:
-        return
-    stream.ints(len(cut.state))
-    stream.floats(cut.table.scale[cut.column], cut.stations, cut.pieces, cut.rest)
-    stream.ints(cut.state)
 
 
 def _pack_kriging(stream: Stream, kriging: Kriging) -> None:

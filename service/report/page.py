@@ -23,6 +23,7 @@ LAYOUT = {"template": "plotly_white", "height": 460, "margin": {"t": 20, "r": 20
 _LOOKS = {
     "kriging": ("#0072b2", "circle", "solid"),
     "griddata": ("#d55e00", "square", "dash"),
+    "additive": ("#e69f00", "diamond", "longdashdot"),
     "tangent": ("#009e73", "triangle-up", "dashdot"),
     "linear": ("#cc79a7", "x", "dot"),
     "nearest": ("#8c8c8c", "cross", "longdash"),

@@ -4,38 +4,44 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bars.conformal import conformal_factor
+from ..bars.error_law import ErrorLaw, error_law
 from ..interpolation.delaunay import Indices, Triangulation
-from ..interpolation.local_bars import local_bars
-from ..interpolation.slope_recovery import fit_patches, mean_slopes
-from ..interpolation.walk import DEGENERATE
+from ..interpolation.numbering import DEGENERATE
+from ..interpolation.slope_recovery import recovered_slopes
 from ..table.axes import AxisRows
 from ..table.rows import Floats, LoadRange
+from .left_out import MOST, LeftOut, folds, joined
 
 # The largest fraction of the load range, by dimension, that one simplex may take before it is
 # `thin`: half a range along a line, a fifth of a rectangle, a tenth of a box is no table.
 LARGEST = {0: 1.0, 1: 0.4, 2: 0.2, 3: 0.1}
 
-MOST_CHECKED = 2000  # points left out that check the bars: their 95 % quantile is known to 1 %
+ROUNDING = 1e-12  # of an output's size: no error bar is smaller, since no number is righter
+SMALLEST = 1e-30  # m and rad: where nothing moves at all; its square is still a number
 
 SOUND, WEAK = 0, 1
 
 
 @dataclass(frozen=True)
 class AxisReading:
-    """What an axis answers at k points: all six outputs, of which four are its own.
+    """What an axis answers at k points: all six outputs.
 
     Attributes
     ----------
     outputs, bends, rest : ndarray, shape (k, 6), m and rad
         Barycentric outputs; the bends, which are the error to be expected of them with its sign;
-        and the rest of the error bars, which may come on top.
+        and the error bars of the outputs, NaN where they are unknown.
     slopes, bend_slopes : ndarray, shape (k, 6, 3), m and rad
         Derivatives of the outputs and of the bends by the scaled inputs.
+    unit_errors : ndarray, shape (k,), dimensionless
+        1/2 sum_v l_v |x - x_v|^2, from which the error bars follow.
+    stated : ndarray, shape (k, 6), m and rad
+        Uncertainty of the rows, interpolated: the other part of the error bars.
     simplices : ndarray of int, shape (k,)
         Where the points, or the nearest points of the hull, lie.
     inside : ndarray of bool, shape (k,)
@@ -50,6 +56,8 @@ class AxisReading:
     rest: Floats
     slopes: Floats
     bend_slopes: Floats
+    unit_errors: Floats
+    stated: Floats
     simplices: Indices
     inside: NDArray[np.bool_]
     at: Floats
@@ -61,58 +69,114 @@ class AxisTable:
     Attributes
     ----------
     rows : AxisRows
+    others : AxisRows or None
+        Points that an even choice left out of the triangulation.
     triangulation : Triangulation
         Over the scaled inputs.
     scale : ndarray, shape (3,), N and N·m
         What the inputs are divided by.
-    values : ndarray, shape (n, 6), m and rad
+    values, uncertainty : ndarray, shape (n, 6), m and rad
+        Displacements at the points, and what the rows state of their own uncertainty.
     slopes : ndarray, shape (n, 6, 3), m and rad
         Derivative by the scaled inputs: stored tangents, else recovered from neighbours.
-    given : int
-        Points there were to choose from: more than n where the table was thinned.
-    rest, own_rest : ndarray, shape (n, 6), m and rad
-        Error bar of the outputs with their bends, given at the points (`local_bars`), and as it
-        was before points that were left out had their say.
-    state : ndarray of int, shape (m,)
-        `SOUND`, `WEAK` or `DEGENERATE`, per simplex.
     fewest : int
         How many points the axis needs not to be thin.
     """
 
-    def __init__(self, rows: AxisRows, load_range: LoadRange) -> None:
-        """Triangulate the rows, at least one."""
+    def __init__(self, rows: AxisRows, load_range: LoadRange, law: ErrorLaw | None = None) -> None:
+        """Triangulate the rows, at least one.
+
+        Parameters
+        ----------
+        law : ErrorLaw, optional
+            If it is known already; else points left out tell it.
+        """
         self.rows, self.axis = rows, rows.axis
+        self.others: AxisRows | None = None
         self.scale = load_range.scale[list(rows.axis.inputs)]
         self.triangulation = Triangulation(rows.points)
-        self.values = rows.displacement
+        self.values, self.uncertainty = rows.displacement, rows.uncertainty
         self.fewest = 2 * (self.triangulation.dimension + 1)
-        patches = fit_patches(self.triangulation, self.values)
-        self.slopes = self._slopes(patches.slopes)
-        bars = local_bars(self.triangulation, self.values, patches.misses)
-        self.rest = self.own_rest = bars + rows.uncertainty
-        self.given = len(self.values)
-        self.state = self._state()
+        self.slopes = self._slopes()
+        if law is not None:
+            self.law = law
+
+    @cached_property
+    def left_out(self) -> LeftOut:
+        """Errors at points that were left out; at those of `others`, if there are any."""
+        if self.others is not None:
+            some = np.linspace(0, len(self.others.points) - 1, MOST).astype(np.intp)
+            blind = copy(self)
+            blind.law = ErrorLaw.unknown()
+            return _errors_at(blind, self.others, np.unique(some))
+        found = [
+            _errors_at(self._without(stay), self.rows, left)
+            for left, stay in folds(self.triangulation)
+        ]
+        return joined(found)
+
+    @cached_property
+    def law(self) -> ErrorLaw:
+        """How error bars grow with the simplices; unknown where too few points can be left out."""
+        left = self.left_out
+        errors, stated = np.abs(left.errors[left.inside]), left.stated[left.inside]
+        least = np.maximum(ROUNDING * np.abs(self.values).max(axis=0), SMALLEST)
+        return error_law(errors, left.unit_errors[left.inside], stated, least)
+
+    @property
+    def typical_error(self) -> Floats:
+        """The median error bar at left-out points within the hull, (6,), m and rad; NaN if none."""
+        left, inside = self.left_out, self.left_out.inside
+        if not self.law.known:
+            return np.full(6, np.nan)
+        return np.median(self.law.bars(left.unit_errors[inside]) + left.stated[inside], axis=0)
+
+    @property
+    def noise_variance(self) -> Floats:
+        """A of the error bars sqrt(A + C S^2), shape (6,), m² and rad²; NaN where unknown."""
+        return self.law.noise_variance
+
+    @property
+    def curvature_variance(self) -> Floats:
+        """C of the error bars, shape (6,), m² and rad²; NaN where unknown."""
+        return self.law.curvature_variance
+
+    @cached_property
+    def state(self) -> NDArray[np.int32]:
+        """`SOUND`, `WEAK` or `DEGENERATE`, of each simplex, shape (m,)."""
+        return self.shape_state if self.law.known else np.maximum(self.shape_state, WEAK)
+
+    @property
+    def shape_state(self) -> NDArray[np.int32]:
+        """The same, shape (m,), whether or not errors are known."""
+        large = self.fractions() > LARGEST[self.triangulation.dimension]
+        state = np.where(large | (not self.enough), WEAK, SOUND)
+        state[self.triangulation.degenerate] = DEGENERATE
+        return state.astype(np.int32)
 
     @property
     def enough(self) -> bool:
-        """Whether there are points enough to tell an error."""
+        """Whether there are points enough for what they span."""
         return len(self.values) >= self.fewest
 
-    def is_made_like(self, other: AxisTable) -> bool:
-        """Return whether one was taken over from the other: they differ in nothing they answer."""
-        return self.triangulation is other.triangulation and self.rest is other.rest
+    @property
+    def given(self) -> int:
+        """Points there were to choose from: more than n where the table was thinned."""
+        return len(self.values) + (0 if self.others is None else len(self.others.points))
 
-    def held_to(self, left: AxisRows) -> AxisTable:
-        """Return this table, its bars widened to hold points that are not in it, at least one."""
-        some = np.linspace(0, len(left.points) - 1, MOST_CHECKED).astype(np.intp)
-        some = np.unique(some)
-        reading = self.read(left.points[some])
-        errors = np.abs(reading.outputs + reading.bends - left.displacement[some])
-        factor = conformal_factor(errors[reading.inside], reading.rest[reading.inside])
-        held = copy(self)
-        held.given = len(self.values) + len(left.points)
-        held.rest = self.own_rest * np.maximum(factor, 1.0)
-        return held
+    def is_made_like(self, other: AxisTable) -> bool:
+        """Return whether one was taken over from the other, with the same simplices sound."""
+        same = self.triangulation is other.triangulation
+        return same and np.array_equal(self.state, other.state)
+
+    def of(self, rows: AxisRows, others: AxisRows | None) -> AxisTable:
+        """Return this table for rows of the same numbers, which may have other places."""
+        same = copy(self)
+        same.rows, same.others = rows, others
+        if others is not None or self.others is not None:
+            for told in ("left_out", "law", "state"):
+                vars(same).pop(told, None)
+        return same
 
     def fractions(self) -> Floats:
         """Return what fraction of the load range each simplex takes, shape (m,)."""
@@ -154,27 +218,51 @@ class AxisTable:
         bends = np.einsum("kv,kvq->kq", shares, rises)
         bend_slopes = np.einsum("kvi,kvq->kqi", shape.share_slopes(simplices), rises)
         bend_slopes += 0.5 * np.einsum("kv,kvqi->kqi", shares, self.slopes[vertices])
-        rest = np.einsum("kv,kvq->kq", shares, self.rest[vertices])
-        slopes = shape.gradients_at(simplices, self.values)
-        inside = np.ones(len(x), dtype=bool)
-        return AxisReading(outputs, bends, rest, slopes, bend_slopes, simplices, inside, x)
+        unit = np.maximum(0.5 * np.einsum("kv,kvi,kvi->k", shares, apart, apart), 0.0)
+        stated = np.einsum("kv,kvq->kq", shares, self.uncertainty[vertices])
+        return AxisReading(
+            outputs=outputs,
+            bends=bends,
+            rest=self.law.bars(unit) + stated,
+            slopes=shape.gradients_at(simplices, self.values),
+            bend_slopes=bend_slopes,
+            unit_errors=unit,
+            stated=stated,
+            simplices=simplices,
+            inside=np.ones(len(x), dtype=bool),
+            at=x,
+        )
 
-    def _slopes(self, recovered: Floats) -> Floats:
-        """Return the rows' own tangents, else recovered slopes, else the mean of what is around."""
-        slopes = recovered
-        if np.isnan(recovered).any():
-            slopes = mean_slopes(self.triangulation, self.values)
-        told = np.isfinite(self.rows.tangent)
-        return np.where(told, self.rows.tangent, slopes)
+    def _slopes(self) -> Floats:
+        """Return the rows' own tangents, else slopes recovered from what is around."""
+        stored = np.isfinite(self.rows.tangent)
+        if stored.all():
+            return self.rows.tangent
+        recovered = recovered_slopes(self.triangulation, self.values)
+        return np.where(stored, self.rows.tangent, recovered)
 
-    def _state(self) -> NDArray[np.int32]:
-        large = self.fractions() > LARGEST[self.triangulation.dimension]
-        state = np.where(large | (not self.enough), WEAK, SOUND)
-        state[self.triangulation.degenerate] = DEGENERATE
-        return state.astype(np.int32)
+    def _without(self, stay: NDArray[np.bool_]) -> AxisTable:
+        """Return a table of some points alone, of unknown errors; slopes stay as they are."""
+        part = copy(self)
+        part.triangulation = Triangulation(self.rows.points[stay])
+        part.values, part.slopes = self.values[stay], self.slopes[stay]
+        part.uncertainty, part.law = self.uncertainty[stay], ErrorLaw.unknown()
+        return part
 
 
-def axis_table(rows: AxisRows, load_range: LoadRange, before: AxisTable | None) -> AxisTable:
+def _errors_at(table: AxisTable, rows: AxisRows, places: Indices) -> LeftOut:
+    """Return a table's errors at some of rows that it was made without."""
+    reading = table.read(rows.points[places])
+    errors = reading.outputs - rows.displacement[places]
+    return LeftOut(places, errors, reading.unit_errors, reading.stated, reading.inside)
+
+
+def axis_table(
+    rows: AxisRows,
+    load_range: LoadRange,
+    before: AxisTable | None,
+    others: AxisRows | None = None,
+) -> AxisTable:
     """Return the table of an axis' rows, at least one.
 
     Parameters
@@ -182,11 +270,11 @@ def axis_table(rows: AxisRows, load_range: LoadRange, before: AxisTable | None) 
     before : AxisTable or None
         Of another version: taken over where it was made of the same numbers, since nothing else
         has a say in it.
+    others : AxisRows, optional
+        Points that were not chosen.
     """
     scale = load_range.scale[list(rows.axis.inputs)]
-    if before is None or not np.array_equal(before.scale, scale) or not rows.equals(before.rows):
-        return AxisTable(rows, load_range)
-    same = copy(before)
-    same.rows = rows  # the rows behind a point may have other places
-    same.rest, same.given = same.own_rest, len(same.values)
-    return same
+    usable = before is not None and np.array_equal(before.scale, scale)
+    if before is None or not usable or not rows.equals(before.rows):
+        before = AxisTable(rows, load_range)
+    return before.of(rows, others)

@@ -65,7 +65,7 @@ def _thinned(rows: AxisRows, load_range: LoadRange, before: AxisTable | None) ->
     chosen = evenly_chosen(rows.points)
     if chosen.all():
         return axis_table(rows, load_range, before)
-    return axis_table(rows.take(chosen), load_range, before).held_to(rows.take(~chosen))
+    return axis_table(rows.take(chosen), load_range, before, rows.take(~chosen))
 
 
 def _worth_joining(joined: AxisRows, table: AxisTable) -> AxisRows:
@@ -78,7 +78,7 @@ def _worth_joining(joined: AxisRows, table: AxisTable) -> AxisRows:
     if not table.enough:
         return joined
     found = table.triangulation.locate(joined.points)
-    between = (found >= 0) & (table.state[found] == SOUND)
+    between = (found >= 0) & (table.shape_state[found] == SOUND)
     return joined.take(joined.clean | ~between)
 
 
@@ -99,5 +99,5 @@ def answer_at_rest(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable
         size = np.abs(rows.displacement).max(axis=0, initial=0.0)
         return AtRest(np.zeros(6), size, False)
     outputs = np.concatenate([reading.outputs for reading in held])
-    own = np.concatenate([np.abs(reading.bends) + reading.rest for reading in held])
+    own = np.concatenate([reading.rest for reading in held])
     return AtRest(outputs.mean(axis=0), np.ptp(outputs, axis=0) / 2 + own.mean(axis=0), True)

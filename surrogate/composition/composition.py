@@ -1,18 +1,22 @@
 """Composition of the three axes to one displacement.
 
-    u_i(w) = axis i's translation at (F_i, M_j, M_k)
-    r(w)   = sum_i r_i(F_i, M_j, M_k) - sum_m r(M_m alone) + r(0)
+With z = u(0), the displacement at no load, a_i that of axis i at (F_i, M_j, M_k) and b_m that of
+the moment M_m alone, all six outputs each,
+
+    additive:  u(w) = z + sum_i (a_i - z) - sum_m (b_m - z)
+    griddata:  rotations as above; u_i is the translation of axis i alone
 
 It is the second-order part, for these groups, of a high-dimensional model representation (Rabitz
-and Alis 1999, "General foundations of high-dimensional model representations"). Counted from the
-answer z at no load, an axis without loads adds nothing and a moment that is zero takes nothing
-away:
+and Alis 1999, "General foundations of high-dimensional model representations"). An axis without
+loads adds nothing and a moment that is zero takes nothing away. An axis that one moment acts on
+alone answers by that moment's own answer, so that its part and the one taken away are the same
+number: at a row of one axis the sum is that row. Bends and slopes are composed alike. Errors are
+independent to a good approximation and add up in quadrature, each times how often its part counts:
 
-    r(w) - r(0) = sum_i (r_i - r(0)) - sum_m (r(M_m alone) - r(0))
+    error bar^2 = sum_i (n_i e_i)^2 + sum_m (n_m e_m)^2 + ((1 - sum_i n_i - sum_m n_m) e_z)^2
 
-An axis that one moment acts on alone answers by that moment's own answer, so that its part and the
-one taken away are the same number. Outputs, bends and slopes are composed alike; the rests of the
-bars are independent to a good approximation and add up in quadrature.
+with n_i 1 for an axis that a force or two moments load, n_m the number of axes that M_m loads
+alone, less one if it is there.
 """
 
 from __future__ import annotations
@@ -54,41 +58,42 @@ class AtRest:
 
 @dataclass(frozen=True)
 class Composed:
-    """What the axes say of n wrenches.
+    """What the axes answer to n wrenches.
 
     Attributes
     ----------
-    displacement, bend, rest : ndarray, shape (n, 6), m and rad
-        The answer, the error to be expected of it with its sign, and the bar of what is left; NaN
-        where nothing tells it.
-    state : ndarray of int, shape (n,)
-        The worst that an axis' part rests on: `SOUND`, `WEAK`, `DEGENERATE`, `OFF_HULL` or
-        `NO_ROWS`.
+    additive, griddata : ndarray, shape (n, 6), m and rad
+        The answers of these two methods; rotations are the same.
+    bend : ndarray, shape (n, 6), m and rad
+        The error to be expected of `griddata`, with its sign.
+    rest : ndarray, shape (n, 6), m and rad
+        Error bars of `additive`; NaN where errors are unknown.
+    states : ndarray of int, shape (n, 3), dimensionless
+        What each axis' part rests on: `SOUND`, `WEAK`, `DEGENERATE`, `OFF_HULL` or `NO_ROWS`.
     """
 
-    displacement: Floats
+    additive: Floats
+    griddata: Floats
     bend: Floats
     rest: Floats
-    state: NDArray[np.int_]
-
-
-@dataclass(frozen=True)
-class Evaluated(Composed):
-    """The same in full.
-
-    Attributes
-    ----------
-    states : ndarray of int, shape (n, 3), dimensionless
-        What each axis' part rests on.
-    """
-
     states: NDArray[np.int_]
+
+    @property
+    def state(self) -> NDArray[np.int_]:
+        """The worst of the three axes, shape (n,)."""
+        return self.states.max(axis=1)
+
+    def of(self, method: str) -> Floats:
+        """Return the answers of `griddata`, `additive` or `tangent`, shape (n, 6), m and rad."""
+        if method == "tangent":
+            return self.griddata + self.bend
+        return self.additive if method == "additive" else self.griddata
 
 
 class Look(NamedTuple):
     """One axis' answer, and the table and the simplex it was read from, if there are any."""
 
-    found: Evaluated
+    found: Composed
     table: AxisTable | None
     simplex: int | None
 
@@ -130,7 +135,7 @@ class Composition:
         ]
         return f"an even choice is triangulated: {', '.join(found)}" if found else ""
 
-    def evaluate(self, wrenches: Floats) -> Evaluated:
+    def evaluate(self, wrenches: Floats) -> Composed:
         """Compose the answers to wrenches, shape (n, 6), N and N·m."""
         count = len(wrenches)
         loaded = np.abs(wrenches) > CLEAN * self.scale
@@ -145,40 +150,41 @@ class Composition:
             ):
                 times[single, load - 3] += 1.0
                 rows = np.flatnonzero(single)
-                total.put_translation(rows, axis, alone[load - 3].take(rows))
+                total.put_own(rows, axis, alone[load - 3].take(rows))
                 total.state[rows, index] = alone[load - 3].state[rows]
             rows = np.flatnonzero(force | (first & second))
             if len(rows):
                 part = self._read(axis, wrenches[rows])
-                total.put_translation(rows, axis, part)
-                total.add_rotation(rows, part, np.ones(len(rows)))
+                total.put_own(rows, axis, part)
+                total.add(rows, part, np.ones(len(rows)))
                 total.state[rows, index] = part.state
         for moment, part in enumerate(alone):
             rows = np.flatnonzero(times[:, moment])
-            total.add_rotation(rows, part.take(rows), times[rows, moment])
+            total.add(rows, part.take(rows), times[rows, moment])
             total.mark_base(rows, moment, part.state[rows])
-        return total.evaluated()
+        return total.composed()
 
-    def derivatives(self, wrenches: Floats, *, bent: bool) -> Floats:
+    def derivatives(self, wrenches: Floats, method: str) -> Floats:
         """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
 
         Of the law with all axes and moments in it, so that a load that is zero has its slope too.
 
         Parameters
         ----------
-        bent : bool
-            Whether of the outputs with their bends.
+        method : {"griddata", "additive", "tangent"}
         """
         found = np.zeros((len(wrenches), 6, 6))
+        composed = slice(None) if method == "additive" else slice(3, None)
         for axis in AXES:
-            part, own, inputs = self._read(axis, wrenches), axis.outputs[0], list(axis.inputs)
-            slopes = part.slopes + part.bend_slopes if bent else part.slopes
-            found[:, own, inputs] = slopes[:, own]
-            found[:, 3:, inputs] += slopes[:, 3:]
+            part, inputs = self._read(axis, wrenches), list(axis.inputs)
+            slopes = part.slopes + part.bend_slopes if method == "tangent" else part.slopes
+            if method != "additive":
+                found[:, axis.outputs[0], inputs] = slopes[:, axis.outputs[0]]
+            found[:, composed, inputs] += slopes[:, composed]
         for moment in range(3):
             part = self._alone(moment, wrenches[:, moment + 3])
-            slopes = part.slopes + part.bend_slopes if bent else part.slopes
-            found[:, 3:, moment + 3] -= slopes[:, 3:, 0]
+            slopes = part.slopes + part.bend_slopes if method == "tangent" else part.slopes
+            found[:, composed, moment + 3] -= slopes[:, composed, 0]
         return found
 
     def look(self, index: int, wrench: Floats) -> Look:
@@ -283,41 +289,45 @@ class _Part:
 
 
 class _Total:
-    """The sum so far, from the answer at no load."""
+    """The sum so far; what no load answers is added at the end, as often as the parts leave."""
 
     def __init__(self, at_rest: AtRest, count: int) -> None:
-        self.zero = at_rest.displacement
-        self.moved = np.tile(at_rest.displacement, (count, 1))
+        self.at_rest = at_rest
+        self.sum, self.squares = np.zeros((count, 6)), np.zeros((count, 6))
+        self.own = np.tile(at_rest.displacement[:3], (count, 1))
         self.bend = np.zeros((count, 6))
-        self.squares = np.tile(at_rest.bar**2, (count, 1))
+        self.times = np.zeros((count, 1))
         self.state = np.zeros((count, 3), dtype=int)
 
-    def put_translation(self, rows: Indices, axis: Axis, part: _Part) -> None:
+    def put_own(self, rows: Indices, axis: Axis, part: _Part) -> None:
         """Take the axis' own translation from its part."""
         own = axis.outputs[0]
-        self.moved[rows, own] = part.outputs[:, own]
+        self.own[rows, own] = part.outputs[:, own]
         self.bend[rows, own] = part.bends[:, own]
-        self.squares[rows, own] = part.rest[:, own] ** 2
 
-    def add_rotation(self, rows: Indices, part: _Part, times: Floats) -> None:
-        """Add a part's rotation, from that at no load, so many times, shape (k,)."""
+    def add(self, rows: Indices, part: _Part, times: Floats) -> None:
+        """Add a part so many times, shape (k,)."""
         often = times[:, None]
-        self.moved[rows, 3:] += often * (part.outputs[:, 3:] - self.zero[3:])
+        self.sum[rows] += often * part.outputs
         self.bend[rows, 3:] += often * part.bends[:, 3:]
-        self.squares[rows, 3:] += (often * part.rest[:, 3:]) ** 2
+        self.squares[rows] += (often * part.rest) ** 2
+        self.times[rows] += often
 
     def mark_base(self, rows: Indices, moment: int, state: NDArray[np.int_]) -> None:
         """Hold the axis a moment comes first in to what its own answer rests on."""
         first = next(place for place, axis in enumerate(AXES) if axis.inputs[1] == moment + 3)
         self.state[rows, first] = np.maximum(self.state[rows, first], state)
 
-    def evaluated(self) -> Evaluated:
+    def composed(self) -> Composed:
         """Return the sum."""
-        return Evaluated(
-            displacement=self.moved,
+        zero, left = self.at_rest, 1.0 - self.times
+        additive = self.sum + left * zero.displacement
+        squares = self.squares + np.where(left == 0, 0.0, (left * zero.bar) ** 2)
+        return Composed(
+            additive=additive,
+            griddata=np.concatenate((self.own, additive[:, 3:]), axis=1),
             bend=self.bend,
-            rest=np.sqrt(self.squares),
-            state=self.state.max(axis=1),
+            rest=np.sqrt(squares),
             states=self.state,
         )
 

@@ -1,7 +1,8 @@
 """The answers to one moment alone, as one piecewise function of that moment.
 
 Every composed rotation counts from them. They lie on one line through a triangulation, and along
-it barycentric outputs are straight between two faces of its simplices, and bends are parabolas.
+it barycentric outputs are straight between two faces of its simplices; bends and unit errors are
+parabolas.
 """
 
 from __future__ import annotations
@@ -47,8 +48,10 @@ class PureMomentCut:
     pieces : ndarray, shape (s, 5, 6), m and rad
         Of each stretch, by the scaled moment less its first station: constant and straight part
         of the outputs; constant, straight and square part of their bends.
-    rest : ndarray, shape (s, 2, 6), m and rad
-        Constant and straight part of the rest of their bars.
+    unit_errors : ndarray, shape (s, 3), dimensionless
+        Constant, straight and square part of the unit errors.
+    stated : ndarray, shape (s, 2, 6), m and rad
+        Constant and straight part of the rows' uncertainty.
     state : ndarray of int, shape (s,)
         As the table's; `HOLE` where no simplex holds the stretch.
     """
@@ -66,11 +69,12 @@ class PureMomentCut:
             for share in (0.0, 0.5, 1.0)
         )
         over = 1.0 / width[:, None]
-        square = 2 * (start.bends - 2 * centre.bends + end.bends) * over**2
-        straight = (end.bends - start.bends) * over - square * width[:, None]
         outputs = (end.outputs - start.outputs) * over
-        self.pieces = np.stack((start.outputs, outputs, start.bends, straight, square), axis=1)
-        self.rest = np.stack((start.rest, (end.rest - start.rest) * over), axis=1)
+        bends = _parabola(start.bends, centre.bends, end.bends, over)
+        self.pieces = np.stack((start.outputs, outputs, *bends), axis=1)
+        units = (one.unit_errors[:, None] for one in (start, centre, end))
+        self.unit_errors = np.concatenate(_parabola(*units, over), axis=1)
+        self.stated = np.stack((start.stated, (end.stated - start.stated) * over), axis=1)
 
     def of(self, table: AxisTable) -> PureMomentCut:
         """Return this cut as one of a table that was taken over from its own."""
@@ -89,12 +93,13 @@ class PureMomentCut:
         found = np.searchsorted(self.stations, along, side="right") - 1
         found = np.clip(found, 0, len(self.state) - 1)
         y = (along - self.stations[found])[:, None]
-        pieces, rest = self.pieces[found], self.rest[found]
+        pieces, stated, unit = self.pieces[found], self.stated[found], self.unit_errors[found]
+        unit = np.maximum(unit[:, 0] + y[:, 0] * (unit[:, 1] + y[:, 0] * unit[:, 2]), 0.0)
         beyond = (along < self.stations[0] - ON_HULL) | (along > self.stations[-1] + ON_HULL)
         return CutReading(
             pieces[:, 0] + y * pieces[:, 1],
             pieces[:, 2] + y * (pieces[:, 3] + y * pieces[:, 4]),
-            rest[:, 0] + y * rest[:, 1],
+            self.table.law.bars(unit) + stated[:, 0] + y * stated[:, 1],
             pieces[:, 1] / scale,
             (pieces[:, 3] + 2 * y * pieces[:, 4]) / scale,
             np.where(beyond, HOLE, self.state[found]),
@@ -104,6 +109,15 @@ class PureMomentCut:
         points = np.zeros((len(along), 3))
         points[:, self.column] = along
         return points
+
+
+def _parabola(start: Floats, centre: Floats, end: Floats, over: Floats) -> tuple[Floats, ...]:
+    """Return constant, straight and square part, (s, q) each, from three values of each stretch.
+
+    `over`, (s, 1), is one over the length of the stretch.
+    """
+    square = 2 * (start - 2 * centre + end) * over**2
+    return start, (end - start) * over - square / over, square
 
 
 def _stations(shape: Triangulation, column: int) -> Floats:

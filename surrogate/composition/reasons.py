@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from ..bars.error_law import FEWEST
+from ..interpolation.numbering import DEGENERATE
 from ..table.axes import AXES, Axis
 from ..table.rows import LOAD_UNITS, LOADS, Floats
-from .axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
+from .axis_table import LARGEST, SOUND, AxisTable
 from .composition import NO_ROWS, OFF_HULL, Composition
 from .pure_moment import ON_HULL
 
@@ -46,6 +48,11 @@ def why_weak(table: AxisTable, simplex: int) -> str:
         return (
             f"axis {name}: {points} row{'s' if points > 1 else ''}, "
             f"at least {table.fewest} are needed to tell the error"
+        )
+    if table.shape_state[simplex] == SOUND:
+        return (
+            f"axis {name}: {table.left_out.told} of its {points} rows can be left out and lie "
+            f"between the others, at least {FEWEST} are needed to tell the error"
         )
     if table.state[simplex] == DEGENERATE:
         return f"axis {name}: the rows around this wrench lie almost in one plane or line"

@@ -80,7 +80,7 @@ def _axis(
     tolerance: Tolerance | None,
 ) -> dict[str, Any]:
     axis, look = AXES[index], composition.look(index, wrench)
-    bars = np.abs(look.found.bend[0]) + look.found.rest[0]
+    bars = look.found.rest[0]
     state = OUTSIDE if worst >= OFF_HULL else THIN if worst > SOUND else COVERED
     reason = why_axis(composition, index, wrench) if state != COVERED else ""
     if tolerance is not None and state == COVERED:
@@ -88,7 +88,7 @@ def _axis(
         over = over_tolerance(own.tolist(), allowed_by(tolerance))
         state, reason = (THIN, f"axis {axis.name}: {over}") if over else (state, "")
     told = bars if np.isfinite(bars[list(axis.outputs)]).all() else None
-    return _part(axis, wrench, look.found.displacement[0], told) | {
+    return _part(axis, wrench, look.found.additive[0], told) | {
         "coverage": NAMES[state],
         "reason": reason,
         "rows": _rows_of(look, members),

@@ -65,23 +65,29 @@ def _hull(table: AxisTable) -> Floats:
 
 
 def _worst(axis: Axis, table: AxisTable) -> list[dict[str, Any]]:
-    """Return the middles of the simplices with the largest bars, for their outputs' range."""
+    """Return the middles of the simplices with the largest error bars, for their outputs' range.
+
+    Of the largest simplices, where errors are unknown.
+    """
     shape = table.triangulation
     middle = shape.points[shape.simplices].mean(axis=1)
     reading = table.read_in(np.arange(len(middle)), middle)
-    bars = (np.abs(reading.bends) + reading.rest)[:, list(axis.outputs)]
+    bars = reading.rest[:, list(axis.outputs)]
     size = np.maximum(np.abs(table.values[:, list(axis.outputs)]).max(axis=0), np.finfo(float).tiny)
     fractions, thin = table.fractions(), table.state != SOUND
     spots = []
-    for place in np.argsort(-(bars / size).max(axis=1))[:MOST_SPOTS].tolist():
+    worst = (bars / size).max(axis=1) if table.law.known else fractions
+    for place in np.argsort(-worst)[:MOST_SPOTS].tolist():
         loads = middle[place : place + 1] * table.scale
         names = [OUTPUTS[output] for output in axis.outputs]
         spots.append(
             {
                 "loads": _loads(axis, loads)[0],
-                "error": dict(zip(names, bars[place].tolist(), strict=True)),
+                "error": dict(zip(names, bars[place].tolist(), strict=True))
+                if table.law.known
+                else None,
                 "part_of_range": float(fractions[place]),
-                "thin": bool(thin[place]) or not table.enough,
+                "thin": bool(thin[place]),
             }
         )
     return spots

@@ -64,8 +64,7 @@ def _axis(name: str, inputs: list[str], table: AxisTable | None) -> dict[str, An
     fractions, weak = table.fractions(), table.state != SOUND
     middle = shape.points[shape.simplices].mean(axis=1)
     reading = table.read_in(np.arange(len(middle)), middle)
-    bars = np.abs(reading.bends) + reading.rest
-    typical = np.average(bars, axis=0, weights=np.maximum(fractions, np.finfo(float).tiny))
+    typical = np.average(reading.rest, axis=0, weights=np.maximum(fractions, np.finfo(float).tiny))
     return {
         "axis": name,
         "inputs": inputs,
@@ -76,8 +75,10 @@ def _axis(name: str, inputs: list[str], table: AxisTable | None) -> dict[str, An
             load: [float(points[:, column].min()), float(points[:, column].max())]
             for column, load in enumerate(inputs)
         },
-        "coverage": "covered" if table.enough and not weak.all() else "thin",
+        "coverage": "thin" if weak.all() else "covered",
         "part_of_range": float(fractions.sum()),
-        "thin_part_of_range": float(fractions.sum() if not table.enough else fractions[weak].sum()),
-        "error": {OUTPUTS[output]: float(typical[output]) for output in table.axis.outputs},
+        "thin_part_of_range": float(fractions[weak].sum()),
+        "error": {OUTPUTS[output]: float(typical[output]) for output in table.axis.outputs}
+        if table.law.known
+        else None,
     }

@@ -172,6 +172,8 @@ class _Refinement:
             return Design(np.empty((0, 6)), "met", reason)
         unit = "the tolerance" if self.tolerance is not None else "the outputs' range"
         reason = f"95 % of the error bars are at most {worst:.3g} times {unit}"
+        if not np.isfinite(worst):
+            reason = "the rows do not tell yet how large errors are"
         return Design(self._chosen(budget), "refine", reason)
 
     def _chosen(self, budget: int) -> Floats:
@@ -182,6 +184,9 @@ class _Refinement:
         """
         candidates = self.known.new(_candidates(self.surrogate, self.span))
         losses, asked = self._losses(candidates), self.known.pending
+        if not np.isfinite(losses).all():  # the kriging's own error bars order them all the same
+            own = self.kriging.answer_many(candidates)[1] / self.allowed
+            losses = own[:, self.outputs].max(axis=1)
         left = losses * self._left(asked, candidates)
         before, start = len(self.surrogate.used) + len(asked), len(asked)
         while len(asked) - start < min(budget, len(candidates)):
@@ -212,7 +217,7 @@ class _Refinement:
     def _losses(self, wrenches: Floats) -> Floats:
         """Return the largest bar over what is allowed (n,) at wrenches (n, 6), as of now."""
         over = (self.surrogate.batch(wrenches).error / self.allowed)[:, self.outputs]
-        return np.nan_to_num(over, nan=np.finfo(float).max).max(axis=1)
+        return np.nan_to_num(over, nan=np.inf).max(axis=1)
 
     def _left(self, solved: Floats, wrenches: Floats) -> Floats:
         """Return the part of their bars (n,) that is left at wrenches (n, 6) once others are."""

@@ -15,16 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay, KDTree, QhullError
 
-from ..jit import ready
 from ..table.rows import Floats
 from .hull import nearest_points
 from .morton import curve_order
 from .numbering import Numbered, number
-from .walk import LOST, ON_HULL, locate_many
 
 Indices = NDArray[np.intp]
 
 FLAT = 1e-9  # of the points' extent: what lies closer to a plane, a line or a point is in it
+ON_HULL = 1e-9  # of the way to the middle: a point that rounding put so far outside is on the hull
 SLIVER = 1e-10  # volume over cubed longest edge (or the like) below which a simplex is degenerate
 SHEAR = np.eye(3) + 1e-3 * np.array([[0.31, 0.77, -0.53], [0.19, -0.41, 0.97], [-0.61, 0.37, 0.23]])
 
@@ -149,16 +148,6 @@ class Triangulation:
         further in. Points are dimensionless.
         """
         points = np.asarray(x, dtype=float)
-        if not ready() or self.dimension == 0:
-            return self._locate(points)
-        found = np.empty(len(points), dtype=np.intp)
-        locate_many(points, curve_order(self.flattened(points)), *self.numbered.walked, found)
-        lost = np.flatnonzero(found == LOST)
-        if len(lost):
-            found[lost] = self._locate(points[lost])
-        return found
-
-    def _locate(self, points: Floats) -> Indices:
         found = self._find_flat(points)
         missed = np.asarray(found < 0)
         if missed.any():

@@ -1,4 +1,11 @@
-"""A triangulation laid out for walks: numbered along a curve, with a grid to start from."""
+"""A triangulation laid out for walks: numbered along a curve, with a grid to start from.
+
+The kernel finds the simplex of a point so: it starts from the simplex that a regular grid names for
+the point's cell and steps through the face opposite the most negative barycentric coordinate (the
+visibility walk of Devillers, Pion and Teillaud 2002, which always ends in a Delaunay
+triangulation). With vertices and simplices numbered along a space-filling curve, one query of a
+batch reads what the one before it has brought into the cache.
+"""
 
 from __future__ import annotations
 
@@ -9,24 +16,20 @@ from numpy.typing import NDArray
 
 from ..table.rows import Floats
 from .morton import curve_order
-from .walk import (
-    AXIS_FLOATS,
-    AXIS_INTS,
-    BASIS,
-    CELLS,
-    CORNER,
-    DEGENERATE,
-    DENSITY,
-    DIMENSION,
-    MAP,
-    NEIGHBOUR,
-    ORIGIN,
-    SIMPLEX,
-    SLACK,
-    STATE,
-)
 
 Indices = NDArray[np.intp]
+
+# Numbers of a simplex' map: the slopes of all barycentric coordinates but the last (3 x 3), and the
+# place of the last vertex, where those are zero.
+MAP = 12
+# Columns of a simplex: four vertices, the four neighbours across from them, and how sound it is.
+NEIGHBOUR, STATE, SIMPLEX = 4, 8, 9
+# Whole numbers of an axis: dimensions (-1 without a table), first cell of its grid, cells a side.
+DIMENSION, FIRST_CELL, CELLS, AXIS_INTS = 0, 1, 2, 5
+# Numbers of an axis: load scale (3), origin (3), basis (3 x 3), how far off its plane or line a
+# point may lie, corner of the grid (3), cells per length (3).
+SCALE, ORIGIN, BASIS, SLACK, CORNER, DENSITY, AXIS_FLOATS = 0, 3, 6, 15, 16, 19, 22
+DEGENERATE = 2  # the state of a simplex without volume: walks stop there
 
 CELLS_PER_SIMPLEX = 0.5  # of a grid that starts walks: most then take one or two steps
 
@@ -41,7 +44,7 @@ class Numbered(NamedTuple):
     grid : ndarray of int32, shape (cells,)
         For each cell a simplex close by.
     floats, ints : ndarray, shape (AXIS_FLOATS,) and (AXIS_INTS,)
-        See `walk`; the load scale is left at one.
+        See the columns above; the load scale is left at one.
     simplex_order, point_order : ndarray of int, shape (m,) and (n,)
         The old number of each simplex and point.
     place : ndarray, shape (n, 3), dimensionless
@@ -56,11 +59,6 @@ class Numbered(NamedTuple):
     simplex_order: Indices
     point_order: Indices
     place: Floats
-
-    @property
-    def walked(self) -> tuple[NDArray, ...]:
-        """What `walk.locate_many` takes: the first six, with their shapes, dimensionless."""
-        return self[:6]
 
 
 def number(

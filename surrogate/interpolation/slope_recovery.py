@@ -1,4 +1,4 @@
-"""Slopes at the points of a table, and what neighbours know of a point they do not hold.
+"""Slopes at the points of a table, and the bends of an interpolation that they tell.
 
 With the slope g_i of the response at each vertex v_i of a simplex, the blend
 
@@ -10,14 +10,12 @@ by as much to the other side). So its second part, the *bend*, is a third-order 
 error of linear interpolation.
 
 Slopes come from solves as their tangent compliance. Where no row has one they are recovered from a
-quadratic fitted through the neighbours (as in Zienkiewicz and Zhu 1992, patch recovery). The
-quadratic does not know the point itself, so that what it misses it by is an honest error.
+quadratic fitted through the neighbours (as in Zienkiewicz and Zhu 1992, patch recovery).
 """
 
 from __future__ import annotations
 
 from itertools import combinations_with_replacement
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -31,35 +29,18 @@ NEARER = 0.1  # added to squared distances (of the farthest) before weights are 
 CHUNK = 4096  # patches fitted at once: their normal equations fit the cache
 
 
-class Patches(NamedTuple):
-    """Quadratics through the neighbours of each of n points.
+def recovered_slopes(triangulation: Triangulation, values: Floats) -> Floats:
+    """Return slopes (n, q, 3) of a quadratic fitted through each point's neighbours.
 
-    Attributes
-    ----------
-    slopes : ndarray, shape (n, q, 3), m and rad
-        Their derivative at the point; NaN where there are too few points for a patch.
-    misses : ndarray, shape (n, q), m and rad
-        Value at the point less the quadratic's; NaN likewise.
-    """
-
-    slopes: Floats
-    misses: Floats
-
-
-def fit_patches(triangulation: Triangulation, values: Floats) -> Patches:
-    """Fit a quadratic through each point's neighbours, the point left out.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n, q)
-        In any unit; slopes are in that unit, points being dimensionless.
+    The point itself is left out. Where there are too few points for a quadratic, the slope is the
+    mean of the simplices around. Points are dimensionless, so that slopes are in the unit of the
+    values (n, q): m and rad.
     """
     dimension, n = triangulation.dimension, len(values)
-    slopes = np.full((n, values.shape[1], 3), np.nan)
-    misses = np.full(values.shape, np.nan)
     wanted = NEIGHBOURS.get(dimension, 0)
     if not wanted or n <= wanted:
-        return Patches(slopes, misses)
+        return mean_slopes(triangulation, values)
+    slopes = np.empty((n, values.shape[1], 3))
     flat = triangulation.flattened(triangulation.points)
     found = KDTree(flat).query(flat, k=wanted + 1)
     far, near = np.asarray(found[0])[:, 1:], np.asarray(found[1], dtype=np.intp)[:, 1:]
@@ -67,14 +48,13 @@ def fit_patches(triangulation: Triangulation, values: Floats) -> Patches:
         some = slice(start, start + CHUNK)
         apart = flat[near[some]] - flat[some, None]
         rise = values[near[some]] - values[some, None]
-        constant, slope = _quadratics(apart, far[some], rise)
+        slope = _quadratics(apart, far[some], rise)
         slopes[some] = np.einsum("niq,ij->nqj", slope, triangulation.basis)
-        misses[some] = -constant
-    return Patches(slopes, misses)
+    return slopes
 
 
-def _quadratics(apart: Floats, far: Floats, rise: Floats) -> tuple[Floats, Floats]:
-    """Return constants (n, q) and slopes (n, d, q) of quadratics through rises (n, k, q)."""
+def _quadratics(apart: Floats, far: Floats, rise: Floats) -> Floats:
+    """Return slopes (n, d, q) of quadratics through rises (n, k, q)."""
     dimension = apart.shape[2]
     reach = np.maximum(far[:, -1], np.finfo(float).tiny)
     apart = apart / reach[:, None, None]
@@ -85,7 +65,7 @@ def _quadratics(apart: Floats, far: Floats, rise: Floats) -> tuple[Floats, Float
     normal = weighed.transpose(0, 2, 1) @ terms
     normal += RIDGE * terms.shape[1] * np.eye(terms.shape[-1])
     fitted = np.linalg.solve(normal, weighed.transpose(0, 2, 1) @ rise)
-    return fitted[:, 0], fitted[:, 1 : 1 + dimension] / reach[:, None, None]
+    return fitted[:, 1 : 1 + dimension] / reach[:, None, None]
 
 
 def mean_slopes(triangulation: Triangulation, values: Floats) -> Floats:

@@ -8,25 +8,41 @@ from ..answer import COVERED, OUTSIDE
 from ..kriging import Kriging
 from ..table.rows import Floats, LoadRange
 from .method import Estimates, Method, why_beyond
+from .reference import Reference
 
 
 class GaussianProcess(Method):
-    """The kriging's answer and bars; outside the load range it is an estimate."""
+    """The kriging's answer; outside the load range it is an estimate.
+
+    Parameters
+    ----------
+    kriging : Kriging
+    load_range : LoadRange
+    reference : Reference or None
+        None where the kriging is the table's default method: then its own error bars hold.
+    """
 
     name = "kriging"
 
-    def __init__(self, kriging: Kriging, load_range: LoadRange) -> None:
-        self.kriging, self.load_range = kriging, load_range
+    def __init__(
+        self, kriging: Kriging, load_range: LoadRange, reference: Reference | None = None
+    ) -> None:
+        self.kriging, self.load_range, self.reference = kriging, load_range, reference
 
     def estimate(self, wrenches: Floats) -> Estimates:
         """Answer wrenches, shape (n, 6), N and N·m."""
         displacement, error = self.kriging.answer_many(wrenches)
+        if self.reference is not None:
+            best, own = self.reference.estimate(wrenches)
+            error = np.abs(displacement - best) + own
         outside = ~self.load_range.holds(wrenches)
         state = np.where(outside, OUTSIDE, COVERED).astype(np.uint8)
         return Estimates(displacement, error, state)
 
     def single(self, wrench: tuple[float, ...]) -> tuple[float, ...] | None:
         """Answer one wrench (6,), N and N·m: see `Method`."""
+        if self.reference is not None:
+            return None
         told = self.kriging.answer_one(wrench)
         return told if told is None or told[12] == COVERED else (*told[:12], OUTSIDE)
 

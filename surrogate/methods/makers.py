@@ -7,10 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 from .gaussian import GaussianProcess
-from .griddata import Griddata
 from .linear import Linear
 from .method import Method
 from .nearest import Nearest
+from .straight_direction import StraightDirection
 
 
 def makers(whole: Any) -> dict[str, Callable[[], Method]]:
@@ -21,18 +21,24 @@ def makers(whole: Any) -> dict[str, Callable[[], Method]]:
     """
     table = weakref.proxy(whole)
     return {
-        "griddata": lambda: Griddata(table.composition, table.reference, bent=False),
-        "tangent": lambda: Griddata(table.composition, table.reference, bent=True),
+        "griddata": lambda: _straight(table, "griddata"),
+        "additive": lambda: _straight(table, "additive"),
+        "tangent": lambda: _straight(table, "tangent"),
         "kriging": lambda: _gaussian(table),
         "linear": lambda: _linear(table),
         "nearest": lambda: Nearest(table.used, table.load_range, table.reference),
     }
 
 
+def _straight(table: Any, name: str) -> Method:
+    return StraightDirection(table.composition, table.reference, name)
+
+
 def _gaussian(table: Any) -> Method:
     if table.kriging is None:  # too few rows, or rows that contradict each other
-        return Griddata(table.composition, table.reference, bent=True)
-    return GaussianProcess(table.kriging, table.load_range)
+        return _straight(table, "tangent")
+    own = table.default == "kriging"
+    return GaussianProcess(table.kriging, table.load_range, None if own else table.reference)
 
 
 def _linear(table: Any) -> Method:

@@ -1,7 +1,9 @@
-"""What a method's answer is held against: the best estimate there is, and its own error bar.
+"""What a method's answer is compared with: the best estimate there is, and its own error bar.
 
-A method m other than the reference R gets the bar |m - R| + bar_R: where the two agree the method
-is as good as the reference, where they do not the method is taken to be wrong by the difference.
+A method m other than the reference R has the error bar |m - R| + error bar of R: where the two
+agree the method is as good as the reference, where they do not the method is taken to be wrong by
+the difference. R is the kriging where the kriging is the default method of the table, else the
+additive composition of the axes.
 """
 
 from __future__ import annotations
@@ -11,84 +13,70 @@ from typing import Protocol
 
 import numpy as np
 
-from ..composition.composition import Composition
+from ..composition.composition import Composed, Composition
 from ..kriging import Kriging, SingularCovarianceError, TooFewRowsError
 from ..table.axes import clean_rows
 from ..table.rows import Floats, LoadRange, Rows
 from .selection import ENOUGH_FULL
 
 MOST_INTERACTION = 200  # full wrenches that tell what the axes miss: one quick factor
-BENDS, MISSED, ITSELF = 0, 1, 2  # see `Reference.mode`
 
 
 class Reference(Protocol):
-    """The best estimate a table allows.
-
-    Attributes
-    ----------
-    mode : int
-        What `told` tells: nothing beyond the axes' outputs with their bends (`BENDS`), what those
-        miss (`MISSED`), or the estimate itself (`ITSELF`).
-    """
-
-    mode: int
-
-    def told(self, wrenches: Floats) -> tuple[Floats, Floats]:
-        """Return, (n, 6) each, m and rad, what `mode` says and its 95 % error bars."""
-        ...
+    """The best estimate a table allows."""
 
     def estimate(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars, (n, 6) each, m and rad, at wrenches (n, 6)."""
         ...
 
+    def against(self, wrenches: Floats, composed: Composed) -> tuple[Floats, Floats]:
+        """Return what `estimate` does, (n, 6) each, m and rad, with the axes' answers at hand."""
+        ...
+
 
 class KrigingReference:
-    """The kriging, where one factor over all rows answers."""
-
-    mode = ITSELF
+    """The kriging, where it is the default method."""
 
     def __init__(self, kriging: Kriging) -> None:
         self.kriging = kriging
-        self.told = self.estimate = kriging.answer_many
+        self.estimate = kriging.answer_many
+
+    def against(self, wrenches: Floats, composed: Composed) -> tuple[Floats, Floats]:
+        """See `Reference`; (n, 6) each, m and rad."""
+        return self.estimate(wrenches)
 
 
-class BentReference:
-    """The axes with their bends, and what full wrenches show of loads of several axes together.
+class AxesReference:
+    """The additive composition, and what full wrenches show of loads of several axes together.
 
     Parameters
     ----------
     composition : Composition
     interaction : Kriging or None
-        Through what the bent axes miss the full wrenches by; None where there are too few, or
-        where they are points of the axes themselves.
+        Through what the additive composition misses the full wrenches by; None where there are too
+        few, or where they are points of the axes themselves.
     """
 
     def __init__(self, composition: Composition, interaction: Kriging | None) -> None:
         self.composition, self.interaction = composition, interaction
-        self.mode = BENDS if interaction is None else MISSED
-        self._none = np.empty((0, 6))
-
-    def told(self, wrenches: Floats) -> tuple[Floats, Floats]:
-        """See `Reference`; (n, 6) each, m and rad; nothing, (0, 6), without an interaction."""
-        if self.interaction is None:
-            return self._none, self._none
-        return self.interaction.answer_many(wrenches)
 
     def estimate(self, wrenches: Floats) -> tuple[Floats, Floats]:
-        """See `Reference`; the bars of axes and interaction add up in quadrature.
+        """See `Reference`; (n, 6) each, m and rad, at wrenches (n, 6), N and N·m."""
+        return self.against(wrenches, self.composition.evaluate(wrenches))
 
-        Displacements and bars are (n, 6) each, m and rad, at wrenches (n, 6), N and N·m.
+    def against(self, wrenches: Floats, composed: Composed) -> tuple[Floats, Floats]:
+        """See `Reference`; the error bars of axes and interaction add up in quadrature.
+
+        Displacements and error bars are (n, 6) each, m and rad, at wrenches (n, 6), N and N·m.
         """
-        composed = self.composition.evaluate(wrenches)
-        displacement, bars = composed.displacement + composed.bend, composed.rest
         if self.interaction is None:
-            return displacement, bars
+            return composed.additive, composed.rest
         missed, own = self.interaction.answer_many(wrenches)
-        return displacement + missed, np.sqrt(bars**2 + own**2)
+        return composed.additive + missed, np.sqrt(composed.rest**2 + own**2)
 
 
 def interaction_of(rows: Rows, load_range: LoadRange, composition: Composition) -> Kriging | None:
-    """Return the kriging of what the bent axes miss full wrenches by that are not their own.
+    """Return the kriging of what `additive` misses the full wrenches by that no axis has.
 
     None where such wrenches are too few, or contradict each other.
     """
@@ -99,8 +87,7 @@ def interaction_of(rows: Rows, load_range: LoadRange, composition: Composition) 
     if len(free) < ENOUGH_FULL:
         return None
     some = rows.take(free[:MOST_INTERACTION])
-    composed = composition.evaluate(some.wrench)
-    missed = some.displacement - composed.displacement - composed.bend
+    missed = some.displacement - composition.evaluate(some.wrench).additive
     blank = np.full_like(some.compliance, np.nan)
     try:
         return Kriging.build(replace(some, displacement=missed, compliance=blank), load_range)

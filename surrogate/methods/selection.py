@@ -9,11 +9,12 @@ import numpy as np
 
 from ..composition.composition import Composition
 from ..kriging import Kriging
-from ..table.axes import clean_rows
+from ..table.axes import AXES, Axis, clean_rows
 from ..table.compliance import ComplianceFit
-from ..table.rows import Floats, LoadRange, Rows
+from ..table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
+from .left_out import AxesErrors, axes_errors
 
-CLEARLY = 0.8  # of griddata's error: a kriging that is no better than that is not worth its cost
+CLEARLY = 0.8  # of the axes' error: a kriging that is no better than that is not worth its cost
 ENOUGH_FULL = 20  # full wrenches that show what loads of several axes do together: measured on
 # `plate_thin`, with fewer and no tangents 3 to 26 % of the errors lie inside the bars (DESIGN 3)
 # With tangents, which bend across axes where loads act together, so many hold 86 to 100 % of the
@@ -24,7 +25,8 @@ NOT_TOLD = (
     f"no tangents and fewer than {ENOUGH_FULL} full wrenches: kriging would not know what loads of "
     "several axes do together"
 )
-FOLDS = 4  # griddata predicts a quarter of the rows from the others: as many as it can be made from
+LEFT_OUT = 0.95  # quantile of what griddata leaves out: as its error bars hold
+ROUNDING = 1e-12  # of the largest translation: what moves less does not move
 
 
 @dataclass(frozen=True)
@@ -61,43 +63,54 @@ def knows_interaction(rows: Rows, load_range: LoadRange) -> bool:
     return full >= full_needed(rows)
 
 
-def linear_choice(fit: ComplianceFit) -> Choice:
+def linear_choice(
+    rows: Rows, load_range: LoadRange, fit: ComplianceFit, composition: Composition | None
+) -> Choice:
     """Return the default of a linear component, by what of its compliance is known."""
-    if fit.complete:
+    if fit.complete or composition is None:
         return Choice("linear", "the component is linear: its compliance is exact", {})
+    method, why = _of_the_axes(rows, load_range, composition, axes_errors(rows, composition))
     reason = "the component is linear, but its compliance is not known in all loads yet"
-    return Choice("griddata", reason, {})
+    return Choice(method, f"{reason}; {why}", {})
 
 
 def choose(
     rows: Rows,
     load_range: LoadRange,
-    kriging: Kriging | None,
-    compose: Callable[[Rows], Composition],
+    composition: Composition,
+    kriging: Callable[[], Kriging | None],
 ) -> Choice:
     """Return the default of a nonlinear component's rows inside the load range.
 
     Parameters
     ----------
-    compose
-        Makes a composition of some of the rows.
+    kriging
+        Makes the kriging, if the rows allow one.
     """
-    if kriging is None:
-        return Choice("griddata", "there are too few rows for kriging", {})
+    errors = axes_errors(rows, composition)
+    method, why = _of_the_axes(rows, load_range, composition, errors)
     if _interaction_untold(rows, load_range):
-        return Choice("griddata", NOT_TOLD, {})
-    errors, _ = kriging.left_out()
-    size = np.where(kriging.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
-    ours = _score(errors, size)
-    theirs = _score(_griddata_errors(rows, compose), size)
-    scores = {"kriging": ours, "griddata": theirs}
-    told = f"{ours:.2g} of the range against griddata's {theirs:.2g}"
-    if not ours < CLEARLY * theirs:
-        return Choice("griddata", f"kriging errs at left-out rows by {told}", scores)
+        scores = _scores(errors, np.ptp(rows.displacement, axis=0))
+        return Choice(method, f"{NOT_TOLD}; {why}", scores)
+    made = kriging()
+    if made is None:
+        return Choice(method, f"there are too few rows for kriging; {why}", {})
+    left, _ = made.left_out()
+    size = np.where(made.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
+    axes = _scores(errors, size)
+    scores = {"kriging": _score(left, size)} | axes
+    if not axes:
+        return Choice("kriging", "the axes have too few rows to leave one out", scores)
+    best = min(axes, key=lambda name: axes[name])
+    told = f"{scores['kriging']:.2g} of the range against {best}'s {axes[best]:.2g}"
+    if not scores["kriging"] < CLEARLY * axes[best]:
+        return Choice(method, f"kriging errs at left-out rows by {told}; {why}", scores)
     return Choice("kriging", f"its error at left-out rows is {told}", scores)
 
 
-def without_kriging(rows: Rows, load_range: LoadRange, detail: str) -> Choice:
+def without_kriging(
+    rows: Rows, load_range: LoadRange, composition: Composition, detail: str
+) -> Choice:
     """Return the default of rows that one factor does not hold.
 
     Parameters
@@ -105,10 +118,43 @@ def without_kriging(rows: Rows, load_range: LoadRange, detail: str) -> Choice:
     detail : str
         How the kriging that answers on request does.
     """
+    errors = axes_errors(rows, composition)
+    method, why = _of_the_axes(rows, load_range, composition, errors)
+    scores = _scores(errors, np.ptp(rows.displacement, axis=0))
     if _interaction_untold(rows, load_range):
-        return Choice("griddata", NOT_TOLD, {})
+        return Choice(method, f"{NOT_TOLD}; {why}", scores)
     reason = "kriging by nearest rows takes milliseconds an answer; ask for it by name"
-    return Choice("griddata", f"{detail}: {reason}", {})
+    return Choice(method, f"{detail}: {reason}; {why}", scores)
+
+
+def _of_the_axes(
+    rows: Rows, load_range: LoadRange, composition: Composition, errors: AxesErrors
+) -> tuple[str, str]:
+    """Return `griddata` or `additive`, and why.
+
+    `griddata` takes a translation from its own axis alone. What that leaves out, the rows of the
+    other axes show: it must be within the error bars that the axis has anyway.
+    """
+    clean = clean_rows(rows, load_range)
+    size = float(np.abs(rows.displacement[:, :3]).max(initial=0.0))
+    shown = False
+    for index, (axis, table) in enumerate(zip(AXES, composition.tables, strict=True)):
+        others, own = clean.any(axis=1) & ~clean[:, index], axis.outputs[0]
+        if not others.any():
+            continue
+        shown = True
+        most = float(np.quantile(_left_out_by(axis, rows.take(others), composition), LEFT_OUT))
+        typical = np.nan if table is None else float(table.typical_error[own])
+        if most > ROUNDING * size and not most <= typical:
+            loads = ", ".join(LOADS[load] for load in axis.others)
+            return "additive", (
+                f"{loads} move {OUTPUTS[own]} by up to {most:.2g} m, and its error bars by "
+                f"{', '.join(LOADS[load] for load in axis.inputs)} are {typical:.2g} m"
+            )
+    scores = _scores(errors, np.ptp(rows.displacement, axis=0))
+    if not shown and scores and scores["additive"] < scores["griddata"]:
+        return "additive", "at left-out rows all axes together err less than each by itself"
+    return "griddata", "what loads of other axes move a translation by is within its error bars"
 
 
 def _interaction_untold(rows: Rows, load_range: LoadRange) -> bool:
@@ -116,14 +162,22 @@ def _interaction_untold(rows: Rows, load_range: LoadRange) -> bool:
     return full_needed(rows) == ENOUGH_FULL and not knows_interaction(rows, load_range)
 
 
-def _griddata_errors(rows: Rows, compose: Callable[[Rows], Composition]) -> Floats:
-    """Return griddata's errors (k, 6), m and rad, at rows it was not made from."""
-    errors = []
-    for fold in range(FOLDS):
-        left = np.arange(fold, len(rows), FOLDS)
-        rest = compose(rows.take(np.setdiff1d(np.arange(len(rows)), left)))
-        errors.append(rows.displacement[left] - rest.evaluate(rows.wrench[left]).displacement)
-    return np.concatenate(errors)
+def _left_out_by(axis: Axis, rows: Rows, composition: Composition) -> Floats:
+    """Return how far rows of other axes, (k,), move an axis' translation beyond its error bar, m.
+
+    By other loads than those that such a row shares with the axis: one moment, or none.
+    """
+    own = axis.outputs[0]
+    shared = np.where(np.isin(np.arange(6), axis.inputs), rows.wrench, 0.0)
+    alone = composition.evaluate(shared)
+    moved = np.abs(rows.displacement[:, own] - alone.griddata[:, own])
+    return np.maximum(moved - np.nan_to_num(alone.rest[:, own]), 0.0)
+
+
+def _scores(errors: AxesErrors, size: Floats) -> dict[str, float]:
+    """Return both methods' `_score`; none if no row could be left out."""
+    known = len(errors.additive) > 0
+    return {name: _score(one, size) for name, one in errors._asdict().items()} if known else {}
 
 
 def _score(errors: Floats, size: Floats) -> float:

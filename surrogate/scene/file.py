@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bars.error_law import ErrorLaw
 from ..composition.composition import AtRest
 from ..doubt import Doubt
 from ..kriging import Hyperparameters, Kriging, KrigingSettings
@@ -33,14 +34,14 @@ from .need import Need
 from .part import Axes, Part
 from .scene_table import SceneTable
 
-FORMAT = 2
+FORMAT = 3
 _TREE = "tree"
 _KINDS: dict[str, type] = {
     kind.__name__: kind
     for kind in (
-        AtRest, Axes, AxisRows, ComplianceFit, Dense, Doubt, Equations, Factor, Hyperparameters,
-        Kriging, KrigingSettings, LoadRange, LocalFactor, Need, Part, Rows, Scaling, Spread,
-        Tolerance,
+        AtRest, Axes, AxisRows, ComplianceFit, Dense, Doubt, Equations, ErrorLaw, Factor,
+        Hyperparameters, Kriging, KrigingSettings, LoadRange, LocalFactor, Need, Part, Rows,
+        Scaling, Spread, Tolerance,
     )
 }  # fmt: skip
 

@@ -12,16 +12,17 @@ import numpy as np
 
 from ..allowed import Allowed
 from ..answer import COVERED, OUTSIDE, THIN, Batch, over_tolerance
+from ..bars.error_law import ErrorLaw
 from ..build import AnyTable
 from ..composition.axis_table import AxisTable
 from ..composition.composition import AtRest, Composition
 from ..doubt import UNKNOWN_AT_REST, Doubt
 from ..kriging import Kriging
 from ..methods.gaussian import GaussianProcess
-from ..methods.griddata import Griddata
 from ..methods.linear import Linear
 from ..methods.method import Method
-from ..methods.reference import BentReference, KrigingReference, Reference
+from ..methods.reference import AxesReference
+from ..methods.straight_direction import StraightDirection
 from ..missing_outputs import MissingOutputs
 from ..surrogate import (
     EMPTY,
@@ -55,10 +56,13 @@ class Axes:
     Attributes
     ----------
     rows : tuple of AxisRows or None, length 3
+    laws : tuple of ErrorLaw or None, length 3
+        How their error bars grow.
     at_rest : AtRest
     """
 
     rows: tuple[AxisRows | None, ...]
+    laws: tuple[ErrorLaw | None, ...]
     at_rest: AtRest
 
 
@@ -83,7 +87,7 @@ class Part:
         How many rows the whole has.
     fit : ComplianceFit
     kriging, interaction : Kriging or None
-        What answers or is held against the answer; what the axes leave out.
+        What answers; what the axes leave out.
     axes : Axes or None
         None where the method needs none.
     doubt : Doubt
@@ -113,13 +117,15 @@ class Part:
         if self.method == "kriging":
             assert self.kriging is not None
             return GaussianProcess(self.kriging, self.load_range)
-        return Griddata(self.composition, self._reference(), bent=False)
+        reference = AxesReference(self.composition, self.interaction)
+        return StraightDirection(self.composition, reference, self.method)
 
     @cached_property
     def composition(self) -> Composition:
         """The axes that the scene loads."""
         assert self.axes is not None
-        tables = [rows and AxisTable(rows, self.load_range) for rows in self.axes.rows]
+        pairs = zip(self.axes.rows, self.axes.laws, strict=True)
+        tables = [rows and AxisTable(rows, self.load_range, law) for rows, law in pairs]
         return Composition(tables, self.axes.at_rest, self.fit, self.load_range.scale)
 
     def batch(self, asked: Floats, tolerance: Tolerance | None) -> Batch:
@@ -187,11 +193,6 @@ class Part:
         """Return the largest bar of each output, (6,), m and rad, of a covered answer."""
         return np.array(Allowed(self.tolerance, self.ranges).of(self.method, tolerance))
 
-    def _reference(self) -> Reference:
-        if self.kriging is not None:
-            return KrigingReference(self.kriging)
-        return BentReference(self.composition, self.interaction)
-
 
 def parts_of(table: AnyTable) -> Sequence[tuple[Sequence[int], Surrogate]]:
     """Return the outputs that the same rows hold, with the surrogate of these rows."""
@@ -200,10 +201,8 @@ def parts_of(table: AnyTable) -> Sequence[tuple[Sequence[int], Surrogate]]:
 
 def part_of(whole: Surrogate, outputs: tuple[int, ...], need: Need) -> Part:
     """Return what a scene needs of a surrogate, for some of its outputs."""
-    bare = not len(whole.used)
-    composed = not bare and whole.default == "griddata"
     told = replace(need, outputs=outputs)
-    dense = whole.one_factor and whole.kriging is not None and not bare
+    kriging = whole.kriging if whole.default == "kriging" else None
     return Part(
         outputs=outputs,
         method=whole.default,
@@ -213,16 +212,16 @@ def part_of(whole: Surrogate, outputs: tuple[int, ...], need: Need) -> Part:
         ranges=whole.ranges,
         rows=len(whole.rows),
         fit=whole.fit,
-        kriging=lean_kriging(whole.kriging, told) if dense and whole.kriging else None,
-        interaction=_interaction(whole, told) if composed else None,
-        axes=_axes(whole, need) if composed else None,
+        kriging=lean_kriging(kriging, told) if kriging else None,
+        interaction=_interaction(whole, told) if whole.by_axes else None,
+        axes=_axes(whole, need) if whole.by_axes else None,
         doubt=whole.doubt,
     )
 
 
 def _interaction(whole: Surrogate, need: Need) -> Kriging | None:
     reference = whole.reference
-    if not isinstance(reference, BentReference) or reference.interaction is None:
+    if not isinstance(reference, AxesReference) or reference.interaction is None:
         return None
     return lean_kriging(reference.interaction, need)
 
@@ -233,12 +232,8 @@ def _axes(whole: Surrogate, need: Need) -> Axes:
     Their whole triangulations: a plane through one is none of its own.
     """
     loaded = [need.occurring[list(axis.inputs)].any() for axis in AXES]
-    tables = zip(whole.composition.tables, loaded, strict=True)
-    rows = tuple(_as_told(table) if table is not None and kept else None for table, kept in tables)
-    return Axes(rows, whole.composition.at_rest)
-
-
-def _as_told(table: AxisTable) -> AxisRows:
-    """Return an axis' rows; what points left out of it widen its bars by is theirs to bring."""
-    widened = table.rest - table.own_rest
-    return replace(table.rows, uncertainty=table.rows.uncertainty + widened)
+    pairs = zip(whole.composition.tables, loaded, strict=True)
+    tables = [table if kept else None for table, kept in pairs]
+    rows = tuple(table and table.rows for table in tables)
+    laws = tuple(table and table.law for table in tables)
+    return Axes(rows, laws, whole.composition.at_rest)

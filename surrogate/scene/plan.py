@@ -16,7 +16,7 @@ from ..answer import allowed_by
 from ..build import AnyTable
 from ..design.adaptive import Design, next_wrenches
 from ..design.initial import Known, first_count, first_design, spread_wrenches
-from ..surrogate import Surrogate
+from ..surrogate import UNKNOWN_ERROR, Surrogate
 from ..table.rows import LOADS, OUTPUT_UNITS, OUTPUTS, Floats, LoadRange
 from .need import Need
 from .part import parts_of
@@ -139,7 +139,7 @@ def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
             if not found.coverage.any():  # slopes of a table that is thin here prove nothing
                 most = np.fmin(most, _reach(surrogate, need) + found.error.max(axis=0))
             most = np.maximum(most, (np.abs(found.displacement) + found.error).max(axis=0))
-        bound[own], why = most[own], ""
+        bound[own], why = most[own], UNKNOWN_ERROR if np.isnan(most[own]).any() else ""
     if table.solver_error is not None:  # rows share it: it is largest where the loads are
         full = np.maximum(np.abs(need.span.low), np.abs(need.span.high))
         bound = table.solver_error.widened_many(bound[None], full[None])[0]

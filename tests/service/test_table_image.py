@@ -11,7 +11,7 @@ from surrogate.table.rows import LoadRange, Rows
 from tests.service.live import FULL, clean_wrenches, full_wrenches, moved, tangents
 
 RANGE = LoadRange(-FULL, FULL)
-METHODS = (None, "griddata", "tangent", "kriging", "linear", "nearest")
+METHODS = (None, "griddata", "additive", "tangent", "kriging", "linear", "nearest")
 
 
 def clean():

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from surrogate.composition.build import build_composition
-from surrogate.methods.griddata import Griddata
-from surrogate.methods.reference import BentReference, interaction_of
+from surrogate.methods.reference import AxesReference, interaction_of
+from surrogate.methods.straight_direction import StraightDirection
 from surrogate.table.axes import AXES
 from surrogate.table.compliance import fit_compliance
 from surrogate.table.merging import merge
@@ -68,8 +68,8 @@ def full_wrenches(count: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-1, 1, (count, 6))
 
 
-def griddata_of(rows: Rows) -> Griddata:
-    """Return `griddata` as tables have it that are too large for a kriging of one factor.
+def axes_of(rows: Rows, method: str = "griddata") -> StraightDirection:
+    """Return a method of the axes as tables have it whose default is none but these.
 
     Its answers are those of every table (`test_methods` holds them together); it is made in a
     hundredth of the time, so that properties of the axes can be tried on many tables.
@@ -77,8 +77,8 @@ def griddata_of(rows: Rows) -> Griddata:
     used, _ = merge(rows, RANGE).usable()
     fit = fit_compliance(used, RANGE, linear=False)
     composition = build_composition(used, RANGE, fit, "correct")
-    reference = BentReference(composition, interaction_of(used, RANGE, composition))
-    return Griddata(composition, reference, bent=False)
+    reference = AxesReference(composition, interaction_of(used, RANGE, composition))
+    return StraightDirection(composition, reference, method)
 
 
 def table(response: Response, scaled: np.ndarray, **columns: object) -> Rows:

@@ -9,9 +9,9 @@ from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.responses import (
     HIGH,
     RANGE,
+    axes_of,
     clean_wrenches,
     full_wrenches,
-    griddata_of,
     smooth,
     table,
 )
@@ -81,7 +81,7 @@ def test_composition_is_exact_for_sums_of_functions_of_the_triples_at_their_rows
         return out
 
     asked = steps[rng.integers(0, 4, (50, 6))]
-    answers = griddata_of(table(response, scaled)).estimate(asked * HIGH)
+    answers = axes_of(table(response, scaled)).estimate(asked * HIGH)
     np.testing.assert_allclose(answers.displacement, response(asked), rtol=0, atol=1e-9)
 
 
@@ -96,7 +96,7 @@ def test_affine_responses_are_exact_wherever_the_table_reaches(seed: int) -> Non
     offset = rng.normal(size=6)
     rows = table(lambda x: x @ slope.T + offset, scaled)
     asked = full_wrenches(40, seed + 1)
-    answers = griddata_of(rows).estimate(asked * HIGH)
+    answers = axes_of(rows).estimate(asked * HIGH)
     np.testing.assert_allclose(answers.displacement, asked @ slope.T + offset, atol=1e-9)
 
 
@@ -179,7 +179,7 @@ def test_the_composition_law_holds_with_an_offset_and_no_row_at_zero_load(seed: 
     asked = full_wrenches(30, seed) * 0.8
     asked[::2, 4] = 0.0
     asked[::3, 3] = 0.0
-    axes = griddata_of(rows)
+    axes = axes_of(rows)
 
     def told(kept: list[int]) -> np.ndarray:
         return axes.estimate(np.where(np.isin(np.arange(6), kept), asked, 0.0) * HIGH)[0]

@@ -14,9 +14,9 @@ from tests.surrogate.kriging.responses import LINEAR, solved, spread_wrenches
 from tests.surrogate.responses import (
     HIGH,
     RANGE,
+    axes_of,
     clean_wrenches,
     full_wrenches,
-    griddata_of,
     smooth,
     table,
 )
@@ -66,10 +66,10 @@ def test_a_batch_gives_the_numbers_of_single_answers(method: str) -> None:
         np.testing.assert_allclose(batch.error[place], one.error, rtol=1e-9)
 
 
-def test_griddata_of_the_axes_alone_answers_as_that_of_a_whole_table() -> None:
+def test_axes_of_the_axes_alone_answers_as_that_of_a_whole_table() -> None:
     rows = table(smooth, np.concatenate((clean_wrenches(20, 1), full_wrenches(10, 2))))
     asked = np.concatenate((full_wrenches(100, 3), clean_wrenches(10, 4))) * 1.05 * HIGH
-    alone, whole = griddata_of(rows).estimate(asked), build(rows, RANGE)
+    alone, whole = axes_of(rows).estimate(asked), build(rows, RANGE)
     told = whole.batch(asked, method="griddata")
     np.testing.assert_array_equal(alone.displacement, told.displacement)
     np.testing.assert_array_equal(alone.state == 2, told.coverage == 2)

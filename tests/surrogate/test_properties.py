@@ -11,9 +11,9 @@ from surrogate.table.rows import Rows
 from tests.surrogate.responses import (
     HIGH,
     RANGE,
+    axes_of,
     clean_wrenches,
     full_wrenches,
-    griddata_of,
     smooth,
     table,
 )
@@ -40,7 +40,7 @@ def some_table(seed: int, most: int = 40) -> Rows:
 @given(SEEDS)
 def test_a_row_returns_itself(seed: int) -> None:
     rows = some_table(seed)
-    told = griddata_of(rows).estimate(rows.wrench)
+    told = axes_of(rows).estimate(rows.wrench)
     assert (told.state != 2).all()
     off = np.array([[1, 2, 3], [0, 2, 4], [0, 1, 5]])
     for axis in range(3):
@@ -54,7 +54,7 @@ def test_a_row_returns_itself(seed: int) -> None:
 def test_a_row_of_a_table_of_one_axis_returns_all_its_outputs(seed: int) -> None:
     rows = some_table(seed)
     rows = rows.take((rows.wrench[:, 1:4] == 0).all(axis=1))
-    told = griddata_of(rows).estimate(rows.wrench)
+    told = axes_of(rows).estimate(rows.wrench)
     inside = told.state != 2
     outputs = [0, 3, 4, 5]
     np.testing.assert_allclose(
@@ -88,7 +88,7 @@ def test_one_more_row_changes_only_the_simplices_around_it(seed: int) -> None:
     new = np.zeros(6)
     new[[0, 4, 5]] = rng.uniform(-0.8, 0.8, 3)
     more = rows + Rows.of(new * HIGH, smooth(new[None]) + 1e-3, seq=[10_000])
-    before, after = griddata_of(rows), griddata_of(more)
+    before, after = axes_of(rows), axes_of(more)
     asked = np.zeros((300, 6))
     asked[:, [0, 4, 5]] = rng.uniform(-0.85, 0.85, (300, 3))
     old = before.estimate(asked * HIGH).displacement[:, 0]

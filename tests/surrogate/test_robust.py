@@ -12,10 +12,10 @@ from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.responses import (
     HIGH,
     RANGE,
+    axes_of,
     clean_wrenches,
     coupled,
     full_wrenches,
-    griddata_of,
     smooth,
     table,
 )
@@ -61,7 +61,7 @@ def test_an_affine_response_on_a_grid_is_exact() -> None:
 
 
 def test_answers_on_a_grids_planes_do_not_jump() -> None:
-    axes = griddata_of(grid_table())
+    axes = axes_of(grid_table())
     plane = full_wrenches(300, 4) * 0.9
     plane[:, 0] = 0.5  # a plane of the grid
     near = plane.copy()

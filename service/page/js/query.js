@@ -10,7 +10,7 @@ import { versionField } from "./version.js";
 import { wrenchForm } from "./wrench_form.js";
 
 const ON_THIN = [["queue", "queue a solve"], ["estimate", "estimate, flagged"], ["reject", "refuse"]];
-const METHODS = [["", "the table's own"], ["kriging", "kriging"], ["griddata", "griddata"], ["linear", "linear"], ["tangent", "tangent"], ["nearest", "nearest"]];
+const METHODS = [["", "the table's own"], ["kriging", "kriging"], ["griddata", "griddata"], ["additive", "additive"], ["linear", "linear"], ["tangent", "tangent"], ["nearest", "nearest"]];
 
 export async function show(root, about, signal) {
   const answer = el("section", { class: "stack", "aria-live": "polite" },

@@ -5,7 +5,7 @@ import { el, field, note, put, save, table } from "./dom.js";
 import { count, percent, quantity, seconds } from "./format.js";
 import { draw } from "./plot.js";
 
-const LOOKS = { kriging: ["accent", "circle", "solid"], griddata: ["outside", "square", "dash"], tangent: ["covered", "triangle-up", "dashdot"], linear: ["query", "x", "dot"], nearest: ["muted", "cross", "longdash"], FEA: ["ink", "diamond", "dot"] };
+const LOOKS = { kriging: ["accent", "circle", "solid"], griddata: ["outside", "square", "dash"], additive: ["query", "diamond", "longdashdot"], tangent: ["covered", "triangle-up", "dashdot"], linear: ["query", "x", "dot"], nearest: ["muted", "cross", "longdash"], FEA: ["ink", "diamond", "dot"] };
 const LOOK_S = 1000; // between looks at how far it is
 
 export async function show(root, about, signal) {
