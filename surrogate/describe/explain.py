@@ -61,9 +61,7 @@ def explain_linear(
     return parts
 
 
-def linear_rows(
-    fit: ComplianceFit, rows: Rows, members: Sequence[tuple[int, ...]]
-) -> list[int]:
+def linear_rows(fit: ComplianceFit, rows: Rows, members: Sequence[tuple[int, ...]]) -> list[int]:
     """Return the numbers of the rows that a compliance comes from."""
     places = range(len(rows))
     if fit.origin == "stored":

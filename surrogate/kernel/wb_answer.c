@@ -49,17 +49,6 @@ double wb_allowed(const wb_table *t, const wb_group *g, const wb_options *o, int
     return g->allowed[t->outputs * method + q];
 }
 
-/* The reference of the axes, its squared error apart from the kriging of what it misses. */
-static void best_of_axes(const wb_group *g, const wb_composed *c, double best[6],
-                         double squares[6]) {
-    int additive = g->reference & WB_REF_ADDITIVE, bent = g->reference & WB_REF_BENT;
-    for (int q = 0; q < 6; q++) {
-        best[q] = additive || q > 2 ? c->moved[q] : c->own[q];
-        squares[q] = additive || q > 2 ? c->squares[q] : c->own_squares[q];
-        if (bent) best[q] += c->bend[q];
-    }
-}
-
 /* The best estimate there is and its 95 % error: `Reference.estimate`. */
 static void refer(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                   const wb_composed *c, double *best, double *error) {
@@ -69,7 +58,8 @@ static void refer(const wb_table *t, const wb_group *g, wb_work *work, const dou
         for (int q = 0; !(sigma <= *g->kriging.sigma_limit) && q < t->outputs; q++) error[q] = NAN;
         return;
     }
-    best_of_axes(g, c, best, error);
+    memcpy(best, c->moved, sizeof c->moved);
+    memcpy(error, c->squares, sizeof c->squares);
     if (g->reference & WB_REF_MISSED) {
         wb_kriging_values(t, &g->missed, work, w, missed, own);
         for (int q = 0; q < 6; q++) best[q] += missed[q], error[q] += own[q] * own[q];
@@ -85,13 +75,11 @@ void wb_found_by_axes(const wb_table *t, const wb_group *g, wb_work *work, const
     refer(t, g, work, w, c, best, error);
     a->coverage = off ? WB_OUTSIDE : c->state > 0 ? WB_THIN : WB_COVERED;
     for (int q = 0; q < 6; q++) {
-        int whole = q > 2 || method == WB_ADDITIVE;
-        double value = whole ? c->moved[q] : c->own[q];
+        double value = q > 2 || method == WB_ADDITIVE ? c->moved[q] : c->own[q];
         if (method == WB_TANGENT) value += c->bend[q];
         a->outputs[q] = value;
         a->error[q] = fabs(value - best[q]) + error[q];
-        if (off)
-            a->error[q] = larger(sqrt(whole ? c->squares[q] : c->own_squares[q]), a->error[q]);
+        if (off) a->error[q] = larger(sqrt(c->squares[q]), a->error[q]);
     }
 }
 
@@ -104,16 +92,20 @@ static void reason_beyond(const wb_table *t, const double *w, wb_found *a) {
     }
 }
 
+/* Where the kriging is the reference its own error holds, up to the largest sigma at which rows
+ * show errors. */
 static void by_kriging(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
-                       wb_found *a) {
+                       const wb_composed *c, wb_found *a) {
+    double best[WB_MOST], bars[WB_MOST], most = *g->kriging.sigma_limit;
     double sigma = wb_kriging_values(t, &g->kriging, work, w, a->outputs, a->error);
-    double most = *g->kriging.sigma_limit;
-    a->coverage = WB_COVERED;
-    if (wb_is_beyond(t, w)) {
-        a->coverage = WB_OUTSIDE;
-        reason_beyond(t, w, a);
+    int own = g->reference & WB_REF_KRIGING;
+    a->coverage = wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;
+    reason_beyond(t, w, a);
+    if (!own) {
+        refer(t, g, work, w, c, best, bars);
+        for (int q = 0; q < t->outputs; q++) a->error[q] = fabs(a->outputs[q] - best[q]) + bars[q];
     }
-    if (sigma <= most) return;
+    if (!own || sigma <= most) return;
     for (int q = 0; q < t->outputs; q++) a->error[q] = NAN;
     if (a->coverage != WB_COVERED) return;
     wb_reason *reason = wb_add_reason(a, WB_REASON_ERRORS_UNKNOWN);
@@ -211,6 +203,7 @@ static void judge_error(const wb_table *t, const wb_group *g, const wb_options *
     double worst = 1.0;
     for (int q = 0; q < m; q++) {
         double most = wb_allowed(t, g, o, method, q);
+        if (!g->outputs[q]) continue;
         over |= !(a->error[q] <= most);
         known &= isfinite(a->error[q]) != 0;
         if (a->error[q] > worst * most) worst = a->error[q] / most, output = q;
@@ -256,13 +249,11 @@ void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, 
         wb_finish(t, g, o, w, with_reasons, a);
         return;
     }
-    int axes = a->method <= WB_TANGENT;
-    int composes = axes || (a->method == WB_LINEAR && !g->exact_fit) || a->method == WB_NEAREST;
-    if (composes && (axes || !(g->reference & WB_REF_KRIGING)))
-        wb_compose(&g->composition, t->small, w,
-                   a->method == WB_TANGENT || g->reference & WB_REF_BENT, &c);
+    int axes = a->method <= WB_TANGENT, exact = a->method == WB_LINEAR && g->exact_fit;
+    if (axes || (!exact && !(g->reference & WB_REF_KRIGING)))
+        wb_compose(&g->composition, t->small, w, a->method == WB_TANGENT, &c);
     if (axes) wb_found_by_axes(t, g, work, w, a->method, &c, a);
-    else if (a->method == WB_KRIGING) by_kriging(t, g, work, w, a);
+    else if (a->method == WB_KRIGING) by_kriging(t, g, work, w, &c, a);
     else if (a->method == WB_LINEAR) by_linear(t, g, work, w, &c, a);
     else by_nearest(t, g, work, w, &c, a);
     wb_finish(t, g, o, w, with_reasons, a);

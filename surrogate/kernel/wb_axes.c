@@ -33,23 +33,23 @@ static void share_slopes(const wb_composition *c, int axis, int simplex, double 
         }
 }
 
-/* Outputs and rest at a point of a simplex. Linear interpolation errs by the second derivative
- * times S = 1/2 sum of shares |x - x_v|^2; a + c S^2 is the squared bound of that error. */
+/* Outputs and errors at a point of a simplex. Linear interpolation of |x|^2 / 2 errs by
+ * S = 1/2 sum of shares |x - x_v|^2, of a response by sqrt(A + C S^2): surrogate/bars/error_law.py */
 static void read_values(const wb_composition *c, int axis, int simplex, const double at[3],
                         const double shares[4], wb_part *part) {
     const double *error = c->error + 12 * axis;
     int dimension = c->ints[axis].dimension;
-    double spread = 0.0, square = at[0] * at[0] + at[1] * at[1] + at[2] * at[2];
+    double unit = 0.0;
     for (int corner = 0; corner <= dimension; corner++) {
         const wb_vertex *v = c->vertex + point_of(c, simplex, corner);
         double share = shares[share_at(corner, dimension)];
         for (int q = 0; q < 6; q++) part->outputs[q] += share * v->value[q];
         for (int q = 0; q < 6; q++) part->rest[q] += share * v->uncertainty[q];
-        spread += share * v->square;
+        double a = at[0] - v->place[0], b = at[1] - v->place[1], d = at[2] - v->place[2];
+        unit += share * (a * a + b * b + d * d);
     }
-    spread = fmax(0.5 * (spread - square), 0.0);
-    for (int q = 0; q < 6; q++)
-        part->rest[q] += sqrt(error[q] + error[6 + q] * (spread * spread));
+    unit = unit > 0.0 ? 0.5 * unit : 0.0;
+    for (int q = 0; q < 6; q++) part->rest[q] += sqrt(error[q] + error[6 + q] * (unit * unit));
 }
 
 /* Half of what the corners' first-order expansions add, corner by corner. */

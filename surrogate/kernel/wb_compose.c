@@ -1,8 +1,8 @@
 /* Three axes to one answer: surrogate/composition/composition.py and pure_moment.py. MIT.
  *
  * All six outputs are composed, u = u(0) + sum over axes of (axis - u(0)) - sum over moments of
- * (that moment alone - u(0)); `own` keeps each translation of its own axis alone, which is
- * griddata's.
+ * (that moment alone - u(0)), their errors in quadrature; `own` keeps each translation of its own
+ * axis alone, which is griddata's.
  */
 #include "wb_internal.h"
 
@@ -44,14 +44,15 @@ int wb_cut_state(const wb_cut *cut, double moment) {
 static void read_cut(const wb_cut *cut, double along, int found, int with_slopes,
                      alone_part *out) {
     const double *o = cut->outputs + 12 * (int64_t)found, *b = cut->bends + 18 * (int64_t)found;
-    const double *r = cut->rest + 12 * (int64_t)found, *s = cut->spread + 3 * (int64_t)found;
+    const double *r = cut->stated + 12 * (int64_t)found, *s = cut->unit + 3 * (int64_t)found;
     double y = along - cut->stations[found];
-    double spread = fmax(s[0] + y * (s[1] + y * s[2]), 0.0);
+    double unit = s[0] + y * (s[1] + y * s[2]);
+    unit = unit > 0.0 ? unit : 0.0;
     for (int q = 0; q < 6; q++) out->outputs[q] = o[q] + y * o[6 + q];
     for (int q = 0; q < 6; q++) out->bends[q] = b[q] + y * (b[6 + q] + y * b[12 + q]);
     for (int q = 0; q < 6; q++) {
         out->rest[q] = r[q] + y * r[6 + q];
-        out->rest[q] += sqrt(cut->error[q] + cut->error[6 + q] * (spread * spread));
+        out->rest[q] += sqrt(cut->error[q] + cut->error[6 + q] * (unit * unit));
     }
     for (int q = 0; with_slopes && q < 6; q++) {
         out->slopes[q] = o[6 + q] / cut->scale;
@@ -93,29 +94,36 @@ static void read_alone(const wb_composition *c, int moment, double amount, int w
 
 static int worse(int a, int b) { return a > b ? a : b; }
 
-static void put_own(wb_composed *out, int axis, double moved, double bend, double rest) {
-    out->own[axis] = moved, out->bend[axis] = bend, out->own_squares[axis] = rest * rest;
+static void put_own(wb_composed *out, int axis, double moved, double bend) {
+    out->own[axis] = moved, out->bend[axis] = bend;
 }
 
-/* Add an answer, counted from that at no load, so many times; bends of rotations alone. */
-static void add_part(const wb_composition *c, const double outputs[6], const double bends[6],
-                     const double rest[6], double times, wb_composed *out) {
+/* Add an answer so many times; bends of rotations alone. */
+static void add_part(const double outputs[6], const double bends[6], const double rest[6],
+                     double times, wb_composed *out) {
     for (int q = 0; q < 6; q++) {
         double wide = times * rest[q];
-        out->moved[q] += times * (outputs[q] - c->rest_point[q]);
+        out->moved[q] += times * outputs[q];
         out->squares[q] += wide * wide;
     }
     for (int q = 3; q < 6; q++) out->bend[q] += times * bends[q];
+    out->times += times;
 }
 
 void wb_compose_start(const wb_composition *c, wb_composed *out) {
     memset(out, 0, sizeof *out);
+    memcpy(out->own, c->rest_point, sizeof out->own);
+}
+
+/* Add the answer at no load as often as the parts leave room for it. */
+static void add_rest(const wb_composition *c, wb_composed *out) {
+    double left = 1.0 - out->times;
+    if (left == 0.0) return;
     for (int q = 0; q < 6; q++) {
-        out->moved[q] = c->rest_point[q];
-        out->squares[q] = c->rest_point[6 + q] * c->rest_point[6 + q];
+        double wide = left * c->rest_point[6 + q];
+        out->moved[q] += left * c->rest_point[q];
+        out->squares[q] += wide * wide;
     }
-    memcpy(out->own, out->moved, sizeof out->own);
-    memcpy(out->own_squares, out->squares, sizeof out->own_squares);
 }
 
 /* Whether the axis' triangulation is read: its force, or both of its moments, are there. */
@@ -125,13 +133,13 @@ int wb_needs_axis(const double small[6], const double wrench[6], int axis) {
     return fabs(wrench[first]) > small[first] && fabs(wrench[second]) > small[second];
 }
 
-void wb_add_axis(const wb_composition *c, const wb_part *part, int axis, wb_composed *out) {
-    put_own(out, axis, part->outputs[axis], part->bends[axis], part->rest[axis]);
-    add_part(c, part->outputs, part->bends, part->rest, 1.0, out);
+void wb_add_axis(const wb_part *part, int axis, wb_composed *out) {
+    put_own(out, axis, part->outputs[axis], part->bends[axis]);
+    add_part(part->outputs, part->bends, part->rest, 1.0, out);
     out->states[axis] = part->state;
 }
 
-/* Add what single moments answer, after the axes. */
+/* Add what single moments and no load answer, after the axes. */
 void wb_add_moments(const wb_composition *c, const double small[6], const double wrench[6],
                     wb_composed *out) {
     for (int m = 0; m < 3; m++) {
@@ -145,13 +153,14 @@ void wb_add_moments(const wb_composition *c, const double small[6], const double
             int other = 3 + (axis + 1 + !k) % 3; /* the axis' other moment */
             if (fabs(wrench[axis]) > small[axis] || fabs(wrench[other]) > small[other]) continue;
             times += 1.0;
-            put_own(out, axis, alone.outputs[axis], alone.bends[axis], alone.rest[axis]);
+            put_own(out, axis, alone.outputs[axis], alone.bends[axis]);
             out->states[axis] = worse(out->states[axis], alone.state);
         }
         if (times == 0.0) continue;
-        add_part(c, alone.outputs, alone.bends, alone.rest, times, out);
+        add_part(alone.outputs, alone.bends, alone.rest, times, out);
         out->states[base] = worse(out->states[base], alone.state);
     }
+    add_rest(c, out);
     out->state = worse(worse(out->states[0], out->states[1]), out->states[2]);
 }
 
@@ -163,7 +172,7 @@ void wb_compose(const wb_composition *c, const double small[6], const double wre
         wb_part part;
         if (!wb_needs_axis(small, wrench, axis)) continue;
         wb_axis_part(c, axis, wrench, 0, with_bends, &part);
-        wb_add_axis(c, &part, axis, out);
+        wb_add_axis(&part, axis, out);
     }
     wb_add_moments(c, small, wrench, out);
 }

@@ -13,8 +13,8 @@ enum { WB_F8 = 1, WB_I4 = 2, WB_I8 = 3, WB_U1 = 4 }; /* types of arrays */
 enum { WB_AXES = 3, WB_AXIS_OUTPUTS = 6, WB_AXIS_INPUTS = 3 };
 /* What an axis' part of an answer rests on, from the best to the worst. */
 enum { WB_SOUND = 0, WB_WEAK = 1, WB_DEGENERATE = 2, WB_OFF_HULL = 9, WB_NO_ROWS = 10 };
-/* What the errors of the axes' methods are measured against. */
-enum { WB_REF_ADDITIVE = 1, WB_REF_BENT = 2, WB_REF_MISSED = 4, WB_REF_KRIGING = 8 };
+/* The best estimate, from which the errors of other methods follow. */
+enum { WB_REF_ADDITIVE = 1, WB_REF_MISSED = 2, WB_REF_KRIGING = 4 };
 enum { WB_PANEL = 16, WB_LANES = 8 }; /* rows of a triangle at once; partial sums of a product */
 
 /* 128 bytes, two cache lines: all that a step of a walk reads. */
@@ -25,7 +25,7 @@ typedef struct {
 
 /* 128 bytes: all that an answer reads of a point. */
 typedef struct {
-    double place[3], square, value[6], uncertainty[6];
+    double place[3], unused, value[6], uncertainty[6];
 } wb_vertex;
 
 typedef struct {
@@ -41,7 +41,7 @@ typedef struct {
     int present, stretches;
     int64_t buckets;
     double scale;
-    const double *stations, *outputs, *bends, *rest, *spread, *error, *bucket;
+    const double *stations, *outputs, *bends, *stated, *unit, *error, *bucket;
     const int32_t *state, *start;
 } wb_cut;
 
@@ -58,7 +58,8 @@ typedef struct {
     const unsigned char *state;
     const wb_axis_ints *ints;
     const wb_axis_floats *floats;
-    const int32_t *grid, *facets, *facet_first, *simplex_first, *point_first, *fewest;
+    const int32_t *grid, *facets, *facet_first, *simplex_first, *point_first, *fewest,
+        *left_out;
     const double *largest;
     wb_cut cuts[3][2];
     const wb_fit *fit;
@@ -100,7 +101,7 @@ typedef struct {
 } wb_group;
 
 typedef struct {
-    int asks, mesh_known, linear, linearity_known, whole;
+    int asks, mesh_known, linear, linearity_known, whole, none;
     const double *mesh, *square, *one_over, *stiffness;
 } wb_solver;
 
@@ -145,9 +146,10 @@ typedef struct {
     int simplex, inside;
 } wb_place;
 
-/* Three axes together: `moved` adds all axes up; `own` has each translation of its own axis. */
+/* Three axes together: `moved` adds all axes up, with the squared errors; `own` has each
+ * translation of its own axis. `times`: how many parts there are, less those taken away. */
 typedef struct {
-    double moved[6], squares[6], bend[6], own[3], own_squares[3];
+    double moved[6], squares[6], bend[6], own[3], times;
     int states[3], state;
 } wb_composed;
 
@@ -174,7 +176,7 @@ void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], con
 int wb_cut_state(const wb_cut *cut, double moment);
 void wb_compose_start(const wb_composition *c, wb_composed *out);
 int wb_needs_axis(const double small[6], const double wrench[6], int axis);
-void wb_add_axis(const wb_composition *c, const wb_part *part, int axis, wb_composed *out);
+void wb_add_axis(const wb_part *part, int axis, wb_composed *out);
 void wb_add_moments(const wb_composition *c, const double small[6], const double wrench[6],
                     wb_composed *out);
 void wb_compose(const wb_composition *c, const double small[6], const double wrench[6],

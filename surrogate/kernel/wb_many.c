@@ -107,7 +107,7 @@ static void compose_run(const wb_composition *c, int axis, int bends, size_t fir
         wb_part part;
         size_t at = b->order[first + i].place;
         wb_axis_read(c, axis, b->inputs + 6 * at, &place[i], 0, bends, &part);
-        wb_add_axis(c, &part, axis, &b->composed[at]);
+        wb_add_axis(&part, axis, &b->composed[at]);
     }
 }
 
@@ -165,8 +165,7 @@ static void answer_block(const task *own, size_t start, size_t count, bench *b) 
     if (g->used && method == WB_KRIGING) k = &g->kriging;
     else if (axes && g->reference & WB_REF_KRIGING) k = &g->kriging;
     else if (axes && g->reference & WB_REF_MISSED) k = &g->missed;
-    if (axes)
-        compose_block(t, g, method == WB_TANGENT || g->reference & WB_REF_BENT, count, b);
+    if (axes) compose_block(t, g, method == WB_TANGENT, count, b);
     order_block(t, k, count, b);
     for (size_t i = 0; i < count; i++) {
         size_t place = b->order[i].place;

@@ -121,7 +121,10 @@ static void read_solver(reader *r) {
     s->stiffness = doubles(r, "solver/stiffness", 2, (int64_t)t->inputs, (int64_t)t->outputs);
     if (*r->bad) return;
     s->asks = flags[0], s->mesh_known = flags[1], s->linear = flags[2];
-    s->linearity_known = flags[3], s->whole = flags[4];
+    s->linearity_known = flags[3], s->whole = flags[4], s->none = 1;
+    for (int k = 0; k < t->outputs * t->inputs; k++) s->none &= s->mesh[k] == 0;
+    for (int q = 0; q < t->outputs; q++) s->none &= s->square[q] == 0;
+    s->none &= !s->asks;
 }
 
 static void read_fit(reader *r, wb_fit *fit) {
@@ -158,7 +161,7 @@ static void read_rows(reader *r, wb_rows *rows) {
 }
 
 static void read_cut(reader *r, wb_composition *c, int moment, int which) {
-    static const char *const PARTS[] = {"stations", "outputs", "bends", "rest", "spread", "state",
+    static const char *const PARTS[] = {"stations", "outputs", "bends", "stated", "unit", "state",
                                         "bucket", "start"};
     char name[8][32];
     wb_cut *cut = &c->cuts[moment][which];
@@ -174,8 +177,8 @@ static void read_cut(reader *r, wb_composition *c, int moment, int which) {
     cut->stations = doubles(r, name[0], 1, count ? count + 1 : (int64_t)0);
     cut->outputs = doubles(r, name[1], 3, count, (int64_t)2, (int64_t)6);
     cut->bends = doubles(r, name[2], 3, count, (int64_t)3, (int64_t)6);
-    cut->rest = doubles(r, name[3], 3, count, (int64_t)2, (int64_t)6);
-    cut->spread = doubles(r, name[4], 2, count, (int64_t)3);
+    cut->stated = doubles(r, name[3], 3, count, (int64_t)2, (int64_t)6);
+    cut->unit = doubles(r, name[4], 2, count, (int64_t)3);
     cut->state = ints(r, name[5], count);
     cut->bucket = doubles(r, name[6], 1, (int64_t)2);
     cut->start = read_start(r, name[7], count ? count + 1 : 0, &cut->buckets);
@@ -225,6 +228,7 @@ static void read_composition(reader *r, wb_composition *c, const wb_fit *fit) {
     c->simplex_first = ints(r, "axes/simplex_first", 4);
     c->point_first = ints(r, "axes/point_first", 4);
     c->fewest = ints(r, "axes/fewest", 3);
+    c->left_out = ints(r, "axes/left_out", 4);
     c->largest = doubles(r, "axes/largest", 1, (int64_t)4);
     c->rest_point = doubles(r, "axes/rest_point", 2, (int64_t)2, (int64_t)6);
     c->error = doubles(r, "axes/error", 3, (int64_t)3, (int64_t)2, (int64_t)6);
@@ -326,8 +330,8 @@ static void read_group(reader *r, wb_group *g, wb_share **share) {
     if ((g->has_missed = exists(r, "missed/x"))) read_kriging(r, "missed", &g->missed, share);
     within(r, "flags", flags, 1, 0, WB_METHODS);
     if (g->used && !g->has_composition && !g->has_kriging && !g->exact_fit) fail(r, "flags");
-    int composed = g->reference & (WB_REF_ADDITIVE | WB_REF_BENT);
-    if ((g->reference & WB_REF_KRIGING && !g->has_kriging) || (composed && !g->has_composition)
+    if ((g->reference & WB_REF_KRIGING && !g->has_kriging)
+        || (g->reference & WB_REF_ADDITIVE && !g->has_composition)
         || (g->reference & WB_REF_MISSED && !g->has_missed))
         fail(r, "flags");
 }

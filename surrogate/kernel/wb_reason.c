@@ -44,7 +44,7 @@ static look look_at(const wb_table *t, const wb_group *g, int axis, const double
         loads[k] = w[k];
         if (fabs(w[k]) > t->small[k]) loaded++, last = k;
     }
-    wb_compose(c, t->small, loads, 1, &seen.found);
+    wb_compose(c, t->small, loads, 0, &seen.found);
     seen.origin = c->ints[axis].dimension < 0 ? -1 : axis, seen.simplex = -1;
     if (loaded == 1 && last >= 3) seen.origin = axis_of_moment(c, last - 3, loads[last]);
     if (seen.origin >= 0 && loaded) {
@@ -57,16 +57,19 @@ static look look_at(const wb_table *t, const wb_group *g, int axis, const double
 
 static void why_weak(const wb_composition *c, int axis, int simplex, wb_reason *reason) {
     int points = c->point_first[axis + 1] - c->point_first[axis];
+    double part = volume_part(c, axis, simplex), most = c->largest[c->ints[axis].dimension];
     reason->axis = axis;
     if (points < c->fewest[axis]) {
         reason->code = WB_REASON_AXIS_FEW_ROWS;
         reason->value = points, reason->limit = c->fewest[axis];
+    } else if (c->state[simplex] != WB_DEGENERATE && !(part > most)) {
+        reason->code = WB_REASON_AXIS_ERRORS_UNKNOWN;
+        reason->value = c->left_out[axis], reason->limit = c->left_out[3];
     } else if (c->state[simplex] == WB_DEGENERATE) {
         reason->code = WB_REASON_AXIS_DEGENERATE;
     } else {
         reason->code = WB_REASON_AXIS_FAR_APART;
-        reason->value = volume_part(c, axis, simplex);
-        reason->limit = c->largest[c->ints[axis].dimension];
+        reason->value = part, reason->limit = most;
     }
 }
 
@@ -128,15 +131,12 @@ int wb_axis(const wb_table *t, const wb_options *o, int group, int axis, const d
         w[k] = t->locked[k] ? 0.0 : inputs[k] + 0.0;
     }
     const wb_composition *c = &g->composition;
-    wb_compose(c, t->small, w, 1, &all);
+    wb_compose(c, t->small, w, 0, &all);
     look seen = look_at(t, g, axis, w);
-    int additive = g->reference & WB_REF_ADDITIVE, state = all.states[axis];
+    int state = all.states[axis];
     for (int q = 0; q < 6; q++) {
-        int whole = additive || q > 2;
-        double bend = g->reference & WB_REF_BENT ? fabs(seen.found.bend[q]) : 0.0;
-        reply->outputs[q] = whole ? seen.found.moved[q] : seen.found.own[q];
-        reply->error[q] =
-            bend + sqrt(whole ? seen.found.squares[q] : seen.found.own_squares[q]);
+        reply->outputs[q] = seen.found.moved[q];
+        reply->error[q] = sqrt(seen.found.squares[q]);
     }
     reply->coverage = state >= WB_OFF_HULL ? WB_OUTSIDE : state > WB_SOUND ? WB_THIN : WB_COVERED;
     if (reply->coverage != WB_COVERED) why_axis(c, &seen, axis, state, w, &reply->reason);

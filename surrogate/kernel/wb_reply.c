@@ -4,6 +4,8 @@
 #include <math.h>
 #include <string.h>
 
+static double larger(double a, double b) { return a > b ? a : b; }
+
 static const wb_options OWN = {WB_DEFAULT, NULL};
 
 void wb_begin(const wb_table *t, const double *inputs, wb_reply *reply) {
@@ -92,6 +94,16 @@ static int lacking_of(const wb_table *t, const wb_options *o, wb_work *work,
     return 1;
 }
 
+/* No share of the solver's: measured rows, or rows whose solver's error is not known. */
+static void keep(const wb_table *t, wb_reply *reply) {
+    const wb_solver *s = &t->solver;
+    for (int q = 0; q < t->outputs; q++) {
+        reply->error[q] = reply->interpolation[q];
+        reply->discretisation[q] = s->mesh_known ? 0.0 : NAN;
+        reply->linearity[q] = !s->linear || s->linearity_known ? 0.0 : NAN;
+    }
+}
+
 /* `SolverError.widened`: what the solver of the rows may itself be wrong by. */
 static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     const wb_solver *s = &t->solver;
@@ -99,12 +111,12 @@ static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_repl
     int by_row = reply->method == WB_ROW && wb_is_beyond(t, reply->inputs);
     int asks = s->asks > 1 || (s->asks > 0 && by_row);
     int told = asks && lacking_of(t, o, work, reply, lacking);
-    for (int k = 0; k < t->inputs; k++) most = fmax(fabs(reply->inputs[k]) * s->one_over[k], most);
+    for (int k = 0; k < t->inputs; k++) most = larger(fabs(reply->inputs[k]) * s->one_over[k], most);
     for (int q = 0; q < t->outputs; q++) {
         double small = 0, more = s->square[q] * (most * most);
         for (int k = 0; k < t->inputs; k++)
             small += s->mesh[t->inputs * q + k] * fabs(reply->inputs[k]);
-        if (told) more = fmax(lacking[q] - small, 0);
+        if (told) more = larger(lacking[q] - small, 0);
         reply->error[q] = reply->interpolation[q] + small + more;
         if (!s->linear) small += more, more = 0;
         reply->discretisation[q] = s->mesh_known ? small : NAN;
@@ -141,7 +153,8 @@ static int beyond_limits(const wb_table *t, const double *outputs) {
 
 /* Add the solver's share; take an estimate away that no table could hold. */
 void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
-    widen(t, o, work, reply);
+    if (t->solver.none) keep(t, reply);
+    else widen(t, o, work, reply);
     if (reply->coverage != WB_COVERED && beyond_limits(t, reply->outputs)) {
         for (int q = 0; q < t->outputs; q++) {
             reply->outputs[q] = reply->error[q] = reply->interpolation[q] = NAN;
@@ -152,12 +165,6 @@ void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply
         reply->reason[place].code = WB_REASON_BEYOND_LIMITS;
         reply->reason[place].axis = reply->reason[place].index = -1;
     }
-    for (int q = 0; q < t->outputs; q++) {
-        reply->unknown += (isnan(reply->outputs[q]) != 0) + (isnan(reply->error[q]) != 0);
-        reply->unknown += (isnan(reply->interpolation[q]) != 0) + (isnan(reply->linearity[q]) != 0);
-        reply->unknown += isnan(reply->discretisation[q]) != 0;
-    }
-    reply->within = within(t, o, reply);
 }
 
 /* Whether all inputs are finite and each group has the method. */
@@ -169,11 +176,20 @@ int wb_check(const wb_table *t, const wb_options *o, const double *inputs) {
         const wb_group *g = &t->group[i];
         int method = wb_method_of(g, o);
         int exact = method == WB_LINEAR && g->exact_fit;
-        if (!g->used || method == WB_KRIGING || exact) continue;
+        int own = method == WB_KRIGING && g->reference & WB_REF_KRIGING;
+        if (!g->used || own || exact) continue;
         if (method <= WB_TANGENT && !g->has_composition) return WB_NO_METHOD;
         if (!g->reference || (method == WB_NEAREST && !g->near)) return WB_NO_METHOD;
     }
     return WB_OK;
+}
+
+static void count_unknown(const wb_table *t, wb_reply *reply) {
+    for (int q = 0; q < t->outputs; q++) {
+        reply->unknown += (isnan(reply->outputs[q]) != 0) + (isnan(reply->error[q]) != 0);
+        reply->unknown += (isnan(reply->interpolation[q]) != 0) + (isnan(reply->linearity[q]) != 0);
+        reply->unknown += isnan(reply->discretisation[q]) != 0;
+    }
 }
 
 int wb_answer(const wb_table *t, const wb_options *options, const double *inputs, wb_reply *reply,
@@ -189,6 +205,8 @@ int wb_answer(const wb_table *t, const wb_options *options, const double *inputs
         wb_merge(t, &t->group[i], &found, reply, &worst);
     }
     wb_conclude(t, o, &work, reply);
+    reply->within = within(t, o, reply);
+    count_unknown(t, reply);
     return WB_OK;
 }
 

@@ -71,7 +71,8 @@ enum {
     WB_REASON_OVER_TOLERANCE = 14,  /* index: output; value: interpolation error; limit */
     WB_REASON_NO_ERROR = 15,        /* no row shows how far off this answer may be */
     WB_REASON_ERRORS_UNKNOWN = 16,  /* value: sigma; limit: largest calibrated sigma */
-    WB_REASON_BEYOND_LIMITS = 17    /* an estimate beyond the table's limits is not given */
+    WB_REASON_BEYOND_LIMITS = 17,   /* an estimate beyond the table's limits is not given */
+    WB_REASON_AXIS_ERRORS_UNKNOWN = 18 /* axis; value: rows left out; limit: least of them */
 };
 
 typedef struct wb_table wb_table;

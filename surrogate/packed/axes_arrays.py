@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from ..bars.error_law import FEWEST
 from ..composition.axis_table import LARGEST, AxisTable
 from ..composition.composition import Composition
-from ..interpolation.walk import (
+from ..interpolation.numbering import (
     AXIS_FLOATS,
     AXIS_INTS,
     CELLS,
@@ -44,13 +45,14 @@ def axes_arrays(
     With p points, s simplices, f facets of hulls, of all axes one after another: ``simplex``
     (s, 16): four vertices and four neighbours as 32-bit integers, the slopes (3, 3) of the
     barycentric coordinates but the last, the place of the last vertex; ``state`` (s), how sound
-    it is; ``vertex`` (p, 16): place, its square, outputs, uncertainty; ``slopes`` (p, 6, 3) by the
+    it is; ``vertex`` (p, 16): place, nothing, outputs, uncertainty; ``slopes`` (p, 6, 3) by the
     scaled loads; ``grid``, where walks start; ``ints`` (3, 5) and ``floats`` (3, 22), the frames,
-    see `interpolation.walk`; ``facets`` (f, 4): vertices and the simplex behind;
+    see `interpolation.numbering`; ``facets`` (f, 4): vertices and the simplex behind;
     ``simplex_first``, ``point_first``, ``facet_first`` (4); ``fewest`` (3), points that an axis
     needs; ``largest`` (4), the largest part of the range of a simplex by dimension; ``span``
     (3, 3, 2), N and N·m; ``rest_point`` (2, 6), the answer at no load and its error; ``error``
-    (3, 2, 6), a and c of the error of interpolation; ``cutMK``, the answers to moment M alone by
+    (3, 2, 6), A and C of the error of interpolation; ``left_out`` (4), points left out an axis, and
+    how many are needed; ``cutMK``, the answers to moment M alone by
     the axis it comes first (K = 0) or second in; ``member_first`` (p + 1), ``members``, the rows
     behind each point. Outputs and errors are m and rad, scaled loads dimensionless.
     """
@@ -59,9 +61,12 @@ def axes_arrays(
     simplices = [0 if table is None else len(table.state) for table in tables]
     facets = [_facets(table) for table in tables]
     first_point, first_simplex = _first(points), _first(simplices)
-    yield "simplex", _joined(
-        [_simplices(*one) for one in zip(tables, first_point, first_simplex, strict=False)],
-        (0, SIMPLEX),
+    yield (
+        "simplex",
+        _joined(
+            [_simplices(*one) for one in zip(tables, first_point, first_simplex, strict=False)],
+            (0, SIMPLEX),
+        ),
     )
     states = [table.state[_order(table)[1]] for table in tables if table is not None]
     yield "state", _joined(states, (0,)).astype(np.uint8)
@@ -77,6 +82,8 @@ def axes_arrays(
     yield "facet_first", np.array(_first([len(facet) for facet in facets]), dtype=np.int32)
     yield from _frames(tables, first_simplex)
     yield "fewest", np.array([0 if table is None else table.fewest for table in tables], np.int32)
+    left_out = [0 if table is None else table.left_out.told for table in tables]
+    yield "left_out", np.array([*left_out, FEWEST], dtype=np.int32)
     yield "largest", np.array([LARGEST[dimension] for dimension in range(4)])
     yield "span", np.array([_span(table) for table in tables])
     yield "rest_point", np.stack((composition.at_rest.displacement, composition.at_rest.bar))
@@ -120,13 +127,15 @@ def _vertices(table: AxisTable | None) -> Floats | None:
         return None
     order = table.triangulation.numbered.point_order
     place = table.triangulation.points[order]
-    square = (place**2).sum(axis=1, keepdims=True)
-    return np.concatenate((place, square, table.values[order], table.rest[order]), axis=1)
+    unused = np.zeros((len(order), 1))
+    return np.concatenate((place, unused, table.values[order], table.uncertainty[order]), axis=1)
 
 
 def _error(table: AxisTable | None) -> Floats:
-    """Return a and c of the squared error of interpolation, a + c S^2, shape (2, 6)."""
-    return np.zeros((2, 6))
+    """Return A and C of the error of interpolation, sqrt(A + C S^2), shape (2, 6), m² and rad²."""
+    if table is None:
+        return np.full((2, 6), np.nan)
+    return np.stack((table.noise_variance, table.curvature_variance))
 
 
 def _facets(table: AxisTable | None) -> NDArray[np.intp]:
@@ -205,8 +214,8 @@ def _cuts(composition: Composition) -> Iterator[tuple[str, Array]]:
             yield f"{name}/stations", cut.stations if count else np.empty(0)
             yield f"{name}/outputs", cut.pieces[:, :2].reshape(count, 2, 6)
             yield f"{name}/bends", cut.pieces[:, 2:].reshape(count, 3, 6)
-            yield f"{name}/rest", cut.rest.reshape(count, 2, 6)
-            yield f"{name}/spread", np.zeros((count, 3))
+            yield f"{name}/stated", cut.stated.reshape(count, 2, 6)
+            yield f"{name}/unit", cut.unit_errors.reshape(count, 3)
             bucket, start = buckets_of(cut.stations if count else np.empty(0))
             yield f"{name}/bucket", bucket
             yield f"{name}/start", start

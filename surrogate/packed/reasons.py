@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-
 from .format import Packed
 
 EMPTY = "the table has no rows"
@@ -26,9 +25,7 @@ UNKNOWN_SIZE = (
     "error, or bars miss too many of them; solve or import more rows"
 )
 UNKNOWN_ERROR = "no row tells how far this answer may be wrong"
-LEAVES_LIMITS = (
-    "the estimate leaves what tables may hold, 20 degrees and 10 m, and is not given"
-)
+LEAVES_LIMITS = "the estimate leaves what tables may hold, 20 degrees and 10 m, and is not given"
 ERRORS_UNKNOWN = (
     "errors are not known this far from the rows: sigma is {value:.2g} of the response's own "
     "deviation, and rows left out show errors up to {limit:.2g}; solve or import rows around here"
@@ -36,12 +33,12 @@ ERRORS_UNKNOWN = (
 
 
 class Reason(NamedTuple):
-    """A reason as the kernel gives it: see surrogate/kernel/wrenchbook.h, `wb_reason`."""
+    """A reason as the kernel gives it: `wb_reason` of wrenchbook.h, whose `index` is `place`."""
 
     code: int
     group: int
     axis: int
-    index: int
+    place: int
     value: float
     limit: float
 
@@ -70,14 +67,14 @@ def _amount(packed: Packed, index: int, value: float) -> str:
 
 
 def _beyond(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    low, high = packed.arrays["space/range"][:, reason.index].tolist()
-    unit = _name(packed, reason.index)[1]
-    amount = _amount(packed, reason.index, reason.value)
+    low, high = packed.arrays["space/range"][:, reason.place].tolist()
+    unit = _name(packed, reason.place)[1]
+    amount = _amount(packed, reason.place, reason.value)
     return f"{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}"
 
 
 def _unknown_load(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    return f"no row tells the influence of {_name(packed, reason.index)[0]}"
+    return f"no row tells the influence of {_name(packed, reason.place)[0]}"
 
 
 def _axis_inputs(axis: int) -> tuple[int, int, int]:
@@ -137,9 +134,18 @@ def _far_apart(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     )
 
 
+def _left_out(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    first = packed.arrays[f"g{reason.group}/axes/point_first"]
+    points = int(first[reason.axis + 1] - first[reason.axis])
+    return (
+        f"axis {'xyz'[reason.axis]}: {int(reason.value)} of its {points} rows can be left out and "
+        f"lie between the others, at least {int(reason.limit)} are needed to tell the error"
+    )
+
+
 def _moment_alone(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     return (
-        f"axis {'xyz'[reason.axis]}: {_amount(packed, reason.index, reason.value)} alone, from "
+        f"axis {'xyz'[reason.axis]}: {_amount(packed, reason.place, reason.value)} alone, from "
         "which the composition counts, lies outside the rows"
     )
 
@@ -153,7 +159,7 @@ def _together(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
 
 
 def _over(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    output = packed.words["space"]["outputs"][reason.index]
+    output = packed.words["space"]["outputs"][reason.place]
     unit = output["unit"]
     axis = "" if reason.axis < 0 else f"axis {'xyz'[reason.axis]}: "
     return (
@@ -184,8 +190,13 @@ _WORDS: dict[int, Maker] = {
     15: _fixed(UNKNOWN_ERROR),
     16: _errors_unknown,
     17: _fixed(LEAVES_LIMITS),
+    18: _left_out,
 }
 """By code: WB_REASON_... of surrogate/kernel/wrenchbook.h."""
+
+
+FIXED = frozenset({1, 2, 11, 12, 13, 15, 17})
+"""Codes whose words are the same for every wrench, but for the numbers of the reason itself."""
 
 
 def unmeasured_text(missing: int, packed: Packed) -> str:
@@ -193,5 +204,3 @@ def unmeasured_text(missing: int, packed: Packed) -> str:
     names = [one["name"] for one in packed.words["space"]["outputs"]]
     found = [name for bit, name in enumerate(names) if missing >> bit & 1]
     return f"not measured in any row: {', '.join(found)}" if found else ""
-
-

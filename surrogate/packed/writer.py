@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..answer import METHODS as BUILT
 from ..build import AnyTable
 from ..describe.explain import linear_rows
 from ..kriging import Kriging
-from ..methods.reference import BENDS, BentReference, KrigingReference
+from ..methods.reference import AxesReference, KrigingReference
 from ..methods.selection import ENOUGH_FULL
 from ..missing_outputs import MissingOutputs
 from ..surrogate import Surrogate
@@ -34,7 +33,7 @@ ROTATION_LIMIT = math.radians(20.0)  # rad: the small-deformation contract ends 
 ROUNDED = 1 + 1e-12  # the last bits of a conversion from degrees must not refuse 20 degrees
 
 # Bits of a group's reference: WB_REF_... of surrogate/kernel/wb_internal.h.
-_ADDITIVE, _BENT, _MISSED, _KRIGING = 1, 2, 4, 8
+_ADDITIVE, _MISSED, _KRIGING = 1, 2, 4
 
 Array = NDArray[np.generic]
 
@@ -121,9 +120,11 @@ def _space_words() -> dict[str, Any]:
 def _space_arrays(
     table: AnyTable, groups: int, locked: Sequence[int]
 ) -> Iterator[tuple[str, Array]]:
-    """Yield the space: ``sizes`` (n, m, g), ``range`` and ``ends`` (2, n), ``scale`` and ``small``
-    (n), N and N·m; ``locked`` (n); ``tolerance`` (m), NaN where there is none; ``limit`` (m), and
-    ``vector_limit`` of the length of three outputs from ``vector_first``: m and rad.
+    """Yield what is the same for all outputs.
+
+    ``sizes`` (n, m, g); ``range`` and ``ends`` (2, n), ``scale`` and ``small`` (n), N and N·m;
+    ``locked`` (n); ``tolerance`` (m), NaN where there is none; ``limit`` (m), and ``vector_limit``
+    of the length of three outputs from ``vector_first``: m and rad.
     """
     span = table.load_range
     yield "space/sizes", np.array([6, 6, groups], dtype=np.int32)
@@ -145,10 +146,12 @@ def _six(tolerance: Tolerance | None) -> Floats:
 
 
 def _solver_arrays(table: AnyTable) -> Iterator[tuple[str, Array]]:
-    """Yield the solver's share: ``mesh`` (m, n), ``square`` (m), ``one_over`` (n), ``stiffness``
-    (n, m), SI, see `SolverError.packed`; ``flags``: when an answer's tangent is needed, whether the
-    discretisation error is known, whether the component is linear, whether its linearity is known,
-    whether all parts of the error are known.
+    """Yield the solver's share of errors.
+
+    ``mesh`` (m, n), ``square`` (m), ``one_over`` (n), ``stiffness`` (n, m), SI, see
+    `SolverError.packed`; ``flags``: when an answer's tangent is needed, whether the discretisation
+    error is known, whether the component is linear, whether its linearity is known, whether all
+    parts of the error are known.
     """
     error = table.solver_error
     matrix, square, one_over = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
@@ -191,11 +194,13 @@ class _Sources:
 def _group_arrays(
     outputs: tuple[int, ...], group: Surrogate, sources: _Sources
 ) -> Iterator[tuple[str, Array]]:
-    """Yield one group of outputs: ``outputs`` (m), which; ``flags``: the default method, the bits
-    of its reference, whether rows show interaction, whether the answer at no load is unknown,
-    whether the size of errors is known, whether the fit is exact, whether there are rows to answer
-    from, full wrenches, full wrenches needed; ``allowed`` (methods, m), the largest interpolation
-    error of a covered answer, m and rad; ``near``, the used rows: scaled loads and outputs.
+    """Yield what answers one group of outputs.
+
+    ``outputs`` (m), which; ``flags``: the default method, the bits of its reference, whether rows
+    show interaction, whether the answer at no load is unknown, whether the size of errors is known,
+    whether the fit is exact, whether there are rows to answer from, full wrenches, full wrenches
+    needed; ``allowed`` (methods, m), the largest interpolation error of a covered answer, m and
+    rad; ``near``, the used rows: scaled loads and outputs.
     """
     used = len(group.used) > 0
     exact = group.linear and group.fit.complete
@@ -207,7 +212,7 @@ def _group_arrays(
     ]
     yield "flags", np.array(flags, dtype=np.int32)
     yield "outputs", np.isin(np.arange(6), outputs).astype(np.int32)
-    allowed = [group.allowed.of(method if method in BUILT else "", None) for method in METHODS]
+    allowed = [group.allowed.of(method, None) for method in METHODS]
     yield "allowed", np.array(allowed, dtype=float)
     yield "near/wrench", group.used.wrench / group.load_range.scale
     yield "near/moved", group.used.displacement
@@ -230,14 +235,14 @@ def _group_arrays(
 def _reference(group: Surrogate, exact: bool) -> tuple[int, Kriging | None]:
     """Return the bits of what errors are measured against, and the kriging of what axes miss."""
     if exact:  # its default needs no reference: none is built
-        return _BENT, None
+        return _ADDITIVE, None
     reference = group.reference
     if isinstance(reference, KrigingReference):
         return _KRIGING, None
-    assert isinstance(reference, BentReference)
-    if reference.mode == BENDS:
-        return _BENT, None
-    return _BENT | _MISSED, reference.interaction
+    assert isinstance(reference, AxesReference)
+    if reference.interaction is None:
+        return _ADDITIVE, None
+    return _ADDITIVE | _MISSED, reference.interaction
 
 
 def _row_arrays(group: Surrogate, sources: _Sources) -> Iterator[tuple[str, Array]]:
