@@ -49,11 +49,7 @@ def explain_linear(
     The rows are those the compliance comes from; the error bars are those of the whole answer.
     The wrench has shape (6,), N and N·m.
     """
-    stored = np.isfinite(rows.compliance).all(axis=(1, 2))
-    places = range(len(rows))
-    if fit.origin == "stored":
-        places = np.flatnonzero(stored).tolist()
-    used = sorted(row for place in places for row in members[place])
+    used = linear_rows(fit, rows, members)
     parts = []
     for axis in AXES:
         moved = fit.matrix @ np.where(np.isin(np.arange(6), axis.inputs), wrench, 0.0)
@@ -63,6 +59,14 @@ def explain_linear(
             | {"coverage": answer.coverage, "reason": answer.reason, "rows": used}
         )
     return parts
+
+
+def linear_rows(fit: ComplianceFit, rows: Rows, members: Sequence[tuple[int, ...]]) -> list[int]:
+    """Return the numbers of the rows that a compliance comes from."""
+    places = range(len(rows))
+    if fit.origin == "stored":
+        places = np.flatnonzero(np.isfinite(rows.compliance).all(axis=(1, 2))).tolist()
+    return sorted(row for place in places for row in members[place])
 
 
 def _axis(

@@ -1,0 +1,267 @@
+"""A packed table in Python: the kernel by ctypes, with numpy and the standard library only.
+
+A single answer keeps the interpreter (it takes microseconds); batches release it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..packed.codes import COVERAGE
+from ..packed.format import Packed, PackedTableError, map_file, read
+from ..packed.reasons import Reason, text_of
+from .library import Work, kernel
+from .replies import AXIS, NO_METHOD, AxisPart, Floats, Reader, Replies, Reply, mistake
+
+_WHY = 512  # bytes of a reason why a table cannot be opened
+
+
+class PackedTable:
+    """A packed table; any number of threads may use one.
+
+    `open` and `from_bytes` make one.
+
+    Attributes
+    ----------
+    inputs, outputs : int
+        How many there are: n and m.
+    words : dict
+        The table's JSON block: contract, space, interface, groups, sources, provenance.
+    arrays : dict of str to ndarray
+        Read-only views of the mapped file.
+    """
+
+    def __init__(self, handle: int, packed: Packed, kept: object = None) -> None:
+        """Take an open handle, the file's views, and what must outlive the handle."""
+        self._handle, self._packed, self._kept = handle, packed, kept
+        self.arrays, self.words = packed
+        library = kernel().held
+        self._answer = library.wb_answer
+        self.inputs, self.outputs = library.wb_inputs(handle), library.wb_outputs(handle)
+        self._scratch = library.wb_scratch(handle)
+        self._read = Reader(packed, self.inputs, self.outputs).read
+        self._idle: list[Work] = []  # its pop and append are atomic
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> PackedTable:
+        """Map the file of a packed table, after its checksum.
+
+        Raises
+        ------
+        PackedTableError
+            If it cannot be opened, is no packed table, damaged, or of another format.
+        """
+        why = ctypes.create_string_buffer(_WHY)
+        handle = kernel().free.wb_open(os.fsencode(Path(path)), why, _WHY)
+        if not handle:
+            raise PackedTableError(f"{path}: {why.value.decode(errors='replace')}")
+        return cls(handle, map_file(path, checked=True))
+
+    @classmethod
+    def from_bytes(cls, content: bytes) -> PackedTable:
+        """Open the bytes of a packed table.
+
+        Raises
+        ------
+        PackedTableError
+            As `open`.
+        """
+        kept = np.empty(len(content) // 8 + 1, dtype=np.float64)  # which aligns them
+        kept.view(np.uint8)[: len(content)] = np.frombuffer(content, dtype=np.uint8)
+        packed = read(kept.data.cast("B")[: len(content)])
+        why = ctypes.create_string_buffer(_WHY)
+        handle = kernel().free.wb_open_bytes(kept.ctypes.data, len(content), why, _WHY)
+        if not handle:
+            raise PackedTableError(why.value.decode(errors="replace"))
+        return cls(handle, packed, kept)
+
+    def answer(
+        self,
+        wrench: Sequence[float],
+        tolerance: Sequence[float] | None = None,
+        method: str | None = None,
+    ) -> Reply:
+        """Answer one wrench of n finite floats, N and N·m.
+
+        Parameters
+        ----------
+        tolerance
+            The largest error of each output, m and rad; the component's own without.
+        method
+            One of `METHODS`; the component's own without.
+
+        Raises
+        ------
+        UnknownMethodError
+            If the table does not have the method.
+        ValueError
+            If a number is not finite, or there are not n.
+        """
+        work = self._work()
+        work.fill(wrench)
+        options = work.options(tolerance, method)
+        inputs, reply, scratch = work.at
+        wrong = self._answer(self._handle, options, inputs, reply, scratch)
+        if wrong:
+            raise mistake(wrong, method)
+        found = self._read(work.reply)
+        self._idle.append(work)
+        return found
+
+    def batch(
+        self,
+        wrenches: ArrayLike,
+        tolerance: Sequence[float] | None = None,
+        method: str | None = None,
+        threads: int = 1,
+    ) -> Replies:
+        """Answer many wrenches, shape (k, n), N and N·m, with the numbers of `answer`.
+
+        The number of threads changes none of them. Parameters and errors are those of `answer`.
+        """
+        asked = self._many(wrenches)
+        out = np.empty((len(asked), self.outputs)), np.empty((len(asked), self.outputs))
+        coverage = np.empty(len(asked), dtype=np.uint8)
+        work = self._work()
+        wrong = kernel().free.wb_answer_many(
+            *(self._handle, work.options(tolerance, method), len(asked), asked.ctypes.data),
+            *(out[0].ctypes.data, out[1].ctypes.data, coverage.ctypes.data, threads),
+        )
+        self._idle.append(work)
+        if wrong:
+            raise mistake(wrong, method)
+        return Replies(*out, coverage)
+
+    def derivative(
+        self,
+        wrench: Sequence[float],
+        tolerance: Sequence[float] | None = None,
+        method: str | None = None,
+    ) -> Floats:
+        """Return du/dw (m, n), SI, of the answer to one wrench; NaN where it is not known."""
+        return self.derivatives(np.asarray(wrench, dtype=float)[None], tolerance, method)[0]
+
+    def derivatives(
+        self,
+        wrenches: ArrayLike,
+        tolerance: Sequence[float] | None = None,
+        method: str | None = None,
+        threads: int = 1,
+    ) -> Floats:
+        """Return du/dw (k, m, n), SI, of the answers to wrenches (k, n).
+
+        That of the method's interpolant, or the tangent of the row that answers. Parameters and
+        errors are those of `batch`.
+        """
+        asked = self._many(wrenches)
+        found = np.empty((len(asked), self.outputs, self.inputs))
+        work = self._work()
+        wrong = kernel().free.wb_derivative_many(
+            *(self._handle, work.options(tolerance, method), len(asked)),
+            *(asked.ctypes.data, found.ctypes.data, threads),
+        )
+        self._idle.append(work)
+        if wrong:
+            raise mistake(wrong, method)
+        return found
+
+    def inverse(
+        self,
+        outputs: ArrayLike,
+        start: ArrayLike | None = None,
+        method: str | None = None,
+    ) -> tuple[Floats, Floats]:
+        """Return the wrench (n,) of a displacement (m,), m and rad, and the stiffness (n, m) there.
+
+        Parameters
+        ----------
+        start
+            Where Newton's method starts, shape (n,), N and N·m; no load without.
+
+        Raises
+        ------
+        InverseError
+            If no wrench has that displacement, or the derivative has no inverse.
+        """
+        target = np.ascontiguousarray(outputs, dtype=float)
+        found = np.zeros(self.inputs) if start is None else np.array(start, dtype=float)
+        if target.shape != (self.outputs,) or found.shape != (self.inputs,):
+            raise ValueError(f"a displacement of {self.outputs} and a wrench of {self.inputs}")
+        stiffness = np.empty((self.inputs, self.outputs))
+        work = self._work()
+        wrong = kernel().held.wb_inverse(
+            *(self._handle, work.options(None, method), target.ctypes.data),
+            *(found.ctypes.data, stiffness.ctypes.data, work.at[2]),
+        )
+        self._idle.append(work)
+        if wrong:
+            raise mistake(wrong, method)
+        return found, stiffness
+
+    def axis(
+        self,
+        group: int,
+        axis: int,
+        wrench: Sequence[float],
+        tolerance: Sequence[float] | None = None,
+    ) -> AxisPart | None:
+        """Return what axis 0, 1 or 2 contributes to the answer of a group of outputs.
+
+        None where the group has no rows to compose from. The wrench has n loads, N and N·m.
+        """
+        reply = ctypes.create_string_buffer(AXIS.size)
+        work = self._work()
+        work.fill(wrench)
+        wrong = kernel().held.wb_axis(
+            *(self._handle, work.options(tolerance, None), group, axis),
+            *(work.at[0], ctypes.addressof(reply)),
+        )
+        self._idle.append(work)
+        if wrong == NO_METHOD:
+            return None
+        if wrong:
+            raise mistake(wrong, None)
+        found = AXIS.unpack_from(reply)
+        reasons = [Reason(*found[20:])._replace(group=group)] if found[7] else []
+        locked = self.arrays["space/locked"].tolist()
+        acting = [0.0 if idle else load for load, idle in zip(wrench, locked, strict=True)]
+        return AxisPart(
+            outputs=found[8:14],
+            error=found[14:20],
+            coverage=COVERAGE[found[0]],
+            reason=text_of(reasons, acting, self._packed),
+            origin=found[1],
+            corners=found[3 : 3 + found[2]],
+        )
+
+    def close(self) -> None:
+        """Unmap the table; it must not be used after that, nor by another thread meanwhile."""
+        handle, self._handle = self._handle, 0
+        if handle:
+            self._answer = _closed
+            kernel().held.wb_close(handle)
+
+    def __del__(self) -> None:
+        """Unmap the table once nobody uses it."""
+        if getattr(self, "_handle", 0):
+            self.close()
+
+    def _work(self) -> Work:
+        """Return buffers that nobody else uses now; they are appended to `_idle` after that."""
+        try:
+            return self._idle.pop()
+        except IndexError:
+            return Work(self.inputs, self.outputs, self._scratch)
+
+    def _many(self, wrenches: ArrayLike) -> Floats:
+        return np.ascontiguousarray(wrenches, dtype=float).reshape(-1, self.inputs)
+
+
+def _closed(*_: object) -> int:
+    raise ValueError("the packed table is closed")

@@ -1,0 +1,146 @@
+"""Compile the kernel: by the machine's C compiler, else by the `ziglang` wheel.
+
+Only the standard library is needed, since the wheel's build hook runs this file by itself.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+FOLDER = Path(__file__).resolve().parent
+COMPILERS = ("cc", "gcc", "clang")
+# No contraction of products and sums, and no processor by name: every machine gives the same bits.
+# Without errno and traps roots and comparisons become vectors; `#pragma omp simd` needs no library.
+FLAGS = (
+    *("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
+    *("-fopenmp-simd", "-fvisibility=hidden", "-DWB_SHARED"),
+)
+COMPILE_S = 300.0  # it takes 3 s; the first run of ziglang compiles its own C library too
+# Platform tags of wheels, and the target that ziglang compiles each for.
+PLATFORMS = {
+    "manylinux_2_28_x86_64": "x86_64-linux-gnu.2.28",
+    "manylinux_2_28_aarch64": "aarch64-linux-gnu.2.28",
+    "macosx_11_0_x86_64": "x86_64-macos.11.0",
+    "macosx_11_0_arm64": "aarch64-macos.11.0",
+    "win_amd64": "x86_64-windows-gnu",
+}
+NO_COMPILER = (
+    "wrenchbook's kernel is not compiled and there is no C compiler: install one (Debian package "
+    "gcc, or `pip install ziglang`), then run `python -m surrogate.kernel.build` in the checkout"
+)
+
+
+class KernelBuildError(RuntimeError):
+    """A kernel that could not be compiled; the text says why and what to do."""
+
+
+def library_path(system: str = sys.platform) -> Path:
+    """Return where the library of a system, as `sys.platform` has it, lies."""
+    ending = {"win32": ".dll", "darwin": ".dylib"}.get(system, ".so")
+    return FOLDER / f"_wrenchbook{ending}"
+
+
+def sources() -> list[Path]:
+    """Return the C sources and headers."""
+    return sorted([*FOLDER.glob("wb_*.[ch]"), FOLDER / "wrenchbook.h"])
+
+
+def sources_hash() -> str:
+    """Return a hash of the sources and the flags, which the library has compiled in."""
+    digest = hashlib.blake2b(repr(FLAGS).encode(), digest_size=16)
+    for path in sources():
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+def is_current(library: Path) -> bool:
+    """Return whether a library was compiled from the sources as they are."""
+    return library.is_file() and f"wb:{sources_hash()}".encode() in library.read_bytes()
+
+
+def ready_library() -> Path:
+    """Return the library, compiled anew if it is not that of the sources.
+
+    Raises
+    ------
+    KernelBuildError
+        If it is not, and cannot be compiled.
+    """
+    library = library_path()
+    if not is_current(library):
+        compile_library(library)
+    return library
+
+
+def compiler_command(target: str | None = None) -> list[str]:
+    """Return the command of the C compiler: `CC` of the environment, one of `COMPILERS`, ziglang.
+
+    Parameters
+    ----------
+    target
+        What ziglang is to compile for; None for this machine.
+
+    Raises
+    ------
+    KernelBuildError
+        If there is none.
+    """
+    if target is None:
+        named = os.environ.get("CC", "").split()
+        if named and shutil.which(named[0]):
+            return named
+        found = next(filter(None, map(shutil.which, COMPILERS)), None)
+        if found is not None:
+            return [found]
+    if importlib.util.find_spec("ziglang") is None:
+        raise KernelBuildError(NO_COMPILER)
+    zig = [sys.executable, "-m", "ziglang", "cc"]
+    return zig if target is None else [*zig, "-target", target]
+
+
+def compile_library(library: Path, target: str | None = None) -> None:
+    """Compile the kernel to a file that is complete or not there.
+
+    Raises
+    ------
+    KernelBuildError
+        If there is no compiler, or it fails.
+    """
+    command = compiler_command(target)
+    windows = "windows" in target if target else sys.platform == "win32"
+    more = [] if windows else ["-fPIC", "-lm", "-lpthread"]
+    files = [str(path) for path in sources() if path.suffix == ".c"]
+    try:
+        folder = tempfile.mkdtemp(prefix=".kernel-", dir=library.parent)
+    except OSError as error:
+        raise KernelBuildError(
+            f"wrenchbook's kernel {library.name} does not fit this installation and "
+            f"{library.parent} cannot be written: reinstall wrenchbook ({error})"
+        ) from error
+    made = Path(folder) / library.name
+    name = f'-DWB_SOURCES="wb:{sources_hash()}"'
+    whole = [*command, *FLAGS, name, "-shared", "-o", str(made), *files, *more]
+    try:
+        ran = subprocess.run(whole, capture_output=True, text=True, timeout=COMPILE_S, check=False)
+        if ran.returncode or not made.is_file():
+            raise KernelBuildError(
+                f"{command[0]} could not compile wrenchbook's kernel; name another compiler with "
+                f"CC=...\n{ran.stderr.strip()[-2000:]}"
+            )
+        made.replace(library)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise KernelBuildError(f"{command[0]} could not compile the kernel: {error}") from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    compile_library(library_path())
+    print(library_path())

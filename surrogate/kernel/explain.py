@@ -1,0 +1,104 @@
+"""What each axis contributes to an answer of a packed table, as JSON-able values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from .binding import PackedTable
+
+_AXES = tuple((axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3) for axis in range(3))
+
+
+def explain(
+    table: PackedTable,
+    wrench: Sequence[float],
+    tolerance: Sequence[float] | None = None,
+    method: str | None = None,
+) -> list[dict[str, Any]]:
+    """Return per group of outputs and axis what its three loads contribute, and from which rows.
+
+    Parameters are those of `PackedTable.answer`; loads are N and N·m, outputs m and rad.
+
+    Returns
+    -------
+    list of dict
+        ``axis``, ``inputs``, ``outputs``, ``error``, ``coverage``, ``reason`` and ``rows``, the
+        numbers of the rows used. They are the compliance's if that answers, the axes' otherwise.
+    """
+    own = table.arrays["space/tolerance"].tolist()
+    limit = tolerance or (None if any(map(math.isnan, own)) else own)
+    found = []
+    for number, group in enumerate(table.words["groups"]):
+        if (method or group["method"]) == "linear" and table.arrays[f"g{number}/near/moved"].size:
+            parts = _linear(table, number, wrench, tolerance)
+        else:
+            parts = [_axis(table, number, axis, wrench, limit) for axis in range(3)]
+        found += [part for part in parts if part is not None and part["outputs"]]
+    return found
+
+
+def _named(
+    table: PackedTable, group: int, axis: int, values: Sequence[float]
+) -> dict[str, float] | None:
+    """Return an axis' own outputs of a group by name; None where one is not known."""
+    held = table.words["groups"][group]["outputs"]
+    names = [one["name"] for one in table.words["space"]["outputs"]]
+    own = {names[output]: values[output] for output in (axis, 3, 4, 5)}
+    if any(map(math.isnan, own.values())):
+        return None
+    return {name: value for name, value in own.items() if name in held}
+
+
+def _inputs(table: PackedTable, axis: int, wrench: Sequence[float]) -> dict[str, float]:
+    names = [one["name"] for one in table.words["space"]["inputs"]]
+    return {names[load]: float(wrench[load]) for load in _AXES[axis]}
+
+
+def _axis(
+    table: PackedTable,
+    group: int,
+    axis: int,
+    wrench: Sequence[float],
+    tolerance: Sequence[float] | None,
+) -> dict[str, Any] | None:
+    part = table.axis(group, axis, wrench, tolerance)
+    if part is None:
+        return None
+    rows: set[int] = set()
+    for corner in part.corners:
+        first, last = table.arrays[f"g{group}/axes/member_first"][corner : corner + 2].tolist()
+        rows.update(table.arrays[f"g{group}/axes/members"][first:last].tolist())
+    return {
+        "axis": "xyz"[axis],
+        "inputs": _inputs(table, axis, wrench),
+        "outputs": _named(table, group, axis, part.outputs),
+        "error": _named(table, group, axis, part.error),
+        "coverage": part.coverage,
+        "reason": part.reason,
+        "rows": sorted(rows),
+    }
+
+
+def _linear(
+    table: PackedTable, group: int, wrench: Sequence[float], tolerance: Sequence[float] | None
+) -> list[dict[str, Any]]:
+    answer = table.answer(wrench, tolerance, "linear")
+    matrix = table.arrays[f"g{group}/fit/matrix"]
+    error = answer.interpolation or (math.nan,) * table.outputs
+    unknown = [math.nan if one is None else one for one in error]
+    parts = []
+    for axis, loads in enumerate(_AXES):
+        moved = (matrix[:, loads] @ [wrench[load] for load in loads]).tolist()
+        part = {
+            "axis": "xyz"[axis],
+            "inputs": _inputs(table, axis, wrench),
+            "outputs": _named(table, group, axis, moved),
+            "error": _named(table, group, axis, unknown),
+            "coverage": answer.coverage,
+            "reason": answer.reason,
+            "rows": table.arrays[f"g{group}/fit/rows"].tolist(),
+        }
+        parts.append(part)
+    return parts

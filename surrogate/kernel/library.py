@@ -1,0 +1,107 @@
+"""The compiled kernel, loaded by ctypes once a process."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from collections.abc import Sequence
+from functools import cache
+from typing import NamedTuple
+
+from .build import ready_library
+from .replies import REPLY_SIZE, method_code
+
+
+class Kernel(NamedTuple):
+    """The library: `held` keeps the interpreter during a call, `free` releases it."""
+
+    held: ctypes.PyDLL
+    free: ctypes.CDLL
+
+
+@cache
+def kernel() -> Kernel:
+    """Return the library, compiled first where it is not that of its sources.
+
+    Raises
+    ------
+    KernelBuildError
+        If it is not there and cannot be compiled.
+    """
+    path = str(ready_library())
+    found = Kernel(ctypes.PyDLL(path), ctypes.CDLL(path))
+    address, size, whole = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
+    forms = {
+        "wb_open": (address, [ctypes.c_char_p, address, size]),
+        "wb_open_bytes": (address, [address, size, address, size]),
+        "wb_close": (None, [address]),
+        "wb_inputs": (whole, [address]),
+        "wb_outputs": (whole, [address]),
+        "wb_scratch": (size, [address]),
+        "wb_answer": (whole, [address] * 5),
+        "wb_answer_many": (whole, [address, address, size, *[address] * 4, whole]),
+        "wb_derivative_many": (whole, [address, address, size, address, address, whole]),
+        "wb_inverse": (whole, [address] * 6),
+        "wb_axis": (whole, [address, address, whole, whole, address, address]),
+    }
+    for library in found:
+        for name, (result, arguments) in forms.items():
+            function = getattr(library, name)
+            function.restype, function.argtypes = result, arguments
+    return found
+
+
+class _Options(ctypes.Structure):
+    _fields_ = (("method", ctypes.c_int), ("tolerance", ctypes.c_void_p))
+
+
+class Work:
+    """The buffers of one answer: inputs, options, reply and scratch.
+
+    Attributes
+    ----------
+    at : tuple of int
+        Addresses of inputs, reply and scratch.
+    """
+
+    def __init__(self, inputs: int, outputs: int, scratch: int) -> None:
+        self.inputs = (ctypes.c_double * inputs)()
+        self.tolerance = (ctypes.c_double * outputs)()
+        self.reply = ctypes.create_string_buffer(REPLY_SIZE)
+        self.scratch = (ctypes.c_double * (scratch // 8 + 1))()
+        self._options = _Options(-1, None)
+        self._pack = struct.Struct(f"={inputs}d").pack_into
+        self.at = tuple(map(ctypes.addressof, (self.inputs, self.reply, self.scratch)))
+
+    def fill(self, wrench: Sequence[float]) -> None:
+        """Take the n loads of a wrench, N and N·m.
+
+        Raises
+        ------
+        ValueError
+            If they are not n numbers.
+        """
+        try:
+            self._pack(self.inputs, 0, *wrench)
+        except struct.error as error:
+            raise ValueError(f"a wrench of {len(self.inputs)} numbers: {error}") from error
+
+    def options(self, tolerance: Sequence[float] | None, method: str | None) -> int | None:
+        """Take the options of a request and return their address, None for the component's own.
+
+        The tolerance has m numbers, m and rad.
+
+        Raises
+        ------
+        UnknownMethodError
+            If there is no such method.
+        ValueError
+            If the tolerance has not m numbers.
+        """
+        if tolerance is None and method is None:
+            return None
+        self._options.method, self._options.tolerance = method_code(method), None
+        if tolerance is not None:
+            self.tolerance[:] = tuple(map(float, tolerance))
+            self._options.tolerance = ctypes.addressof(self.tolerance)
+        return ctypes.addressof(self._options)

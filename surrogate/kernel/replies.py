@@ -1,0 +1,241 @@
+"""What the kernel replies, as Python reads it from wrenchbook.h's structs."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..answer import UnknownMethodError
+from ..packed.codes import ANSWERED, COVERAGE, METHODS
+from ..packed.format import Packed
+from ..packed.reasons import FIXED, Reason, text_of, unmeasured_text
+
+Buffer = ctypes.Array[ctypes.c_char]
+
+Floats = NDArray[np.float64]
+
+MOST, MOST_REASONS = 64, 16  # WB_MOST and WB_MOST_REASONS of wrenchbook.h
+FIELDS = 6  # of MOST doubles each: inputs, outputs, total error and its three parts
+HEAD, REASON = struct.Struct("=8i2qQ"), struct.Struct("=4i2d")
+REASONS_AT = HEAD.size + FIELDS * MOST * 8
+REPLY_SIZE = REASONS_AT + MOST_REASONS * REASON.size
+AXIS = struct.Struct("=8i12d" + REASON.format.lstrip("="))
+WITHIN = {1: True, 0: False, -1: None}
+VALUES = 11  # numbers of a reply before its outputs
+NO_METHOD = 2  # WB_NO_METHOD
+
+
+class InverseError(ArithmeticError):
+    """A displacement for which no wrench was found; the text says why."""
+
+
+class Reply(NamedTuple):
+    """The answer to one wrench; m outputs, m and rad.
+
+    Attributes
+    ----------
+    outputs, error, interpolation, discretisation, linearity : tuple of m floats or None
+        The displacement, its total 95 % error and the parts whose sum that is. None where unknown,
+        as a whole and in one place.
+    coverage : str
+        "covered", "thin" or "outside".
+    reason : str
+        Why not covered, or which outputs no row holds; may be empty.
+    within_tolerance : bool or None
+        Whether the total error is within the tolerance; None where that is not known.
+    method : str
+        What answered: a method, "row" or "estimate" (there are no rows).
+    row : int or None
+        The number of the row that answered.
+    exact : bool
+        Whether that row has just this wrench, rather than one within 1e-6 of the range.
+    source : str or None
+        The sources of the rows at that wrench.
+    missing : tuple of str
+        The outputs that no row of the table holds.
+    """
+
+    outputs: tuple[float, ...] | None
+    error: tuple[float, ...] | None
+    interpolation: tuple[float, ...] | None
+    discretisation: tuple[float, ...] | None
+    linearity: tuple[float, ...] | None
+    coverage: str
+    reason: str
+    within_tolerance: bool | None
+    method: str
+    row: int | None
+    exact: bool
+    source: str | None
+    missing: tuple[str, ...]
+
+
+class Replies(NamedTuple):
+    """The answers to k wrenches.
+
+    Attributes
+    ----------
+    outputs, errors : ndarray, shape (k, m), m and rad
+        Total errors; NaN where unknown.
+    coverage : ndarray of uint8, shape (k,)
+        0 covered, 1 thin, 2 outside.
+    """
+
+    outputs: Floats
+    errors: Floats
+    coverage: NDArray[np.uint8]
+
+
+class AxisPart(NamedTuple):
+    """What one axis contributes: all six outputs and errors, m and rad.
+
+    Attributes
+    ----------
+    origin : int
+        The axis whose rows answered, -1 without rows.
+    corners : tuple of int
+        The points of its triangulation that were read.
+    """
+
+    outputs: tuple[float, ...]
+    error: tuple[float, ...]
+    coverage: str
+    reason: str
+    origin: int
+    corners: tuple[int, ...]
+
+
+class Reader:
+    """Makes replies of the kernel's bytes.
+
+    Parameters
+    ----------
+    packed : Packed
+        The table that answers.
+    inputs, outputs : int
+        How many it has.
+    """
+
+    def __init__(self, packed: Packed, inputs: int, outputs: int) -> None:
+        self._packed, self.outputs = packed, outputs
+        self._names = [one["name"] for one in packed.words["space"]["outputs"]]
+        self._texts: dict[bytes, str] = {}
+        self._loads = struct.Struct(f"={inputs}d").unpack_from
+        gap = 8 * (MOST - outputs)
+        fields = f"{outputs}d{gap}x" * (FIELDS - 1)  # after the inputs
+        self._unpack = struct.Struct(f"{HEAD.format}{8 * MOST}x{fields}").unpack_from
+
+    def read(self, reply: Buffer) -> Reply:
+        """Return the reply in a buffer."""
+        found = self._unpack(reply)
+        if not (found[0] or found[6] or found[10]) and found[2] < len(METHODS):
+            return self._plain(found)
+        return self._whole(found, reply)
+
+    def _plain(self, found: tuple[Any, ...]) -> Reply:
+        """Return a covered reply of a method in which nothing is unknown."""
+        m, first = self.outputs, VALUES
+        return Reply(
+            found[first : first + m],
+            found[first + m : first + 2 * m],
+            found[first + 2 * m : first + 3 * m],
+            found[first + 3 * m : first + 4 * m],
+            found[first + 4 * m :],
+            "covered",
+            "",
+            WITHIN[found[1]],
+            ANSWERED[found[2]],
+            None,
+            False,
+            None,
+            (),
+        )
+
+    def _whole(self, found: tuple[Any, ...], reply: Buffer) -> Reply:
+        """Return any reply: what is unknown is None, reasons are words."""
+        coverage, within, method, exact, count, group, unknown = found[:7]
+        row, place, missing = found[8:VALUES]
+        m, values = self.outputs, found[VALUES:]
+        fields: list[Any] = [values[start : start + m] for start in range(0, 5 * m, m)]
+        if unknown:
+            fields = [known(field) for field in fields]
+        text = self._text(reply, count) if count else ""
+        names = ()
+        if missing:
+            text = "; ".join(filter(None, (text, unmeasured_text(missing, self._packed))))
+            names = tuple(name for bit, name in enumerate(self._names) if missing >> bit & 1)
+        by_row = place >= 0
+        return Reply(
+            fields[0],
+            fields[1],
+            fields[2],
+            fields[3],
+            fields[4],
+            COVERAGE[coverage],
+            text,
+            WITHIN[within],
+            ANSWERED[method],
+            row if by_row else None,
+            bool(exact) and by_row,
+            self._source_at(group, place) if by_row else None,
+            names,
+        )
+
+    def _text(self, reply: Buffer, count: int) -> str:
+        """Return a reply's reasons in words; those without loads in them are kept."""
+        content: bytes = reply[REASONS_AT : REASONS_AT + REASON.size * count]  # pyright: ignore[reportAssignmentType]
+        kept = self._texts.get(content)
+        if kept is not None:
+            return kept
+        reasons = reasons_in(content, count)
+        text = text_of(reasons, self._loads(reply, HEAD.size), self._packed)
+        if all(reason.code in FIXED for reason in reasons):
+            self._texts[content] = text
+        return text
+
+    def _source_at(self, group: int, place: int) -> str:
+        number = int(self._packed.arrays[f"g{group}/row/source"][place])
+        return ", ".join(self._packed.words["sources"][number])
+
+
+def reasons_in(content: bytes, count: int) -> list[Reason]:
+    """Return the reasons in some bytes of a reply."""
+    return [Reason(*REASON.unpack_from(content, REASON.size * number)) for number in range(count)]
+
+
+def known(values: tuple[float, ...]) -> tuple[float | None, ...] | None:
+    """Return None for each number that is none, and in the place of all where none is one."""
+    found = tuple(None if value != value else value for value in values)
+    return None if all(value is None for value in found) else found
+
+
+def method_code(method: str | None) -> int:
+    """Return a method's number, -1 for the component's own.
+
+    Raises
+    ------
+    UnknownMethodError
+        If there is no such method.
+    """
+    if method is None:
+        return -1
+    try:
+        return METHODS.index(method)
+    except ValueError:
+        raise UnknownMethodError(method) from None
+
+
+def mistake(code: int, method: str | None) -> Exception:
+    """Return what a code other than WB_OK means: see wrenchbook.h."""
+    return {
+        1: ValueError("wrenches and displacements must be finite numbers"),
+        NO_METHOD: UnknownMethodError(method or "(default)"),
+        3: MemoryError("no memory for a batch"),
+        4: InverseError("only a table of as many outputs as inputs has an inverse"),
+        5: InverseError("the derivative has no inverse here, or is not known"),
+        6: InverseError("no wrench was found for this displacement"),
+    }[code]

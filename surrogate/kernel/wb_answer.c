@@ -1,0 +1,272 @@
+/* Methods, errors, coverage and rows: surrogate/surrogate.py and surrogate/methods. MIT license. */
+#include "wb_internal.h"
+
+#include <math.h>
+#include <string.h>
+
+static const double ROUNDING = 1e-12; /* of an answer's size: methods/linear.py */
+
+/* numpy's maximum: what is not a number wins. */
+static double larger(double a, double b) { return isnan(a) || a > b ? a : b; }
+
+wb_work wb_work_of(const wb_table *t, void *scratch) {
+    size_t n = (size_t)t->inputs, stride = (size_t)t->most_stride, e = (size_t)t->most_padded;
+    double *all = scratch;
+    wb_work work;
+    work.apart = all, all += n * stride;
+    work.flat = all, all += (n + 1) * stride;
+    work.first = all, all += stride;
+    work.second = all, all += stride;
+    work.wide = all, all += 2 * stride * (size_t)t->most_terms;
+    work.chosen = all, all += e;
+    work.reduced = all;
+    return work;
+}
+
+size_t wb_scratch(const wb_table *t) {
+    size_t n = (size_t)t->inputs, stride = (size_t)t->most_stride;
+    size_t rows = stride * (2 * n + 3 + 2 * (size_t)t->most_terms);
+    return (rows + 2 * (size_t)t->most_padded + 1) * sizeof(double);
+}
+
+wb_reason *wb_add_reason(wb_found *a, int code) {
+    wb_reason *reason = &a->reason[a->reasons < WB_MOST_REASONS ? a->reasons++ : WB_MOST_REASONS - 1];
+    memset(reason, 0, sizeof *reason);
+    reason->code = code, reason->axis = reason->index = -1;
+    return reason;
+}
+
+/* The method that answers: without a kriging `tangent` does in its place. */
+int wb_method_of(const wb_group *g, const wb_options *o) {
+    int method = o && o->method != WB_DEFAULT ? o->method : g->method;
+    return method == WB_KRIGING && !g->has_kriging ? WB_TANGENT : method;
+}
+
+/* The largest interpolation error of a covered answer: the request's tolerance, else the
+ * component's or the default one. */
+double wb_allowed(const wb_table *t, const wb_group *g, const wb_options *o, int method, int q) {
+    if (o && o->tolerance && !isnan(o->tolerance[q])) return o->tolerance[q];
+    return g->allowed[t->outputs * method + q];
+}
+
+/* The best estimate there is and its 95 % error: `Reference.estimate`. */
+static void refer(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
+                  const wb_composed *c, double *best, double *error) {
+    double missed[WB_MOST], own[WB_MOST];
+    if (g->reference & WB_REF_KRIGING) {
+        double sigma = wb_kriging_values(t, &g->kriging, work, w, best, error);
+        for (int q = 0; !(sigma <= *g->kriging.sigma_limit) && q < t->outputs; q++) error[q] = NAN;
+        return;
+    }
+    memcpy(best, c->moved, sizeof c->moved);
+    memcpy(error, c->squares, sizeof c->squares);
+    if (g->reference & WB_REF_MISSED) {
+        wb_kriging_values(t, &g->missed, work, w, missed, own);
+        for (int q = 0; q < 6; q++) best[q] += missed[q], error[q] += own[q] * own[q];
+    }
+    for (int q = 0; q < 6; q++) error[q] = sqrt(error[q]);
+}
+
+/* |answer - reference| + error of the reference; off the hull at least the step's size. */
+void wb_found_by_axes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
+                      int method, const wb_composed *c, wb_found *a) {
+    double best[WB_MOST], error[WB_MOST];
+    int off = c->state >= WB_OFF_HULL;
+    refer(t, g, work, w, c, best, error);
+    a->coverage = off ? WB_OUTSIDE : c->state > 0 ? WB_THIN : WB_COVERED;
+    for (int q = 0; q < 6; q++) {
+        double value = q > 2 || method == WB_ADDITIVE ? c->moved[q] : c->own[q];
+        if (method == WB_TANGENT) value += c->bend[q];
+        a->outputs[q] = value;
+        a->error[q] = fabs(value - best[q]) + error[q];
+        if (off) a->error[q] = larger(sqrt(c->squares[q]), a->error[q]);
+    }
+}
+
+static void reason_beyond(const wb_table *t, const double *w, wb_found *a) {
+    for (int k = 0; k < t->inputs; k++) {
+        double low = t->ends[k], high = t->ends[t->inputs + k];
+        if (!(w[k] < low || w[k] > high)) continue;
+        wb_reason *reason = wb_add_reason(a, WB_REASON_BEYOND_RANGE);
+        reason->index = k, reason->value = w[k], reason->limit = w[k] < low ? low : high;
+    }
+}
+
+/* Where the kriging is the reference its own error holds, up to the largest sigma at which rows
+ * show errors. */
+static void by_kriging(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
+                       const wb_composed *c, wb_found *a) {
+    double best[WB_MOST], bars[WB_MOST], most = *g->kriging.sigma_limit;
+    double sigma = wb_kriging_values(t, &g->kriging, work, w, a->outputs, a->error);
+    int own = g->reference & WB_REF_KRIGING;
+    a->coverage = wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;
+    reason_beyond(t, w, a);
+    if (!own) {
+        refer(t, g, work, w, c, best, bars);
+        for (int q = 0; q < t->outputs; q++) a->error[q] = fabs(a->outputs[q] - best[q]) + bars[q];
+    }
+    if (!own || sigma <= most) return;
+    for (int q = 0; q < t->outputs; q++) a->error[q] = NAN;
+    if (a->coverage != WB_COVERED) return;
+    wb_reason *reason = wb_add_reason(a, WB_REASON_ERRORS_UNKNOWN);
+    reason->value = sigma, reason->limit = most;
+    a->coverage = WB_THIN;
+}
+
+static void by_linear(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
+                      const wb_composed *c, wb_found *a) {
+    double best[WB_MOST], bars[WB_MOST];
+    int n = t->inputs, m = t->outputs, unknown = -1;
+    for (int k = n - 1; k >= 0; k--)
+        if (!g->fit.known[k] && fabs(w[k]) > t->small[k]) unknown = k;
+    for (int q = 0; q < m; q++) {
+        const double *row = g->fit.matrix + n * q;
+        double size = 0.0;
+        a->outputs[q] = 0.0;
+        for (int k = 0; k < n; k++) {
+            a->outputs[q] += w[k] * row[k];
+            size += fabs(w[k]) * fabs(row[k]);
+        }
+        a->error[q] = g->fit.bar[q] + ROUNDING * size;
+    }
+    if (!g->exact_fit) {
+        refer(t, g, work, w, c, best, bars);
+        for (int q = 0; q < m; q++)
+            a->error[q] = larger(fabs(a->outputs[q] - best[q]) + bars[q], a->error[q]);
+    }
+    for (int q = 0; unknown >= 0 && q < m; q++) a->error[q] = NAN;
+    a->coverage = unknown >= 0 || wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;
+    if (unknown >= 0) wb_add_reason(a, WB_REASON_UNKNOWN_LOAD)->index = unknown;
+    else reason_beyond(t, w, a);
+}
+
+static void by_nearest(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
+                       const wb_composed *c, wb_found *a) {
+    double best[WB_MOST], bars[WB_MOST], closest = INFINITY;
+    int n = t->inputs, m = t->outputs;
+    int64_t found = 0;
+    for (int64_t row = 0; row < g->near; row++) {
+        double apart = 0.0;
+        for (int k = 0; k < n; k++) {
+            double step = w[k] / t->scale[k] - g->near_wrench[n * row + k];
+            apart += step * step;
+        }
+        if (apart < closest) closest = apart, found = row;
+    }
+    refer(t, g, work, w, c, best, bars);
+    for (int q = 0; q < m; q++) {
+        a->outputs[q] = g->near_moved[m * found + q];
+        a->error[q] = fabs(a->outputs[q] - best[q]) + bars[q];
+    }
+    a->coverage = wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;
+    reason_beyond(t, w, a);
+}
+
+/* Whether a wrench loads more than one axis (default space). */
+static int loads_several(const wb_table *t, const double *w) {
+    for (int axis = 0; axis < 3; axis++) {
+        int foreign = 0;
+        for (int k = 0; k < t->inputs; k++)
+            if (k != axis && k != 3 + (axis + 1) % 3 && k != 3 + (axis + 2) % 3)
+                foreign |= fabs(w[k]) > t->small[k];
+        if (!foreign) return 0;
+    }
+    return 1;
+}
+
+static int is_at_rest(const wb_table *t, const double *w) {
+    for (int k = 0; k < t->inputs; k++)
+        if (!(fabs(w[k]) <= t->small[k])) return 0;
+    return 1;
+}
+
+/* Lower the coverage where rows do not show what is asked. */
+static void judge_interaction(const wb_table *t, const wb_group *g, const double *w, wb_found *a) {
+    if (a->coverage != WB_COVERED) return;
+    if (g->rest_unknown && is_at_rest(t, w)) {
+        a->coverage = WB_OUTSIDE;
+        wb_add_reason(a, WB_REASON_REST_UNKNOWN);
+    } else if (!g->knows_interaction && loads_several(t, w)) {
+        a->coverage = WB_THIN;
+        wb_reason *reason = wb_add_reason(a, WB_REASON_INTERACTION);
+        reason->value = g->full, reason->limit = g->needed;
+    } else if (!g->size_known) {
+        a->coverage = WB_THIN;
+        wb_add_reason(a, WB_REASON_SIZE_UNKNOWN);
+    }
+}
+
+/* Lower the coverage where an error is over what is allowed, or not known. */
+static void judge_error(const wb_table *t, const wb_group *g, const wb_options *o, int method,
+                        wb_found *a) {
+    int over = 0, known = 1, output = -1, m = t->outputs;
+    double worst = 1.0;
+    for (int q = 0; q < m; q++) {
+        double most = wb_allowed(t, g, o, method, q);
+        if (!g->outputs[q]) continue;
+        over |= !(a->error[q] <= most);
+        known &= isfinite(a->error[q]) != 0;
+        if (a->error[q] > worst * most) worst = a->error[q] / most, output = q;
+    }
+    if (a->coverage == WB_COVERED && over) {
+        a->coverage = WB_THIN;
+        wb_reason *reason =
+            wb_add_reason(a, output < 0 ? WB_REASON_NO_ERROR : WB_REASON_OVER_TOLERANCE);
+        reason->index = output;
+        if (output >= 0) {
+            reason->value = a->error[output];
+            reason->limit = wb_allowed(t, g, o, method, output);
+        }
+    }
+    for (int q = 0; !known && q < m; q++) a->error[q] = NAN;
+}
+
+/* Judge what a method answered; take the row at the wrench where that is not covered. */
+void wb_finish(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
+               int with_reasons, wb_found *a) {
+    a->row = -1, a->exact = 0;
+    if (g->used) {
+        judge_interaction(t, g, w, a);
+        judge_error(t, g, o, a->method, a);
+    }
+    if (a->coverage == WB_COVERED) return;
+    if (wb_answer_by_row(t, g, o, w, a)) {
+        a->coverage = WB_COVERED, a->method = WB_ROW, a->reasons = 0;
+    } else if (with_reasons && g->used && !a->reasons) {
+        wb_axes_reasons(t, g, w, a);
+    }
+}
+
+/* `Surrogate.answer`. */
+void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
+                     const double *w, int with_reasons, wb_found *a) {
+    wb_composed c;
+    a->method = wb_method_of(g, o), a->reasons = 0;
+    if (!g->used) {
+        wb_add_reason(a, g->rows.count ? WB_REASON_ONLY_BEYOND : WB_REASON_EMPTY);
+        for (int q = 0; q < t->outputs; q++) a->outputs[q] = a->error[q] = NAN;
+        a->coverage = WB_OUTSIDE, a->method = WB_ESTIMATE;
+        wb_finish(t, g, o, w, with_reasons, a);
+        return;
+    }
+    int axes = a->method <= WB_TANGENT, exact = a->method == WB_LINEAR && g->exact_fit;
+    if (axes || (!exact && !(g->reference & WB_REF_KRIGING)))
+        wb_compose(&g->composition, t->small, w, a->method == WB_TANGENT, &c);
+    if (axes) wb_found_by_axes(t, g, work, w, a->method, &c, a);
+    else if (a->method == WB_KRIGING) by_kriging(t, g, work, w, &c, a);
+    else if (a->method == WB_LINEAR) by_linear(t, g, work, w, &c, a);
+    else by_nearest(t, g, work, w, &c, a);
+    wb_finish(t, g, o, w, with_reasons, a);
+}
+
+/* `Surrogate.derivatives`. */
+void wb_group_slopes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
+                     int method, double *derivative) {
+    size_t count = (size_t)t->inputs * (size_t)t->outputs;
+    for (size_t k = 0; !g->used && k < count; k++) derivative[k] = NAN;
+    if (!g->used) return;
+    if (method == WB_KRIGING) wb_kriging_derivative(t, &g->kriging, work, w, derivative);
+    else if (method == WB_LINEAR) memcpy(derivative, g->fit.matrix, count * sizeof(double));
+    else if (method == WB_NEAREST) memset(derivative, 0, count * sizeof(double));
+    else wb_compose_derivative(&g->composition, w, method, derivative);
+}

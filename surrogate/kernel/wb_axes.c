@@ -1,0 +1,213 @@
+/* What one axis answers: surrogate/composition/axis_table.py and `Composition._read`. MIT. */
+#include "wb_internal.h"
+
+#include <math.h>
+#include <string.h>
+
+static const double CLEAN = 1e-9; /* of the range: below it a load counts as none */
+
+static void inputs_of(int axis, int inputs[3]) {
+    inputs[0] = axis, inputs[1] = 3 + (axis + 1) % 3, inputs[2] = 3 + (axis + 2) % 3;
+}
+
+/* The place in `shares` of a simplex' corner: that of the last one is 3. */
+static int share_at(int corner, int dimension) { return corner < dimension ? corner : 3; }
+
+/* A corner's point; the first point in place of an index that leads out of the table. */
+static int64_t point_of(const wb_composition *c, int simplex, int corner) {
+    int32_t point = c->simplex[simplex].vertex[corner];
+    return point >= 0 && point < c->points ? point : 0;
+}
+
+/* The slopes of a simplex' barycentric coordinates by the three scaled loads. */
+static void share_slopes(const wb_composition *c, int axis, int simplex, double out[4][3]) {
+    const double *map = c->simplex[simplex].map, *basis = c->floats[axis].basis;
+    int dimension = c->ints[axis].dimension;
+    memset(out, 0, 12 * sizeof(double));
+    for (int corner = 0; corner < dimension; corner++)
+        for (int i = 0; i < 3; i++) {
+            double sum = 0.0;
+            for (int j = 0; j < dimension; j++) sum += map[3 * corner + j] * basis[3 * j + i];
+            out[corner][i] = sum;
+            out[3][i] -= sum;
+        }
+}
+
+/* Outputs and errors at a point of a simplex. Linear interpolation of |x|^2 / 2 errs by
+ * S = 1/2 sum of shares |x - x_v|^2, of a response by sqrt(A + C S^2): surrogate/bars/error_law.py */
+static void read_values(const wb_composition *c, int axis, int simplex, const double at[3],
+                        const double shares[4], wb_part *part) {
+    const double *error = c->error + 12 * axis;
+    int dimension = c->ints[axis].dimension;
+    double unit = 0.0;
+    for (int corner = 0; corner <= dimension; corner++) {
+        const wb_vertex *v = c->vertex + point_of(c, simplex, corner);
+        double share = shares[share_at(corner, dimension)];
+        for (int q = 0; q < 6; q++) part->outputs[q] += share * v->value[q];
+        for (int q = 0; q < 6; q++) part->rest[q] += share * v->uncertainty[q];
+        double a = at[0] - v->place[0], b = at[1] - v->place[1], d = at[2] - v->place[2];
+        unit += share * (a * a + b * b + d * d);
+    }
+    unit = unit > 0.0 ? 0.5 * unit : 0.0;
+    for (int q = 0; q < 6; q++) part->rest[q] += sqrt(error[q] + error[6 + q] * (unit * unit));
+}
+
+/* Half of what the corners' first-order expansions add, corner by corner. */
+static void read_bends(const wb_composition *c, int axis, int simplex, const double at[3],
+                       const double shares[4], double rises[4][6], wb_part *part) {
+    int dimension = c->ints[axis].dimension;
+    for (int corner = 0; corner <= dimension; corner++) {
+        int64_t point = point_of(c, simplex, corner);
+        const double *place = c->vertex[point].place, *slope = c->slopes + 18 * point;
+        double share = shares[share_at(corner, dimension)];
+        for (int q = 0; q < 6; q++) {
+            double rise = 0.0;
+            for (int i = 0; i < 3; i++) rise += slope[3 * q + i] * (at[i] - place[i]);
+            rises[corner][q] = 0.5 * rise;
+            part->bends[q] += share * rises[corner][q];
+        }
+    }
+}
+
+static void read_slopes(const wb_composition *c, int axis, int simplex, const double shares[4],
+                        double rises[4][6], wb_part *part) {
+    int dimension = c->ints[axis].dimension;
+    const double *last = c->vertex[point_of(c, simplex, dimension)].value;
+    double by[4][3];
+    share_slopes(c, axis, simplex, by);
+    for (int corner = 0; corner <= dimension; corner++) {
+        int64_t point = point_of(c, simplex, corner);
+        const double *value = c->vertex[point].value, *slope = c->slopes + 18 * point;
+        int at = share_at(corner, dimension);
+        for (int q = 0; q < 6; q++)
+            for (int i = 0; i < 3; i++) {
+                if (corner < dimension) part->slopes[q][i] += (value[q] - last[q]) * by[corner][i];
+                part->bend_slopes[q][i] += by[at][i] * rises[corner][q];
+                part->bend_slopes[q][i] += 0.5 * shares[at] * slope[3 * q + i];
+            }
+    }
+}
+
+/* Slopes blended from the vertices: those along the hull's outside. */
+static void blend_slopes(const wb_composition *c, int axis, int simplex, const double shares[4],
+                         wb_part *part) {
+    int dimension = c->ints[axis].dimension;
+    memset(part->slopes, 0, sizeof part->slopes);
+    memset(part->bend_slopes, 0, sizeof part->bend_slopes);
+    for (int corner = 0; corner <= dimension; corner++) {
+        const double *slope = c->slopes + 18 * point_of(c, simplex, corner);
+        for (int q = 0; q < 6; q++)
+            for (int i = 0; i < 3; i++)
+                part->slopes[q][i] += shares[share_at(corner, dimension)] * slope[3 * q + i];
+    }
+}
+
+/* The step off what the points span, by the fitted compliance: `Composition._step_off`. */
+static void step_off_plane(const wb_composition *c, int axis, const double step[3],
+                           wb_part *part) {
+    const wb_axis_floats *f = &c->floats[axis];
+    int dimension = c->ints[axis].dimension, inputs[3], unknown = 0;
+    double off[3], along[3] = {0.0, 0.0, 0.0}, most = 0.0;
+    if (dimension == 3) return;
+    inputs_of(axis, inputs);
+    for (int j = 0; j < dimension; j++)
+        for (int i = 0; i < 3; i++) along[j] += step[i] * f->basis[3 * j + i];
+    for (int i = 0; i < 3; i++) {
+        double in = 0.0;
+        for (int j = 0; j < dimension; j++) in += along[j] * f->basis[3 * j + i];
+        off[i] = step[i] - in;
+        most = fmax(most, fabs(off[i]));
+        unknown |= fabs(off[i]) > CLEAN && !c->fit->known[inputs[i]];
+    }
+    if (!(most > CLEAN)) return;
+    for (int q = 0; q < 6; q++) {
+        const double *row = c->fit->matrix + 6 * q;
+        double more = 0.0, size = 0.0;
+        for (int i = 0; i < 3; i++) {
+            double load = off[i] * f->scale[i];
+            more += load * row[inputs[i]];
+            size += fabs(load) * fabs(row[inputs[i]]);
+        }
+        part->outputs[q] += more;
+        part->rest[q] = unknown ? NAN : part->rest[q] + (size + c->fit->bar[q]);
+    }
+}
+
+/* From the hull's nearest point to the point asked: outputs by the slope there, wider errors. */
+static void step_off(const wb_composition *c, int axis, const double step[3], wb_part *part) {
+    for (int q = 0; q < 6; q++) {
+        double moved = 0.0;
+        for (int i = 0; i < 3; i++) moved += part->slopes[q][i] * step[i];
+        part->outputs[q] += moved;
+        part->rest[q] += fabs(moved);
+    }
+    step_off_plane(c, axis, step, part);
+}
+
+/* The fitted compliance's part, for an axis that has no rows: `Composition._guess`. */
+static void guess(const wb_composition *c, int axis, const double wrench[6], wb_part *part) {
+    int inputs[3], unknown = 0;
+    inputs_of(axis, inputs);
+    for (int i = 0; i < 3; i++) unknown |= wrench[inputs[i]] != 0 && !c->fit->known[inputs[i]];
+    for (int q = 0; q < 6; q++) {
+        const double *row = c->fit->matrix + 6 * q;
+        double moved = 0.0, size = 0.0;
+        for (int i = 0; i < 3; i++) {
+            moved += wrench[inputs[i]] * row[inputs[i]];
+            size += fabs(wrench[inputs[i]]) * fabs(row[inputs[i]]);
+            part->slopes[q][i] = row[inputs[i]];
+        }
+        part->outputs[q] = c->rest_point[q] + moved;
+        part->rest[q] = unknown ? NAN : size + c->fit->bar[q];
+    }
+    part->state = WB_NO_ROWS, part->simplex = -1;
+}
+
+/* Where an axis is read for a wrench: the simplex, or the nearest point of the hull. */
+void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], wb_place *place) {
+    int inputs[3];
+    place->simplex = -1, place->inside = 1;
+    if (c->ints[axis].dimension < 0) return;
+    const double *scale = c->floats[axis].scale;
+    inputs_of(axis, inputs);
+    for (int i = 0; i < 3; i++) place->at[i] = place->x[i] = wrench[inputs[i]] / scale[i];
+    place->simplex = wb_locate(c, axis, place->x, place->shares);
+    place->inside = place->simplex >= 0;
+    if (!place->inside)
+        place->simplex = wb_nearest_on_hull(c, axis, place->x, place->at, place->shares);
+}
+
+/* `Composition._read`: all six outputs; slopes by the axis' loads, N and N·m. */
+void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_place *place,
+                  int with_slopes, int with_bends, wb_part *part) {
+    double step[3], rises[4][6];
+    int found = place->simplex;
+    memset(part, 0, with_slopes || with_bends || !place->inside || found < 0
+                        ? sizeof *part : offsetof(wb_part, slopes));
+    if (found < 0) {
+        guess(c, axis, wrench, part);
+        return;
+    }
+    part->state = place->inside ? c->state[found] : WB_OFF_HULL, part->simplex = found;
+    read_values(c, axis, found, place->at, place->shares, part);
+    if (with_slopes || with_bends)
+        read_bends(c, axis, found, place->at, place->shares, rises, part);
+    if (!place->inside) {
+        for (int i = 0; i < 3; i++) step[i] = place->x[i] - place->at[i];
+        blend_slopes(c, axis, found, place->shares, part);
+        step_off(c, axis, step, part);
+    } else if (with_slopes) {
+        read_slopes(c, axis, found, place->shares, rises, part);
+    }
+    const double *scale = c->floats[axis].scale;
+    for (int q = 0; with_slopes && q < 6; q++)
+        for (int i = 0; i < 3; i++)
+            part->slopes[q][i] /= scale[i], part->bend_slopes[q][i] /= scale[i];
+}
+
+void wb_axis_part(const wb_composition *c, int axis, const double wrench[6], int with_slopes,
+                  int with_bends, wb_part *part) {
+    wb_place place;
+    wb_axis_locate(c, axis, wrench, &place);
+    wb_axis_read(c, axis, wrench, &place, with_slopes, with_bends, part);
+}

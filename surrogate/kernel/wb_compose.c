@@ -1,0 +1,203 @@
+/* Three axes to one answer: surrogate/composition/composition.py and pure_moment.py. MIT.
+ *
+ * All six outputs are composed, u = u(0) + sum over axes of (axis - u(0)) - sum over moments of
+ * (that moment alone - u(0)), their errors in quadrature; `own` keeps each translation of its own
+ * axis alone, which is griddata's.
+ */
+#include "wb_internal.h"
+
+#include <math.h>
+#include <string.h>
+
+static const double ON_HULL = 1e-9; /* of the range: that far beyond the last station is on it */
+
+/* The answer to one moment alone: all six outputs. */
+typedef struct {
+    double outputs[6], bends[6], rest[6], slopes[6], bend_slopes[6];
+    int state;
+} alone_part;
+
+/* Which stretch holds a scaled moment; beyond the ends the last one there. */
+static int stretch_of(const wb_cut *cut, double along) {
+    int64_t bucket = wb_bucket(along, cut->bucket, cut->buckets);
+    int low = cut->start[bucket], high = cut->start[bucket + 1];
+    while (low < high) { /* the first station above it */
+        int middle = low + (high - low) / 2;
+        if (cut->stations[middle] <= along) low = middle + 1;
+        else high = middle;
+    }
+    return low < 1 ? 0 : low > cut->stretches ? cut->stretches - 1 : low - 1;
+}
+
+static int state_at(const wb_cut *cut, double along, int found) {
+    if (along < cut->stations[0] - ON_HULL) return WB_OFF_HULL;
+    if (along > cut->stations[cut->stretches] + ON_HULL) return WB_OFF_HULL;
+    return cut->state[found];
+}
+
+int wb_cut_state(const wb_cut *cut, double moment) {
+    double along = moment / cut->scale;
+    return cut->stretches ? state_at(cut, along, stretch_of(cut, along)) : WB_OFF_HULL;
+}
+
+/* `PureMomentCut.read`, in a stretch that is known. */
+static void read_cut(const wb_cut *cut, double along, int found, int with_slopes,
+                     alone_part *out) {
+    const double *o = cut->outputs + 12 * (int64_t)found, *b = cut->bends + 18 * (int64_t)found;
+    const double *r = cut->stated + 12 * (int64_t)found, *s = cut->unit + 3 * (int64_t)found;
+    double y = along - cut->stations[found];
+    double unit = s[0] + y * (s[1] + y * s[2]);
+    unit = unit > 0.0 ? unit : 0.0;
+    for (int q = 0; q < 6; q++) out->outputs[q] = o[q] + y * o[6 + q];
+    for (int q = 0; q < 6; q++) out->bends[q] = b[q] + y * (b[6 + q] + y * b[12 + q]);
+    for (int q = 0; q < 6; q++) {
+        out->rest[q] = r[q] + y * r[6 + q];
+        out->rest[q] += sqrt(cut->error[q] + cut->error[6 + q] * (unit * unit));
+    }
+    for (int q = 0; with_slopes && q < 6; q++) {
+        out->slopes[q] = o[6 + q] / cut->scale;
+        out->bend_slopes[q] = (b[6 + q] + 2 * y * b[12 + q]) / cut->scale;
+    }
+}
+
+/* The fitted compliance's part, for a moment that has no rows. */
+static void guess(const wb_composition *c, int load, double amount, alone_part *out) {
+    int unknown = amount != 0 && !c->fit->known[load];
+    for (int q = 0; q < 6; q++) {
+        double slope = c->fit->matrix[6 * q + load];
+        out->outputs[q] = c->rest_point[q] + amount * slope;
+        out->rest[q] = unknown ? NAN : fabs(amount) * fabs(slope) + c->fit->bar[q];
+        out->slopes[q] = slope;
+        out->bends[q] = out->bend_slopes[q] = 0.0;
+    }
+}
+
+/* `Composition._alone`: from the axis the moment comes first in, or from the other one. */
+static void read_alone(const wb_composition *c, int moment, double amount, int with_slopes,
+                       alone_part *out) {
+    const wb_cut *best = NULL;
+    double along = 0.0;
+    int found = 0;
+    out->state = WB_NO_ROWS;
+    for (int k = 0; k < 2 && out->state >= WB_OFF_HULL; k++) {
+        const wb_cut *cut = &c->cuts[moment][k];
+        if (!cut->present) continue;
+        double own = amount / cut->scale;
+        int stretch = cut->stretches ? stretch_of(cut, own) : 0;
+        int state = cut->stretches ? state_at(cut, own, stretch) : WB_OFF_HULL;
+        if (state < out->state) out->state = state, best = cut, along = own, found = stretch;
+    }
+    if (!best) guess(c, moment + 3, amount, out);
+    else if (best->stretches) read_cut(best, along, found, with_slopes, out);
+    else memset(out, 0, offsetof(alone_part, state));
+}
+
+static int worse(int a, int b) { return a > b ? a : b; }
+
+static void put_own(wb_composed *out, int axis, double moved, double bend) {
+    out->own[axis] = moved, out->bend[axis] = bend;
+}
+
+/* Add an answer so many times; bends of rotations alone. */
+static void add_part(const double outputs[6], const double bends[6], const double rest[6],
+                     double times, wb_composed *out) {
+    for (int q = 0; q < 6; q++) {
+        double wide = times * rest[q];
+        out->moved[q] += times * outputs[q];
+        out->squares[q] += wide * wide;
+    }
+    for (int q = 3; q < 6; q++) out->bend[q] += times * bends[q];
+    out->times += times;
+}
+
+void wb_compose_start(const wb_composition *c, wb_composed *out) {
+    memset(out, 0, sizeof *out);
+    memcpy(out->own, c->rest_point, sizeof out->own);
+}
+
+/* Add the answer at no load as often as the parts leave room for it. */
+static void add_rest(const wb_composition *c, wb_composed *out) {
+    double left = 1.0 - out->times;
+    if (left == 0.0) return;
+    for (int q = 0; q < 6; q++) {
+        double wide = left * c->rest_point[6 + q];
+        out->moved[q] += left * c->rest_point[q];
+        out->squares[q] += wide * wide;
+    }
+}
+
+/* Whether the axis' triangulation is read: its force, or both of its moments, are there. */
+int wb_needs_axis(const double small[6], const double wrench[6], int axis) {
+    int first = 3 + (axis + 1) % 3, second = 3 + (axis + 2) % 3;
+    if (fabs(wrench[axis]) > small[axis]) return 1;
+    return fabs(wrench[first]) > small[first] && fabs(wrench[second]) > small[second];
+}
+
+void wb_add_axis(const wb_part *part, int axis, wb_composed *out) {
+    put_own(out, axis, part->outputs[axis], part->bends[axis]);
+    add_part(part->outputs, part->bends, part->rest, 1.0, out);
+    out->states[axis] = part->state;
+}
+
+/* Add what single moments and no load answer, after the axes. */
+void wb_add_moments(const wb_composition *c, const double small[6], const double wrench[6],
+                    wb_composed *out) {
+    for (int m = 0; m < 3; m++) {
+        alone_part alone;
+        double times = -1.0;
+        if (!(fabs(wrench[3 + m]) > small[3 + m])) continue;
+        read_alone(c, m, wrench[3 + m], 0, &alone);
+        int base = (m + 2) % 3; /* the axis that the moment comes first in; then the other one */
+        for (int k = 0; k < 2; k++) {
+            int axis = (m + 2 - k) % 3;
+            int other = 3 + (axis + 1 + !k) % 3; /* the axis' other moment */
+            if (fabs(wrench[axis]) > small[axis] || fabs(wrench[other]) > small[other]) continue;
+            times += 1.0;
+            put_own(out, axis, alone.outputs[axis], alone.bends[axis]);
+            out->states[axis] = worse(out->states[axis], alone.state);
+        }
+        if (times == 0.0) continue;
+        add_part(alone.outputs, alone.bends, alone.rest, times, out);
+        out->states[base] = worse(out->states[base], alone.state);
+    }
+    add_rest(c, out);
+    out->state = worse(worse(out->states[0], out->states[1]), out->states[2]);
+}
+
+/* `Composition.evaluate`. */
+void wb_compose(const wb_composition *c, const double small[6], const double wrench[6],
+                int with_bends, wb_composed *out) {
+    wb_compose_start(c, out);
+    for (int axis = 0; axis < 3; axis++) {
+        wb_part part;
+        if (!wb_needs_axis(small, wrench, axis)) continue;
+        wb_axis_part(c, axis, wrench, 0, with_bends, &part);
+        wb_add_axis(&part, axis, out);
+    }
+    wb_add_moments(c, small, wrench, out);
+}
+
+/* `Composition.derivatives`: of the law with all axes and moments in it, so that a load that is
+ * zero has its slope too. */
+void wb_compose_derivative(const wb_composition *c, const double wrench[6], int method,
+                           double derivative[36]) {
+    int bent = method == WB_TANGENT, additive = method == WB_ADDITIVE;
+    memset(derivative, 0, 36 * sizeof(double));
+    for (int axis = 0; axis < 3; axis++) {
+        int inputs[3] = {axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3};
+        wb_part part;
+        wb_axis_part(c, axis, wrench, 1, bent, &part);
+        for (int q = 0; q < 6; q++) {
+            if (q < 3 && q != axis && !additive) continue;
+            for (int i = 0; i < 3; i++)
+                derivative[6 * q + inputs[i]] +=
+                    part.slopes[q][i] + (bent ? part.bend_slopes[q][i] : 0.0);
+        }
+    }
+    for (int m = 0; m < 3; m++) {
+        alone_part alone;
+        read_alone(c, m, wrench[3 + m], 1, &alone);
+        for (int q = additive ? 0 : 3; q < 6; q++)
+            derivative[6 * q + 3 + m] -= alone.slopes[q] + (bent ? alone.bend_slopes[q] : 0.0);
+    }
+}

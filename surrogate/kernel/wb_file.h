@@ -1,0 +1,26 @@
+/* The form of a packed table on disk. MIT license. */
+#ifndef WB_FILE_H
+#define WB_FILE_H
+
+#include "wb_internal.h"
+
+#define WB_FORMAT 1u
+enum { WB_CHECKED = 24, WB_NAME = 64 }; /* the checksum is of what follows it */
+
+typedef struct {
+    unsigned char magic[8];
+    uint32_t format, byte_order;
+    uint64_t checksum, size, directory, arrays, json, json_size;
+} wb_header;
+
+typedef struct {
+    char name[WB_NAME];
+    uint32_t type, dimensions;
+    uint64_t shape[4], offset, bytes, unused;
+} wb_entry;
+
+/* Check bytes, or map a file that has been checked; 0 or NULL, and a reason in `why`. */
+int wb_check_bytes(const unsigned char *bytes, size_t count, char *why, size_t most);
+const unsigned char *wb_map(const char *path, size_t *count, char *why, size_t most);
+
+#endif

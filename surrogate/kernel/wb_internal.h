@@ -1,0 +1,216 @@
+/* What the files of the kernel share. MIT license, as all of wrenchbook.
+ *
+ * Arrays point into the mapped file; surrogate/packed/writer.py names their shapes and units. The
+ * order of all sums is fixed, so that one wrench, a batch and any number of threads give the same
+ * bits.
+ */
+#ifndef WB_INTERNAL_H
+#define WB_INTERNAL_H
+
+#include "wrenchbook.h"
+
+enum { WB_F8 = 1, WB_I4 = 2, WB_I8 = 3, WB_U1 = 4 }; /* types of arrays */
+enum { WB_AXES = 3, WB_AXIS_OUTPUTS = 6, WB_AXIS_INPUTS = 3 };
+/* What an axis' part of an answer rests on, from the best to the worst. */
+enum { WB_SOUND = 0, WB_WEAK = 1, WB_DEGENERATE = 2, WB_OFF_HULL = 9, WB_NO_ROWS = 10 };
+/* The best estimate, from which the errors of other methods follow. */
+enum { WB_REF_ADDITIVE = 1, WB_REF_MISSED = 2, WB_REF_KRIGING = 4 };
+enum { WB_PANEL = 16, WB_LANES = 8 }; /* rows of a triangle at once; partial sums of a product */
+
+/* 128 bytes, two cache lines: all that a step of a walk reads. */
+typedef struct {
+    int32_t vertex[4], neighbour[4];
+    double map[9], anchor[3]; /* slopes of the barycentric coordinates, the last vertex' place */
+} wb_simplex;
+
+/* 128 bytes: all that an answer reads of a point. */
+typedef struct {
+    double place[3], unused, value[6], uncertainty[6];
+} wb_vertex;
+
+typedef struct {
+    int32_t dimension, first_cell, cells[3];
+} wb_axis_ints;
+
+typedef struct {
+    double scale[3], origin[3], basis[9], slack, corner[3], density[3];
+} wb_axis_floats;
+
+/* The answers to one moment alone: piecewise polynomials of the scaled moment. */
+typedef struct {
+    int present, stretches;
+    int64_t buckets;
+    double scale;
+    const double *stations, *outputs, *bends, *stated, *unit, *error, *bucket;
+    const int32_t *state, *start;
+} wb_cut;
+
+typedef struct {
+    const double *matrix, *bar; /* (m, n); (m) */
+    const int32_t *known;       /* (n) */
+} wb_fit;
+
+typedef struct {
+    int64_t points, simplices, cells;
+    const wb_simplex *simplex;
+    const wb_vertex *vertex;
+    const double *slopes, *rest_point, *error;
+    const unsigned char *state;
+    const wb_axis_ints *ints;
+    const wb_axis_floats *floats;
+    const int32_t *grid, *facets, *facet_first, *simplex_first, *point_first, *fewest,
+        *left_out;
+    const double *largest;
+    wb_cut cuts[3][2];
+    const wb_fit *fit;
+} wb_composition;
+
+/* The neighbourhoods that give sigma for the outputs of one factor. */
+typedef struct {
+    int padded; /* equations of a neighbourhood, a multiple of WB_PANEL */
+    int64_t count;
+    const int32_t *outputs, *number, *places;
+    const double *panels, *unsettled, *least, *penalty, *mean_covariance;
+} wb_share;
+
+typedef struct {
+    int stride, terms, shares; /* stride: rows, a multiple of WB_LANES */
+    const double *x, *term, *rates, *weights, *coefficients, *centre, *rate, *offset, *spread;
+    const double *over, *lost, *floor, *tangent, *sigma_limit;
+    wb_share *share;
+} wb_kriging;
+
+typedef struct {
+    int64_t count, tangents, buckets;
+    const double *key, *rates, *steepest, *wrench, *moved, *bar, *tangent, *bucket;
+    const int32_t *number, *tangent_of, *start;
+    const int64_t *seq;
+} wb_rows;
+
+/* The outputs that the same rows hold. */
+typedef struct {
+    int method, reference, knows_interaction, rest_unknown, size_known, exact_fit, used;
+    int full, needed, has_composition, has_kriging, has_missed;
+    int64_t near;
+    const int32_t *outputs;
+    const double *allowed, *near_wrench, *near_moved;
+    wb_fit fit;
+    wb_rows rows;
+    wb_composition composition;
+    wb_kriging kriging, missed;
+} wb_group;
+
+typedef struct {
+    int asks, mesh_known, linear, linearity_known, whole, none;
+    const double *mesh, *square, *one_over, *stiffness;
+} wb_solver;
+
+struct wb_table {
+    const unsigned char *bytes;
+    size_t size, mapped; /* bytes; of those mapped by wb_open, 0 if the caller owns them */
+    const unsigned char *directory;
+    uint64_t arrays;
+    const char *json;
+    int inputs, outputs, groups, most_stride, most_terms, most_padded;
+    int vectors; /* triples of outputs whose length is limited */
+    const int32_t *locked, *vector_first;
+    const double *ends, *scale, *small, *tolerance, *limit, *vector_limit;
+    wb_solver solver;
+    wb_group *group;
+    wb_share *share;
+};
+
+/* Where one answer works; pointers into a scratch. */
+typedef struct {
+    double *apart, *flat, *first, *second, *chosen, *reduced, *wide;
+} wb_work;
+
+/* One group's answer, before the solver's share of the error. */
+typedef struct {
+    double outputs[WB_MOST], error[WB_MOST];
+    int coverage, method, exact, reasons, by_row;
+    int64_t row; /* place among the group's rows, or -1 */
+    wb_reason reason[WB_MOST_REASONS];
+} wb_found;
+
+/* One axis' answer, all six outputs, its slopes by its own three loads (N and N·m). */
+typedef struct {
+    double outputs[6], bends[6], rest[6];
+    double slopes[6][3], bend_slopes[6][3];
+    int state, simplex;
+} wb_part;
+
+/* Where an axis is read for a wrench: scaled loads, the point that is read, its shares. */
+typedef struct {
+    double x[3], at[3], shares[4];
+    int simplex, inside;
+} wb_place;
+
+/* Three axes together: `moved` adds all axes up, with the squared errors; `own` has each
+ * translation of its own axis. `times`: how many parts there are, less those taken away. */
+typedef struct {
+    double moved[6], squares[6], bend[6], own[3], times;
+    int states[3], state;
+} wb_composed;
+
+/* The bucket of a number among ascending ones: start[bucket] to start[bucket + 1] bound its place.
+ * surrogate/packed/buckets.py computes the same. */
+static inline int64_t wb_bucket(double value, const double *bucket, int64_t buckets) {
+    double place = (value - bucket[0]) * bucket[1];
+    if (!(place > 0.0)) return 0;
+    return place >= (double)(buckets - 1) ? buckets - 1 : (int64_t)place;
+}
+
+wb_work wb_work_of(const wb_table *t, void *scratch);
+int wb_locate(const wb_composition *c, int axis, const double x[3], double shares[4]);
+int wb_hint(const wb_composition *c, int axis, const double x[3]);
+void wb_flat(const wb_composition *c, int axis, const double x[3], double flat[3]);
+void wb_shares(const wb_composition *c, int simplex, const double flat[3], double shares[4]);
+int wb_nearest_on_hull(const wb_composition *c, int axis, const double x[3], double at[3],
+                       double shares[4]);
+void wb_axis_part(const wb_composition *c, int axis, const double wrench[6], int with_slopes,
+                  int with_bends, wb_part *part);
+void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], wb_place *place);
+void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_place *place,
+                  int with_slopes, int with_bends, wb_part *part);
+int wb_cut_state(const wb_cut *cut, double moment);
+void wb_compose_start(const wb_composition *c, wb_composed *out);
+int wb_needs_axis(const double small[6], const double wrench[6], int axis);
+void wb_add_axis(const wb_part *part, int axis, wb_composed *out);
+void wb_add_moments(const wb_composition *c, const double small[6], const double wrench[6],
+                    wb_composed *out);
+void wb_compose(const wb_composition *c, const double small[6], const double wrench[6],
+                int with_bends, wb_composed *out);
+void wb_compose_derivative(const wb_composition *c, const double wrench[6], int method,
+                           double derivative[36]);
+int wb_anchor(const wb_table *t, const wb_kriging *k, const double *wrench, wb_work *work);
+double wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
+                         const double *wrench, double *outputs, double *error);
+void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
+                           const double *wrench, double *derivative);
+int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w);
+int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
+                     wb_found *a);
+int wb_is_beyond(const wb_table *t, const double *w);
+double wb_allowed(const wb_table *t, const wb_group *g, const wb_options *o, int method, int q);
+wb_reason *wb_add_reason(wb_found *a, int code);
+void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_found *a);
+void wb_found_by_axes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
+                      int method, const wb_composed *c, wb_found *a);
+int wb_method_of(const wb_group *g, const wb_options *o);
+void wb_finish(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
+               int with_reasons, wb_found *a);
+void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
+                     const double *w, int with_reasons, wb_found *a);
+void wb_group_slopes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
+                     int method, double *derivative);
+void wb_merge(const wb_table *t, const wb_group *g, const wb_found *found, wb_reply *reply,
+              int *worst);
+void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply);
+void wb_begin(const wb_table *t, const double *inputs, wb_reply *reply);
+void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
+                         const wb_reply *reply, double *derivative);
+int wb_check(const wb_table *t, const wb_options *o, const double *inputs);
+void wb_unmap(wb_table *t);
+
+#endif

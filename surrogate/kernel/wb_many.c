@@ -1,0 +1,280 @@
+/* Many wrenches in one call, in an order that the caches like, by threads. MIT license.
+ *
+ * Wrenches are answered in blocks. Within a block those of the axes' methods are looked up axis by
+ * axis in the order of the simplices where their walks start, and those of the kriging in the order
+ * of their neighbourhoods; each answer is computed as wb_answer does, so that neither blocks nor
+ * threads change a bit.
+ */
+#include "wb_internal.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#ifdef _WIN32
+#define WIN32_LEAN_AND_MEAN
+#include <windows.h>
+typedef HANDLE wb_thread;
+#else
+#include <pthread.h>
+typedef pthread_t wb_thread;
+#endif
+
+enum { BLOCK = 2048, RUN = 32, LINE = 64, MOST_THREADS = 256, DIGIT = 11, DIGITS = 3 };
+
+/* Ask for bytes to be brought into the cache; harmless at any address. */
+static inline void wb_fetch(const void *at, size_t bytes) {
+#ifdef __GNUC__
+    for (size_t k = 0; k < bytes; k += LINE) __builtin_prefetch((const char *)at + k);
+#else
+    (void)at, (void)bytes;
+#endif
+}
+
+static const wb_options OWN = {WB_DEFAULT, NULL};
+
+typedef struct {
+    uint32_t key, place;
+} entry;
+
+typedef struct {
+    const wb_table *t;
+    const wb_options *o;
+    size_t n, first, step; /* blocks first, first + step, ... of those of n wrenches */
+    const double *inputs;
+    double *outputs, *errors, *derivatives;
+    unsigned char *coverage;
+    int wrong;
+} task;
+
+/* What a thread works with. */
+typedef struct {
+    void *scratch;
+    double *inputs; /* of the block, without loads on locked freedoms */
+    wb_composed *composed;
+    entry *order, *spare;
+    wb_work work;
+} bench;
+
+static void close_bench(bench *b) {
+    free(b->scratch), free(b->inputs), free(b->composed), free(b->order), free(b->spare);
+}
+
+static int open_bench(const wb_table *t, size_t n, bench *b) {
+    size_t count = n < BLOCK ? n : BLOCK;
+    b->scratch = malloc(wb_scratch(t));
+    b->inputs = malloc(count * (size_t)t->inputs * sizeof(double));
+    b->composed = malloc(count * sizeof *b->composed);
+    b->order = malloc(count * sizeof *b->order);
+    b->spare = malloc(count * sizeof *b->spare);
+    if (!b->scratch || !b->inputs || !b->composed || !b->order || !b->spare)
+        return close_bench(b), WB_NO_MEMORY;
+    b->work = wb_work_of(t, b->scratch);
+    return WB_OK;
+}
+
+/* Sort entries by key, stably (radix sort). */
+static void sort(entry **order, entry **spare, size_t count) {
+    for (int digit = 0; digit < DIGITS; digit++) {
+        size_t first[1 << DIGIT] = {0}, sum = 0;
+        int shift = DIGIT * digit;
+        for (size_t i = 0; i < count; i++) first[(*order)[i].key >> shift & ((1 << DIGIT) - 1)]++;
+        if (first[(*order)[0].key >> shift & ((1 << DIGIT) - 1)] == count) continue; /* all alike */
+        for (size_t d = 0; d < 1 << DIGIT; d++) {
+            size_t own = first[d];
+            first[d] = sum, sum += own;
+        }
+        for (size_t i = 0; i < count; i++)
+            (*spare)[first[(*order)[i].key >> shift & ((1 << DIGIT) - 1)]++] = (*order)[i];
+        entry *held = *order;
+        *order = *spare, *spare = held;
+    }
+}
+
+/* Read an axis for RUN wrenches: what is found is fetched while others are still looked up. */
+static void compose_run(const wb_composition *c, int axis, int bends, size_t first, size_t used,
+                        bench *b) {
+    wb_place place[RUN];
+    size_t count = used - first < RUN ? used - first : RUN;
+    for (size_t i = 0; i < count; i++) {
+        const entry *own = &b->order[first + i];
+        if (first + i + RUN < used) wb_fetch(&c->simplex[own[RUN].key], sizeof *c->simplex);
+        wb_axis_locate(c, axis, b->inputs + 6 * (size_t)own->place, &place[i]);
+        for (int corner = 0; corner < 4 && place[i].simplex >= 0; corner++)
+            wb_fetch(&c->vertex[c->simplex[place[i].simplex].vertex[corner]], sizeof *c->vertex);
+    }
+    for (size_t i = 0; i < count; i++) {
+        wb_part part;
+        size_t at = b->order[first + i].place;
+        wb_axis_read(c, axis, b->inputs + 6 * at, &place[i], 0, bends, &part);
+        wb_add_axis(&part, axis, &b->composed[at]);
+    }
+}
+
+/* Compose the block's answers axis by axis: one triangulation at a time is in the caches. */
+static void compose_block(const wb_table *t, const wb_group *g, int bends, size_t count, bench *b) {
+    const wb_composition *c = &g->composition;
+    for (size_t i = 0; i < count; i++) wb_compose_start(c, &b->composed[i]);
+    for (int axis = 0; axis < 3; axis++) {
+        size_t used = 0;
+        for (size_t i = 0; i < count; i++) {
+            const double *w = b->inputs + 6 * i, *scale = c->floats[axis].scale;
+            if (!wb_needs_axis(t->small, w, axis)) continue;
+            double x[3] = {w[axis] / scale[0], w[3 + (axis + 1) % 3] / scale[1],
+                           w[3 + (axis + 2) % 3] / scale[2]};
+            uint32_t key = c->ints[axis].dimension < 1 ? 0 : (uint32_t)wb_hint(c, axis, x);
+            b->order[used].key = key, b->order[used++].place = (uint32_t)i;
+        }
+        if (used) sort(&b->order, &b->spare, used);
+        for (size_t i = 0; i < used; i += RUN) compose_run(c, axis, bends, i, used, b);
+    }
+    for (size_t i = 0; i < count; i++)
+        wb_add_moments(c, t->small, b->inputs + 6 * i, &b->composed[i]);
+}
+
+/* The order in which a block is answered: that of the kriging's neighbourhoods. */
+static void order_block(const wb_table *t, const wb_kriging *k, size_t count, bench *b) {
+    for (size_t i = 0; i < count; i++) {
+        const double *w = b->inputs + (size_t)t->inputs * i;
+        b->order[i].place = (uint32_t)i;
+        b->order[i].key = k ? (uint32_t)wb_anchor(t, k, w, &b->work) : 0;
+    }
+    if (k) sort(&b->order, &b->spare, count);
+}
+
+static void put(const task *own, size_t place, bench *b, wb_reply *reply) {
+    const wb_table *t = own->t;
+    size_t m = (size_t)t->outputs;
+    if (own->derivatives) {
+        double *out = own->derivatives + place * m * (size_t)t->inputs;
+        wb_reply_derivative(t, own->o, &b->work, reply, out);
+        return;
+    }
+    wb_conclude(t, own->o, &b->work, reply);
+    memcpy(own->outputs + m * place, reply->outputs, m * sizeof(double));
+    memcpy(own->errors + m * place, reply->error, m * sizeof(double));
+    own->coverage[place] = (unsigned char)reply->coverage;
+}
+
+/* One group of outputs: the common table. */
+static void answer_block(const task *own, size_t start, size_t count, bench *b) {
+    const wb_table *t = own->t;
+    const wb_group *g = &t->group[0];
+    int method = wb_method_of(g, own->o), axes = g->used && method <= WB_TANGENT;
+    const wb_kriging *k = NULL;
+    if (g->used && method == WB_KRIGING) k = &g->kriging;
+    else if (axes && g->reference & WB_REF_KRIGING) k = &g->kriging;
+    else if (axes && g->reference & WB_REF_MISSED) k = &g->missed;
+    if (axes) compose_block(t, g, method == WB_TANGENT, count, b);
+    order_block(t, k, count, b);
+    for (size_t i = 0; i < count; i++) {
+        size_t place = b->order[i].place;
+        wb_reply reply;
+        wb_found found;
+        int worst = -1;
+        wb_begin(t, own->inputs + (start + place) * (size_t)t->inputs, &reply);
+        if (axes) {
+            found.method = method, found.reasons = 0;
+            wb_found_by_axes(t, g, &b->work, reply.inputs, method, &b->composed[place], &found);
+            wb_finish(t, g, own->o, reply.inputs, 0, &found);
+        } else {
+            wb_group_answer(t, g, own->o, &b->work, reply.inputs, 0, &found);
+        }
+        wb_merge(t, g, &found, &reply, &worst);
+        put(own, start + place, b, &reply);
+    }
+}
+
+static void answer_groups(const task *own, size_t start, size_t count, bench *b) {
+    const wb_table *t = own->t;
+    for (size_t place = start; place < start + count; place++) {
+        wb_reply reply;
+        int worst = -1;
+        wb_begin(t, own->inputs + place * (size_t)t->inputs, &reply);
+        for (int i = 0; i < t->groups; i++) {
+            wb_found found;
+            wb_group_answer(t, &t->group[i], own->o, &b->work, reply.inputs, 0, &found);
+            wb_merge(t, &t->group[i], &found, &reply, &worst);
+        }
+        put(own, place, b, &reply);
+    }
+}
+
+static void run(task *own) {
+    const wb_table *t = own->t;
+    size_t n = (size_t)t->inputs;
+    bench b;
+    if ((own->wrong = open_bench(t, own->n, &b))) return;
+    for (size_t start = BLOCK * own->first; start < own->n; start += BLOCK * own->step) {
+        size_t count = own->n - start < BLOCK ? own->n - start : BLOCK;
+        for (size_t i = 0; i < count; i++)
+            for (size_t k = 0; k < n; k++) {
+                double load = own->inputs[(start + i) * n + k];
+                b.inputs[i * n + k] = t->locked[k] ? 0.0 : load + 0.0;
+            }
+        if (t->groups == 1) answer_block(own, start, count, &b);
+        else answer_groups(own, start, count, &b);
+    }
+    close_bench(&b);
+}
+
+#ifdef _WIN32
+static DWORD WINAPI enter(void *own) { return run(own), 0; }
+static int start_thread(wb_thread *thread, task *own) {
+    return (*thread = CreateThread(NULL, 0, enter, own, 0, NULL)) != NULL;
+}
+static void join_thread(wb_thread thread) {
+    WaitForSingleObject(thread, INFINITE);
+    CloseHandle(thread);
+}
+#else
+static void *enter(void *own) { return run(own), NULL; }
+static int start_thread(wb_thread *thread, task *own) {
+    return !pthread_create(thread, NULL, enter, own);
+}
+static void join_thread(wb_thread thread) { pthread_join(thread, NULL); }
+#endif
+
+/* Share the blocks among threads; the calling one is the first of them. */
+static int run_all(const task *whole, int threads) {
+    task own[MOST_THREADS];
+    wb_thread thread[MOST_THREADS];
+    int started[MOST_THREADS] = {0}, wrong = WB_OK;
+    size_t blocks = (whole->n + BLOCK - 1) / BLOCK;
+    if (threads > MOST_THREADS) threads = MOST_THREADS;
+    if (threads < 1) threads = 1;
+    if ((size_t)threads > blocks) threads = (int)blocks;
+    for (int i = 0; i < threads; i++) {
+        own[i] = *whole, own[i].first = (size_t)i, own[i].step = (size_t)threads;
+        if (i) started[i] = start_thread(&thread[i], &own[i]);
+    }
+    for (int i = 0; i < threads; i++)
+        if (!started[i]) run(&own[i]); /* the first, and any that did not start */
+    for (int i = 0; i < threads; i++) {
+        if (started[i]) join_thread(thread[i]);
+        if (own[i].wrong) wrong = own[i].wrong;
+    }
+    return wrong;
+}
+
+static int check_all(const task *whole) {
+    for (size_t i = 0; i < whole->n; i++) {
+        int wrong = wb_check(whole->t, whole->o, whole->inputs + i * (size_t)whole->t->inputs);
+        if (wrong) return wrong;
+    }
+    return whole->n >= UINT32_MAX ? WB_NO_MEMORY : WB_OK;
+}
+
+int wb_answer_many(const wb_table *t, const wb_options *options, size_t n, const double *inputs,
+                   double *outputs, double *errors, unsigned char *coverage, int threads) {
+    task whole = {t, options ? options : &OWN, n, 0, 1, inputs, outputs, errors, NULL, coverage, 0};
+    int wrong = check_all(&whole);
+    return wrong || !n ? wrong : run_all(&whole, threads);
+}
+
+int wb_derivative_many(const wb_table *t, const wb_options *options, size_t n,
+                       const double *inputs, double *du_dw, int threads) {
+    task whole = {t, options ? options : &OWN, n, 0, 1, inputs, NULL, NULL, du_dw, NULL, 0};
+    int wrong = check_all(&whole);
+    return wrong || !n ? wrong : run_all(&whole, threads);
+}

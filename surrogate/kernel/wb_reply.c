@@ -1,0 +1,233 @@
+/* From the answers of groups of outputs to a reply: the solver's share, limits. MIT license. */
+#include "wb_internal.h"
+
+#include <math.h>
+#include <string.h>
+
+static double larger(double a, double b) { return a > b ? a : b; }
+
+static const wb_options OWN = {WB_DEFAULT, NULL};
+
+void wb_begin(const wb_table *t, const double *inputs, wb_reply *reply) {
+    reply->coverage = WB_COVERED, reply->within = -1, reply->method = WB_ESTIMATE;
+    reply->exact = reply->reasons = reply->group = 0;
+    reply->row = reply->place = -1, reply->missing = 0, reply->unknown = reply->unused = 0;
+    for (int k = 0; k < t->inputs; k++) /* no negative zeros; no loads on locked freedoms */
+        reply->inputs[k] = t->locked[k] ? 0.0 : inputs[k] + 0.0;
+    for (int q = 0; q < t->outputs; q++) {
+        reply->outputs[q] = reply->interpolation[q] = NAN;
+        reply->missing |= (uint64_t)1 << q;
+    }
+}
+
+static int is_reason_of(const wb_reply *reply, const wb_reason *reason) {
+    for (int i = 0; i < reply->reasons; i++) {
+        const wb_reason *one = &reply->reason[i];
+        if (one->code == reason->code && one->axis == reason->axis && one->index == reason->index
+            && one->value == reason->value && one->limit == reason->limit)
+            return 1;
+    }
+    return 0;
+}
+
+/* Take a group's outputs. The worst group decides; an answer is a row's only if all are. */
+void wb_merge(const wb_table *t, const wb_group *g, const wb_found *found, wb_reply *reply,
+              int *worst) {
+    int number = (int)(g - t->group);
+    for (int q = 0; q < t->outputs; q++) {
+        if (!g->outputs[q]) continue;
+        reply->outputs[q] = found->outputs[q], reply->interpolation[q] = found->error[q];
+        reply->missing &= ~((uint64_t)1 << q);
+    }
+    for (int i = 0; i < found->reasons; i++) {
+        if (reply->reasons == WB_MOST_REASONS || is_reason_of(reply, &found->reason[i])) continue;
+        reply->reason[reply->reasons] = found->reason[i];
+        reply->reason[reply->reasons++].group = number;
+    }
+    int rank = 2 * found->coverage + (found->method != WB_ROW);
+    if (rank <= *worst) return;
+    *worst = rank;
+    reply->coverage = found->coverage, reply->method = found->method, reply->group = number;
+    reply->place = found->method == WB_ROW ? found->row : -1;
+    reply->row = reply->place < 0 ? -1 : g->rows.seq[reply->place];
+    reply->exact = found->exact;
+}
+
+/* du/dw of a reply: the interpolants', or the tangents of the rows that answer. */
+void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
+                         const wb_reply *reply, double *derivative) {
+    int n = t->inputs, m = t->outputs;
+    double own[WB_MOST * WB_MOST];
+    for (int k = 0; k < n * m; k++) derivative[k] = NAN;
+    for (int i = 0; i < t->groups; i++) {
+        const wb_group *g = &t->group[i];
+        const double *slopes = own;
+        if (reply->method == WB_ROW) {
+            int64_t row = wb_find_row(t, g, reply->inputs);
+            int64_t place = row < 0 ? -1 : g->rows.tangent_of[row];
+            if (place < 0) continue;
+            slopes = g->rows.tangent + (int64_t)n * m * place;
+        } else {
+            wb_group_slopes(t, g, work, reply->inputs, wb_method_of(g, o), own);
+        }
+        for (int q = 0; q < m; q++)
+            if (g->outputs[q]) memcpy(derivative + n * q, slopes + n * q, (size_t)n * sizeof(double));
+    }
+}
+
+/* What the mesh lacks by the answer's tangent T, |T D u|; 0 where that is not known. */
+static int lacking_of(const wb_table *t, const wb_options *o, wb_work *work,
+                      const wb_reply *reply, double *lacking) {
+    int n = t->inputs, m = t->outputs;
+    double tangent[WB_MOST * WB_MOST], pushed[WB_MOST] = {0}, size = 0;
+    wb_reply_derivative(t, o, work, reply, tangent);
+    for (int q = 0; q < m; q++)
+        for (int k = 0; k < n; k++) pushed[k] += t->solver.stiffness[m * k + q] * reply->outputs[q];
+    for (int k = 0; k < n * m; k++) size += fabs(tangent[k]);
+    if (!(size > 0)) return 0; /* a method without tangents, or none is known */
+    for (int q = 0; q < m; q++) {
+        lacking[q] = 0;
+        for (int k = 0; k < n; k++) lacking[q] += tangent[n * q + k] * pushed[k];
+        lacking[q] = fabs(lacking[q]);
+        if (!isfinite(lacking[q])) return 0;
+    }
+    return 1;
+}
+
+/* No share of the solver's: measured rows, or rows whose solver's error is not known. */
+static void keep(const wb_table *t, wb_reply *reply) {
+    const wb_solver *s = &t->solver;
+    for (int q = 0; q < t->outputs; q++) {
+        reply->error[q] = reply->interpolation[q];
+        reply->discretisation[q] = s->mesh_known ? 0.0 : NAN;
+        reply->linearity[q] = !s->linear || s->linearity_known ? 0.0 : NAN;
+    }
+}
+
+/* `SolverError.widened`: what the solver of the rows may itself be wrong by. */
+static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
+    const wb_solver *s = &t->solver;
+    double most = 0, lacking[WB_MOST];
+    int by_row = reply->method == WB_ROW && wb_is_beyond(t, reply->inputs);
+    int asks = s->asks > 1 || (s->asks > 0 && by_row);
+    int told = asks && lacking_of(t, o, work, reply, lacking);
+    for (int k = 0; k < t->inputs; k++) most = larger(fabs(reply->inputs[k]) * s->one_over[k], most);
+    for (int q = 0; q < t->outputs; q++) {
+        double small = 0, more = s->square[q] * (most * most);
+        for (int k = 0; k < t->inputs; k++)
+            small += s->mesh[t->inputs * q + k] * fabs(reply->inputs[k]);
+        if (told) more = larger(lacking[q] - small, 0);
+        reply->error[q] = reply->interpolation[q] + small + more;
+        if (!s->linear) small += more, more = 0;
+        reply->discretisation[q] = s->mesh_known ? small : NAN;
+        reply->linearity[q] = !s->linear || s->linearity_known ? more : NAN;
+    }
+}
+
+/* Whether the total error is within the tolerance; outputs without an error are left out. */
+static int within(const wb_table *t, const wb_options *o, const wb_reply *reply) {
+    int found = -1;
+    if (!t->solver.whole) return -1; /* a part of the error is not known */
+    for (int q = 0; q < t->outputs; q++) {
+        double most = o->tolerance && !isnan(o->tolerance[q]) ? o->tolerance[q] : t->tolerance[q];
+        if (isnan(most)) return -1; /* no tolerance */
+        if (isnan(reply->error[q])) continue;
+        if (!(reply->error[q] <= most)) return 0;
+        found = 1;
+    }
+    return found;
+}
+
+/* Whether no table may hold such a displacement: 20 degrees, 10 m. */
+static int beyond_limits(const wb_table *t, const double *outputs) {
+    for (int q = 0; q < t->outputs; q++)
+        if (fabs(outputs[q]) > t->limit[q]) return 1;
+    for (int i = 0; i < t->vectors; i++) {
+        double sum = 0;
+        for (int q = t->vector_first[i]; q < t->vector_first[i] + 3; q++)
+            if (!isnan(outputs[q])) sum += outputs[q] * outputs[q];
+        if (sqrt(sum) > t->vector_limit[i]) return 1;
+    }
+    return 0;
+}
+
+/* Add the solver's share; take an estimate away that no table could hold. */
+void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
+    if (t->solver.none) keep(t, reply);
+    else widen(t, o, work, reply);
+    if (reply->coverage != WB_COVERED && beyond_limits(t, reply->outputs)) {
+        for (int q = 0; q < t->outputs; q++) {
+            reply->outputs[q] = reply->error[q] = reply->interpolation[q] = NAN;
+            reply->discretisation[q] = reply->linearity[q] = NAN;
+        }
+        int place = reply->reasons < WB_MOST_REASONS ? reply->reasons++ : WB_MOST_REASONS - 1;
+        memset(&reply->reason[place], 0, sizeof reply->reason[place]);
+        reply->reason[place].code = WB_REASON_BEYOND_LIMITS;
+        reply->reason[place].axis = reply->reason[place].index = -1;
+    }
+}
+
+/* Whether all inputs are finite and each group has the method. */
+int wb_check(const wb_table *t, const wb_options *o, const double *inputs) {
+    if (o->method < WB_DEFAULT || o->method >= WB_METHODS) return WB_NO_METHOD;
+    for (int k = 0; k < t->inputs; k++)
+        if (!isfinite(inputs[k])) return WB_NOT_FINITE;
+    for (int i = 0; i < t->groups; i++) {
+        const wb_group *g = &t->group[i];
+        int method = wb_method_of(g, o);
+        int exact = method == WB_LINEAR && g->exact_fit;
+        int own = method == WB_KRIGING && g->reference & WB_REF_KRIGING;
+        if (!g->used || own || exact) continue;
+        if (method <= WB_TANGENT && !g->has_composition) return WB_NO_METHOD;
+        if (!g->reference || (method == WB_NEAREST && !g->near)) return WB_NO_METHOD;
+    }
+    return WB_OK;
+}
+
+static void count_unknown(const wb_table *t, wb_reply *reply) {
+    for (int q = 0; q < t->outputs; q++) {
+        reply->unknown += (isnan(reply->outputs[q]) != 0) + (isnan(reply->error[q]) != 0);
+        reply->unknown += (isnan(reply->interpolation[q]) != 0) + (isnan(reply->linearity[q]) != 0);
+        reply->unknown += isnan(reply->discretisation[q]) != 0;
+    }
+}
+
+int wb_answer(const wb_table *t, const wb_options *options, const double *inputs, wb_reply *reply,
+              void *scratch) {
+    const wb_options *o = options ? options : &OWN;
+    wb_work work = wb_work_of(t, scratch);
+    int wrong = wb_check(t, o, inputs), worst = -1;
+    if (wrong) return wrong;
+    wb_begin(t, inputs, reply);
+    for (int i = 0; i < t->groups; i++) {
+        wb_found found;
+        wb_group_answer(t, &t->group[i], o, &work, reply->inputs, 1, &found);
+        wb_merge(t, &t->group[i], &found, reply, &worst);
+    }
+    wb_conclude(t, o, &work, reply);
+    reply->within = within(t, o, reply);
+    count_unknown(t, reply);
+    return WB_OK;
+}
+
+int wb_derivative(const wb_table *t, const wb_options *options, const double *inputs, double *du_dw,
+                  void *scratch) {
+    const wb_options *o = options ? options : &OWN;
+    wb_work work = wb_work_of(t, scratch);
+    wb_reply reply;
+    int wrong = wb_check(t, o, inputs), worst = -1;
+    if (wrong) return wrong;
+    wb_begin(t, inputs, &reply);
+    for (int i = 0; i < t->groups; i++) {
+        wb_found found;
+        wb_group_answer(t, &t->group[i], o, &work, reply.inputs, 0, &found);
+        wb_merge(t, &t->group[i], &found, &reply, &worst);
+    }
+    wb_reply_derivative(t, o, &work, &reply, du_dw);
+    return WB_OK;
+}
+
+#ifndef WB_SOURCES
+#define WB_SOURCES "unknown"
+#endif
+const char *wb_sources(void) { return WB_SOURCES; }

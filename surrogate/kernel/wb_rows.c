@@ -1,0 +1,100 @@
+/* The row at or near a wrench: surrogate/exact_rows.py and surrogate/table/row_index.py. MIT. */
+#include "wb_internal.h"
+
+#include <math.h>
+#include <string.h>
+
+static const double NEAR = 1e-6; /* of the range: rows closer than this in each load are one */
+static const double STEEPER = 2.0; /* than in proportion: of a response that bends */
+
+/* numpy's maximum: what is not a number wins. */
+static double larger(double a, double b) { return isnan(a) || a > b ? a : b; }
+
+/* `LoadRange.exceeded`, with the ends that the file brings. */
+int wb_is_beyond(const wb_table *t, const double *w) {
+    for (int k = 0; k < t->inputs; k++)
+        if (w[k] < t->ends[k] || w[k] > t->ends[t->inputs + k]) return 1;
+    return 0;
+}
+
+/* The nearest row within NEAR in each load, of equally near ones the first, or -1. */
+int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w) {
+    const wb_rows *r = &g->rows;
+    double key = 0, closest = NEAR, window = NEAR * (1 + 1e-6);
+    int n = t->inputs;
+    if (!r->count) return -1;
+    for (int k = 0; k < n; k++) key += w[k] * r->rates[k];
+    int64_t bucket = wb_bucket(key - window, r->bucket, r->buckets), found = -1;
+    int64_t low = r->start[bucket], high = r->start[bucket + 1];
+    while (low < high) {
+        int64_t middle = low + (high - low) / 2;
+        if (r->key[middle] < key - window) low = middle + 1;
+        else high = middle;
+    }
+    for (; low < r->count && r->key[low] <= key + window; low++) {
+        double apart = 0;
+        for (int k = 0; k < n; k++)
+            apart = larger(fabs(r->wrench[n * low + k] - w[k]) / t->scale[k], apart);
+        if (!(apart <= closest)) continue;
+        if (apart == closest && found >= 0 && r->number[low] > r->number[found]) continue;
+        closest = apart, found = low;
+    }
+    return found;
+}
+
+/* The largest of an output's kind, translations or rotations of one interface. */
+static double most_of_kind(const wb_table *t, const double *moved, int q) {
+    int first = t->outputs % 3 ? q : q / 3 * 3, count = t->outputs % 3 ? 1 : 3;
+    double most = NAN;
+    for (int k = first; k < first + count; k++) most = fmax(fabs(moved[k]), most);
+    return most;
+}
+
+/* How much each output may move without a tangent, over half the load range. */
+static double slopes_without_tangent(const wb_table *t, const wb_group *g, int64_t row,
+                                     double *slope) {
+    double far = 0, steep = 0;
+    const double *moved = g->rows.moved + t->outputs * row;
+    for (int k = 0; k < t->inputs; k++)
+        far = larger(fabs(g->rows.wrench[t->inputs * row + k] / t->scale[k]), far);
+    for (int q = 0; q < t->outputs; q++) {
+        slope[q] = g->rows.steepest[q];
+        if (far > 0) slope[q] = fmax(STEEPER / far * most_of_kind(t, moved, q), slope[q]);
+        steep = larger(slope[q], steep);
+    }
+    return steep;
+}
+
+/* Take what the row at or near a wrench says, unless it is too far off: `ExactRows.at`. */
+int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
+                     wb_found *a) {
+    int n = t->inputs, m = t->outputs, method = wb_method_of(g, o);
+    int64_t row = wb_find_row(t, g, w);
+    if (row < 0) return 0;
+    const double *own = g->rows.wrench + n * row, *moved = g->rows.moved + m * row;
+    int64_t place = g->rows.tangent_of[row];
+    const double *tangent = place < 0 ? NULL : g->rows.tangent + n * m * place;
+    double step[WB_MOST], slope[WB_MOST], outputs[WB_MOST], error[WB_MOST], reach = 0;
+    a->exact = 1;
+    for (int k = 0; k < n; k++) {
+        step[k] = w[k] - own[k];
+        a->exact &= step[k] == 0;
+        reach = larger(fabs(step[k] / t->scale[k]), reach);
+    }
+    if (wb_is_beyond(t, w) != wb_is_beyond(t, own)) return 0;
+    double steep = slopes_without_tangent(t, g, row, slope);
+    for (int q = 0; q < m; q++) {
+        double more = 0, growth = steep > 0 ? slope[q] * reach : NAN;
+        for (int k = 0; tangent && k < n; k++) more += tangent[n * q + k] * step[k];
+        if (tangent && isfinite(more)) growth = fabs(more);
+        else more = 0;
+        if (!(reach > 0) || isnan(moved[q])) more = growth = 0;
+        if (!(growth <= wb_allowed(t, g, o, method, q))) return 0;
+        outputs[q] = moved[q] + more;
+        error[q] = g->rows.bar[m * row + q] + growth;
+    }
+    memcpy(a->outputs, outputs, (size_t)m * sizeof(double));
+    memcpy(a->error, error, (size_t)m * sizeof(double));
+    a->row = row;
+    return 1;
+}

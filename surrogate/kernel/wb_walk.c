@@ -1,0 +1,123 @@
+/* Find the simplex of a point by walking: surrogate/interpolation/walk.py. MIT license.
+ *
+ * A walk starts from the simplex that a grid names for the point's cell, whatever was asked before,
+ * so that an answer does not depend on the order of a batch. Indices are checked as they are
+ * followed: a damaged triangulation ends a walk, it leads nowhere else.
+ */
+#include "wb_internal.h"
+
+#include <math.h>
+
+static const double INSIDE = -1e-13; /* rounding may have put a point outside by this much */
+static const double ON_HULL = 1e-9;  /* a point that far beyond the hull counts as on it */
+static const int MOST_STEPS = 100000; /* a longer walk goes in circles between flat simplices */
+
+static int cell(double place, int cells) {
+    /* Compared before it is made whole: a huge number has no int. */
+    if (!(place > 0.0)) return 0;
+    return place >= cells - 1 ? cells - 1 : (int)place;
+}
+
+static int hint(const wb_composition *c, int axis, const double flat[3]) {
+    const wb_axis_floats *f = &c->floats[axis];
+    const wb_axis_ints *own = &c->ints[axis];
+    int64_t at = 0;
+    for (int k = 0; k < 3; k++)
+        at = at * own->cells[k] + cell((flat[k] - f->corner[k]) * f->density[k], own->cells[k]);
+    int found = c->grid[own->first_cell + at];
+    return found >= c->simplex_first[axis] && found < c->simplex_first[axis + 1]
+               ? found : c->simplex_first[axis];
+}
+
+/* Where the walk to a scaled point starts: points with equal hints are close to each other. */
+int wb_hint(const wb_composition *c, int axis, const double x[3]) {
+    double flat[3];
+    wb_flat(c, axis, x, flat);
+    return hint(c, axis, flat);
+}
+
+void wb_shares(const wb_composition *c, int simplex, const double flat[3], double shares[4]) {
+    const double *m = c->simplex[simplex].map, *at = c->simplex[simplex].anchor;
+    double p = flat[0] - at[0], q = flat[1] - at[1], r = flat[2] - at[2];
+    shares[0] = m[0] * p + m[1] * q + m[2] * r;
+    shares[1] = m[3] * p + m[4] * q + m[5] * r;
+    shares[2] = m[6] * p + m[7] * q + m[8] * r;
+    shares[3] = 1.0 - shares[0] - shares[1] - shares[2];
+}
+
+/* The corner of the smallest barycentric coordinate; that of the last corner is shares[3]. */
+static int worst_of(const double shares[4], int dimension, double *least) {
+    int worst = 0;
+    *least = shares[0];
+    for (int k = 1; k < dimension; k++)
+        if (shares[k] < *least) { worst = k; *least = shares[k]; }
+    if (shares[3] < *least) { worst = dimension; *least = shares[3]; }
+    return worst;
+}
+
+/* Look at every simplex that is not degenerate: where a walk goes in circles. */
+static int find_slowly(const wb_composition *c, int axis, const double flat[3], double shares[4]) {
+    int dimension = c->ints[axis].dimension, best = -1;
+    double most = -ON_HULL, least;
+    for (int s = c->simplex_first[axis]; s < c->simplex_first[axis + 1]; s++) {
+        if (c->state[s] == WB_DEGENERATE) continue;
+        wb_shares(c, s, flat, shares);
+        worst_of(shares, dimension, &least);
+        if (least >= most) { most = least; best = s; }
+    }
+    if (best >= 0) wb_shares(c, best, flat, shares);
+    return best;
+}
+
+static int find(const wb_composition *c, int axis, const double flat[3], double shares[4]) {
+    int dimension = c->ints[axis].dimension, here = hint(c, axis, flat);
+    for (int step = 0; step < MOST_STEPS; step++) {
+        double least;
+        if (c->state[here] == WB_DEGENERATE) break;
+        wb_shares(c, here, flat, shares);
+        int worst = worst_of(shares, dimension, &least);
+        if (least >= INSIDE) return here;
+        int there = c->simplex[here].neighbour[worst];
+        if (there < 0 && least < -ON_HULL) return -1;
+        if (there < 0 || there == here) return here;
+        if (there >= c->simplices) break;
+        here = there;
+    }
+    return find_slowly(c, axis, flat, shares);
+}
+
+void wb_flat(const wb_composition *c, int axis, const double x[3], double flat[3]) {
+    const wb_axis_floats *f = &c->floats[axis];
+    if (c->ints[axis].dimension == 3) {
+        for (int k = 0; k < 3; k++) flat[k] = x[k];
+        return;
+    }
+    double a = x[0] - f->origin[0], b = x[1] - f->origin[1], d = x[2] - f->origin[2];
+    flat[0] = a * f->basis[0] + b * f->basis[1] + d * f->basis[2];
+    flat[1] = a * f->basis[3] + b * f->basis[4] + d * f->basis[5];
+    flat[2] = 0.0;
+}
+
+/* Whether a point lies in what the triangulation's points span. */
+static int is_held(const wb_composition *c, int axis, const double x[3], const double flat[3]) {
+    const wb_axis_floats *f = &c->floats[axis];
+    if (c->ints[axis].dimension == 3) return 1;
+    for (int k = 0; k < 3; k++) {
+        double off = x[k] - f->origin[k];
+        off -= flat[0] * f->basis[k] + flat[1] * f->basis[3 + k];
+        if (!(fabs(off) <= f->slack)) return 0;
+    }
+    return 1;
+}
+
+/* `Triangulation.locate`: the simplex of a scaled point and its shares there, or -1. */
+int wb_locate(const wb_composition *c, int axis, const double x[3], double shares[4]) {
+    double flat[3];
+    wb_flat(c, axis, x, flat);
+    if (!isfinite(flat[0] + flat[1] + flat[2]) || !is_held(c, axis, x, flat)) return -1;
+    if (c->ints[axis].dimension == 0) {
+        wb_shares(c, c->simplex_first[axis], flat, shares);
+        return c->simplex_first[axis];
+    }
+    return find(c, axis, flat, shares);
+}

@@ -1,0 +1,157 @@
+/* wrenchbook.h: answers from a packed table (a .wbt file). MIT license, as all of wrenchbook.
+ *
+ * Units are SI: N, N·m, m, rad. A table has n inputs (loads: force then moment) and m outputs
+ * (translation then rotation), 6 and 6 for one interface. The wrench acts ON the deformable
+ * component at its interface point, in the undeformed interface frame; wb_json has the contract in
+ * words. A table is never written to: any number of threads may answer from one, each with a
+ * scratch of its own. No answer allocates memory; wb_answer_many allocates once a call.
+ */
+#ifndef WRENCHBOOK_H
+#define WRENCHBOOK_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#if defined(WB_SHARED) && defined(_WIN32)
+#define WB_API __declspec(dllexport)
+#elif defined(WB_SHARED)
+#define WB_API __attribute__((visibility("default")))
+#else
+#define WB_API
+#endif
+
+enum { WB_MOST = 64, WB_MOST_REASONS = 16 }; /* inputs, outputs; reasons of one answer */
+
+/* What a call returns. */
+enum {
+    WB_OK = 0,
+    WB_NOT_FINITE = 1,   /* an input or an output asked for is not a finite number */
+    WB_NO_METHOD = 2,    /* the table does not have this method */
+    WB_NO_MEMORY = 3,
+    WB_NOT_SQUARE = 4,   /* wb_inverse: as many outputs as inputs are needed */
+    WB_SINGULAR = 5,     /* wb_inverse: du/dw has no inverse, or is not known */
+    WB_NO_CONVERGENCE = 6 /* wb_inverse: `inputs` is the best that was found */
+};
+
+enum { WB_COVERED = 0, WB_THIN = 1, WB_OUTSIDE = 2 };
+
+/* WB_ROW: a row of the table answers; WB_ESTIMATE: there are no rows to answer from. */
+enum {
+    WB_DEFAULT = -1,
+    WB_GRIDDATA = 0,
+    WB_ADDITIVE = 1,
+    WB_TANGENT = 2,
+    WB_KRIGING = 3,
+    WB_LINEAR = 4,
+    WB_NEAREST = 5,
+    WB_METHODS = 6,
+    WB_ROW = 6,
+    WB_ESTIMATE = 7
+};
+
+/* Why an answer is not covered. surrogate/packed/reasons.py has the words. */
+enum {
+    WB_REASON_EMPTY = 1,            /* the table has no rows */
+    WB_REASON_ONLY_BEYOND = 2,      /* all rows are outside the load range */
+    WB_REASON_BEYOND_RANGE = 3,     /* index: input; value: the load; limit: the end passed */
+    WB_REASON_UNKNOWN_LOAD = 4,     /* index: input whose influence no row shows */
+    WB_REASON_AXIS_NO_ROWS = 5,     /* axis */
+    WB_REASON_AXIS_OFF_HULL = 6,    /* axis */
+    WB_REASON_AXIS_FEW_ROWS = 7,    /* axis; value: rows; limit: rows needed */
+    WB_REASON_AXIS_DEGENERATE = 8,  /* axis */
+    WB_REASON_AXIS_FAR_APART = 9,   /* axis; value: part of the load range; limit: most */
+    WB_REASON_MOMENT_ALONE = 10,    /* axis; index: input; value: the moment */
+    WB_REASON_REST_UNKNOWN = 11,    /* what the component does without load */
+    WB_REASON_INTERACTION = 12,     /* value: full wrenches; limit: full wrenches needed */
+    WB_REASON_SIZE_UNKNOWN = 13,    /* left-out rows do not show how large errors are */
+    WB_REASON_OVER_TOLERANCE = 14,  /* index: output; value: interpolation error; limit */
+    WB_REASON_NO_ERROR = 15,        /* no row shows how far off this answer may be */
+    WB_REASON_ERRORS_UNKNOWN = 16,  /* value: sigma; limit: largest calibrated sigma */
+    WB_REASON_BEYOND_LIMITS = 17,   /* an estimate beyond the table's limits is not given */
+    WB_REASON_AXIS_ERRORS_UNKNOWN = 18 /* axis; value: rows left out; limit: least of them */
+};
+
+typedef struct wb_table wb_table;
+
+typedef struct {
+    int method;              /* WB_DEFAULT, or the method to answer by */
+    const double *tolerance; /* of each output, NaN for the component's own; NULL: all its own */
+} wb_options;
+
+typedef struct {
+    int32_t code, group, axis, index;
+    double value, limit;
+} wb_reason;
+
+/* NaN where unknown. The total error is the sum of the three parts. */
+typedef struct {
+    int32_t coverage; /* WB_COVERED, WB_THIN or WB_OUTSIDE */
+    int32_t within;   /* 1: the total error is within the tolerance, 0: it is not, -1: not known */
+    int32_t method;   /* what answered */
+    int32_t exact;    /* whether `row` has just this wrench */
+    int32_t reasons;  /* entries of `reason` */
+    int32_t group;    /* the group of outputs that decided coverage */
+    int32_t unknown;  /* how many of outputs and errors below are NaN */
+    int32_t unused;
+    int64_t row;      /* number (seq) of the row that answered, or -1 */
+    int64_t place;    /* its place among the group's rows, or -1 */
+    uint64_t missing; /* bit q: no row of the table holds output q */
+    double inputs[WB_MOST]; /* as they were used: locked inputs are zero */
+    double outputs[WB_MOST];
+    double error[WB_MOST];
+    double interpolation[WB_MOST], discretisation[WB_MOST], linearity[WB_MOST];
+    wb_reason reason[WB_MOST_REASONS];
+} wb_reply;
+
+/* What one of the three axes contributes (default space only). */
+typedef struct {
+    int32_t coverage, origin; /* origin: the axis whose rows answered, -1 without rows */
+    int32_t corners, corner[4]; /* points of that axis' triangulation */
+    int32_t reasons;
+    double outputs[6], error[6];
+    wb_reason reason;
+} wb_axis_reply;
+
+/* Map a table; NULL and a reason of at most `size` bytes in `why`. */
+WB_API wb_table *wb_open(const char *path, char *why, size_t size);
+/* The same of a file's bytes, aligned to 8 bytes; they must outlive the table. */
+WB_API wb_table *wb_open_bytes(const void *bytes, size_t count, char *why, size_t size);
+WB_API void wb_close(wb_table *table);
+
+WB_API int wb_inputs(const wb_table *table);
+WB_API int wb_outputs(const wb_table *table);
+WB_API const char *wb_json(const wb_table *table); /* contract, space, methods, provenance */
+WB_API size_t wb_scratch(const wb_table *table);   /* bytes of scratch, aligned to 8 bytes */
+
+/* Answer one wrench. A NULL `options` is the component's own method and tolerance. */
+WB_API int wb_answer(const wb_table *table, const wb_options *options, const double *inputs,
+                     wb_reply *reply, void *scratch);
+/* Answer n wrenches, row by row: outputs and total errors (n, m), coverage (n), with `threads`
+ * threads. The numbers are those of wb_answer to the last bit. */
+WB_API int wb_answer_many(const wb_table *table, const wb_options *options, size_t n,
+                          const double *inputs, double *outputs, double *errors,
+                          unsigned char *coverage, int threads);
+/* du/dw (m, n) of the answer; NaN where it is not known. */
+WB_API int wb_derivative(const wb_table *table, const wb_options *options, const double *inputs,
+                         double *du_dw, void *scratch);
+WB_API int wb_derivative_many(const wb_table *table, const wb_options *options, size_t n,
+                              const double *inputs, double *du_dw, int threads);
+/* Find the wrench whose displacement is `outputs` by Newton's method from `inputs`, by the
+ * method's interpolant alone. `stiffness`: the inverse of du/dw there, (n, m). Rows and columns of
+ * locked inputs are zero. */
+WB_API int wb_inverse(const wb_table *table, const wb_options *options, const double *outputs,
+                      double *inputs, double *stiffness, void *scratch);
+/* What axis 0, 1 or 2 contributes to the answer of one group of outputs. */
+WB_API int wb_axis(const wb_table *table, const wb_options *options, int group, int axis,
+                   const double *inputs, wb_axis_reply *reply);
+/* The hash of the sources that this library was compiled from. */
+WB_API const char *wb_sources(void);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

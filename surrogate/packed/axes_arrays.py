@@ -1,0 +1,236 @@
+"""The three axes of straight direction influence as the arrays of a packed table.
+
+Points and simplices are numbered along a space-filling curve, so that what lies close together in
+the load range lies close together in the file. A simplex and a point take 128 bytes each, two cache
+lines.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import accumulate
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from ..bars.error_law import FEWEST
+from ..composition.axis_table import LARGEST, AxisTable
+from ..composition.composition import Composition
+from ..interpolation.numbering import (
+    AXIS_FLOATS,
+    AXIS_INTS,
+    CELLS,
+    CORNER,
+    DENSITY,
+    DIMENSION,
+    FIRST_CELL,
+    SCALE,
+)
+from ..table.rows import Floats
+from .buckets import buckets_of
+
+CELLS_PER_SIMPLEX = 2.0
+SIMPLEX, VERTEX = 16, 16  # doubles of a simplex and of a point: wb_simplex, wb_vertex
+
+Array = NDArray[np.generic]
+
+
+def axes_arrays(
+    composition: Composition, members: Sequence[tuple[int, ...]]
+) -> Iterator[tuple[str, Array]]:
+    """Yield the names and arrays of a composition, of the default space.
+
+    With p points, s simplices, f facets of hulls, of all axes one after another: ``simplex``
+    (s, 16): four vertices and four neighbours as 32-bit integers, the slopes (3, 3) of the
+    barycentric coordinates but the last, the place of the last vertex; ``state`` (s), how sound
+    it is; ``vertex`` (p, 16): place, nothing, outputs, uncertainty; ``slopes`` (p, 6, 3) by the
+    scaled loads; ``grid``, where walks start; ``ints`` (3, 5) and ``floats`` (3, 22), the frames,
+    see `interpolation.numbering`; ``facets`` (f, 4): vertices and the simplex behind;
+    ``simplex_first``, ``point_first``, ``facet_first`` (4); ``fewest`` (3), points that an axis
+    needs; ``largest`` (4), the largest part of the range of a simplex by dimension; ``span``
+    (3, 3, 2), N and N·m; ``rest_point`` (2, 6), the answer at no load and its error; ``error``
+    (3, 2, 6), A and C of the error of interpolation; ``left_out`` (4), points left out an axis, and
+    how many are needed; ``cutMK``, the answers to moment M alone by
+    the axis it comes first (K = 0) or second in; ``member_first`` (p + 1), ``members``, the rows
+    behind each point. Outputs and errors are m and rad, scaled loads dimensionless.
+    """
+    tables = composition.tables
+    points = [0 if table is None else len(table.values) for table in tables]
+    simplices = [0 if table is None else len(table.state) for table in tables]
+    facets = [_facets(table) for table in tables]
+    first_point, first_simplex = _first(points), _first(simplices)
+    yield (
+        "simplex",
+        _joined(
+            [_simplices(*one) for one in zip(tables, first_point, first_simplex, strict=False)],
+            (0, SIMPLEX),
+        ),
+    )
+    states = [table.state[_order(table)[1]] for table in tables if table is not None]
+    yield "state", _joined(states, (0,)).astype(np.uint8)
+    yield "vertex", _joined([_vertices(table) for table in tables], (0, VERTEX))
+    own = [table.slopes[_order(table)[0]] for table in tables if table is not None]
+    yield "slopes", _joined(own, (0, 6, 3))
+    for index, facet in enumerate(facets):
+        facet[:, :3] += first_point[index]
+        facet[:, 3] += first_simplex[index]
+    yield "facets", _joined(facets, (0, 4)).astype(np.int32)
+    yield "point_first", np.array(first_point, dtype=np.int32)
+    yield "simplex_first", np.array(first_simplex, dtype=np.int32)
+    yield "facet_first", np.array(_first([len(facet) for facet in facets]), dtype=np.int32)
+    yield from _frames(tables, first_simplex)
+    yield "fewest", np.array([0 if table is None else table.fewest for table in tables], np.int32)
+    left_out = [0 if table is None else table.left_out.told for table in tables]
+    yield "left_out", np.array([*left_out, FEWEST], dtype=np.int32)
+    yield "largest", np.array([LARGEST[dimension] for dimension in range(4)])
+    yield "span", np.array([_span(table) for table in tables])
+    yield "rest_point", np.stack((composition.at_rest.displacement, composition.at_rest.bar))
+    yield "error", np.array([_error(table) for table in tables])
+    yield from _cuts(composition)
+    yield from _members(tables, members)
+
+
+def _first(counts: list[int]) -> list[int]:
+    return list(accumulate(counts, initial=0))
+
+
+def _joined(parts: Sequence[Array | None], shape: tuple[int, ...]) -> NDArray:
+    """Return the parts that there are as one array; an empty one of a shape without any."""
+    return np.concatenate([np.empty(shape), *(part for part in parts if part is not None)])
+
+
+def _order(table: AxisTable) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the old number of each point and of each simplex."""
+    numbered = table.triangulation.numbered
+    return numbered.point_order, numbered.simplex_order
+
+
+def _simplices(table: AxisTable | None, point: int, simplex: int) -> Floats | None:
+    if table is None:
+        return None
+    numbered = table.triangulation.numbered
+    out = np.zeros((len(numbered.simplex), SIMPLEX))
+    ints = numbered.simplex[:, :8].astype(np.int32)
+    corners = table.triangulation.dimension + 1
+    ints[:, :corners] += point
+    ints[:, corners:4] = 0
+    ints[:, 4:] += np.where(ints[:, 4:] >= 0, simplex, 0)
+    out[:, :4] = np.ascontiguousarray(ints).view(np.float64)
+    out[:, 4:] = numbered.maps
+    return out
+
+
+def _vertices(table: AxisTable | None) -> Floats | None:
+    if table is None:
+        return None
+    order = table.triangulation.numbered.point_order
+    place = table.triangulation.points[order]
+    unused = np.zeros((len(order), 1))
+    return np.concatenate((place, unused, table.values[order], table.uncertainty[order]), axis=1)
+
+
+def _error(table: AxisTable | None) -> Floats:
+    """Return A and C of the error of interpolation, sqrt(A + C S^2), shape (2, 6), m² and rad²."""
+    if table is None:
+        return np.full((2, 6), np.nan)
+    return np.stack((table.noise_variance, table.curvature_variance))
+
+
+def _facets(table: AxisTable | None) -> NDArray[np.intp]:
+    """Return the hull's facets (f, 4): vertices and the simplex behind, in their new numbers."""
+    if table is None or not table.triangulation.dimension:
+        return np.zeros((0, 4), dtype=np.intp)
+    shape, (points, simplices) = table.triangulation, _order(table)
+    found = np.zeros((len(shape.hull), 4), dtype=np.intp)
+    found[:, : shape.dimension] = np.argsort(points)[shape.hull]
+    found[:, 3] = np.argsort(simplices)[shape.behind_hull]
+    return found
+
+
+def _frames(
+    tables: Sequence[AxisTable | None], first_simplex: list[int]
+) -> Iterator[tuple[str, Array]]:
+    floats, ints = np.zeros((3, AXIS_FLOATS)), np.zeros((3, AXIS_INTS), dtype=np.int32)
+    ints[:, DIMENSION] = -1
+    grids, cells = [np.empty(0, dtype=np.int32)], 0
+    for axis, table in enumerate(tables):
+        if table is None:
+            continue
+        numbered = table.triangulation.numbered
+        floats[axis], ints[axis] = numbered.floats, numbered.ints
+        floats[axis, SCALE : SCALE + 3], ints[axis, FIRST_CELL] = table.scale, cells
+        grid = _grid(table, floats[axis], ints[axis])
+        grids.append((grid + first_simplex[axis]).astype(np.int32))
+        cells += len(grid)
+    yield "floats", floats
+    yield "ints", ints
+    yield "grid", np.concatenate(grids)
+
+
+def _grid(table: AxisTable, floats: Floats, ints: NDArray[np.int32]) -> NDArray[np.intp]:
+    """Return the simplex that holds the middle of each cell of a grid over an axis' points.
+
+    A cell outside the hull takes the simplex whose middle is nearest. The grid's frame is written
+    to `floats` and `ints`.
+    """
+    shape, numbered = table.triangulation, table.triangulation.numbered
+    dimension = shape.dimension
+    if not dimension:
+        return np.zeros(1, dtype=np.intp)
+    flat = numbered.place[:, :dimension]
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    side = max(math.ceil((len(shape.simplices) * CELLS_PER_SIMPLEX) ** (1 / dimension)), 1)
+    width = np.maximum(high - low, np.finfo(float).tiny) / side
+    floats[CORNER : CORNER + dimension], floats[DENSITY : DENSITY + dimension] = low, 1 / width
+    ints[CELLS : CELLS + dimension] = side
+    places = np.stack(np.meshgrid(*[np.arange(side) + 0.5] * dimension, indexing="ij"), axis=-1)
+    middles = low + places.reshape(-1, dimension) * width
+    points = middles if dimension == 3 else shape.origin + middles @ shape.basis
+    found = shape.locate(points)
+    sound = np.flatnonzero(~shape.degenerate)
+    lost = np.flatnonzero((found < 0) | shape.degenerate[found])
+    if len(sound) and len(lost):
+        centres = shape.points[shape.simplices[sound]].mean(axis=1)
+        found[lost] = sound[KDTree(centres).query(points[lost])[1]]
+    return np.argsort(numbered.simplex_order)[np.maximum(found, 0)]
+
+
+def _span(table: AxisTable | None) -> Floats:
+    """Return the smallest and largest of an axis' three loads, (3, 2), N and N·m."""
+    if table is None:
+        return np.zeros((3, 2))
+    loads = table.rows.points * table.scale
+    return np.stack((loads.min(axis=0), loads.max(axis=0)), axis=1)
+
+
+def _cuts(composition: Composition) -> Iterator[tuple[str, Array]]:
+    """Yield each cut: stretches of polynomials by the scaled moment less their first station."""
+    for moment, cuts in enumerate(composition.cuts):
+        for cut in cuts:
+            name, count = f"cut{moment}{cut.column - 1}", len(cut.state)
+            yield f"{name}/state", cut.state.astype(np.int32)
+            yield f"{name}/stations", cut.stations if count else np.empty(0)
+            yield f"{name}/outputs", cut.pieces[:, :2].reshape(count, 2, 6)
+            yield f"{name}/bends", cut.pieces[:, 2:].reshape(count, 3, 6)
+            yield f"{name}/stated", cut.stated.reshape(count, 2, 6)
+            yield f"{name}/unit", cut.unit_errors.reshape(count, 3)
+            bucket, start = buckets_of(cut.stations if count else np.empty(0))
+            yield f"{name}/bucket", bucket
+            yield f"{name}/start", start
+
+
+def _members(
+    tables: Sequence[AxisTable | None], members: Sequence[tuple[int, ...]]
+) -> Iterator[tuple[str, Array]]:
+    first, found = [0], []
+    for table in tables:
+        if table is None:
+            continue
+        for point in _order(table)[0].tolist():
+            rows = sorted(row for place in table.rows.members[point] for row in members[place])
+            found.extend(rows)
+            first.append(len(found))
+    yield "member_first", np.array(first, dtype=np.int32)
+    yield "members", np.array(found, dtype=np.int64)

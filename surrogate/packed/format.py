@@ -1,0 +1,226 @@
+"""The file of a packed table (`.wbt`): a header, a directory of named arrays, JSON, the arrays.
+
+The header is 64 bytes: magic, format number, byte order, CRC-32 of all that follows it, sizes. Each
+entry of the directory is 128 bytes, in the order of the names; arrays begin at multiples of 64
+bytes, so that a mapped file is read in place. The same table gives the same bytes.
+surrogate/kernel/wb_file.c and wb_open.c read the same in C.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import tempfile
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAGIC = b"\x89WBT\r\n\x1a\n"  # as PNG's: a transfer that changes line ends is noticed
+FORMAT = 1
+SUFFIX = ".wbt"
+ALIGNED = 64  # bytes: a cache line
+CHECKED = 24  # bytes: the checksum is of what follows it
+BLOCK = 1 << 20  # bytes read at once for the checksum
+
+_BYTE_ORDER = 0x01020304
+_TYPES = {1: np.dtype("<f8"), 2: np.dtype("<i4"), 3: np.dtype("<i8"), 4: np.dtype("u1")}
+_CODES = {dtype: code for code, dtype in _TYPES.items()}
+_HEADER = np.dtype(
+    [
+        ("magic", "S8"),
+        ("format", "<u4"),
+        ("byte_order", "<u4"),
+        ("checksum", "<u8"),
+        ("size", "<u8"),
+        ("directory", "<u8"),
+        ("arrays", "<u8"),
+        ("json", "<u8"),
+        ("json_size", "<u8"),
+    ]
+)
+_ENTRY = np.dtype(
+    [
+        ("name", "S64"),
+        ("type", "<u4"),
+        ("dimensions", "<u4"),
+        ("shape", "<u8", (4,)),
+        ("offset", "<u8"),
+        ("bytes", "<u8"),
+        ("unused", "<u8"),
+    ]
+)
+
+
+class PackedTableError(ValueError):
+    """A file that is no packed table, is damaged, or has another format; the text says which."""
+
+
+class Packed(NamedTuple):
+    """What a packed table holds.
+
+    Attributes
+    ----------
+    arrays : dict of str to ndarray
+        Read-only views of the file's bytes; `packed.writer` has their shapes and units.
+    words : dict
+        The JSON block.
+    """
+
+    arrays: dict[str, NDArray[Any]]
+    words: dict[str, Any]
+
+
+def pieces(arrays: Mapping[str, NDArray[Any]], words: Mapping[str, Any]) -> list[bytes]:
+    """Return the file of a packed table as pieces of bytes.
+
+    Parameters
+    ----------
+    arrays
+        Of float64, int32, int64 or uint8, of at most four dimensions.
+    words
+        What JSON can hold.
+
+    Raises
+    ------
+    PackedTableError
+        If an array has another type, too many dimensions or too long a name.
+    """
+    text = json.dumps(words, sort_keys=True, ensure_ascii=False, allow_nan=False).encode() + b"\0"
+    names = sorted(arrays, key=str.encode)
+    directory = np.zeros(len(names), dtype=_ENTRY)
+    offset = _aligned(_HEADER.itemsize + directory.nbytes + len(text))
+    contents: list[bytes] = []
+    for entry, name in zip(directory, names, strict=True):
+        array = np.asarray(arrays[name])
+        code = _CODES.get(array.dtype.newbyteorder("<"))
+        if code is None or array.ndim > 4 or len(name.encode()) >= 64:
+            raise PackedTableError(f"array {name}: {array.dtype} of shape {array.shape}")
+        content = np.ascontiguousarray(array, dtype=_TYPES[code]).tobytes()
+        entry["name"], entry["type"], entry["dimensions"] = name.encode(), code, array.ndim
+        entry["shape"][: array.ndim] = array.shape
+        entry["offset"], entry["bytes"] = offset, len(content)
+        contents.append(content.ljust(_aligned(len(content)), b"\0"))
+        offset += len(contents[-1])
+    head = directory.tobytes() + text
+    head = head.ljust(_aligned(_HEADER.itemsize + len(head)) - _HEADER.itemsize, b"\0")
+    text_at = _HEADER.itemsize + directory.nbytes
+    header = np.zeros(1, dtype=_HEADER)
+    header[0] = (
+        *(MAGIC, FORMAT, _BYTE_ORDER, 0, offset),
+        *(_HEADER.itemsize, len(names), text_at, len(text) - 1),
+    )
+    checksum = zlib.crc32(header.tobytes()[CHECKED:])
+    for piece in (head, *contents):
+        checksum = zlib.crc32(piece, checksum)
+    header["checksum"] = checksum
+    return [header.tobytes(), head, *contents]
+
+
+def write_file(path: Path, content: list[bytes]) -> None:
+    """Write pieces to a file that is complete or not there.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.writelines(content)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(name).replace(path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def read(content: bytes | bytearray | memoryview | mmap.mmap) -> Packed:
+    """Return what the bytes of a packed table hold.
+
+    Raises
+    ------
+    PackedTableError
+        If they are no packed table, damaged, or of another format.
+    """
+    whole = memoryview(content)
+    _check(whole[: _HEADER.itemsize].tobytes(), len(whole), iter((whole[_HEADER.itemsize :],)))
+    return _views(whole)
+
+
+def map_file(path: str | os.PathLike[str], *, checked: bool = False) -> Packed:
+    """Return what the file of a packed table holds, mapped: pages are read as they are used.
+
+    Parameters
+    ----------
+    checked
+        Whether the file has been checked already; else its checksum is computed from blocks.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    PackedTableError
+        As `read`.
+    """
+    with open(path, "rb") as file:  # noqa: PTH123  # mmap takes its number
+        size = file.seek(0, os.SEEK_END)
+        file.seek(0)
+        head = file.read(_HEADER.itemsize)
+        if not checked:
+            _check(head, size, iter(lambda: file.read(BLOCK), b""))
+        return _views(memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)))
+
+
+def _aligned(size: int) -> int:
+    return -(-size // ALIGNED) * ALIGNED
+
+
+def _check(head: bytes, size: int, rest: Iterator[bytes | memoryview]) -> None:
+    if len(head) < _HEADER.itemsize:
+        raise PackedTableError(f"this is not a packed table: {size} bytes")
+    header = np.frombuffer(head, dtype=_HEADER)[0]
+    if head[: len(MAGIC)] != MAGIC:
+        raise PackedTableError("this is not a packed table of wrenchbook")
+    if header["byte_order"] != _BYTE_ORDER:
+        raise PackedTableError("the table has another byte order or is damaged")
+    if header["format"] > FORMAT:
+        raise PackedTableError(
+            f"the table has format {header['format']}, this program reads format {FORMAT}: use a "
+            "newer wrenchbook"
+        )
+    if header["format"] < FORMAT:
+        raise PackedTableError(
+            f"the table has format {header['format']}, which is older than format {FORMAT}: write "
+            "it again"
+        )
+    if header["size"] != size:
+        raise PackedTableError(f"the table is damaged: {size} of its {header['size']} bytes")
+    checksum = zlib.crc32(head[CHECKED:])
+    for block in rest:
+        checksum = zlib.crc32(block, checksum)
+    if checksum != header["checksum"]:
+        raise PackedTableError("the table is damaged: its checksum is wrong")
+
+
+def _views(whole: memoryview) -> Packed:
+    header = np.frombuffer(whole, dtype=_HEADER, count=1)[0]
+    at, count = int(header["directory"]), int(header["arrays"])
+    arrays = {}
+    for entry in np.frombuffer(whole, dtype=_ENTRY, count=count, offset=at):
+        shape = tuple(entry["shape"][: entry["dimensions"]].tolist())
+        dtype = _TYPES[int(entry["type"])]
+        items = int(entry["bytes"]) // dtype.itemsize
+        view = np.frombuffer(whole, dtype=dtype, count=items, offset=int(entry["offset"]))
+        arrays[entry["name"].decode()] = view.reshape(shape)
+    start = int(header["json"])
+    words = json.loads(whole[start : start + int(header["json_size"])].tobytes())
+    for view in arrays.values():
+        view.flags.writeable = False
+    return Packed(arrays, words)

@@ -1,0 +1,107 @@
+"""A dense kriging as the arrays of a packed table.
+
+Rows are innermost and padded to a multiple of `LANES`; rows of the padding weigh nothing and have
+no neighbourhood. The inverse factor T of each neighbourhood is stored in panels of `PANEL` rows,
+column after column, which a processor's vectors multiply as they lie.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..kriging import Kriging
+from ..kriging.correlation import LOADS, PLACES
+from ..kriging.dense import Dense, Spread
+from ..kriging.equations import OUTPUTS
+from ..table.rows import Floats
+
+LANES, PANEL = 8, 16  # WB_LANES and WB_PANEL of surrogate/kernel/wb_internal.h
+
+Array = NDArray[np.generic]
+
+
+def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
+    """Yield the names and arrays of a kriging with one factor over all rows.
+
+    With n loads, m outputs, r rows padded to s, and t terms of the covariance: ``x`` (n, s), scaled
+    loads; ``terms`` (t, n + 1), inverse squared lengths and weight; ``rates`` (n), inverse squared
+    lengths of the distance between rows; ``weights`` (m, (n + 1) s), of the rows' values and slopes
+    by one load after another; ``coefficients`` (n + 1, m), the mean; ``centre``, ``rate`` (n), of
+    the scaled loads, 1/N and 1/(N·m); ``offset``, ``spread`` (m), m and rad; ``over`` (m), the
+    95 % error over sigma, m and rad; ``lost`` (m), what sums lose to rounding, m and rad;
+    ``floor`` (1), the least error over an answer's size; ``tangent`` (m, n), SI, added to the
+    derivative; ``sigma_limit`` (1), the largest sigma over the process deviation at which errors
+    are known; ``shares`` (1), how many factors there are.
+    """
+    inside, scaling = kriging.inside, kriging.scaling
+    assert isinstance(inside, Dense)
+    rows = len(inside.equations)
+    stride = -(-rows // LANES) * LANES
+    rates, weights = inside.held.terms
+    x = np.zeros((LOADS, stride))
+    x[:, :rows] = inside.equations.x.T
+    told = np.zeros((OUTPUTS, PLACES, stride))
+    told[:, :, :rows] = inside.weights.transpose(2, 1, 0)
+    yield "x", x
+    yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
+    yield "rates", inside.held.inverse_squares
+    yield "weights", told.reshape(OUTPUTS, -1)
+    yield "coefficients", inside.coefficients
+    yield "centre", scaling.centre
+    yield "rate", np.where(scaling.active, 1 / scaling.half, 0.0)
+    yield "offset", scaling.offset
+    yield "spread", scaling.spread
+    yield "over", kriging.conformal * inside.deviation * scaling.spread
+    yield "lost", inside.rounding * scaling.spread
+    yield "floor", np.array([kriging.settings.bar_floor])
+    yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
+    yield "sigma_limit", np.array([getattr(kriging, "sigma_limit", np.inf)])
+    yield "shares", np.array([len(inside.shares)], dtype=np.int32)
+    for number, share in enumerate(inside.shares):
+        for name, array in _share_arrays(share, rows, stride):
+            yield f"share{number}/{name}", array
+
+
+def _share_arrays(share: Spread, rows: int, stride: int) -> Iterator[tuple[str, Array]]:
+    """Yield what gives sigma for the outputs of one factor.
+
+    With k neighbourhoods of at most e equations: ``outputs`` (m), which; ``number`` (s), each row's
+    neighbourhood; ``places`` (k, e), where its equations stand among the (n + 1) s covariances;
+    ``panels``; ``unsettled`` (k, n + 1, e), T times the mean's terms; ``least`` (s), the smallest
+    sigma squared but for the mean's; ``penalty`` (s), 0, or infinite for a row without a
+    neighbourhood; ``mean_covariance`` (n + 1, n + 1). All are dimensionless.
+    """
+    count = len(share.around)
+    most = max(len(local.places) for local in share.around)
+    padded = -(-most // PANEL) * PANEL
+    number, least = np.zeros(stride, dtype=np.int32), np.full(stride, np.inf)
+    places = np.zeros((count, padded), dtype=np.int32)
+    panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
+    unsettled = np.zeros((count, PLACES, padded))
+    for place, (row, local) in enumerate(zip(share.anchors, share.around, strict=True)):
+        size = len(local.places)
+        at_row, of_row = np.divmod(local.places, PLACES)
+        places[place, :size] = of_row * stride + at_row
+        panels[place] = _panels(local.T, padded)
+        unsettled[place, :, :size] = local.TF.T
+        number[row], least[row] = place, local.least
+    yield "outputs", np.isin(np.arange(OUTPUTS), share.factor.outputs).astype(np.int32)
+    yield "number", number
+    yield "places", places
+    yield "panels", panels
+    yield "unsettled", unsettled
+    yield "least", least
+    yield "penalty", np.where(np.isfinite(least), 0.0, np.inf)
+    yield "mean_covariance", share.factor.mean_covariance
+
+
+def _panels(triangle: Floats, padded: int) -> Floats:
+    """Return a lower triangle (e, e), dimensionless, in panels of rows, columns first."""
+    whole = np.zeros((padded, padded))
+    whole[: len(triangle), : len(triangle)] = triangle
+    return np.concatenate(
+        [whole[top : top + PANEL, : top + PANEL].T.ravel() for top in range(0, padded, PANEL)]
+    )

@@ -1,0 +1,206 @@
+"""The words of reason codes: why an answer is not covered.
+
+The kernel gives codes with numbers; the table's arrays and names tell the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from .format import Packed
+
+EMPTY = "the table has no rows"
+ONLY_BEYOND = "all rows of the table are outside its load range"
+UNKNOWN_AT_REST = (
+    "no row is at zero load and the rows of no axis surround it: what the component does without "
+    "load is not known"
+)
+UNKNOWN_TOGETHER = (
+    "{full} full wrenches{tangents}: at least {needed} full wrenches are needed to tell what loads "
+    "of several axes do together"
+)
+UNKNOWN_SIZE = (
+    "rows left out tell too little of how large errors are: a few of them make nearly all of the "
+    "error, or bars miss too many of them; solve or import more rows"
+)
+UNKNOWN_ERROR = "no row tells how far this answer may be wrong"
+LEAVES_LIMITS = "the estimate leaves what tables may hold, 20 degrees and 10 m, and is not given"
+ERRORS_UNKNOWN = (
+    "errors are not known this far from the rows: sigma is {value:.2g} of the response's own "
+    "deviation, and rows left out show errors up to {limit:.2g}; solve or import rows around here"
+)
+
+
+class Reason(NamedTuple):
+    """A reason as the kernel gives it: `wb_reason` of wrenchbook.h, whose `index` is `place`."""
+
+    code: int
+    group: int
+    axis: int
+    place: int
+    value: float
+    limit: float
+
+
+def text_of(reasons: Sequence[Reason], inputs: Sequence[float], packed: Packed) -> str:
+    """Return reasons in words, each once, for one wrench of n inputs, N and N·m."""
+    words = [_WORDS[reason.code](reason, inputs, packed) for reason in reasons]
+    return "; ".join(dict.fromkeys(words))
+
+
+Maker = Callable[[Reason, Sequence[float], Packed], str]
+
+
+def _fixed(text: str) -> Maker:
+    return lambda reason, inputs, packed: text
+
+
+def _name(packed: Packed, index: int) -> tuple[str, str]:
+    load = packed.words["space"]["inputs"][index]
+    return load["name"], load["unit"]
+
+
+def _amount(packed: Packed, index: int, value: float) -> str:
+    name, unit = _name(packed, index)
+    return f"{name} = {value:.10g} {unit}"
+
+
+def _beyond(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    low, high = packed.arrays["space/range"][:, reason.place].tolist()
+    unit = _name(packed, reason.place)[1]
+    amount = _amount(packed, reason.place, reason.value)
+    return f"{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}"
+
+
+def _unknown_load(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    return f"no row tells the influence of {_name(packed, reason.place)[0]}"
+
+
+def _axis_inputs(axis: int) -> tuple[int, int, int]:
+    return axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3
+
+
+def _axis_amounts(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    own = _axis_inputs(reason.axis)
+    return ", ".join(_amount(packed, load, inputs[load]) for load in own if inputs[load])
+
+
+def _no_rows(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    amounts = _axis_amounts(reason, inputs, packed)
+    return f"axis {'xyz'[reason.axis]}: no rows to answer {amounts}"
+
+
+def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    """Say which loads leave the rows, and what the rows span."""
+    name, axes, found = "xyz"[reason.axis], f"g{reason.group}/axes/", []
+    span = packed.arrays[axes + "span"][reason.axis]
+    floats = packed.arrays[axes + "floats"][reason.axis]
+    for column, load in enumerate(_axis_inputs(reason.axis)):
+        low, high = span[column].tolist()
+        slack = 1e-9 * float(floats[column])  # of the scale: a load as near counts as on the hull
+        if low - slack <= inputs[load] <= high + slack:
+            continue
+        own, unit = _name(packed, load)
+        if high - low <= slack:
+            where = f": all rows hold {own} = {low:.6g} {unit}"
+        else:
+            where = f" lies outside the rows, which span {low:.6g}..{high:.6g} {unit}"
+        found.append(f"{_amount(packed, load, inputs[load])}{where}")
+    if found:
+        return f"axis {name}: {', '.join(found)}"
+    first = packed.arrays[axes + "point_first"]
+    count = int(first[reason.axis + 1] - first[reason.axis])
+    amounts = _axis_amounts(reason, inputs, packed)
+    return f"axis {name}: {amounts} together lie outside the hull of its {count} rows"
+
+
+def _few_rows(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    points = int(reason.value)
+    return (
+        f"axis {'xyz'[reason.axis]}: {points} row{'s' if points > 1 else ''}, "
+        f"at least {int(reason.limit)} are needed to tell the error"
+    )
+
+
+def _degenerate(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    return f"axis {'xyz'[reason.axis]}: the rows around this wrench lie almost in one plane or line"
+
+
+def _far_apart(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    return (
+        f"axis {'xyz'[reason.axis]}: the rows around this wrench are far apart, "
+        f"{reason.value:.0%} of the load range lies between them (at most {reason.limit:.0%})"
+    )
+
+
+def _left_out(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    first = packed.arrays[f"g{reason.group}/axes/point_first"]
+    points = int(first[reason.axis + 1] - first[reason.axis])
+    return (
+        f"axis {'xyz'[reason.axis]}: {int(reason.value)} of its {points} rows can be left out and "
+        f"lie between the others, at least {int(reason.limit)} are needed to tell the error"
+    )
+
+
+def _moment_alone(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    return (
+        f"axis {'xyz'[reason.axis]}: {_amount(packed, reason.place, reason.value)} alone, from "
+        "which the composition counts, lies outside the rows"
+    )
+
+
+def _together(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    has_tangents = packed.words["groups"][reason.group]["has_tangents"]
+    tangents = "" if has_tangents else " and no tangents"
+    return UNKNOWN_TOGETHER.format(
+        full=int(reason.value), tangents=tangents, needed=int(reason.limit)
+    )
+
+
+def _over(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    output = packed.words["space"]["outputs"][reason.place]
+    unit = output["unit"]
+    axis = "" if reason.axis < 0 else f"axis {'xyz'[reason.axis]}: "
+    return (
+        f"{axis}the error bar of {output['name']}, {reason.value:.2g} {unit}, "
+        f"is over the tolerance, {reason.limit:.2g} {unit}"
+    )
+
+
+def _errors_unknown(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    return ERRORS_UNKNOWN.format(value=reason.value, limit=reason.limit)
+
+
+_WORDS: dict[int, Maker] = {
+    1: _fixed(EMPTY),
+    2: _fixed(ONLY_BEYOND),
+    3: _beyond,
+    4: _unknown_load,
+    5: _no_rows,
+    6: _off_hull,
+    7: _few_rows,
+    8: _degenerate,
+    9: _far_apart,
+    10: _moment_alone,
+    11: _fixed(UNKNOWN_AT_REST),
+    12: _together,
+    13: _fixed(UNKNOWN_SIZE),
+    14: _over,
+    15: _fixed(UNKNOWN_ERROR),
+    16: _errors_unknown,
+    17: _fixed(LEAVES_LIMITS),
+    18: _left_out,
+}
+"""By code: WB_REASON_... of surrogate/kernel/wrenchbook.h."""
+
+
+FIXED = frozenset({1, 2, 11, 12, 13, 15, 17})
+"""Codes whose words are the same for every wrench, but for the numbers of the reason itself."""
+
+
+def unmeasured_text(missing: int, packed: Packed) -> str:
+    """Return which outputs no row holds, by the bits of a mask; empty if there are none."""
+    names = [one["name"] for one in packed.words["space"]["outputs"]]
+    found = [name for bit, name in enumerate(names) if missing >> bit & 1]
+    return f"not measured in any row: {', '.join(found)}" if found else ""

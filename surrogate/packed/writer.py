@@ -1,0 +1,290 @@
+"""From what was built of a table to its packed file: everything that an answer needs.
+
+n inputs, m outputs and g groups of outputs are data; today's builder makes 6 and 6. Arrays of group
+k are named ``gK/...``: `_group_arrays`, `axes_arrays` and `kriging_arrays` state their shapes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..build import AnyTable
+from ..describe.explain import linear_rows
+from ..kriging import Kriging
+from ..methods.reference import AxesReference, KrigingReference
+from ..methods.selection import ENOUGH_FULL
+from ..missing_outputs import MissingOutputs
+from ..surrogate import Surrogate
+from ..table.rows import CLEAN, LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS, Floats, Tolerance
+from .axes_arrays import axes_arrays
+from .buckets import buckets_of
+from .codes import METHODS
+from .format import pieces, write_file
+from .kriging_arrays import kriging_arrays
+
+TRANSLATION_LIMIT = 10.0  # m: within 20 degrees no machine part moves so far
+ROTATION_LIMIT = math.radians(20.0)  # rad: the small-deformation contract ends there
+ROUNDED = 1 + 1e-12  # the last bits of a conversion from degrees must not refuse 20 degrees
+
+# Bits of a group's reference: WB_REF_... of surrogate/kernel/wb_internal.h.
+_ADDITIVE, _MISSED, _KRIGING = 1, 2, 4
+
+Array = NDArray[np.generic]
+
+
+def pack(
+    table: AnyTable,
+    *,
+    component: str = "",
+    fingerprint: str = "",
+    locked: Sequence[int] = (),
+    contract: Mapping[str, Any] | None = None,
+    interface: Mapping[str, Any] | None = None,
+) -> list[bytes]:
+    """Return the packed file of a table as pieces of bytes.
+
+    Parameters
+    ----------
+    component, fingerprint
+        Where the rows come from.
+    locked
+        Loads on locked freedoms, 0 to 5: an answer takes them as zero.
+    contract, interface
+        What is said of loads and displacements, in words; kept as they are.
+    """
+    groups = table.groups if isinstance(table, MissingOutputs) else ((tuple(range(6)), table),)
+    arrays = dict(_space_arrays(table, len(groups), locked)) | dict(_solver_arrays(table))
+    sources = _Sources(table)
+    for number, (outputs, group) in enumerate(groups):
+        for name, array in _group_arrays(outputs, group, sources):
+            arrays[f"g{number}/{name}"] = array
+    words = {
+        "contract": dict(contract or {}),
+        "interface": dict(interface or {}),
+        "space": _space_words(),
+        "groups": [_group_words(outputs, group) for outputs, group in groups],
+        "sources": sources.words,
+        "solver_error": None if table.solver_error is None else table.solver_error.told,
+        "summary": table.coverage_summary(),
+        "provenance": {
+            "component": component,
+            "fingerprint": fingerprint,
+            "version": table.version,
+            "rows": len(table.rows),
+        },
+    }
+    return pieces(arrays, _plain(words))
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold: None in the place of numbers that are not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(one) for one in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write(table: AnyTable, path: Path, **about: Any) -> None:
+    """Write a table's packed file; parameters are those of `pack`.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    write_file(path, pack(table, **about))
+
+
+def _space_words() -> dict[str, Any]:
+    kinds = ("force",) * 3 + ("moment",) * 3
+    return {
+        "inputs": [
+            {"name": name, "unit": unit, "kind": kind}
+            for name, unit, kind in zip(LOADS, LOAD_UNITS, kinds, strict=True)
+        ],
+        "outputs": [
+            {"name": name, "unit": unit} for name, unit in zip(OUTPUTS, OUTPUT_UNITS, strict=True)
+        ],
+    }
+
+
+def _space_arrays(
+    table: AnyTable, groups: int, locked: Sequence[int]
+) -> Iterator[tuple[str, Array]]:
+    """Yield what is the same for all outputs.
+
+    ``sizes`` (n, m, g); ``range`` and ``ends`` (2, n), ``scale`` and ``small`` (n), N and N·m;
+    ``locked`` (n); ``tolerance`` (m), NaN where there is none; ``limit`` (m), and ``vector_limit``
+    of the length of three outputs from ``vector_first``: m and rad.
+    """
+    span = table.load_range
+    yield "space/sizes", np.array([6, 6, groups], dtype=np.int32)
+    yield "space/range", np.stack((span.low, span.high))
+    yield "space/ends", span.ends
+    yield "space/scale", span.scale
+    yield "space/small", CLEAN * span.scale
+    yield "space/locked", np.isin(np.arange(6), list(locked)).astype(np.int32)
+    yield "space/tolerance", _six(table.tolerance)
+    yield "space/limit", np.repeat([TRANSLATION_LIMIT, np.inf], 3)
+    yield "space/vector_first", np.array([3], dtype=np.int32)
+    yield "space/vector_limit", np.array([ROTATION_LIMIT * ROUNDED])
+
+
+def _six(tolerance: Tolerance | None) -> Floats:
+    if tolerance is None:
+        return np.full(6, np.nan)
+    return np.repeat([tolerance.translation, tolerance.rotation], 3)
+
+
+def _solver_arrays(table: AnyTable) -> Iterator[tuple[str, Array]]:
+    """Yield the solver's share of errors.
+
+    ``mesh`` (m, n), ``square`` (m), ``one_over`` (n), ``stiffness`` (n, m), SI, see
+    `SolverError.packed`; ``flags``: when an answer's tangent is needed, whether the discretisation
+    error is known, whether the component is linear, whether its linearity is known, whether all
+    parts of the error are known.
+    """
+    error = table.solver_error
+    matrix, square, one_over = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    stiffness, asks = np.zeros((6, 6)), np.zeros(1)
+    known, linear, told = table.bars_are_whole, False, True
+    if error is not None:
+        matrix, square, one_over, stiffness, asks = error.packed
+        known, linear = error.mesh is not None, "linearity" in error.told
+        told = error.linearity is not None
+    flags = [int(asks[0]), known, linear, told, table.bars_are_whole]
+    yield "solver/flags", np.array(flags, dtype=np.int32)
+    yield "solver/mesh", matrix
+    yield "solver/square", square
+    yield "solver/one_over", one_over
+    yield "solver/stiffness", stiffness
+
+
+class _Sources:
+    """The sources of the rows at each wrench, as numbers of lists of words."""
+
+    def __init__(self, table: AnyTable) -> None:
+        self.words: list[list[str]] = []
+        self._numbers: dict[tuple[str, ...], int] = {}
+        self._at: dict[bytes, list[str]] = {}
+        places = np.ascontiguousarray(table.rows.wrench)
+        for wrench, source in zip(places, table.rows.source.tolist(), strict=True):
+            found = self._at.setdefault(wrench.tobytes(), [])
+            if source not in found:
+                found.append(source)
+
+    def number(self, wrench: Floats) -> int:
+        """Return the number of the sources of the rows at a wrench (6,), N and N·m."""
+        found = tuple(self._at[wrench.tobytes()])
+        if found not in self._numbers:
+            self._numbers[found] = len(self.words)
+            self.words.append(list(found))
+        return self._numbers[found]
+
+
+def _group_arrays(
+    outputs: tuple[int, ...], group: Surrogate, sources: _Sources
+) -> Iterator[tuple[str, Array]]:
+    """Yield what answers one group of outputs.
+
+    ``outputs`` (m), which; ``flags``: the default method, the bits of its reference, whether rows
+    show interaction, whether the answer at no load is unknown, whether the size of errors is known,
+    whether the fit is exact, whether there are rows to answer from, full wrenches, full wrenches
+    needed; ``allowed`` (methods, m), the largest interpolation error of a covered answer, m and
+    rad; ``near``, the used rows: scaled loads and outputs.
+    """
+    used = len(group.used) > 0
+    exact = group.linear and group.fit.complete
+    mode, missed = _reference(group, exact) if used else (0, None)
+    doubt = group.doubt
+    flags = [
+        *(METHODS.index(group.default), mode, doubt.knows_interaction, doubt.rest_unknown),
+        *(doubt.size_known, exact, used, doubt.full_wrenches, doubt.needed),
+    ]
+    yield "flags", np.array(flags, dtype=np.int32)
+    yield "outputs", np.isin(np.arange(6), outputs).astype(np.int32)
+    allowed = [group.allowed.of(method, None) for method in METHODS]
+    yield "allowed", np.array(allowed, dtype=float)
+    yield "near/wrench", group.used.wrench / group.load_range.scale
+    yield "near/moved", group.used.displacement
+    yield "fit/matrix", group.fit.matrix
+    yield "fit/bar", group.fit.bar
+    yield "fit/known", group.fit.known.astype(np.int32)
+    yield "fit/rows", np.array(linear_rows(group.fit, group.used, group.members), dtype=np.int64)
+    yield from _row_arrays(group, sources)
+    if used:
+        for name, array in axes_arrays(group.composition, group.members):
+            yield f"axes/{name}", array
+    if group.one_factor and group.kriging is not None:
+        for name, array in kriging_arrays(group.kriging):
+            yield f"kriging/{name}", array
+    if missed is not None:
+        for name, array in kriging_arrays(missed):
+            yield f"missed/{name}", array
+
+
+def _reference(group: Surrogate, exact: bool) -> tuple[int, Kriging | None]:
+    """Return the bits of what errors are measured against, and the kriging of what axes miss."""
+    if exact:  # its default needs no reference: none is built
+        return _ADDITIVE, None
+    reference = group.reference
+    if isinstance(reference, KrigingReference):
+        return _KRIGING, None
+    assert isinstance(reference, AxesReference)
+    if reference.interaction is None:
+        return _ADDITIVE, None
+    return _ADDITIVE | _MISSED, reference.interaction
+
+
+def _row_arrays(group: Surrogate, sources: _Sources) -> Iterator[tuple[str, Array]]:
+    """Yield the rows (r) that answer at their own wrenches, in the order of a key.
+
+    ``row/key`` (r), ``row/rates`` (n), 1/N and 1/(N·m); ``row/steepest`` (m), the most that an
+    output moves over half the range, m and rad; ``row/wrench`` (r, n), N and N·m; ``row/moved`` and
+    ``row/bar`` (r, m), m and rad; ``row/tangent`` (t, m, n), SI, by ``row/tangent_of`` (r), -1
+    without; ``row/seq`` and ``row/number`` (r), the row's number in the ledger and its place;
+    ``row/source`` (r), see `_Sources`.
+    """
+    exact, rows = group.exact, group.rows
+    order = exact.index.order
+    owner = exact.owner[order]
+    tangents = exact.told.compliance[owner]
+    has_one = np.isfinite(tangents).any(axis=(1, 2))
+    wrenches = np.ascontiguousarray(exact.wrenches[order])
+    bucket, start = buckets_of(exact.index.keys)
+    yield "row/key", exact.index.keys
+    yield "row/bucket", bucket
+    yield "row/start", start
+    yield "row/rates", exact.index.rates
+    yield "row/steepest", exact.steepest
+    yield "row/number", order.astype(np.int32)
+    yield "row/seq", rows.seq[order]
+    yield "row/wrench", wrenches
+    yield "row/moved", exact.told.displacement[owner]
+    yield "row/bar", np.nan_to_num(exact.told.uncertainty[owner])
+    places = np.where(has_one, np.cumsum(has_one) - 1, -1)
+    yield "row/tangent_of", places.astype(np.int32)
+    yield "row/tangent", tangents[has_one]
+    numbers = [sources.number(wrench) for wrench in wrenches]
+    yield "row/source", np.array(numbers, dtype=np.int32)
+
+
+def _group_words(outputs: tuple[int, ...], group: Surrogate) -> dict[str, Any]:
+    kriging = group.kriging if group.one_factor and group.kriging is not None else None
+    return {
+        "outputs": [OUTPUTS[output] for output in outputs],
+        "method": group.default,
+        "method_reason": group.choice.reason,
+        "kriging": "" if kriging is None else kriging.detail,
+        "errors_left_out": group.choice.errors,
+        "has_tangents": group.doubt.needed != ENOUGH_FULL,
+    }

@@ -1,0 +1,199 @@
+"""Kinds of tables, their packed forms, and the numpy law that they are compared with."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from service.tablefile.limits import beyond_limits
+from surrogate.build import AnyTable, build
+from surrogate.kernel.binding import PackedTable
+from surrogate.missing_outputs import MissingOutputs
+from surrogate.packed.writer import pack
+from surrogate.solver_error import SolverError
+from surrogate.table.rows import LoadRange, Rows, Tolerance
+from surrogate.whole_bars import whole_bars
+from tests.service.live import FULL, clean_wrenches, full_wrenches, moved, tangents
+from tests.surrogate.softening import softening_table
+
+RANGE = LoadRange(-FULL, FULL)
+SOLVED = Path(__file__).parents[1] / "tables"
+
+
+def solved(name: str, clean: int, full: int, **more: object) -> AnyTable:
+    """A table of real solves of a shipped component, with tangents."""
+    found = np.load(SOLVED / f"{name}.npz")
+    chosen = np.r_[:clean, found["clean"] : found["clean"] + full]
+    columns = {"compliance": found["compliance"][chosen], "source": ["fea"] * len(chosen)}
+    rows = Rows.of(found["wrench"][chosen], found["displacement"][chosen], **columns)
+    return build(rows, LoadRange(found["low"], found["high"]), **more)
+
+
+def measured(wrenches: np.ndarray, **columns: object) -> AnyTable:
+    """A table of the made-up response of `moved`."""
+    return build(Rows.of(wrenches, moved(wrenches), **columns), RANGE)
+
+
+def clean(per_axis: int, seed: int = 3) -> np.ndarray:
+    """Random wrenches of one axis each, (3 per_axis, 6), N and N·m."""
+    rng, wrenches = np.random.default_rng(seed), np.zeros((3, per_axis, 6))
+    for axis in range(3):
+        loads = [axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3]
+        wrenches[axis][:, loads] = rng.uniform(-1, 1, (per_axis, 3)) * FULL[loads]
+    return wrenches.reshape(-1, 6)
+
+
+def grid(loads: tuple[int, ...], count: int) -> np.ndarray:
+    """A regular grid over some loads, the others zero."""
+    places = np.array(list(np.ndindex(*(count,) * len(loads)))) * 2 / (count - 1) - 1
+    wrenches = np.zeros((len(places), 6))
+    wrenches[:, loads] = places
+    return wrenches * FULL
+
+
+def linear(count: int) -> AnyTable:
+    """A linear component of which so many unit solves are known."""
+    compliance = np.random.default_rng(3).normal(size=(6, 6)) * 1e-6
+    loads = np.eye(6)[:count] * FULL
+    told = {"mesh": (1e-8 * np.eye(6)).tolist(), "linearity": [1e-6] * 6, "loads": FULL.tolist()}
+    rows = Rows.of(loads, loads @ compliance.T, source=["fea"] * count)
+    return build(rows, RANGE, linear=True, solver_error=SolverError(told))
+
+
+def partial() -> AnyTable:
+    """A rig that measured r_y never, and u_z in some rows only."""
+    wrenches = np.concatenate((clean(30), full_wrenches(24)))
+    told = moved(wrenches)
+    told[:, 4], told[30:, 2] = np.nan, np.nan
+    return build(Rows.of(wrenches, told), RANGE)
+
+
+def uncertain() -> AnyTable:
+    """Rows of several noise levels, which have a factor each."""
+    wrenches = np.concatenate((clean_wrenches(), full_wrenches(30)))
+    doubt = np.abs(np.random.default_rng(5).normal(size=(len(wrenches), 6)))
+    doubt *= 1e-6 * np.array([1, 1, 1, 1, 1, 100])
+    return measured(wrenches, uncertainty=doubt)
+
+
+def huge() -> AnyTable:
+    """A response whose estimates beyond the range leave what tables may hold."""
+    wrenches = clean(40)
+    return build(Rows.of(wrenches, 3e3 * moved(wrenches)), RANGE)
+
+
+def tangent_rows(count: int) -> AnyTable:
+    """Full wrenches of the made-up response, with tangents."""
+    wrenches = full_wrenches(count)
+    return measured(wrenches, compliance=tangents(wrenches))
+
+
+def repeated() -> AnyTable:
+    """Rows of one wrench, and near each other, of several sources."""
+    wrenches = np.concatenate((clean(12), full_wrenches(6), full_wrenches(6)))
+    wrenches[-3:] += 1e-8 * FULL
+    sources = ["fea"] * (len(wrenches) - 6) + ["rig"] * 6
+    return measured(wrenches, source=sources)
+
+
+KINDS = {
+    "solved": lambda: solved("plate_thin", 18, 20),
+    "solved with a tolerance": lambda: solved(
+        "plate_thin", 24, 20, tolerance=Tolerance(1e-5, 1e-4)
+    ),
+    "clean": lambda: measured(clean(60)),
+    "clean and full": lambda: measured(np.concatenate((clean(40), full_wrenches(30)))),
+    "full": lambda: measured(full_wrenches(60)),
+    "few with tangents": lambda: tangent_rows(6),
+    "thin": lambda: measured(clean(5)),
+    "planar": lambda: measured(grid((2, 3), 5)),
+    "one force": lambda: measured(grid((2,), 7)),
+    "one axis": lambda: measured(grid((2, 3, 4), 3)),
+    "oblique line": lambda: measured(np.outer(np.arange(-4, 5), [0, 0, 10, 0.5, 0, 0])),
+    "no row near zero": lambda: measured(grid((2, 3), 2)[:3] + 5.0),
+    "one row": lambda: measured(np.array([[0.0, 0, 5, 0, 0, 0]])),
+    "one row at rest": lambda: measured(np.zeros((1, 6))),
+    "rows beyond the range": lambda: measured(np.concatenate((clean(30), 3 * full_wrenches(5)))),
+    "only beyond the range": lambda: measured(3 * FULL * np.eye(6)),
+    "empty": lambda: build(Rows.empty(), RANGE),
+    "partial": partial,
+    "uncertain": uncertain,
+    "repeated": repeated,
+    "huge": huge,
+    "linear": lambda: linear(6),
+    "linear, two loads unknown": lambda: linear(4),
+    "softening": softening_table,
+}
+
+
+@cache
+def table_of(kind: str) -> AnyTable:
+    """The table of a kind, built once."""
+    return KINDS[kind]()
+
+
+@cache
+def packed_of(kind: str, locked: tuple[int, ...] = ()) -> PackedTable:
+    """Its packed form."""
+    return PackedTable.from_bytes(b"".join(pack(table_of(kind), component=kind, locked=locked)))
+
+
+def asked_of(table: AnyTable, count: int, seed: int = 1, span: float = 1.1) -> np.ndarray:
+    """Random wrenches, (count, 6), within so much of the load range."""
+    loads = table.load_range
+    x = np.random.default_rng(seed).uniform(-span, span, (count, 6))
+    return (loads.low + loads.high) / 2 + x * loads.scale
+
+
+def special_of(table: AnyTable, count: int, seed: int = 2) -> np.ndarray:
+    """Wrenches of few loads, of one, of none, of rows and near rows."""
+    rng = np.random.default_rng(seed)
+    asked = asked_of(table, count, seed) * (rng.random((count, 6)) < 0.4)
+    asked[0] = 0.0
+    rows = table.rows.wrench[: count // 4]
+    near = rows + rng.uniform(-1, 1, rows.shape) * table.load_range.scale * 9e-7
+    return np.concatenate((asked, rows, near))
+
+
+def six(tolerance: Tolerance | None) -> list[float] | None:
+    """A tolerance as the kernel takes it."""
+    return tolerance and [tolerance.translation] * 3 + [tolerance.rotation] * 3
+
+
+def by_numpy(
+    table: AnyTable,
+    asked: np.ndarray,
+    tolerance: Tolerance | None = None,
+    method: str | None = None,
+    locked: tuple[int, ...] = (),
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Displacements and total errors, (n, 6), and coverage, (n,), by the numpy law."""
+    acting = np.array(asked) + 0.0
+    acting[:, list(locked)] = 0.0
+    found = table.batch(acting, tolerance, method)
+    errors = whole_bars(table, acting, found, tolerance, method)
+    gone = (found.coverage > 0) & beyond_limits(found.displacement)
+    found.displacement[gone] = errors[gone] = np.nan
+    return found.displacement, errors, found.coverage
+
+
+def size_of(table: AnyTable) -> np.ndarray:
+    """What each output is compared relative to, (6,), m and rad: its largest row."""
+    size = np.nanmax(np.abs(table.rows.displacement), axis=0, initial=0.0)
+    size = np.fmax(size, 1e-3 * np.repeat(size.reshape(2, 3).max(axis=1), 3))
+    return np.where(size > 0, size, 1.0)
+
+
+def rounding_of(table: AnyTable) -> np.ndarray:
+    """What sums of a kriging may lose to rounding, (6,), m and rad: no error bar is below it."""
+    groups = table.groups if isinstance(table, MissingOutputs) else ((tuple(range(6)), table),)
+    found = np.zeros(6)
+    for outputs, group in groups:
+        interaction = getattr(group.reference, "interaction", None) if len(group.used) else None
+        for kriging in (group.kriging, interaction):
+            if kriging is not None:
+                lost = kriging.inside.rounding * kriging.scaling.spread
+                found[list(outputs)] += lost[list(outputs)]
+    return found

@@ -1,0 +1,214 @@
+"""What the kernel promises whatever the law: threads, batches, inverses, C programs."""
+
+import os
+import shutil
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surrogate.answer import UnknownMethodError
+from surrogate.kernel import build as kernel_build
+from surrogate.kernel.binding import PackedTable
+from surrogate.kernel.replies import InverseError
+from surrogate.packed.codes import ANSWERED, COVERAGE, METHODS
+from surrogate.packed.writer import write
+from tests.surrogate.kernel.kinds import KINDS, asked_of, packed_of, special_of, table_of
+
+PROGRAM = Path(__file__).parent / "program.c"
+
+
+def same_bits(one, other):
+    return all(a.tobytes() == b.tobytes() for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_a_batch_has_the_bits_of_single_answers(kind):
+    packed = packed_of(kind)
+    asked = np.concatenate((asked_of(table_of(kind), 150), special_of(table_of(kind), 40)))
+    for method in (None, "griddata", "kriging"):
+        found = packed.batch(asked, None, method)
+        for place, wrench in enumerate(asked.tolist()):
+            reply = packed.answer(wrench, None, method)
+            outputs = [np.nan if x is None else x for x in reply.outputs or (None,) * 6]
+            error = [np.nan if x is None else x for x in reply.error or (None,) * 6]
+            np.testing.assert_array_equal(found.outputs[place], outputs)
+            np.testing.assert_array_equal(found.errors[place], error)
+            assert COVERAGE[found.coverage[place]] == reply.coverage
+
+
+@pytest.mark.parametrize("kind", ["clean", "solved", "partial", "clean and full"])
+@pytest.mark.parametrize("method", [None, "additive"])
+def test_threads_change_no_bit(kind, method):
+    packed, asked = packed_of(kind), asked_of(table_of(kind), 20_000)
+    alone = packed.batch(asked, None, method)
+    for threads in (2, 3, 8):
+        assert same_bits(alone, packed.batch(asked, None, method, threads))
+    slopes = packed.derivatives(asked[:9000], None, method)
+    assert slopes.tobytes() == packed.derivatives(asked[:9000], None, method, threads=3).tobytes()
+
+
+def test_the_order_and_the_company_of_wrenches_change_no_bit():
+    packed, asked = packed_of("clean"), asked_of(table_of("clean"), 6000)
+    whole = packed.batch(asked)
+    order = np.random.default_rng(1).permutation(len(asked))
+    assert same_bits([column[order] for column in whole], packed.batch(asked[order]))
+    assert same_bits([column[:7] for column in whole], packed.batch(asked[:7]))
+
+
+def test_many_python_threads_share_a_table():
+    packed, asked = packed_of("solved"), asked_of(table_of("solved"), 400)
+    alone = [packed.answer(wrench) for wrench in asked.tolist()]
+    with ThreadPoolExecutor(4) as pool:
+        for found in pool.map(lambda _: [packed.answer(w) for w in asked.tolist()], range(8)):
+            assert found == alone
+
+
+def test_what_is_no_wrench_or_method_is_refused():
+    packed = packed_of("solved")
+    for wrong in ([1.0] * 5, [1.0] * 7, [float("nan")] * 6, [float("inf")] + [0.0] * 5, ["x"] * 6):
+        with pytest.raises(ValueError, match="wrench"):
+            packed.answer(wrong)
+    with pytest.raises(ValueError, match="finite"):
+        packed.batch([[np.inf] * 6])
+    with pytest.raises(UnknownMethodError, match="griddata"):
+        packed.answer([0.0] * 6, None, "cubic")
+    assert packed.batch(np.empty((0, 6))).outputs.shape == (0, 6)
+
+
+def test_without_a_kriging_the_bent_axes_answer_and_are_named():
+    packed = packed_of("linear, two loads unknown")
+    assert packed.answer([1.0] * 6, None, "kriging").method == "tangent"
+
+
+@pytest.mark.parametrize("kind", ["solved", "few with tangents", "linear", "clean and full"])
+def test_the_inverse_of_a_displacement_is_its_wrench(kind):
+    table, packed = table_of(kind), packed_of(kind)
+    scale = table.load_range.scale
+    for wrench in asked_of(table, 20, span=0.8):
+        found = packed.answer(wrench.tolist())
+        again, stiffness = packed.inverse(found.outputs)
+        np.testing.assert_allclose(again / scale, wrench / scale, atol=1e-9)
+        slopes = packed.derivative(again)
+        np.testing.assert_allclose(stiffness @ slopes, np.eye(6), atol=1e-9)
+        near, _ = packed.inverse(found.outputs, start=wrench + 0.05 * scale)
+        np.testing.assert_allclose(near / scale, wrench / scale, atol=1e-9)
+
+
+def test_the_inverse_leaves_locked_loads_zero():
+    packed = packed_of("linear", locked=(1, 5))
+    wrench = np.array([10.0, 0.0, -20.0, 1.0, 2.0, 0.0])
+    outputs = np.array(packed.answer(wrench.tolist()).outputs)
+    again, stiffness = packed.inverse(outputs, start=[1.0] * 6)
+    np.testing.assert_allclose(again, wrench, atol=1e-9)
+    assert not stiffness[[1, 5]].any()
+    assert not stiffness[:, [1, 5]].any()
+
+
+def test_a_displacement_without_a_wrench_is_refused():
+    with pytest.raises(InverseError, match=r"not known|no inverse|no wrench"):
+        packed_of("one row").inverse([1.0] * 6)
+    with pytest.raises(InverseError):
+        packed_of("solved").inverse([1e3] * 6)
+    with pytest.raises(ValueError, match="finite"):
+        packed_of("solved").inverse([np.nan] * 6)
+
+
+def test_a_closed_table_answers_no_more():
+    from surrogate.packed.writer import pack
+
+    packed = PackedTable.from_bytes(b"".join(pack(table_of("linear"))))
+    packed.close()
+    packed.close()
+    with pytest.raises(ValueError, match="closed"):
+        packed.answer([0.0] * 6)
+
+
+def _compiler(*names: str) -> str:
+    found = next(filter(None, map(shutil.which, names)), None)
+    if found is None:
+        if os.environ.get("CI") == "true":
+            pytest.fail(f"no {names[0]} (Debian packages gcc, g++)")
+        pytest.skip(f"no {names[0]}")
+    return found
+
+
+@pytest.mark.parametrize("language", ["c", "c++"])
+@pytest.mark.parametrize("kind", ["solved", "clean"])
+def test_a_program_of_20_lines_has_the_bits_of_python(tmp_path, language, kind):
+    """Compiled as C with the sources, and as C++ against the library."""
+    assert len(PROGRAM.read_text().splitlines()) <= 20
+    write(table_of(kind), tmp_path / "plate.wbt")
+    program = tmp_path / "program"
+    include = ["-O2", f"-I{kernel_build.FOLDER}", "-o", str(program)]
+    if language == "c":
+        sources = [str(path) for path in kernel_build.FOLDER.glob("wb_*.c")]
+        flags = [one for one in kernel_build.FLAGS if one != "-DWB_SHARED"]
+        command = [_compiler("gcc", "cc"), *flags, *include, str(PROGRAM), *sources]
+    else:
+        shutil.copy(PROGRAM, tmp_path / "program.cpp")
+        library = kernel_build.ready_library()
+        link = [str(library), f"-Wl,-rpath,{library.parent}"]
+        command = [_compiler("g++", "c++"), *include, str(tmp_path / "program.cpp"), *link]
+    subprocess.run([*command, "-lm", "-lpthread"], check=True)
+    packed = PackedTable.open(tmp_path / "plate.wbt")
+    for wrench in asked_of(table_of(kind), 10).tolist():
+        loads = [load.hex() for load in wrench]
+        ran = subprocess.run([program, tmp_path / "plate.wbt", *loads], capture_output=True)
+        assert not ran.returncode, ran.stderr
+        lines = [line.split() for line in ran.stdout.decode().splitlines()]
+        reply = packed.answer(wrench)
+        assert lines[0] == [reply.coverage, reply.method]
+        outputs = tuple(float.fromhex(line[0]) for line in lines[1:])
+        errors = tuple(float.fromhex(line[1]) for line in lines[1:])
+        assert outputs == reply.outputs
+        unknown = reply.error is None and np.isnan(errors).all()
+        assert unknown or errors == reply.error
+
+
+def test_the_program_says_why_a_table_cannot_be_opened(tmp_path):
+    program = tmp_path / "program"
+    sources = [str(path) for path in kernel_build.FOLDER.glob("wb_*.c")]
+    include = [f"-I{kernel_build.FOLDER}", "-o", str(program), "-lm", "-lpthread"]
+    subprocess.run([_compiler("gcc", "cc"), str(PROGRAM), *sources, *include], check=True)
+    (tmp_path / "plate.wbt").write_bytes(b"no table")
+    ran = subprocess.run([program, tmp_path / "plate.wbt", *"123456"], capture_output=True)
+    assert ran.returncode == 1
+    assert b"not a packed table" in ran.stderr
+
+
+def test_codes_are_those_of_the_header():
+    header = (kernel_build.FOLDER / "wrenchbook.h").read_text()
+    for number, name in enumerate(METHODS):
+        assert f"WB_{name.upper()} = {number}," in header
+    for number, name in enumerate(COVERAGE):
+        assert f"WB_{name.upper()} = {number}" in header
+    assert f"WB_ROW = {ANSWERED.index('row')}" in header
+    assert f"WB_ESTIMATE = {ANSWERED.index('estimate')}" in header
+
+
+def test_a_library_of_other_sources_is_compiled_anew(tmp_path, monkeypatch):
+    library = tmp_path / kernel_build.library_path().name
+    monkeypatch.setattr(kernel_build, "library_path", lambda *_: library)
+    assert kernel_build.ready_library() == library
+    made = library.stat().st_mtime_ns
+    kernel_build.ready_library()
+    assert library.stat().st_mtime_ns == made
+    monkeypatch.setattr(kernel_build, "sources_hash", lambda: "other")
+    kernel_build.ready_library()
+    assert library.stat().st_mtime_ns > made
+    assert b"wb:other" in library.read_bytes()
+
+
+def test_without_a_compiler_it_is_said_what_to_do(tmp_path, monkeypatch):
+    monkeypatch.setattr(kernel_build, "library_path", lambda *_: tmp_path / "lib.so")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setattr(kernel_build.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(kernel_build.KernelBuildError, match=r"pip install ziglang.*kernel.build"):
+        kernel_build.ready_library()
+    monkeypatch.setenv("CC", "false")
+    with pytest.raises(kernel_build.KernelBuildError, match="ziglang"):
+        kernel_build.ready_library()

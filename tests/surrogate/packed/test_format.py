@@ -1,0 +1,192 @@
+"""The file of a packed table: the same bytes for the same table, and nothing damaged answers."""
+
+import re
+
+import numpy as np
+import pytest
+
+from surrogate.answer import UnknownMethodError
+from surrogate.kernel.binding import PackedTable
+from surrogate.packed import format as packed_format
+from surrogate.packed.format import PackedTableError, map_file, pieces, read, write_file
+from surrogate.packed.writer import pack, write
+from tests.surrogate.kernel.kinds import asked_of, packed_of, table_of
+
+HEADER = 64
+
+
+def content_of(kind="linear"):
+    return bytearray(b"".join(pack(table_of(kind))))
+
+
+def is_refused(content):
+    for opens in (read, PackedTable.from_bytes):
+        try:
+            opens(bytes(content))
+        except PackedTableError:
+            continue
+        return False
+    return True
+
+
+def test_arrays_and_words_come_back_as_they_were():
+    arrays = {
+        "a": np.arange(12.0).reshape(3, 4),
+        "b/c": np.arange(5, dtype=np.int32),
+        "d": np.array([], dtype=np.int64),
+        "e": np.ones((2, 1, 3), dtype=np.uint8),
+    }
+    found = read(b"".join(pieces(arrays, {"words": ["ä", 1, None]})))
+    assert found.words == {"words": ["ä", 1, None]}
+    assert found.arrays.keys() == arrays.keys()
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(found.arrays[name], array)
+        assert found.arrays[name].dtype == array.dtype
+        assert not found.arrays[name].flags.writeable
+        assert found.arrays[name].ctypes.data % 8 == 0
+
+
+@pytest.mark.parametrize("kind", ["solved", "clean", "partial"])
+def test_the_same_table_gives_the_same_bytes(kind):
+    first, second = pack(table_of(kind), component="plate"), pack(table_of(kind), component="plate")
+    assert first == second
+    again = packed_of.__wrapped__(kind)
+    asked = asked_of(table_of(kind), 20)
+    for one, other in zip(again.batch(asked), packed_of(kind).batch(asked), strict=True):
+        assert one.tobytes() == other.tobytes()
+
+
+def test_arrays_begin_at_cache_lines_of_the_file(tmp_path):
+    write(table_of("clean"), tmp_path / "plate.wbt")
+    start = np.frombuffer(content_of("clean"), dtype=np.uint8)
+    for name, array in read(start.data).arrays.items():
+        assert (array.ctypes.data - start.ctypes.data) % 64 == 0, name
+
+
+def test_a_written_file_answers_and_its_arrays_are_mapped(tmp_path):
+    write(table_of("solved"), tmp_path / "plate.wbt", component="plate", locked=(1,))
+    assert [path.name for path in tmp_path.iterdir()] == ["plate.wbt"]
+    packed = PackedTable.open(tmp_path / "plate.wbt")
+    assert packed.words["provenance"]["component"] == "plate"
+    assert packed.arrays["space/locked"].tolist() == [0, 1, 0, 0, 0, 0]
+    mapped = map_file(tmp_path / "plate.wbt")
+    np.testing.assert_array_equal(mapped.arrays["g0/row/wrench"], packed.arrays["g0/row/wrench"])
+    asked = asked_of(table_of("solved"), 30)
+    expected = packed_of("solved", (1,)).batch(asked)
+    for one, other in zip(packed.batch(asked), expected, strict=True):
+        assert one.tobytes() == other.tobytes()
+
+
+def test_any_changed_byte_of_header_and_directory_is_refused():
+    content = content_of()
+    end = HEADER + 128 * int(np.frombuffer(content, "<u8", 1, 40)[0])
+    for place in range(end):
+        content[place] ^= 0x10
+        assert is_refused(content), place
+        content[place] ^= 0x10
+
+
+def test_any_changed_byte_further_on_is_refused():
+    content = content_of("clean")
+    for place in np.random.default_rng(1).integers(HEADER, len(content), 300).tolist():
+        content[place] ^= 1 << place % 8
+        assert is_refused(content), place
+        content[place] ^= 1 << place % 8
+
+
+def test_a_truncated_or_a_longer_file_is_refused(tmp_path):
+    content = content_of()
+    for size in [*range(0, 300, 7), len(content) // 2, len(content) - 1]:
+        assert is_refused(content[:size]), size
+    assert is_refused(content + b"\0")
+    (tmp_path / "plate.wbt").write_bytes(content[:-1])
+    for opens in (PackedTable.open, map_file):
+        with pytest.raises(PackedTableError, match="damaged"):
+            opens(tmp_path / "plate.wbt")
+
+
+@pytest.mark.parametrize(
+    ("number", "words"), [(2, "use a newer wrenchbook"), (0, "write it again")]
+)
+def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch):
+    monkeypatch.setattr(packed_format, "FORMAT", number)
+    content = b"".join(pack(table_of("linear")))
+    monkeypatch.undo()
+    (tmp_path / "plate.wbt").write_bytes(content)
+    says = re.escape(f"format {number}") + ".*" + words
+    for opens, source in (
+        (read, content),
+        (PackedTable.from_bytes, content),
+        (PackedTable.open, tmp_path / "plate.wbt"),
+    ):
+        with pytest.raises(PackedTableError, match=says):
+            opens(source)
+
+
+OPTIONAL = re.compile(  # words are made of these, or there is no such part without them
+    r"/(row/source|fit/rows|axes/member_first|axes/members|axes/span|cut\d\d/state|axes/vertex)$"
+    r"|near/|space/range|kriging/x"
+)
+
+
+@pytest.mark.parametrize("kind", ["clean", "solved", "clean and full"])
+def test_a_table_without_one_of_its_arrays_is_refused_by_its_name(kind):
+    found = read(bytes(content_of(kind)))
+    for name in found.arrays:
+        if not OPTIONAL.search(name):
+            arrays = {key: array for key, array in found.arrays.items() if key != name}
+            with pytest.raises(PackedTableError, match="array"):
+                PackedTable.from_bytes(b"".join(pieces(arrays, found.words)))
+
+
+@pytest.mark.parametrize("kind", ["clean", "solved", "clean and full"])
+def test_arrays_of_other_shapes_are_refused_or_lead_no_answer_beyond_them(kind):
+    found = read(bytes(content_of(kind)))
+    asked = asked_of(table_of(kind), 50)
+    for name, array in found.arrays.items():
+        for other in (array[:-1], array[..., :-1], np.concatenate((array, array)), array[None]):
+            changed = b"".join(pieces({**found.arrays, name: other}, found.words))
+            try:
+                packed = PackedTable.from_bytes(changed)
+                packed.batch(asked)
+                packed.derivatives(asked[:10], None, "tangent")
+            except (PackedTableError, UnknownMethodError):
+                continue
+
+
+def test_indices_that_lead_out_of_a_table_lead_no_answer_out_of_it():
+    kind = "clean and full"
+    found = read(bytes(content_of(kind)))
+    asked = asked_of(table_of(kind), 100)
+    rng = np.random.default_rng(1)
+    for name in found.arrays:
+        for _ in range(5):
+            array = np.array(found.arrays[name])
+            whole = array.view(np.uint8).ravel()
+            places = rng.integers(0, max(whole.size, 1), whole.size // 20)
+            whole[places] = rng.integers(0, 256, len(places))
+            changed = b"".join(pieces({**found.arrays, name: array}, found.words))
+            try:
+                packed = PackedTable.from_bytes(changed)
+            except PackedTableError:
+                continue
+            for method in ("additive", "tangent", "kriging", "nearest"):
+                packed.batch(asked, None, method)
+            packed.derivatives(asked[:50], None, "tangent")
+            packed.axis(0, 0, asked[0].tolist())
+
+
+def test_arrays_of_other_types_are_not_written():
+    with pytest.raises(PackedTableError, match="complex"):
+        pieces({"a": np.zeros(2, dtype=complex)}, {})
+    with pytest.raises(PackedTableError, match="n" * 70):
+        pieces({"n" * 70: np.zeros(2)}, {})
+
+
+def test_an_interrupted_write_leaves_the_file_as_it_was(tmp_path):
+    path = tmp_path / "plate.wbt"
+    path.write_bytes(b"before")
+    with pytest.raises(TypeError):
+        write_file(path, [b"half", None])
+    assert path.read_bytes() == b"before"
+    assert [one.name for one in tmp_path.iterdir()] == ["plate.wbt"]
