@@ -211,7 +211,7 @@ class _Refinement:
 
     def _losses(self, wrenches: Floats) -> Floats:
         """Return the largest bar over what is allowed (n,) at wrenches (n, 6), as of now."""
-        over = (self.surrogate.batch(wrenches).error / self.allowed)[:, self.outputs]
+        over = (self.surrogate.estimates(wrenches).error / self.allowed)[:, self.outputs]
         return np.nan_to_num(over, nan=np.finfo(float).max).max(axis=1)
 
     def _left(self, solved: Floats, wrenches: Floats) -> Floats:
