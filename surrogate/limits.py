@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,7 +32,7 @@ BEYOND_LIMITS = (
     f"{TRANSLATION_LIMIT:g} m, and is not given"
 )
 
-_LONGEST = ROTATION_LIMIT * (1.0 + 1e-12)
+LONGEST = ROTATION_LIMIT * (1.0 + 1e-12)
 """rad: the last bits of a conversion from degrees must not refuse exactly 20 degrees."""
 
 
@@ -43,7 +44,7 @@ def rotation_angles(displacements: Floats) -> Floats:
 
 def is_too_far(angles: Floats) -> NDArray[np.bool_]:
     """Return which rotations, shape (n,), rad, are beyond the limit."""
-    return np.asarray(angles > _LONGEST)
+    return np.asarray(angles > LONGEST)
 
 
 def beyond_limits(displacements: Floats) -> NDArray[np.bool_]:
@@ -68,7 +69,15 @@ def within_limits_many(found: Batch) -> Batch:
 
 
 class LimitedAnswers:
-    """The calls of a table from its estimates, of which those beyond the limits are not given."""
+    """The calls of a table from its estimates, of which those beyond the limits are not given.
+
+    Attributes
+    ----------
+    packed : surrogate.kernel.binding.PackedTable or None
+        The same table packed, from which the kernel answers; None until it is made.
+    """
+
+    packed: Any = None
 
     def estimate(
         self,
@@ -126,4 +135,4 @@ def _is_beyond(displacement: Sequence[float | None] | None) -> bool:
     known = [0.0 if amount is None or amount != amount else amount for amount in displacement]
     x, y, z = known[3:]
     angle = math.sqrt(x * x + y * y + z * z)
-    return max(map(abs, known[:3])) > TRANSLATION_LIMIT or angle > _LONGEST
+    return max(map(abs, known[:3])) > TRANSLATION_LIMIT or angle > LONGEST

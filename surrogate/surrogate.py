@@ -333,7 +333,6 @@ class Surrogate(LimitedAnswers):
         found = self.kriging.why_unknown(np.array(wrench)) if told and self.kriging else ""
         return found or UNKNOWN_ERROR
 
-
     def _readings(self) -> Readings:
         """Return what was measured behind each of `used`, for the noise that nobody stated."""
         inside = np.flatnonzero(self._merged.within)

@@ -44,9 +44,8 @@ int wb_method_of(const wb_group *g, const wb_options *o) {
 
 /* The largest interpolation error of a covered answer: the request's tolerance, else the
  * component's or the default one. */
-double wb_allowed(const wb_table *t, const wb_group *g, const wb_options *o, int method, int q) {
-    if (o && o->tolerance && !isnan(o->tolerance[q])) return o->tolerance[q];
-    return g->allowed[t->outputs * method + q];
+double wb_allowed(const wb_group *g, const wb_options *o, int q) {
+    return o && o->tolerance && !isnan(o->tolerance[q]) ? o->tolerance[q] : g->allowed[q];
 }
 
 /* The best estimate there is and its 95 % error: `Reference.estimate`. */
@@ -54,8 +53,7 @@ static void refer(const wb_table *t, const wb_group *g, wb_work *work, const dou
                   const wb_composed *c, double *best, double *error) {
     double missed[WB_MOST], own[WB_MOST];
     if (g->reference & WB_REF_KRIGING) {
-        double sigma = wb_kriging_values(t, &g->kriging, work, w, best, error);
-        for (int q = 0; !(sigma <= *g->kriging.sigma_limit) && q < t->outputs; q++) error[q] = NAN;
+        wb_kriging_values(t, &g->kriging, work, w, best, error);
         return;
     }
     memcpy(best, c->moved, sizeof c->moved);
@@ -92,25 +90,16 @@ static void reason_beyond(const wb_table *t, const double *w, wb_found *a) {
     }
 }
 
-/* Where the kriging is the reference its own error holds, up to the largest sigma at which rows
- * show errors. */
+/* Where the kriging is the reference its own error holds. */
 static void by_kriging(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                        const wb_composed *c, wb_found *a) {
-    double best[WB_MOST], bars[WB_MOST], most = *g->kriging.sigma_limit;
-    double sigma = wb_kriging_values(t, &g->kriging, work, w, a->outputs, a->error);
-    int own = g->reference & WB_REF_KRIGING;
+    double best[WB_MOST], bars[WB_MOST];
+    wb_kriging_values(t, &g->kriging, work, w, a->outputs, a->error);
     a->coverage = wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;
     reason_beyond(t, w, a);
-    if (!own) {
-        refer(t, g, work, w, c, best, bars);
-        for (int q = 0; q < t->outputs; q++) a->error[q] = fabs(a->outputs[q] - best[q]) + bars[q];
-    }
-    if (!own || sigma <= most) return;
-    for (int q = 0; q < t->outputs; q++) a->error[q] = NAN;
-    if (a->coverage != WB_COVERED) return;
-    wb_reason *reason = wb_add_reason(a, WB_REASON_ERRORS_UNKNOWN);
-    reason->value = sigma, reason->limit = most;
-    a->coverage = WB_THIN;
+    if (g->reference & WB_REF_KRIGING) return;
+    refer(t, g, work, w, c, best, bars);
+    for (int q = 0; q < t->outputs; q++) a->error[q] = fabs(a->outputs[q] - best[q]) + bars[q];
 }
 
 static void by_linear(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
@@ -190,19 +179,15 @@ static void judge_interaction(const wb_table *t, const wb_group *g, const double
         a->coverage = WB_THIN;
         wb_reason *reason = wb_add_reason(a, WB_REASON_INTERACTION);
         reason->value = g->full, reason->limit = g->needed;
-    } else if (!g->size_known) {
-        a->coverage = WB_THIN;
-        wb_add_reason(a, WB_REASON_SIZE_UNKNOWN);
     }
 }
 
 /* Lower the coverage where an error is over what is allowed, or not known. */
-static void judge_error(const wb_table *t, const wb_group *g, const wb_options *o, int method,
-                        wb_found *a) {
+static void judge_error(const wb_table *t, const wb_group *g, const wb_options *o, wb_found *a) {
     int over = 0, known = 1, output = -1, m = t->outputs;
     double worst = 1.0;
     for (int q = 0; q < m; q++) {
-        double most = wb_allowed(t, g, o, method, q);
+        double most = wb_allowed(g, o, q);
         if (!g->outputs[q]) continue;
         over |= !(a->error[q] <= most);
         known &= isfinite(a->error[q]) != 0;
@@ -210,30 +195,34 @@ static void judge_error(const wb_table *t, const wb_group *g, const wb_options *
     }
     if (a->coverage == WB_COVERED && over) {
         a->coverage = WB_THIN;
-        wb_reason *reason =
-            wb_add_reason(a, output < 0 ? WB_REASON_NO_ERROR : WB_REASON_OVER_TOLERANCE);
-        reason->index = output;
-        if (output >= 0) {
-            reason->value = a->error[output];
-            reason->limit = wb_allowed(t, g, o, method, output);
+        int code = known && output >= 0 ? WB_REASON_OVER_TOLERANCE : WB_REASON_NO_ERROR;
+        wb_reason *reason = wb_add_reason(a, code);
+        if (code == WB_REASON_OVER_TOLERANCE) {
+            reason->index = output, reason->value = a->error[output];
+            reason->limit = wb_allowed(g, o, output);
         }
     }
     for (int q = 0; !known && q < m; q++) a->error[q] = NAN;
 }
 
 /* Judge what a method answered; take the row at the wrench where that is not covered. */
-void wb_finish(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
-               int with_reasons, wb_found *a) {
+void wb_finish(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
+               const double *w, int with_reasons, wb_found *a) {
     a->row = -1, a->exact = 0;
     if (g->used) {
         judge_interaction(t, g, w, a);
-        judge_error(t, g, o, a->method, a);
+        judge_error(t, g, o, a);
     }
     if (a->coverage == WB_COVERED) return;
     if (wb_answer_by_row(t, g, o, w, a)) {
         a->coverage = WB_COVERED, a->method = WB_ROW, a->reasons = 0;
     } else if (with_reasons && g->used && !a->reasons) {
         wb_axes_reasons(t, g, w, a);
+    } else if (with_reasons && g->reference & WB_REF_KRIGING
+               && a->reason[0].code == WB_REASON_NO_ERROR) {
+        a->reasons = 0;
+        wb_kriging_reasons(t, &g->kriging, work, w, a);
+        if (!a->reasons) wb_add_reason(a, WB_REASON_NO_ERROR);
     }
 }
 
@@ -246,7 +235,7 @@ void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, 
         wb_add_reason(a, g->rows.count ? WB_REASON_ONLY_BEYOND : WB_REASON_EMPTY);
         for (int q = 0; q < t->outputs; q++) a->outputs[q] = a->error[q] = NAN;
         a->coverage = WB_OUTSIDE, a->method = WB_ESTIMATE;
-        wb_finish(t, g, o, w, with_reasons, a);
+        wb_finish(t, g, o, work, w, with_reasons, a);
         return;
     }
     int axes = a->method <= WB_TANGENT, exact = a->method == WB_LINEAR && g->exact_fit;
@@ -256,7 +245,7 @@ void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, 
     else if (a->method == WB_KRIGING) by_kriging(t, g, work, w, &c, a);
     else if (a->method == WB_LINEAR) by_linear(t, g, work, w, &c, a);
     else by_nearest(t, g, work, w, &c, a);
-    wb_finish(t, g, o, w, with_reasons, a);
+    wb_finish(t, g, o, work, w, with_reasons, a);
 }
 
 /* `Surrogate.derivatives`. */

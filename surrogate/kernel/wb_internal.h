@@ -68,15 +68,16 @@ typedef struct {
 /* The neighbourhoods that give sigma for the outputs of one factor. */
 typedef struct {
     int padded; /* equations of a neighbourhood, a multiple of WB_PANEL */
-    int64_t count;
+    int64_t count, levels;
     const int32_t *outputs, *number, *places;
     const double *panels, *unsettled, *least, *penalty, *mean_covariance;
+    const double *sigma, *factors, *reach; /* of the calibration: (levels), (levels, m), (1) */
 } wb_share;
 
 typedef struct {
     int stride, terms, shares; /* stride: rows, a multiple of WB_LANES */
     const double *x, *term, *rates, *weights, *coefficients, *centre, *rate, *offset, *spread;
-    const double *over, *lost, *floor, *tangent, *sigma_limit;
+    const double *deviation, *lost, *floor, *tangent, *span;
     wb_share *share;
 } wb_kriging;
 
@@ -89,7 +90,7 @@ typedef struct {
 
 /* The outputs that the same rows hold. */
 typedef struct {
-    int method, reference, knows_interaction, rest_unknown, size_known, exact_fit, used;
+    int method, reference, knows_interaction, rest_unknown, exact_fit, used;
     int full, needed, has_composition, has_kriging, has_missed;
     int64_t near;
     const int32_t *outputs;
@@ -184,22 +185,24 @@ void wb_compose(const wb_composition *c, const double small[6], const double wre
 void wb_compose_derivative(const wb_composition *c, const double wrench[6], int method,
                            double derivative[36]);
 int wb_anchor(const wb_table *t, const wb_kriging *k, const double *wrench, wb_work *work);
-double wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
-                         const double *wrench, double *outputs, double *error);
+void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
+                       const double *wrench, double *outputs, double *error);
+void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, const double *w,
+                        wb_found *a);
 void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
                            const double *wrench, double *derivative);
 int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w);
 int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
                      wb_found *a);
 int wb_is_beyond(const wb_table *t, const double *w);
-double wb_allowed(const wb_table *t, const wb_group *g, const wb_options *o, int method, int q);
+double wb_allowed(const wb_group *g, const wb_options *o, int q);
 wb_reason *wb_add_reason(wb_found *a, int code);
 void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_found *a);
 void wb_found_by_axes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                       int method, const wb_composed *c, wb_found *a);
 int wb_method_of(const wb_group *g, const wb_options *o);
-void wb_finish(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
-               int with_reasons, wb_found *a);
+void wb_finish(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
+               const double *w, int with_reasons, wb_found *a);
 void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
                      const double *w, int with_reasons, wb_found *a);
 void wb_group_slopes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,

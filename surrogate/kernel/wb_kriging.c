@@ -156,34 +156,84 @@ int wb_anchor(const wb_table *t, const wb_kriging *k, const double *wrench, wb_w
     return nearest(k, k->share, t->inputs, work->apart, work->first);
 }
 
-/* Outputs and 95 % errors, m and rad; returns the largest sigma over the process deviation. */
-double wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
-                         const double *wrench, double *outputs, double *error) {
-    int n = t->inputs, m = t->outputs, count = (n + 1) * k->stride;
-    double at[WB_MOST], sigma[WB_MOST] = {0}, most = 0.0;
+/* `Calibration.at`: what a deviation is multiplied by for a 95 % error; NaN where rows left out do
+ * not show how large errors are. */
+static double factor_of(const wb_share *share, double sigma, int q, int outputs) {
+    int64_t last = share->levels - 1, n = 0;
+    const double *f = share->factors + q, *s = share->sigma;
+    if (!(sigma <= *share->reach) || last < 0) return NAN;
+    if (sigma >= s[last]) return f[outputs * last];
+    if (sigma <= s[0]) return f[0];
+    while (s[n + 1] <= sigma) n++;
+    double low = f[outputs * n], high = f[outputs * (n + 1)];
+    return (high - low) / (s[n + 1] - s[n]) * (sigma - s[n]) + low;
+}
+
+/* Whether rows span the scaled loads: beyond that errors are not known. */
+static int is_spanned(const wb_kriging *k, int inputs, const double *at) {
+    for (int a = 0; a < inputs; a++)
+        if (!(k->span[a] <= at[a] && at[a] <= k->span[inputs + a])) return 0;
+    return 1;
+}
+
+/* The covariances of a value with all rows, and sigma of each share over its process deviation. */
+static void explore(const wb_table *t, const wb_kriging *k, wb_work *work, const double *wrench,
+                    double *at, double *sigma) {
+    int n = t->inputs;
     scale_loads(k, n, wrench, at, work->apart);
-    memset(work->flat, 0, (size_t)count * sizeof(double));
+    memset(work->flat, 0, (size_t)((n + 1) * k->stride) * sizeof(double));
     for (int term = 0; term < k->terms; term++)
         add_covariances(k->term + (n + 1) * term, n, work->apart, k->stride, work->first,
                         work->second, work->flat);
     for (int s = 0; s < k->shares; s++) {
-        const wb_share *share = &k->share[s];
-        int anchor = nearest(k, share, n, work->apart, work->first);
-        double own = sqrt(squared_deviation(k, share, n, anchor, at, work));
-        most = own > most || isnan(own) ? own : most;
-        for (int q = 0; q < m; q++)
-            if (share->outputs[q]) sigma[q] = own;
+        int anchor = nearest(k, &k->share[s], n, work->apart, work->first);
+        sigma[s] = sqrt(squared_deviation(k, &k->share[s], n, anchor, at, work));
     }
+}
+
+/* Why the errors of an answer are not known: `Kriging.why_unknown`. */
+void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, const double *w,
+                        wb_found *a) {
+    double at[WB_MOST], sigma[WB_MOST];
+    int before = a->reasons, far = -1;
+    for (int s = 0; s < k->shares; s++)
+        if (!(*k->share[s].reach > 0)) {
+            wb_add_reason(a, WB_REASON_ERRORS_UNKNOWN);
+            return;
+        }
+    explore(t, k, work, w, at, sigma);
+    for (int s = 0; s < k->shares; s++)
+        if (!(sigma[s] <= *k->share[s].reach)) far = s;
+    for (int load = 0; load < t->inputs; load++) {
+        if (k->span[load] <= at[load] && at[load] <= k->span[t->inputs + load]) continue;
+        wb_reason *reason = wb_add_reason(a, WB_REASON_BEYOND_SPAN);
+        reason->index = load, reason->value = w[load];
+    }
+    if (a->reasons > before || far < 0) return;
+    wb_reason *reason = wb_add_reason(a, WB_REASON_TOO_FAR);
+    reason->value = sigma[far], reason->limit = *k->share[far].reach;
+}
+
+/* Outputs and 95 % errors, m and rad. */
+void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
+                         const double *wrench, double *outputs, double *error) {
+    int n = t->inputs, m = t->outputs, count = (n + 1) * k->stride;
+    double at[WB_MOST], sigma[WB_MOST], wide[WB_MOST] = {0};
+    explore(t, k, work, wrench, at, sigma);
+    int spanned = is_spanned(k, n, at);
+    for (int s = 0; s < k->shares; s++)
+        for (int q = 0; q < m; q++)
+            if (k->share[s].outputs[q])
+                wide[q] = spanned ? sigma[s] * factor_of(&k->share[s], sigma[s], q, m) : NAN;
     for (int q = 0; q < m; q++) {
         double value = product(work->flat, k->weights + (int64_t)q * count, count);
         value += k->coefficients[q];
         for (int a = 0; a < n; a++) value += at[a] * k->coefficients[m * (1 + a) + q];
         outputs[q] = value * k->spread[q] + k->offset[q];
         double size = (fabs(value) + 1.0) * k->spread[q] + fabs(k->offset[q]);
-        double least = fmax(*k->floor * size, k->lost[q]), wide = sigma[q] * k->over[q];
-        error[q] = wide < least ? least : wide; /* what is not a number stays none */
+        double least = fmax(*k->floor * size, k->lost[q]), own = wide[q] * k->deviation[q];
+        error[q] = own < least ? least : own; /* what is not a number stays none */
     }
-    return most;
 }
 
 /* One term's correlation: its two derivatives by the squared distance. */

@@ -176,7 +176,7 @@ static void answer_block(const task *own, size_t start, size_t count, bench *b) 
         if (axes) {
             found.method = method, found.reasons = 0;
             wb_found_by_axes(t, g, &b->work, reply.inputs, method, &b->composed[place], &found);
-            wb_finish(t, g, own->o, reply.inputs, 0, &found);
+            wb_finish(t, g, own->o, &b->work, reply.inputs, 0, &found);
         } else {
             wb_group_answer(t, g, own->o, &b->work, reply.inputs, 0, &found);
         }

@@ -249,10 +249,11 @@ static void read_composition(reader *r, wb_composition *c, const wb_fit *fit) {
 static void read_share(reader *r, const char *kriging, int number, const wb_kriging *k,
                        wb_share *share) {
     static const char *const PARTS[] = {"outputs", "number", "places", "panels", "unsettled",
-                                        "least", "penalty", "mean_covariance"};
-    char name[8][WB_NAME];
+                                        "least", "penalty", "mean_covariance", "sigma", "factors",
+                                        "reach"};
+    char name[11][WB_NAME];
     int64_t n = r->t->inputs, shape[2] = {-1, -1};
-    for (int part = 0; part < 8; part++)
+    for (int part = 0; part < 11; part++)
         snprintf(name[part], sizeof name[part], "%.16s/share%d/%s", kriging, number, PARTS[part]);
     share->outputs = ints(r, name[0], r->t->outputs);
     share->number = ints(r, name[1], k->stride);
@@ -268,6 +269,10 @@ static void read_share(reader *r, const char *kriging, int number, const wb_krig
     share->least = doubles(r, name[5], 1, (int64_t)k->stride);
     share->penalty = doubles(r, name[6], 1, (int64_t)k->stride);
     share->mean_covariance = doubles(r, name[7], 2, n + 1, n + 1);
+    share->levels = length(r, name[8], WB_F8, 1);
+    share->sigma = doubles(r, name[8], 1, share->levels);
+    share->factors = doubles(r, name[9], 2, share->levels, (int64_t)r->t->outputs);
+    share->reach = doubles(r, name[10], 1, (int64_t)1);
     if (*r->bad) return;
     within(r, name[1], share->number, k->stride, 0, share->count);
     within(r, name[2], share->places, shape[0] * shape[1], 0, (n + 1) * k->stride);
@@ -277,8 +282,8 @@ static void read_share(reader *r, const char *kriging, int number, const wb_krig
 static void read_kriging(reader *r, const char *which, wb_kriging *k, wb_share **share) {
     char name[15][48];
     static const char *const PARTS[] = {"x", "terms", "rates", "weights", "coefficients", "centre",
-                                        "rate", "offset", "spread", "over", "lost", "floor",
-                                        "tangent", "sigma_limit", "shares"};
+                                        "rate", "offset", "spread", "deviation", "lost",
+                                        "floor", "tangent", "span", "shares"};
     int64_t n = r->t->inputs, m = r->t->outputs, shape[2] = {n, -1};
     for (int part = 0; part < 15; part++)
         snprintf(name[part], sizeof name[part], "%s/%s", which, PARTS[part]);
@@ -295,10 +300,10 @@ static void read_kriging(reader *r, const char *which, wb_kriging *k, wb_share *
     k->coefficients = doubles(r, name[4], 2, n + 1, m);
     k->centre = doubles(r, name[5], 1, n), k->rate = doubles(r, name[6], 1, n);
     k->offset = doubles(r, name[7], 1, m), k->spread = doubles(r, name[8], 1, m);
-    k->over = doubles(r, name[9], 1, m), k->lost = doubles(r, name[10], 1, m);
+    k->deviation = doubles(r, name[9], 1, m), k->lost = doubles(r, name[10], 1, m);
     k->floor = doubles(r, name[11], 1, (int64_t)1);
     k->tangent = doubles(r, name[12], 2, m, n);
-    k->sigma_limit = doubles(r, name[13], 1, (int64_t)1);
+    k->span = doubles(r, name[13], 2, (int64_t)2, n);
     const int32_t *shares = ints(r, name[14], 1);
     if (!*r->bad) within(r, name[14], shares, 1, 1, m + 1);
     if (*r->bad) return;
@@ -310,9 +315,9 @@ static void read_kriging(reader *r, const char *which, wb_kriging *k, wb_share *
 
 static void read_group(reader *r, wb_group *g, wb_share **share) {
     const wb_table *t = r->t;
-    const int32_t *flags = ints(r, "flags", 9);
+    const int32_t *flags = ints(r, "flags", 8);
     g->outputs = ints(r, "outputs", t->outputs);
-    g->allowed = doubles(r, "allowed", 2, (int64_t)WB_METHODS, (int64_t)t->outputs);
+    g->allowed = doubles(r, "allowed", 1, (int64_t)t->outputs);
     g->near = length(r, "near/wrench", WB_F8, 2);
     g->near_wrench = doubles(r, "near/wrench", 2, g->near, (int64_t)t->inputs);
     g->near_moved = doubles(r, "near/moved", 2, g->near, (int64_t)t->outputs);
@@ -320,8 +325,8 @@ static void read_group(reader *r, wb_group *g, wb_share **share) {
     read_rows(r, &g->rows);
     if (*r->bad) return;
     g->method = flags[0], g->reference = flags[1], g->knows_interaction = flags[2];
-    g->rest_unknown = flags[3], g->size_known = flags[4], g->exact_fit = flags[5];
-    g->used = flags[6], g->full = flags[7], g->needed = flags[8];
+    g->rest_unknown = flags[3], g->exact_fit = flags[4], g->used = flags[5];
+    g->full = flags[6], g->needed = flags[7];
     for (int64_t k = 0; k < g->rows.count; k++)
         within(r, "row/tangent_of", g->rows.tangent_of + k, 1, -1, g->rows.tangents);
     if ((g->has_composition = exists(r, "axes/vertex")))

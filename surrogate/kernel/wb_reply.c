@@ -73,6 +73,9 @@ void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
         for (int q = 0; q < m; q++)
             if (g->outputs[q]) memcpy(derivative + n * q, slopes + n * q, (size_t)n * sizeof(double));
     }
+    for (int k = 0; k < n; k++) /* a guide carries these loads: no displacement depends on them */
+        for (int q = 0; t->locked[k] && q < m; q++)
+            if (!isnan(derivative[n * q + k])) derivative[n * q + k] = 0.0;
 }
 
 /* What the mesh lacks by the answer's tangent T, |T D u|; 0 where that is not known. */

@@ -68,7 +68,7 @@ static double slopes_without_tangent(const wb_table *t, const wb_group *g, int64
 /* Take what the row at or near a wrench says, unless it is too far off: `ExactRows.at`. */
 int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
                      wb_found *a) {
-    int n = t->inputs, m = t->outputs, method = wb_method_of(g, o);
+    int n = t->inputs, m = t->outputs;
     int64_t row = wb_find_row(t, g, w);
     if (row < 0) return 0;
     const double *own = g->rows.wrench + n * row, *moved = g->rows.moved + m * row;
@@ -89,7 +89,7 @@ int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, 
         if (tangent && isfinite(more)) growth = fabs(more);
         else more = 0;
         if (!(reach > 0) || isnan(moved[q])) more = growth = 0;
-        if (!(growth <= wb_allowed(t, g, o, method, q))) return 0;
+        if (!(growth <= wb_allowed(g, o, q))) return 0;
         outputs[q] = moved[q] + more;
         error[q] = g->rows.bar[m * row + q] + growth;
     }

@@ -67,12 +67,13 @@ enum {
     WB_REASON_MOMENT_ALONE = 10,    /* axis; index: input; value: the moment */
     WB_REASON_REST_UNKNOWN = 11,    /* what the component does without load */
     WB_REASON_INTERACTION = 12,     /* value: full wrenches; limit: full wrenches needed */
-    WB_REASON_SIZE_UNKNOWN = 13,    /* left-out rows do not show how large errors are */
+    WB_REASON_BEYOND_SPAN = 13,     /* index: input; value: the load; rows do not span it */
     WB_REASON_OVER_TOLERANCE = 14,  /* index: output; value: interpolation error; limit */
     WB_REASON_NO_ERROR = 15,        /* no row shows how far off this answer may be */
-    WB_REASON_ERRORS_UNKNOWN = 16,  /* value: sigma; limit: largest calibrated sigma */
+    WB_REASON_ERRORS_UNKNOWN = 16,  /* rows left out do not show how large errors are */
     WB_REASON_BEYOND_LIMITS = 17,   /* an estimate beyond the table's limits is not given */
-    WB_REASON_AXIS_ERRORS_UNKNOWN = 18 /* axis; value: rows left out; limit: least of them */
+    WB_REASON_AXIS_ERRORS_UNKNOWN = 18, /* axis; value: rows left out; limit: least of them */
+    WB_REASON_TOO_FAR = 19          /* value: sigma; limit: largest sigma with known errors */
 };
 
 typedef struct wb_table wb_table;

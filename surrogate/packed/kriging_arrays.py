@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..kriging import Kriging
 from ..kriging.correlation import LOADS, PLACES
-from ..kriging.dense import Dense, Spread
+from ..kriging.dense import Spread
 from ..kriging.equations import OUTPUTS
 from ..table.rows import Floats
 
@@ -30,14 +30,13 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     loads; ``terms`` (t, n + 1), inverse squared lengths and weight; ``rates`` (n), inverse squared
     lengths of the distance between rows; ``weights`` (m, (n + 1) s), of the rows' values and slopes
     by one load after another; ``coefficients`` (n + 1, m), the mean; ``centre``, ``rate`` (n), of
-    the scaled loads, 1/N and 1/(N·m); ``offset``, ``spread`` (m), m and rad; ``over`` (m), the
-    95 % error over sigma, m and rad; ``lost`` (m), what sums lose to rounding, m and rad;
-    ``floor`` (1), the least error over an answer's size; ``tangent`` (m, n), SI, added to the
-    derivative; ``sigma_limit`` (1), the largest sigma over the process deviation at which errors
-    are known; ``shares`` (1), how many factors there are.
+    the scaled loads, 1/N and 1/(N·m); ``offset``, ``spread`` (m), m and rad; ``deviation``
+    (m), the process', m and rad; ``lost`` (m), what sums lose to rounding, m and rad; ``floor``
+    (1), the least error over an answer's size; ``tangent`` (m, n), SI, added to the derivative;
+    ``span`` and ``span_loads`` (2, n), the ends, scaled and in N and N·m, between which errors are
+    known; ``shares`` (1), how many factors there are.
     """
     inside, scaling = kriging.inside, kriging.scaling
-    assert isinstance(inside, Dense)
     rows = len(inside.equations)
     stride = -(-rows // LANES) * LANES
     rates, weights = inside.held.terms
@@ -54,15 +53,22 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "rate", np.where(scaling.active, 1 / scaling.half, 0.0)
     yield "offset", scaling.offset
     yield "spread", scaling.spread
-    yield "over", kriging.conformal * inside.deviation * scaling.spread
+    yield "deviation", inside.deviation * scaling.spread
     yield "lost", inside.rounding * scaling.spread
     yield "floor", np.array([kriging.settings.bar_floor])
     yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
-    yield "sigma_limit", np.array([getattr(kriging, "sigma_limit", np.inf)])
+    yield "span", inside.span
+    yield "span_loads", scaling.wrenches(inside.span)
     yield "shares", np.array([len(inside.shares)], dtype=np.int32)
     for number, share in enumerate(inside.shares):
         for name, array in _share_arrays(share, rows, stride):
             yield f"share{number}/{name}", array
+        found = inside.calibrations[number]
+        factors = np.zeros((len(found.sigma), OUTPUTS))
+        factors[:, share.factor.outputs] = found.factors.reshape(len(found.sigma), -1)
+        yield f"share{number}/sigma", found.sigma
+        yield f"share{number}/factors", factors
+        yield f"share{number}/reach", np.array([found.reach])
 
 
 def _share_arrays(share: Spread, rows: int, stride: int) -> Iterator[tuple[str, Array]]:
@@ -72,7 +78,8 @@ def _share_arrays(share: Spread, rows: int, stride: int) -> Iterator[tuple[str, 
     neighbourhood; ``places`` (k, e), where its equations stand among the (n + 1) s covariances;
     ``panels``; ``unsettled`` (k, n + 1, e), T times the mean's terms; ``least`` (s), the smallest
     sigma squared but for the mean's; ``penalty`` (s), 0, or infinite for a row without a
-    neighbourhood; ``mean_covariance`` (n + 1, n + 1). All are dimensionless.
+    neighbourhood; ``mean_covariance`` (n + 1, n + 1). All are dimensionless. So are, of the
+    calibration with l levels, ``sigma`` (l), ``factors`` (l, m) and ``reach`` (1): `Calibration`.
     """
     count = len(share.around)
     most = max(len(local.places) for local in share.around)

@@ -20,15 +20,16 @@ UNKNOWN_TOGETHER = (
     "{full} full wrenches{tangents}: at least {needed} full wrenches are needed to tell what loads "
     "of several axes do together"
 )
-UNKNOWN_SIZE = (
-    "rows left out tell too little of how large errors are: a few of them make nearly all of the "
-    "error, or bars miss too many of them; solve or import more rows"
-)
 UNKNOWN_ERROR = "no row tells how far this answer may be wrong"
 LEAVES_LIMITS = "the estimate leaves what tables may hold, 20 degrees and 10 m, and is not given"
 ERRORS_UNKNOWN = (
-    "errors are not known this far from the rows: sigma is {value:.2g} of the response's own "
-    "deviation, and rows left out show errors up to {limit:.2g}; solve or import rows around here"
+    "how large errors are is not known: rows left out show nothing of wrenches as far from the "
+    "rows as those of the load range are (rows along one motion or near each other, or few rows "
+    "that make nearly all of the error); solve or import rows spread over the range"
+)
+TOO_FAR = (
+    "how large the error is is not known: no row is as far from the others as this wrench is from "
+    "the rows; solve or import rows around it"
 )
 
 
@@ -168,8 +169,13 @@ def _over(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     )
 
 
-def _errors_unknown(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    return ERRORS_UNKNOWN.format(value=reason.value, limit=reason.limit)
+def _beyond_span(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    low, high = packed.arrays[f"g{reason.group}/kriging/span_loads"][:, reason.place].tolist()
+    name, unit = _name(packed, reason.place)
+    return (
+        f"{name} = {reason.value:.6g} {unit} is further from the rows, which tell errors from "
+        f"{low:.6g} to {high:.6g} {unit}"
+    )
 
 
 _WORDS: dict[int, Maker] = {
@@ -185,17 +191,18 @@ _WORDS: dict[int, Maker] = {
     10: _moment_alone,
     11: _fixed(UNKNOWN_AT_REST),
     12: _together,
-    13: _fixed(UNKNOWN_SIZE),
+    13: _beyond_span,
     14: _over,
     15: _fixed(UNKNOWN_ERROR),
-    16: _errors_unknown,
+    16: _fixed(ERRORS_UNKNOWN),
     17: _fixed(LEAVES_LIMITS),
     18: _left_out,
+    19: _fixed(TOO_FAR),
 }
 """By code: WB_REASON_... of surrogate/kernel/wrenchbook.h."""
 
 
-FIXED = frozenset({1, 2, 11, 12, 13, 15, 17})
+FIXED = frozenset({1, 2, 11, 12, 15, 16, 17, 19})
 """Codes whose words are the same for every wrench, but for the numbers of the reason itself."""
 
 

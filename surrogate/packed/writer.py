@@ -7,7 +7,7 @@ k are named ``gK/...``: `_group_arrays`, `axes_arrays` and `kriging_arrays` stat
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..build import AnyTable
 from ..describe.explain import linear_rows
 from ..kriging import Kriging
+from ..limits import LONGEST, TRANSLATION_LIMIT
 from ..methods.reference import AxesReference, KrigingReference
 from ..methods.selection import ENOUGH_FULL
 from ..missing_outputs import MissingOutputs
@@ -27,10 +28,6 @@ from .buckets import buckets_of
 from .codes import METHODS
 from .format import pieces, write_file
 from .kriging_arrays import kriging_arrays
-
-TRANSLATION_LIMIT = 10.0  # m: within 20 degrees no machine part moves so far
-ROTATION_LIMIT = math.radians(20.0)  # rad: the small-deformation contract ends there
-ROUNDED = 1 + 1e-12  # the last bits of a conversion from degrees must not refuse 20 degrees
 
 # Bits of a group's reference: WB_REF_... of surrogate/kernel/wb_internal.h.
 _ADDITIVE, _MISSED, _KRIGING = 1, 2, 4
@@ -43,7 +40,6 @@ def pack(
     *,
     component: str = "",
     fingerprint: str = "",
-    locked: Sequence[int] = (),
     contract: Mapping[str, Any] | None = None,
     interface: Mapping[str, Any] | None = None,
 ) -> list[bytes]:
@@ -53,13 +49,11 @@ def pack(
     ----------
     component, fingerprint
         Where the rows come from.
-    locked
-        Loads on locked freedoms, 0 to 5: an answer takes them as zero.
     contract, interface
         What is said of loads and displacements, in words; kept as they are.
     """
     groups = table.groups if isinstance(table, MissingOutputs) else ((tuple(range(6)), table),)
-    arrays = dict(_space_arrays(table, len(groups), locked)) | dict(_solver_arrays(table))
+    arrays = dict(_space_arrays(table, len(groups))) | dict(_solver_arrays(table))
     sources = _Sources(table)
     for number, (outputs, group) in enumerate(groups):
         for name, array in _group_arrays(outputs, group, sources):
@@ -77,6 +71,8 @@ def pack(
             "fingerprint": fingerprint,
             "version": table.version,
             "rows": len(table.rows),
+            "other_rows": table.other_rows,
+            "other_wrenches": table.other_wrenches,
         },
     }
     return pieces(arrays, _plain(words))
@@ -117,9 +113,7 @@ def _space_words() -> dict[str, Any]:
     }
 
 
-def _space_arrays(
-    table: AnyTable, groups: int, locked: Sequence[int]
-) -> Iterator[tuple[str, Array]]:
+def _space_arrays(table: AnyTable, groups: int) -> Iterator[tuple[str, Array]]:
     """Yield what is the same for all outputs.
 
     ``sizes`` (n, m, g); ``range`` and ``ends`` (2, n), ``scale`` and ``small`` (n), N and N·m;
@@ -132,11 +126,11 @@ def _space_arrays(
     yield "space/ends", span.ends
     yield "space/scale", span.scale
     yield "space/small", CLEAN * span.scale
-    yield "space/locked", np.isin(np.arange(6), list(locked)).astype(np.int32)
+    yield "space/locked", np.isin(np.arange(6), table.locked).astype(np.int32)
     yield "space/tolerance", _six(table.tolerance)
     yield "space/limit", np.repeat([TRANSLATION_LIMIT, np.inf], 3)
     yield "space/vector_first", np.array([3], dtype=np.int32)
-    yield "space/vector_limit", np.array([ROTATION_LIMIT * ROUNDED])
+    yield "space/vector_limit", np.array([LONGEST])
 
 
 def _six(tolerance: Tolerance | None) -> Floats:
@@ -197,10 +191,9 @@ def _group_arrays(
     """Yield what answers one group of outputs.
 
     ``outputs`` (m), which; ``flags``: the default method, the bits of its reference, whether rows
-    show interaction, whether the answer at no load is unknown, whether the size of errors is known,
-    whether the fit is exact, whether there are rows to answer from, full wrenches, full wrenches
-    needed; ``allowed`` (methods, m), the largest interpolation error of a covered answer, m and
-    rad; ``near``, the used rows: scaled loads and outputs.
+    show interaction, whether the answer at no load is unknown, whether the fit is exact, whether
+    there are rows to answer from, full wrenches, full wrenches needed; ``allowed`` (m), the largest
+    interpolation error of a covered answer, m and rad; ``near``, the used rows: scaled loads and outputs.
     """
     used = len(group.used) > 0
     exact = group.linear and group.fit.complete
@@ -208,12 +201,11 @@ def _group_arrays(
     doubt = group.doubt
     flags = [
         *(METHODS.index(group.default), mode, doubt.knows_interaction, doubt.rest_unknown),
-        *(doubt.size_known, exact, used, doubt.full_wrenches, doubt.needed),
+        *(exact, used, doubt.full_wrenches, doubt.needed),
     ]
     yield "flags", np.array(flags, dtype=np.int32)
     yield "outputs", np.isin(np.arange(6), outputs).astype(np.int32)
-    allowed = [group.allowed.of(method, None) for method in METHODS]
-    yield "allowed", np.array(allowed, dtype=float)
+    yield "allowed", np.array(group.allowed.of(None), dtype=float)
     yield "near/wrench", group.used.wrench / group.load_range.scale
     yield "near/moved", group.used.displacement
     yield "fit/matrix", group.fit.matrix
@@ -224,7 +216,7 @@ def _group_arrays(
     if used:
         for name, array in axes_arrays(group.composition, group.members):
             yield f"axes/{name}", array
-    if group.one_factor and group.kriging is not None:
+    if group.kriging is not None:
         for name, array in kriging_arrays(group.kriging):
             yield f"kriging/{name}", array
     if missed is not None:
@@ -279,7 +271,7 @@ def _row_arrays(group: Surrogate, sources: _Sources) -> Iterator[tuple[str, Arra
 
 
 def _group_words(outputs: tuple[int, ...], group: Surrogate) -> dict[str, Any]:
-    kriging = group.kriging if group.one_factor and group.kriging is not None else None
+    kriging = group.kriging
     return {
         "outputs": [OUTPUTS[output] for output in outputs],
         "method": group.default,

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import copy
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from service.tablefile.limits import beyond_limits
 from surrogate.build import AnyTable, build
 from surrogate.kernel.binding import PackedTable
 from surrogate.missing_outputs import MissingOutputs
 from surrogate.packed.writer import pack
 from surrogate.solver_error import SolverError
+from surrogate.surrogate import Surrogate
 from surrogate.table.rows import LoadRange, Rows, Tolerance
 from surrogate.whole_bars import whole_bars
 from tests.service.live import FULL, clean_wrenches, full_wrenches, moved, tangents
@@ -129,15 +130,23 @@ KINDS = {
 
 
 @cache
-def table_of(kind: str) -> AnyTable:
+def table_of(kind: str, locked: tuple[int, ...] = ()) -> AnyTable:
     """The table of a kind, built once."""
-    return KINDS[kind]()
+    table = KINDS[kind]()
+    if not locked:
+        return table
+    table = copy.copy(table)
+    parts = [part for _, part in table.groups] if isinstance(table, MissingOutputs) else []
+    for part in (table, *parts):
+        if isinstance(part, Surrogate):
+            part.locked = locked
+    return table
 
 
 @cache
 def packed_of(kind: str, locked: tuple[int, ...] = ()) -> PackedTable:
     """Its packed form."""
-    return PackedTable.from_bytes(b"".join(pack(table_of(kind), component=kind, locked=locked)))
+    return PackedTable.from_bytes(b"".join(pack(table_of(kind, locked), component=kind)))
 
 
 def asked_of(table: AnyTable, count: int, seed: int = 1, span: float = 1.1) -> np.ndarray:
@@ -167,15 +176,10 @@ def by_numpy(
     asked: np.ndarray,
     tolerance: Tolerance | None = None,
     method: str | None = None,
-    locked: tuple[int, ...] = (),
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Displacements and total errors, (n, 6), and coverage, (n,), by the numpy law."""
-    acting = np.array(asked) + 0.0
-    acting[:, list(locked)] = 0.0
-    found = table.batch(acting, tolerance, method)
-    errors = whole_bars(table, acting, found, tolerance, method)
-    gone = (found.coverage > 0) & beyond_limits(found.displacement)
-    found.displacement[gone] = errors[gone] = np.nan
+    found = table.batch(asked, tolerance, method)
+    errors = whole_bars(table, asked, found, tolerance, method)
     return found.displacement, errors, found.coverage
 
 

@@ -35,8 +35,8 @@ LOCKED = [(), (1,), (0, 4, 5)]
 
 def assert_same(kind, asked, tolerance=None, method=None, locked=()):
     """Compare all numbers and coverage at some wrenches."""
-    table = table_of(kind)
-    outputs, errors, coverage = by_numpy(table, asked, tolerance, method, locked)
+    table = table_of(kind, locked)
+    outputs, errors, coverage = by_numpy(table, asked, tolerance, method)
     found = packed_of(kind, locked).batch(asked, six(tolerance), method)
     near = SAME * np.maximum(size_of(table), np.abs(np.nan_to_num(outputs))) + rounding_of(table)
     np.testing.assert_array_equal(found.coverage, coverage)
