@@ -44,7 +44,6 @@ from surrogate.scene.need import Need
 from surrogate.scene.plan import design_of, plan_of
 from surrogate.solver_error import SolverError
 from surrogate.table.rows import Tolerance
-from surrogate.whole_bars import solver_parts
 
 log = logging.getLogger(__name__)
 
@@ -180,7 +179,10 @@ class Workspace:
         held = table.kriging.hyperparameters if table.kriging else None
         component, solver = self.library[name], self.solver_error(name)
         asked = wrench.tolist()
-        shares = solver_parts(table, asked, table.answer(asked), None)
+        found = table.packed.answer(asked)
+        shares = {} if table.solver_error is None else {"mesh": found.discretisation}
+        if table.solver_error is not None and "linearity" in table.solver_error.told:
+            shares["linearity"] = found.linearity
         return self.shapes.answer(component, table.rows, wrench, held, solver, shares)
 
     def fill(

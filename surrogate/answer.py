@@ -85,6 +85,11 @@ def allowed_by(tolerance: Tolerance) -> tuple[float, ...]:
     return (tolerance.translation,) * 3 + (tolerance.rotation,) * 3
 
 
+def six(tolerance: Tolerance | None) -> tuple[float, ...] | None:
+    """Return the largest error of each output by a tolerance, (6,), m and rad; None without."""
+    return None if tolerance is None else allowed_by(tolerance)
+
+
 def within(error: Sequence[float], allowed: Sequence[float]) -> bool:
     """Return whether six bars, m and rad, are within what is allowed; NaN is not."""
     a, b, c, d, e, f = error

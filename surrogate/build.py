@@ -39,11 +39,9 @@ def build(
     off_axis : {"correct", "ignore", "exclude"}
         What becomes of rows that are clean for no axis.
     before : Surrogate or MissingOutputs, optional
-        Of another version of the table. Axes whose points have not changed are taken from it,
-        rather than made again; what is answered is the same to the last bit.
+        Another version: axes with the same points are taken from it, to the last bit the same.
     solver_error : SolverError, optional
-        What the solver of those rows may be wrong by itself; rows tell how it grows. It stays
-        beside the table, whose own bars tell what further rows would lower.
+        What the solver of those rows may be wrong by; in no error bar of the table itself.
     locked : sequence of int
         Places, in `LOADS`, of the loads on locked freedoms: answers leave these loads out.
     """

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from .answer import COVERED, Answer, Batch, within
 from .table.row_index import RowIndex
-from .table.rows import Floats, LoadRange, Rows
+from .table.rows import Floats, LoadRange, Rows, acting, acting_one, without_locked
 
 STEEPER = 2.0  # than in proportion: of a response that bends, at the rows there are
 
@@ -53,6 +53,8 @@ class ExactRows:
         What those rows became: repeated ones answer as one.
     owner : ndarray of int, shape (n,)
         The place in `told` of each.
+    locked : sequence of int
+        Places of the loads on locked freedoms: every call sets them to zero first.
 
     Attributes
     ----------
@@ -69,9 +71,10 @@ class ExactRows:
         ranges: Floats,
         told: Rows,
         owner: NDArray[np.intp],
+        locked: Sequence[int] = (),
     ) -> None:
         self.index = RowIndex(wrenches, load_range.scale)
-        self.steepest = STEEPER * ranges
+        self.steepest, self._locked = STEEPER * ranges, tuple(locked)
         self.wrenches, self.told, self.owner, self._range = wrenches, told, owner, load_range
 
     def instead_of(
@@ -95,12 +98,13 @@ class ExactRows:
         allowed : sequence of 6 floats, m and rad
             What the distance from the row may add to its bar.
         """
+        wrench = acting_one(wrench, self._locked)
         place = self.index.place(wrench)
         return None if place < 0 else self._told_by(place, np.array(wrench, dtype=float), allowed)
 
     def put_into(self, asked: Floats, found: Batch, allowed: Sequence[float]) -> Batch:
         """Where wrenches (n, 6), N and N·m, are not covered, take the rows at or beside them."""
-        doubtful = np.flatnonzero(found.coverage != COVERED)
+        doubtful, asked = np.flatnonzero(found.coverage != COVERED), acting(asked, self._locked)
         rows = self.index.places(asked[doubtful])
         for place, row in zip(doubtful[rows >= 0], rows[rows >= 0].tolist(), strict=True):
             if (told := self._told_by(row, asked[place], allowed)) is not None:
@@ -110,22 +114,24 @@ class ExactRows:
 
     def near(self, wrenches: Floats) -> NDArray[np.bool_]:
         """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
-        return self.index.places(wrenches) >= 0
+        return self.index.places(acting(wrenches, self._locked)) >= 0
 
     def tangent(self, wrench: Sequence[float]) -> Floats:
         """Return the tangent (6, 6), SI, of the row at or beside a wrench (6,); NaN if none has."""
-        place = self.index.place(wrench)
-        return np.full((6, 6), np.nan) if place < 0 else self.told.compliance[self.owner[place]]
+        place = self.index.place(acting_one(wrench, self._locked))
+        if place < 0:
+            return np.full((6, 6), np.nan)
+        return without_locked(self.told.compliance[self.owner[place]], self._locked)
 
     def wrench_at(self, wrench: Sequence[float]) -> Floats | None:
         """Return the wrench (6,), N and N·m, of the row at or beside one, if there is one."""
-        place = self.index.place(wrench)
+        place = self.index.place(acting_one(wrench, self._locked))
         return None if place < 0 else self.wrenches[place]
 
     def has(self, wrench: Sequence[float]) -> bool:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
         own = self.wrench_at(wrench)
-        return own is not None and bool((own == wrench).all())
+        return own is not None and bool((own == acting(wrench, self._locked)).all())
 
     def _told_by(self, place: int, wrench: Floats, allowed: Sequence[float]) -> Beside | None:
         """Return what a row says of a wrench (6,), N and N·m, if it is that or may stand for it."""

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .answer import COVERED, Answer, Batch
-from .table.rows import Floats
+from .table.rows import Floats, Tolerance
 
 ROTATION_LIMIT = math.radians(20.0)
 """Longest rotation vector a table may hold, rad: beyond it the small-deformation contract ends."""
@@ -65,6 +66,66 @@ def within_limits_many(found: Batch) -> Batch:
     gone = (found.coverage != COVERED) & beyond_limits(found.displacement)
     found.displacement[gone] = found.error[gone] = np.nan
     return found
+
+
+class LimitedAnswers:
+    """The calls of a table from its estimates, of which those beyond the limits are not given.
+
+    Attributes
+    ----------
+    packed : surrogate.kernel.binding.PackedTable or None
+        The same table packed, from which the kernel answers; None until it is made.
+    """
+
+    packed: Any = None
+
+    def estimate(
+        self,
+        wrench: Sequence[float],
+        tolerance: Tolerance | None = None,
+        method: str | None = None,
+    ) -> Answer:
+        """Return `answer` to a wrench (6,), N and N·m, with estimates beyond the limits too."""
+        raise NotImplementedError
+
+    def estimates(
+        self,
+        wrenches: ArrayLike,
+        tolerance: Tolerance | None = None,
+        method: str | None = None,
+    ) -> Batch:
+        """Return `batch` of wrenches (n, 6), N and N·m, with estimates beyond the limits too."""
+        raise NotImplementedError
+
+    def answer(
+        self,
+        wrench: Sequence[float],
+        tolerance: Tolerance | None = None,
+        method: str | None = None,
+    ) -> Answer:
+        """Answer one wrench of six finite floats, N and N·m.
+
+        Raises
+        ------
+        UnknownMethodError
+            If the method is none of `METHODS`.
+        """
+        return within_limits(self.estimate(wrench, tolerance, method))
+
+    def batch(
+        self,
+        wrenches: ArrayLike,
+        tolerance: Tolerance | None = None,
+        method: str | None = None,
+    ) -> Batch:
+        """Answer many wrenches, shape (n, 6), N and N·m, with the same numbers as `answer`.
+
+        Raises
+        ------
+        UnknownMethodError
+            If the method is none of `METHODS`.
+        """
+        return within_limits_many(self.estimates(wrenches, tolerance, method))
 
 
 def _is_beyond(displacement: Sequence[float | None] | None) -> bool:

@@ -18,7 +18,7 @@ from .answer import NAMES, Answer, Batch
 from .composition.composition import Composition
 from .exact_rows import sources_at
 from .kriging import Kriging
-from .limits import within_limits, within_limits_many
+from .limits import LimitedAnswers
 from .solver_error import SolverError
 from .surrogate import Surrogate
 from .table.axes import OffAxis
@@ -27,7 +27,7 @@ from .table.conflicts import row_conflicts
 from .table.rows import OUTPUTS, Floats, LoadRange, Rows, Tolerance
 
 
-class MissingOutputs:
+class MissingOutputs(LimitedAnswers):
     """The surrogates of rows that may lack some outputs.
 
     Attributes
@@ -151,25 +151,13 @@ class MissingOutputs:
         """The table's version."""
         return self.thinnest.version
 
-    def answer(
+    def estimate(
         self,
         wrench: Sequence[float],
         tolerance: Tolerance | None = None,
         method: str | None = None,
     ) -> Answer:
-        """Answer one wrench, N and N·m; an output that no row holds is None, in the bars too.
-
-        Raises
-        ------
-        UnknownMethodError
-            If the method is none of `METHODS`.
-        """
-        return within_limits(self._joined(wrench, tolerance, method))
-
-    def _joined(
-        self, wrench: Sequence[float], tolerance: Tolerance | None, method: str | None
-    ) -> Answer:
-        """Return the parts' answers to a wrench (6,), N and N·m, as one."""
+        """Answer one wrench, N and N·m; an output that no row holds is None, in the bars too."""
         moved: list[float | None] = [None] * 6
         bars: list[float | None] = [None] * 6
         answers = [part.estimate(wrench, tolerance, method) for _, part in self.groups]
@@ -193,28 +181,13 @@ class MissingOutputs:
             self.unmeasured,
         )
 
-    def batch(
-        self,
-        wrenches: ArrayLike,
-        tolerance: Tolerance | None = None,
-        method: str | None = None,
-    ) -> Batch:
-        """Answer many wrenches, shape (n, 6), N and N·m; NaN for an output that no row holds.
-
-        Raises
-        ------
-        UnknownMethodError
-            If the method is none of `METHODS`.
-        """
-        return within_limits_many(self.estimates(wrenches, tolerance, method))
-
     def estimates(
         self,
         wrenches: ArrayLike,
         tolerance: Tolerance | None = None,
         method: str | None = None,
     ) -> Batch:
-        """Return `batch`, wrenches (n, 6), N and N·m, with estimates beyond `limits` too."""
+        """Answer many wrenches, shape (n, 6), N and N·m; NaN for an output that no row holds."""
         asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
         moved, bars = np.full((len(asked), 6), np.nan), np.full((len(asked), 6), np.nan)
         coverage = np.zeros(len(asked), dtype=np.uint8)
@@ -268,7 +241,7 @@ class MissingOutputs:
 
         Of several rows that have it, which may hold different outputs, all their sources.
         """
-        return sources_at(self.rows, [part.row_wrench(wrench) for _, part in self.groups])
+        return sources_at(self.rows, [part.exact.wrench_at(wrench) for _, part in self.groups])
 
     def has_row(self, wrench: Sequence[float]) -> bool:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""

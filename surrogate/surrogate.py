@@ -30,7 +30,7 @@ from .kriging import (
     readings_of,
     too_large_in_words,
 )
-from .limits import within_limits, within_limits_many
+from .limits import LimitedAnswers
 from .methods.makers import makers
 from .methods.reference import AxesReference, KrigingReference, Reference, interaction_of
 from .methods.registry import Registry
@@ -39,22 +39,14 @@ from .solver_error import SolverError
 from .table.axes import OffAxis
 from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import merge
-from .table.rows import (
-    Floats,
-    LoadRange,
-    Rows,
-    Tolerance,
-    acting,
-    acting_one,
-    without_locked,
-)
+from .table.rows import Floats, LoadRange, Rows, Tolerance, acting, acting_one, without_locked
 
 EMPTY = "the table has no rows"
 ONLY_BEYOND = "all rows of the table are outside its load range"
 UNKNOWN_ERROR = "no row tells how far this answer may be wrong"
 
 
-class Surrogate:
+class Surrogate(LimitedAnswers):
     """The interpolators built from one version of a table; immutable.
 
     Attributes
@@ -134,7 +126,8 @@ class Surrogate:
         if self.by_axes and (thinning := self.composition.thinning):
             self.choice = replace(self.choice, reason=f"{self.choice.reason}; {thinning}")
         self.doubt = self._doubt()
-        self.exact = ExactRows(rows.wrench, load_range, self.ranges, merged.rows, merged.owner)
+        told = self.ranges, merged.rows, merged.owner
+        self.exact = ExactRows(rows.wrench, load_range, *told, self.locked)
         self.build_s = thread_time() - started
 
     @property
@@ -181,43 +174,13 @@ class Surrogate:
         except (TooFewRowsError, SingularCovarianceError):
             return None
 
-    def answer(
-        self,
-        wrench: Sequence[float],
-        tolerance: Tolerance | None = None,
-        method: str | None = None,
-    ) -> Answer:
-        """Answer one wrench of six finite floats, N and N·m.
-
-        Raises
-        ------
-        UnknownMethodError
-            If the method is none of `METHODS`.
-        """
-        return within_limits(self.estimate(wrench, tolerance, method))
-
-    def batch(
-        self,
-        wrenches: ArrayLike,
-        tolerance: Tolerance | None = None,
-        method: str | None = None,
-    ) -> Batch:
-        """Answer many wrenches, shape (n, 6), N and N·m, with the same numbers as `answer`.
-
-        Raises
-        ------
-        UnknownMethodError
-            If the method is none of `METHODS`.
-        """
-        return within_limits_many(self.estimates(wrenches, tolerance, method))
-
     def estimate(
         self,
         wrench: Sequence[float],
         tolerance: Tolerance | None = None,
         method: str | None = None,
     ) -> Answer:
-        """Return `answer` with estimates beyond `limits` too: a part of another's answer."""
+        """Answer one wrench of six finite floats, N and N·m."""
         wrench = acting_one(wrench, self.locked)
         name = method or self.default
         if not len(self.used):
@@ -246,7 +209,7 @@ class Surrogate:
         tolerance: Tolerance | None = None,
         method: str | None = None,
     ) -> Batch:
-        """Return `batch`, wrenches (n, 6), N and N·m, with estimates beyond `limits` too."""
+        """Answer many wrenches, shape (n, 6), N and N·m, with the same numbers as `estimate`."""
         asked = acting(wrenches, self.locked).reshape(-1, 6)
         name = method or self.default
         allowed = self.allowed.of(tolerance)
@@ -304,24 +267,19 @@ class Surrogate:
 
         Of several rows that have its wrench, all their sources.
         """
-        return sources_at(self.rows, [self.row_wrench(wrench)])
-
-    def row_wrench(self, wrench: Sequence[float]) -> Floats | None:
-        """Return the wrench (6,), N and N·m, of the row at or beside one; None without a row."""
-        return self.exact.wrench_at(acting_one(wrench, self.locked))
+        return sources_at(self.rows, [self.exact.wrench_at(wrench)])
 
     def has_row(self, wrench: Sequence[float]) -> bool:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
-        return self.exact.has(acting_one(wrench, self.locked))
+        return self.exact.has(wrench)
 
     def near_rows(self, wrenches: Floats) -> NDArray[np.bool_]:
         """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
-        return self.exact.near(acting(wrenches, self.locked))
+        return self.exact.near(wrenches)
 
     def row_tangent(self, wrench: Sequence[float]) -> Floats:
         """Return that row's tangent (6, 6), m/N, m/(N·m), rad/N, rad/(N·m); NaN if it has none."""
-        tangent = self.exact.tangent(acting_one(wrench, self.locked))
-        return without_locked(tangent, self.locked)
+        return self.exact.tangent(wrench)
 
     def coverage_summary(self) -> dict[str, Any]:
         """Return how the table covers the load range, as JSON-able values."""
@@ -341,10 +299,6 @@ class Surrogate:
             "full_wrench_rows": self.doubt.full_wrenches,
             "tells_full_wrenches": self.doubt.knows_interaction,
         }
-
-    def is_ready(self, method: str | None) -> bool:
-        """Return whether a method answers at once, rather than being made first."""
-        return not len(self.used) or self._methods.is_made(method or self.default)
 
     @cached_property
     def allowed(self) -> Allowed:
@@ -378,7 +332,6 @@ class Surrogate:
         told = isinstance(self.reference, KrigingReference) and self.kriging is not None
         found = self.kriging.why_unknown(np.array(wrench)) if told and self.kriging else ""
         return found or UNKNOWN_ERROR
-
 
     def _readings(self) -> Readings:
         """Return what was measured behind each of `used`, for the noise that nobody stated."""

@@ -3,6 +3,7 @@
 ``make house`` prints it; tests/test_house.py asserts what must hold. Counted are the rooms and the
 public face, not the tests. What each figure means:
 
+* room, files, lines: Python of the rooms through which an answer goes, their own rooms included;
 * upward imports: imports against a ``layers`` contract of pyproject.toml, also over several steps;
 * circles: groups of modules that import each other, directly or over others, in whatever place of
   the file the import stands;
@@ -32,6 +33,15 @@ import grimp
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("fea", "surrogate", "service")
+COUNTED = (
+    "surrogate",
+    "service/answering",
+    "service/tables",
+    "service/fields",
+    "service/fmu",
+    "service/client",
+)
+"""Rooms whose size `make house` tells: those through which an answer goes."""
 LONGEST_FUNCTION = 45
 DUPLICATE_LINES = 10
 
@@ -227,6 +237,28 @@ def _annotations(node: Function | ast.ClassDef) -> set[str]:
     return names | {one.attr for one in nodes if isinstance(one, ast.Attribute)}
 
 
+def sizes(among: Iterable[Source]) -> dict[str, tuple[int, int]]:
+    """Return how many files and lines of Python each counted room has, its own rooms included."""
+    found = dict.fromkeys(COUNTED, (0, 0))
+    for source in among:
+        for room in COUNTED:
+            if source.path.startswith(f"{room}/"):
+                files, lines = found[room]
+                found[room] = files + 1, lines + len(source.text.splitlines())
+    return found
+
+
+def _size_lines() -> list[str]:
+    told = sizes(sources())
+    whole = tuple(map(sum, zip(*told.values(), strict=True)))
+    table = [*told.items(), ("together", whole)]
+    width = max(len(room) for room, _ in table)
+    return [
+        f"{'room':{width}s}  files   lines",
+        *(f"{room:{width}s} {files:6d} {lines:7d}" for room, (files, lines) in table),
+    ]
+
+
 def report() -> str:
     """Lay out all figures."""
     lengths = sorted(length for _, length in functions())
@@ -234,6 +266,7 @@ def report() -> str:
     rooms = Counter(source.room for source in sources())
     share = sum(stated.values()) / len(stated)
     lines = [f"{count:4d} files in {room}" for room, count in sorted(rooms.items())]
+    lines += _size_lines()
     lines += _list("circles", [" <-> ".join(circle) for circle in circles(imports())])
     lines += _list("upward imports", upward_imports())
     lines += [

@@ -46,6 +46,19 @@ def test_the_same_ten_lines_are_seen_whatever_their_layout_and_comments():
     assert house.duplicates([first, nine]) == []
 
 
+def test_the_lines_of_a_room_hold_those_of_its_own_rooms():
+    among = [
+        source("surrogate/one.py", "a = 1\nb = 2\n"),
+        source("surrogate/kriging/two.py", "c = 3\n"),
+        source("surrogates/three.py", "d = 4\n"),
+        source("service/fmu/four.py", "e = 5\n"),
+    ]
+    found = house.sizes(among)
+    assert list(found) == list(house.COUNTED)
+    assert (found["surrogate"], found["service/fmu"]) == ((2, 3), (1, 1))
+    assert found["service/client"] == (0, 0)
+
+
 def test_a_docstring_with_a_shape_but_no_unit_does_not_state_its_array():
     text = '''
 def bare(load: Floats) -> None:

@@ -7,7 +7,6 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.answer import Batch
 from surrogate.build import AnyTable
 from surrogate.table.axes import Axis
 from surrogate.table.rows import LoadRange
@@ -67,7 +66,7 @@ def sweep_of(load_range: LoadRange, load: int, at: Floats, points: int) -> Float
 
 def shares_of(table: AnyTable, wrenches: Floats) -> list[float]:
     """Return what parts of wrenches, (n, 6), N and N·m, are covered, thin and outside."""
-    found: Batch = table.batch(wrenches)
+    found = table.packed.batch(wrenches)
     return (np.bincount(found.coverage, minlength=3) / len(wrenches)).tolist()
 
 

@@ -15,11 +15,9 @@ from service.answering.solved import read_row, state_of
 from service.library.component import Component
 from service.ordering import Placed
 from service.workspace import Workspace
-from surrogate.answer import COVERED
+from surrogate.answer import COVERED, six
 from surrogate.build import AnyTable
-from surrogate.derivative import derivatives_at
 from surrogate.methods.method import why_beyond
-from surrogate.whole_bars import whole_bars
 
 Places = NDArray[np.intp]
 
@@ -69,16 +67,16 @@ def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcom
 def answered_many(name: str, surrogate: AnyTable, batch: BatchQuery) -> BatchOutcome:
     """Answer by a table as it is."""
     started = perf_counter_ns()
-    how = batch.tolerance, batch.method
-    answers = surrogate.batch(batch.wrenches, *how)
+    how = six(batch.tolerance), batch.method
+    answers = surrogate.packed.batch(batch.wrenches, *how)
     elapsed_us = (perf_counter_ns() - started) / 1e3
     method = batch.method or surrogate.default
-    outcome = BatchOutcome(name, *answers, surrogate.version, elapsed_us, [], method)
+    found = answers.outputs, answers.errors, answers.coverage
+    outcome = BatchOutcome(name, *found, surrogate.version, elapsed_us, [], method)
     if surrogate.bars_are_whole:
         outcome.tolerance = batch.tolerance or surrogate.tolerance
-    outcome.errors = whole_bars(surrogate, batch.wrenches, answers, *how)
     if batch.derivatives:
-        outcome.derivatives = derivatives_at(surrogate, batch.wrenches, *how)
+        outcome.derivatives = surrogate.packed.derivatives(batch.wrenches, *how)
     return outcome
 
 

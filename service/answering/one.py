@@ -19,12 +19,11 @@ from service.library.component import Component
 from service.ordering import Placed
 from service.tables.other_setup import others_in_words
 from service.workspace import Workspace
-from surrogate.answer import within_tolerance
+from surrogate.answer import six, within_tolerance
 from surrogate.build import AnyTable
-from surrogate.derivative import derivative_at
+from surrogate.kernel.explain import explain
 from surrogate.methods.method import why_beyond
 from surrogate.table.rows import acting_one
-from surrogate.whole_bars import solver_parts, whole_bar
 
 
 def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | None:
@@ -114,54 +113,51 @@ async def answered(name: str, surrogate: AnyTable, query: Query) -> Outcome:
         outcome = _from_table(name, surrogate, query)
     else:
         outcome = await run_in_threadpool(_from_table, name, surrogate, query)
+    asked = query.wrench, six(query.tolerance), query.method
     if query.derivatives:
-        outcome.derivative = derivative_at(
-            surrogate, query.wrench, query.method, by_row=outcome.method == "row"
-        )
+        outcome.derivative = surrogate.packed.derivative(*asked)
     if query.detail:
-        asked = query.wrench, query.tolerance, query.method
-        outcome.axes = await run_in_threadpool(surrogate.explain, *asked)
+        outcome.axes = await run_in_threadpool(explain, surrogate.packed, *asked)
         outcome.method_detail = detail_of(surrogate, outcome.method or surrogate.default)
     return outcome
 
 
 def tell_parts(workspace: Workspace, table: AnyTable, query: Query, outcome: Outcome) -> None:
-    """Say what the bars of an answer of the table's are the sum of."""
-    found = table.answer(query.wrench, query.tolerance, query.method)
-    shares = solver_parts(table, query.wrench, found, query.method)
+    """Add the parts whose sum an answer's error bar is."""
+    found = table.packed.answer(query.wrench, six(query.tolerance), query.method)
+    solver, shares = table.solver_error, {}
+    if solver is not None:
+        shares["mesh"] = found.discretisation
+        if "linearity" in solver.told:
+            shares["linearity"] = found.linearity
     has_fea = workspace.library.as_read(outcome.component).has_fea
-    outcome.error_parts = error_parts(found.error, table.solver_error, shares, has_fea=has_fea)
+    outcome.error_parts = error_parts(found.interpolation, solver, shares, has_fea=has_fea)
 
 
 def _from_table(name: str, surrogate: AnyTable, query: Query) -> Outcome:
     """Answer by the table as it is."""
     started = perf_counter_ns()
-    answer = surrogate.answer(query.wrench, query.tolerance, query.method)
+    found = surrogate.packed.answer(query.wrench, six(query.tolerance), query.method)
     elapsed_us = (perf_counter_ns() - started) / 1e3
-    displacement, error, coverage, reason, method, missing = answer
-    if surrogate.solver_error is not None:
-        error = whole_bar(surrogate, query.wrench, answer, query.method)
-    source = "table" if displacement else None
-    if method == "row":
-        source = surrogate.source_of(query.wrench)
-        own = EXACT if surrogate.has_row(query.wrench) else ROUNDED
-        reason = f"{own} {reason}".rstrip()
+    source, reason = "table" if found.outputs else None, found.reason
+    if found.row is not None:
+        source = found.source
+        reason = f"{EXACT if found.exact else ROUNDED} {reason}".rstrip()
     outcome = Outcome(
         name,
-        displacement,
-        error,
-        coverage,
+        found.outputs,
+        found.error,
+        found.coverage,
         source,
-        method,
+        found.method,
         surrogate.version,
         elapsed_us,
         reason,
     )
-    outcome.missing = missing
-    if coverage != "covered" and surrogate.other_wrenches:
+    outcome.missing = found.missing
+    if found.coverage != "covered" and surrogate.other_wrenches:
         outcome.reason = also(reason, others_in_words(name, surrogate))
-    limit = query.tolerance or surrogate.tolerance
-    outcome.within_tolerance = within_tolerance(error, limit) if surrogate.bars_are_whole else None
+    outcome.within_tolerance = found.within_tolerance
     return outcome
 
 

@@ -75,7 +75,7 @@ def start_recording(
     solved = np.array([key in rows for key in packed(inside)], dtype=bool)
     covered = np.zeros(len(inside), dtype=bool)
     if len(inside):
-        covered = (surrogate.batch(inside).coverage == COVERED) & ~solved
+        covered = (surrogate.packed.batch(inside).coverage == COVERED) & ~solved
     return _ordered(
         workspace,
         component,

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from service.contract import CONTRACT
 from service.library.component import Component
 from service.tables.solver_errors import SolverErrors
 from surrogate.build import AnyTable, build
+from surrogate.kernel.binding import PackedTable
+from surrogate.packed.writer import pack
 from surrogate.table.rows import Rows
 
 
@@ -23,7 +26,7 @@ def make(
     stands beside it.
     """
     own = errors if component.has_fea else None
-    return build(
+    table = build(
         rows,
         component.load_range,
         tolerance=component.tolerance,
@@ -33,8 +36,12 @@ def make(
         solver_error=own and own.read(component.name, component.fingerprint),
         locked=component.idle,
     )
+    name, setup = component.name, component.fingerprint
+    content = pack(table, component=name, fingerprint=setup, contract=CONTRACT)
+    table.packed = PackedTable.from_bytes(b"".join(content))
+    return table
 
 
 def ask_once(surrogate: AnyTable) -> None:
     """Ask for one answer, so that what is made at the first one is made here, by no request."""
-    surrogate.answer((0.01 * surrogate.load_range.scale).tolist())
+    surrogate.packed.answer((0.01 * surrogate.load_range.scale).tolist())

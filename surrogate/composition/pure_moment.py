@@ -72,8 +72,8 @@ class PureMomentCut:
         outputs = (end.outputs - start.outputs) * over
         bends = _parabola(start.bends, centre.bends, end.bends, over)
         self.pieces = np.stack((start.outputs, outputs, *bends), axis=1)
-        units = (one.unit_errors[:, None] for one in (start, centre, end))
-        self.unit_errors = np.concatenate(_parabola(*units, over), axis=1)
+        units = [one.unit_errors[:, None] for one in (start, centre, end)]
+        self.unit_errors = np.concatenate(_parabola(units[0], units[1], units[2], over), axis=1)
         self.stated = np.stack((start.stated, (end.stated - start.stated) * over), axis=1)
 
     def of(self, table: AxisTable) -> PureMomentCut:

@@ -9,6 +9,7 @@ import ctypes
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,15 +32,17 @@ class PackedTable:
     ----------
     inputs, outputs : int
         How many there are: n and m.
+    size : int
+        Bytes of the file.
     words : dict
         The table's JSON block: contract, space, interface, groups, sources, provenance.
     arrays : dict of str to ndarray
         Read-only views of the mapped file.
     """
 
-    def __init__(self, handle: int, packed: Packed, kept: object = None) -> None:
-        """Take an open handle, the file's views, and what must outlive the handle."""
-        self._handle, self._packed, self._kept = handle, packed, kept
+    def __init__(self, handle: int, packed: Packed, kept: Floats | Path, size: int) -> None:
+        """Take an open handle, the file's views, and its words or path, and its bytes."""
+        self._handle, self._packed, self._kept, self.size = handle, packed, kept, size
         self.arrays, self.words = packed
         library = kernel().held
         self._answer = library.wb_answer
@@ -61,7 +64,8 @@ class PackedTable:
         handle = kernel().free.wb_open(os.fsencode(Path(path)), why, _WHY)
         if not handle:
             raise PackedTableError(f"{path}: {why.value.decode(errors='replace')}")
-        return cls(handle, map_file(path, checked=True))
+        whole = Path(path).resolve()
+        return cls(handle, map_file(path, checked=True), whole, whole.stat().st_size)
 
     @classmethod
     def from_bytes(cls, content: bytes) -> PackedTable:
@@ -72,14 +76,32 @@ class PackedTable:
         PackedTableError
             As `open`.
         """
-        kept = np.empty(len(content) // 8 + 1, dtype=np.float64)  # which aligns them
+        kept = np.zeros(len(content) // 8 + 1, dtype=np.float64)  # which aligns them
         kept.view(np.uint8)[: len(content)] = np.frombuffer(content, dtype=np.uint8)
-        packed = read(kept.data.cast("B")[: len(content)])
+        return cls._from_words(kept, len(content))
+
+    @classmethod
+    def _from_words(cls, kept: Floats, size: int) -> PackedTable:
+        """Open a packed table of `size` bytes that lies in words of eight bytes."""
+        packed = read(kept.data.cast("B")[:size])
         why = ctypes.create_string_buffer(_WHY)
-        handle = kernel().free.wb_open_bytes(kept.ctypes.data, len(content), why, _WHY)
+        handle = kernel().free.wb_open_bytes(kept.ctypes.data, size, why, _WHY)
         if not handle:
             raise PackedTableError(why.value.decode(errors="replace"))
-        return cls(handle, packed, kept)
+        return cls(handle, packed, kept, size)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what is pickled: the file's bytes, as one array."""
+        if isinstance(self._kept, np.ndarray):
+            return PackedTable._from_words, (self._kept, self.size)
+        return PackedTable.open, (self._kept,)
+
+    @property
+    def content(self) -> bytes:
+        """The file's bytes."""
+        if isinstance(self._kept, np.ndarray):
+            return self._kept.tobytes()[: self.size]
+        return self._kept.read_bytes()
 
     def answer(
         self,

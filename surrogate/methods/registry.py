@@ -53,7 +53,3 @@ class Registry:
     def made(self) -> dict[str, Method]:
         """The methods that answer at once."""
         return self._made.copy()
-
-    def is_made(self, name: str) -> bool:
-        """Return whether a method answers at once."""
-        return name in self._made

@@ -85,7 +85,7 @@ class SceneTable:
         self.missing = tuple(name for k, name in enumerate(OUTPUTS) if k not in answered)
         ends = need.span.low - need.slack, need.span.high + need.slack
         self._ends = tuple(end.tolist() for end in ends)
-        self._exact = [_exact_rows(rows, part) for part in self.parts]
+        self._exact = [_exact_rows(rows, part, need.idle) for part in self.parts]
 
     def answer(
         self,
@@ -158,12 +158,10 @@ class SceneTable:
 
     def source_of(self, wrench: Sequence[float]) -> str | None:
         """Return the source of the rows at or beside a wrench, N and N·m; None if none is."""
-        wrench = acting_one(wrench, self.locked)
         return sources_at(self.rows, [rows.wrench_at(wrench) for rows in self._exact])
 
     def has_row(self, wrench: Sequence[float]) -> bool:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
-        wrench = acting_one(wrench, self.locked)
         return any(rows.has(wrench) for rows in self._exact)
 
     @property
@@ -178,16 +176,15 @@ class SceneTable:
 
     def near_rows(self, wrenches: Floats) -> NDArray[np.bool_]:
         """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
-        wrenches = self.need.acting(wrenches)
         near = [rows.near(wrenches) for rows in self._exact]
         return np.logical_or.reduce(near) if near else np.zeros(len(wrenches), dtype=bool)
 
     def row_tangent(self, wrench: Sequence[float]) -> Floats:
         """Return the tangent (6, 6), SI, of the rows at or beside a wrench; NaN where none has."""
-        found, wrench = np.full((6, 6), np.nan), acting_one(wrench, self.locked)
+        found = np.full((6, 6), np.nan)
         for part, rows in zip(self.parts, self._exact, strict=True):
             found[list(part.outputs)] = rows.tangent(wrench)[list(part.outputs)]
-        return without_locked(found, self.locked)
+        return found
 
     def _check(self, method: str | None) -> None:
         if method is not None and method != self.default:
@@ -254,10 +251,11 @@ class SceneTable:
         return Batch(moved, bars, coverage)
 
 
-def _exact_rows(rows: Rows, part: Part) -> ExactRows:
+def _exact_rows(rows: Rows, part: Part, locked: Sequence[int]) -> ExactRows:
     """Return the rows that answer in a part's stead: those that hold its outputs."""
     kept = rows.take(np.isfinite(rows.displacement[:, list(part.outputs)]).all(axis=1))
-    return ExactRows(kept.wrench, part.load_range, part.limits.ranges, kept, np.arange(len(kept)))
+    told = part.limits.ranges, kept, np.arange(len(kept))
+    return ExactRows(kept.wrench, part.load_range, *told, locked)
 
 
 def scene_table(whole: AnyTable, need: Need, plan: dict[str, Any] | None = None) -> SceneTable:

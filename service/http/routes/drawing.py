@@ -16,7 +16,6 @@ from service.workspace import Workspace
 from surrogate.build import AnyTable
 from surrogate.table.axes import AXES
 from surrogate.table.rows import CLEAN, LOADS, OUTPUTS
-from surrogate.whole_bars import whole_bars
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"])
 CATCH_UP_S = 25.0
@@ -84,7 +83,7 @@ def _rows(
     if drawn is None:
         return told
     grid = grid_of(table.load_range, drawn)
-    covers = {"wrench": grid, "coverage": table.batch(grid).coverage.tolist()}
+    covers = {"wrench": grid, "coverage": table.packed.batch(grid).coverage.tolist()}
     return told | {"inputs": [LOADS[load] for load in drawn.inputs], "grid": covers}
 
 
@@ -128,8 +127,7 @@ async def response(
 
 def _sweep(name: str, table: AnyTable, load: str, at: Any, points: int) -> dict[str, Any]:
     wrenches = sweep_of(table.load_range, LOADS.index(load), at, points)
-    found = table.batch(wrenches)
-    bars = whole_bars(table, wrenches, found)
+    found = table.packed.batch(wrenches)
     return {
         "component": name,
         "table_version": table.version,
@@ -137,8 +135,8 @@ def _sweep(name: str, table: AnyTable, load: str, at: Any, points: int) -> dict[
         "load": load,
         "at": wrenches[:, LOADS.index(load)].tolist(),
         "outputs": OUTPUTS,
-        "displacement": np.ascontiguousarray(found.displacement),
-        "error": np.ascontiguousarray(bars),
+        "displacement": found.outputs,
+        "error": found.errors,
         "bars_are_whole": table.bars_are_whole,
         "coverage": found.coverage.tolist(),
     }
