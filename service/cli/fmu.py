@@ -6,6 +6,8 @@ from pathlib import Path
 
 from service.client.local import build
 from service.fmu.export import make_fmu
+from surrogate.kernel.binding import PackedTable
+from surrogate.packed.writer import pack
 
 
 def fmu_of(file: Path, name: str, table: bytes, method: str | None) -> tuple[bytes, str]:
@@ -23,7 +25,8 @@ def fmu_of(file: Path, name: str, table: bytes, method: str | None) -> tuple[byt
     UnknownMethodError, NotExportableError, CompilerError
         See `service.fmu.export.make_fmu`.
     """
-    made = make_fmu(name, build(table, None).surrogate, method)
+    content = b"".join(pack(build(table, None).surrogate, component=name))
+    made = make_fmu(name, PackedTable.from_bytes(content), method)
     if made.platform:
         return made.content, f"{file} written: FMI 2.0, {made.platform}, method {made.method}."
     return made.content, (
