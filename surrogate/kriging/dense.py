@@ -235,7 +235,7 @@ def _asked(span: Floats, full: NDArray[np.bool_], settings: KrigingSettings) -> 
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
     places = spread_wrenches(LoadRange(low, high), ASKED)
-    if full.sum() < settings.few_full:
+    if full.sum() < min(settings.full_rows, len(full) / 2):
         inputs = [np.isin(np.arange(6), axis.inputs) for axis in AXES]
         places = places * np.stack(inputs)[np.arange(ASKED) % len(AXES)]
     return places

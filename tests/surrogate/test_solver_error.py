@@ -108,7 +108,8 @@ def test_whole_bars_are_the_same_one_by_one_and_in_a_batch_and_hold_the_mesh():
         one = whole_bar(table, wrench, answer, None)
         np.testing.assert_array_equal(np.array(one, dtype=float), bars)
         parts = solver_parts(table, wrench, answer, None)["mesh"]
-        np.testing.assert_allclose(np.add(answer.error, parts), bars, rtol=1e-12)
+        own = (np.nan,) * 6 if answer.error is None else answer.error
+        np.testing.assert_allclose(np.add(own, parts), bars, rtol=1e-12)
     true = column([0.05, 0.33, 0.62, 0.8], stiffer=-SHORT).displacement - found.displacement
     share = (many - found.error)[:, 2]
     assert (1.05 * share >= np.abs(true[:, 2])).all()
