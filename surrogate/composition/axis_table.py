@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ..bars.error_law import ErrorLaw, error_law
 from ..interpolation.delaunay import Indices, Triangulation
-from ..interpolation.numbering import DEGENERATE
 from ..interpolation.slope_recovery import recovered_slopes
 from ..table.axes import AxisRows
 from ..table.rows import Floats, LoadRange
@@ -24,7 +23,7 @@ LARGEST = {0: 1.0, 1: 0.4, 2: 0.2, 3: 0.1}
 ROUNDING = 1e-12  # of an output's size: no error bar is smaller, since no number is righter
 SMALLEST = 1e-30  # m and rad: where nothing moves at all; its square is still a number
 
-SOUND, WEAK = 0, 1
+SOUND, WEAK, DEGENERATE = 0, 1, 2  # a simplex without volume is degenerate
 
 
 @dataclass(frozen=True)

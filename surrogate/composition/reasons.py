@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from ..bars.error_law import FEWEST
-from ..interpolation.numbering import DEGENERATE
 from ..table.axes import AXES, Axis
 from ..table.rows import LOAD_UNITS, LOADS, Floats
-from .axis_table import LARGEST, SOUND, AxisTable
+from .axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
 from .composition import NO_ROWS, OFF_HULL, Composition
 from .pure_moment import ON_HULL
 

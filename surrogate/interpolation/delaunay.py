@@ -18,7 +18,6 @@ from scipy.spatial import Delaunay, KDTree, QhullError
 from ..table.rows import Floats
 from .hull import nearest_points
 from .morton import curve_order
-from .numbering import Numbered, number
 
 Indices = NDArray[np.intp]
 
@@ -154,18 +153,6 @@ class Triangulation:
             inward = points[missed] + ON_HULL * (self.origin - points[missed])
             found[missed] = self._find_flat(inward)
         return found
-
-    @cached_property
-    def numbered(self) -> Numbered:
-        """The same, laid out for walks."""
-        return number(
-            self.flattened(self.points),
-            self.simplices,
-            self.neighbours,
-            self.weights if self.dimension == 3 else self.weights @ self.basis.T,
-            self.degenerate,
-            (self.origin, self.basis, self.slack),
-        )
 
     def _find_flat(self, points: Floats) -> Indices:
         if self.dimension == 3:

@@ -7,31 +7,19 @@ lines.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from ..bars.error_law import FEWEST
 from ..composition.axis_table import LARGEST, AxisTable
 from ..composition.composition import Composition
-from ..interpolation.numbering import (
-    AXIS_FLOATS,
-    AXIS_INTS,
-    CELLS,
-    CORNER,
-    DENSITY,
-    DIMENSION,
-    FIRST_CELL,
-    SCALE,
-)
 from ..table.rows import Floats
 from .buckets import buckets_of
+from .numbering import DIMENSION, FIRST_CELL, FLOATS, INTS, SCALE, numbered_of
 
-CELLS_PER_SIMPLEX = 4.0  # of the grids that start walks: most then take one step
 SIMPLEX, VERTEX = 16, 16  # doubles of a simplex and of a point: wb_simplex, wb_vertex
 
 Array = NDArray[np.generic]
@@ -47,7 +35,7 @@ def axes_arrays(
     barycentric coordinates but the last, the place of the last vertex; ``state`` (s), how sound
     it is; ``vertex`` (p, 16): place, nothing, outputs, uncertainty; ``slopes`` (p, 6, 3) by the
     scaled loads; ``grid``, where walks start; ``ints`` (3, 5) and ``floats`` (3, 22), the frames,
-    see `interpolation.numbering`; ``facets`` (f, 4): vertices and the simplex behind;
+    see `numbering`; ``facets`` (f, 4): vertices and the simplex behind;
     ``simplex_first``, ``point_first``, ``facet_first`` (4); ``fewest`` (3), points that an axis
     needs; ``largest`` (4), the largest part of the range of a simplex by dimension; ``span``
     (3, 3, 2), N and N·m; ``rest_point`` (2, 6), the answer at no load and its error; ``error``
@@ -103,16 +91,16 @@ def _joined(parts: Sequence[Array | None], shape: tuple[int, ...]) -> NDArray:
 
 def _order(table: AxisTable) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the old number of each point and of each simplex."""
-    numbered = table.triangulation.numbered
+    numbered = numbered_of(table.triangulation)
     return numbered.point_order, numbered.simplex_order
 
 
 def _simplices(table: AxisTable | None, point: int, simplex: int) -> Floats | None:
     if table is None:
         return None
-    numbered = table.triangulation.numbered
+    numbered = numbered_of(table.triangulation)
     out = np.zeros((len(numbered.simplex), SIMPLEX))
-    ints = numbered.simplex[:, :8].astype(np.int32)
+    ints = numbered.simplex.copy()
     corners = table.triangulation.dimension + 1
     ints[:, :corners] += point
     ints[:, corners:4] = 0
@@ -125,7 +113,7 @@ def _simplices(table: AxisTable | None, point: int, simplex: int) -> Floats | No
 def _vertices(table: AxisTable | None) -> Floats | None:
     if table is None:
         return None
-    order = table.triangulation.numbered.point_order
+    order = numbered_of(table.triangulation).point_order
     place = table.triangulation.points[order]
     unused = np.zeros((len(order), 1))
     return np.concatenate((place, unused, table.values[order], table.uncertainty[order]), axis=1)
@@ -152,49 +140,20 @@ def _facets(table: AxisTable | None) -> NDArray[np.intp]:
 def _frames(
     tables: Sequence[AxisTable | None], first_simplex: list[int]
 ) -> Iterator[tuple[str, Array]]:
-    floats, ints = np.zeros((3, AXIS_FLOATS)), np.zeros((3, AXIS_INTS), dtype=np.int32)
+    floats, ints = np.zeros((3, FLOATS)), np.zeros((3, INTS), dtype=np.int32)
     ints[:, DIMENSION] = -1
     grids, cells = [np.empty(0, dtype=np.int32)], 0
     for axis, table in enumerate(tables):
         if table is None:
             continue
-        numbered = table.triangulation.numbered
+        numbered = numbered_of(table.triangulation)
         floats[axis], ints[axis] = numbered.floats, numbered.ints
         floats[axis, SCALE : SCALE + 3], ints[axis, FIRST_CELL] = table.scale, cells
-        grid = _grid(table, floats[axis], ints[axis])
-        grids.append((grid + first_simplex[axis]).astype(np.int32))
-        cells += len(grid)
+        grids.append((numbered.grid + first_simplex[axis]).astype(np.int32))
+        cells += len(grids[-1])
     yield "floats", floats
     yield "ints", ints
     yield "grid", np.concatenate(grids)
-
-
-def _grid(table: AxisTable, floats: Floats, ints: NDArray[np.int32]) -> NDArray[np.intp]:
-    """Return the simplex that holds the middle of each cell of a grid over an axis' points.
-
-    A cell outside the hull takes the simplex whose middle is nearest. The grid's frame is written
-    to `floats` and `ints`.
-    """
-    shape, numbered = table.triangulation, table.triangulation.numbered
-    dimension = shape.dimension
-    if not dimension:
-        return np.zeros(1, dtype=np.intp)
-    flat = numbered.place[:, :dimension]
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    side = max(math.ceil((len(shape.simplices) * CELLS_PER_SIMPLEX) ** (1 / dimension)), 1)
-    width = np.maximum(high - low, np.finfo(float).tiny) / side
-    floats[CORNER : CORNER + dimension], floats[DENSITY : DENSITY + dimension] = low, 1 / width
-    ints[CELLS : CELLS + dimension] = side
-    places = np.stack(np.meshgrid(*[np.arange(side) + 0.5] * dimension, indexing="ij"), axis=-1)
-    middles = low + places.reshape(-1, dimension) * width
-    points = middles if dimension == 3 else shape.origin + middles @ shape.basis
-    found = shape.locate(points)
-    sound = np.flatnonzero(~shape.degenerate)
-    lost = np.flatnonzero((found < 0) | shape.degenerate[found])
-    if len(sound) and len(lost):
-        centres = shape.points[shape.simplices[sound]].mean(axis=1)
-        found[lost] = sound[KDTree(centres).query(points[lost])[1]]
-    return np.argsort(numbered.simplex_order)[np.maximum(found, 0)]
 
 
 def _span(table: AxisTable | None) -> Floats:

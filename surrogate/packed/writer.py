@@ -170,19 +170,29 @@ class _Sources:
         self.words: list[list[str]] = []
         self._numbers: dict[tuple[str, ...], int] = {}
         self._at: dict[bytes, list[str]] = {}
+        sources = dict.fromkeys(table.rows.source.tolist())
+        self._one = list(sources) if len(sources) == 1 else None
+        if self._one:
+            return
         places = np.ascontiguousarray(table.rows.wrench)
         for wrench, source in zip(places, table.rows.source.tolist(), strict=True):
             found = self._at.setdefault(wrench.tobytes(), [])
             if source not in found:
                 found.append(source)
 
-    def number(self, wrench: Floats) -> int:
-        """Return the number of the sources of the rows at a wrench (6,), N and N·m."""
-        found = tuple(self._at[wrench.tobytes()])
-        if found not in self._numbers:
-            self._numbers[found] = len(self.words)
-            self.words.append(list(found))
-        return self._numbers[found]
+    def numbers(self, wrenches: Floats) -> NDArray[np.int32]:
+        """Return the number of the sources of the rows at each wrench (r, 6), N and N·m, (r,)."""
+        if self._one:
+            self.words = [self._one]
+            return np.zeros(len(wrenches), dtype=np.int32)
+        found = [self._number(tuple(self._at[wrench.tobytes()])) for wrench in wrenches]
+        return np.array(found, dtype=np.int32)
+
+    def _number(self, sources: tuple[str, ...]) -> int:
+        if sources not in self._numbers:
+            self._numbers[sources] = len(self.words)
+            self.words.append(list(sources))
+        return self._numbers[sources]
 
 
 def _group_arrays(
@@ -267,8 +277,7 @@ def _row_arrays(group: Surrogate, sources: _Sources) -> Iterator[tuple[str, Arra
     places = np.where(has_one, np.cumsum(has_one) - 1, -1)
     yield "row/tangent_of", places.astype(np.int32)
     yield "row/tangent", tangents[has_one]
-    numbers = [sources.number(wrench) for wrench in wrenches]
-    yield "row/source", np.array(numbers, dtype=np.int32)
+    yield "row/source", sources.numbers(wrenches)
 
 
 def _group_words(outputs: tuple[int, ...], group: Surrogate) -> dict[str, Any]:
