@@ -1,11 +1,12 @@
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import griddata
 
 from surrogate.build import build
 from surrogate.table.axes import AXES
-from surrogate.table.rows import LoadRange, Rows
+from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.responses import (
     HIGH,
     RANGE,
@@ -148,7 +149,7 @@ def test_an_offset_without_a_row_at_zero_load_is_not_lost(seed: int) -> None:
     asked[::3, :3] = 0.0
     asked[1::4, 3] = 0.0
     answers = surrogate.batch(asked * HIGH)
-    assert (answers.coverage == 0).all()
+    assert (answers.coverage < 2).all()
     np.testing.assert_allclose(answers.displacement, response(asked), atol=1e-9)
     for wrench, expected in zip(asked * HIGH, response(asked), strict=True):
         single = surrogate.answer(wrench.tolist())
