@@ -102,6 +102,8 @@ def choose(
     scores = {"kriging": _score(left, size)} | axes
     if not axes:
         return Choice("kriging", "the axes have too few rows to leave one out", scores)
+    if made.knows_errors and not _axes_tell_errors(composition):
+        return Choice("kriging", "the axes have too few rows to tell the error of answers", scores)
     best = min(axes, key=lambda name: axes[name])
     told = f"{scores['kriging']:.2g} of the range against {best}'s {axes[best]:.2g}"
     if not scores["kriging"] < max(CLEARLY * axes[best], EXACT):
@@ -156,6 +158,11 @@ def _of_the_axes(
     if not shown and scores and scores["additive"] < scores["griddata"]:
         return "additive", "at left-out rows all axes together err less than each by itself"
     return "griddata", "what loads of other axes move a translation by is within its error bars"
+
+
+def _axes_tell_errors(composition: Composition) -> bool:
+    """Return whether every axis with rows has an error law: without, no answer is covered."""
+    return all(table is None or table.law.known for table in composition.tables)
 
 
 def _interaction_untold(rows: Rows, load_range: LoadRange) -> bool:

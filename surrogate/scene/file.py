@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..allowed import Allowed
 from ..bars.error_law import ErrorLaw
 from ..composition.composition import AtRest
 from ..doubt import Doubt
@@ -39,7 +40,7 @@ _TREE = "tree"
 _KINDS: dict[str, type] = {
     kind.__name__: kind
     for kind in (
-        AtRest, Axes, AxisRows, ComplianceFit, Dense, Doubt, Equations, ErrorLaw, Factor,
+        Allowed, AtRest, Axes, AxisRows, ComplianceFit, Dense, Doubt, Equations, ErrorLaw, Factor,
         Hyperparameters, Kriging, KrigingSettings, LoadRange, LocalFactor, Need, Part, Rows,
         Scaling, Spread, Tolerance,
     )
