@@ -58,7 +58,7 @@ _Note = Annotated[str | None, typer.Option(help="kept with the import")]
 _Written = Annotated[
     Path,
     typer.Argument(
-        help="a .csv, .xlsx, .parquet, .json, .h5, .hdf5, .mat or .fmu file; - prints CSV"
+        help="a .csv, .xlsx, .parquet, .json, .h5, .hdf5, .mat, .wbt or .fmu file; - prints CSV"
     ),
 ]
 _Method = Annotated[
