@@ -133,7 +133,7 @@ _REPLY: Final = {
 _ETAG: Final = {
     "ETag": {
         "schema": {"type": "string"},
-        "description": "names the version and setup; packed: the bytes",
+        "description": "names the table version and setup; of packed the content",
     }
 }
 
