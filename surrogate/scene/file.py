@@ -22,6 +22,7 @@ from ..bars.error_law import ErrorLaw
 from ..composition.composition import AtRest
 from ..doubt import Doubt
 from ..kriging import Hyperparameters, Kriging, KrigingSettings
+from ..kriging.calibration import Calibration
 from ..kriging.dense import Dense, Spread
 from ..kriging.equations import Equations, Scaling
 from ..kriging.factor import Factor
@@ -40,7 +41,8 @@ _TREE = "tree"
 _KINDS: dict[str, type] = {
     kind.__name__: kind
     for kind in (
-        Allowed, AtRest, Axes, AxisRows, ComplianceFit, Dense, Doubt, Equations, ErrorLaw, Factor,
+        Allowed, AtRest, Axes, AxisRows, Calibration, ComplianceFit, Dense, Doubt, Equations,
+        ErrorLaw, Factor,
         Hyperparameters, Kriging, KrigingSettings, LoadRange, LocalFactor, Need, Part, Rows,
         Scaling, Spread, Tolerance,
     )
