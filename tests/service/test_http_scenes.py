@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ CALL = "/v1/scenes/plan"
 NONE = [[0.0, 0.0]] * 3
 PLANAR = {"force": [[-100, 100], [0, 0], [-100, 50]], "moment": [[0, 0], [-10, 10], [0, 0]]}
 ON_RIG = {"rig": {**PLANAR, "outputs": ["ux", "uz", "ry"]}}
+CORNERS = np.array(list(product((-1.0, 1.0), repeat=6)))
 KEYS = {
     "decision", "reason", "loads", "axes", "outputs", "displacement_bound", "solves", "saves",
 }  # fmt: skip
@@ -34,7 +36,8 @@ KEYS = {
 @pytest.fixture(scope="module")
 def client(tmp_path_factory) -> Iterator[Client]:
     with served(tmp_path_factory.mktemp("scenes") / "workspace") as made:
-        wrenches = full_wrenches(40)
+        # The corners of the scene too: a bound takes answers whose errors are known there.
+        wrenches = np.concatenate((full_wrenches(40), CORNERS * FULL))
         add_table(made, "rig", as_rows(wrenches, moved(wrenches), tangents(wrenches)))
         yield made
 

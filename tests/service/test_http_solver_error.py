@@ -9,6 +9,7 @@ import pytest
 from service.answering.one import answered
 from service.answering.queries import Query
 from service.cli.render import answer_table, own_error_lines
+from service.contract import CONTRACT
 from service.jobs import solve_attempt
 from service.jobs.attempt import Spec, prepare, read_outcome
 from service.library.component import LibraryUnavailableError
@@ -17,6 +18,8 @@ from service.tables import solver_errors
 from service.tables.solver_errors import SolverErrors
 from service.workspace import Workspace
 from surrogate.build import build
+from surrogate.kernel.binding import PackedTable
+from surrogate.packed.writer import pack
 from surrogate.solver_error import SolverError
 from surrogate.table.rows import Tolerance
 from tests.service.live import add_table, as_rows, full_wrenches, moved, served
@@ -277,6 +280,8 @@ def test_nobody_is_told_that_a_bar_without_the_solvers_share_is_within_the_toler
     query = Query(tuple(WRENCH), "estimate", 0.0, Tolerance(1.0, 1.0))
     for lost in (None, SolverError(TOLD | {"mesh": None})):
         table = build(solved.rows, solved.load_range, linear=True, solver_error=lost)
+        content = pack(table, component="bar", fingerprint="", contract=CONTRACT)
+        table.packed = PackedTable.from_bytes(b"".join(content))
         found = asyncio.run(answered("bar", table, query))
         assert found.error is not None
         assert found.within_tolerance is None
