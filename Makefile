@@ -4,8 +4,11 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
-LOCK := pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
-	--no-annotate --no-header --no-emit-index-url --extra server --extra fast --extra build -q
+LOCKED := --universal --python-version 3.11 --generate-hashes --no-annotate --no-header \
+	--no-emit-index-url -q
+LOCK := pip compile pyproject.toml $(LOCKED) --extra server --extra fast --extra build
+# The platforms of `make wheels`: those of surrogate/kernel/build.py.
+PLATFORMS := manylinux_2_28_x86_64 manylinux_2_28_aarch64 macosx_11_0_x86_64 macosx_11_0_arm64 win_amd64
 
 # Every target that `help` lists.
 .PHONY: $(shell sed -n 's/^\([a-z-]*\):.*## .*/\1/p' Makefile)
@@ -21,6 +24,7 @@ $(BIN)/python:
 
 $(VENV)/.installed: $(BIN)/python requirements.lock pyproject.toml
 	$(PIP) install --require-hashes -r requirements.lock
+	@command -v $${CC:-cc} >/dev/null || $(PIP) install --require-hashes -r requirements-zig.lock
 	$(PIP) install --no-deps --no-build-isolation -e .
 	@touch $@
 
@@ -153,12 +157,19 @@ validate-ccx: $(VENV)/.installed-dev  ## same mesh as CalculiX: the slow cases, 
 pictures: $(VENV)/.installed-dev  ## the pictures of README.md: the figure, and the page in Chromium
 	$(BIN)/python -m tests.pictures
 
+wheels: setup  ## wheels of all five platforms, compiled here by ziglang, into dist/
+	$(PIP) install --require-hashes -r requirements-zig.lock
+	for platform in $(PLATFORMS); do \
+		WRENCHBOOK_PLATFORM=$$platform $(BIN)/python -m hatchling build -t wheel -d dist || exit 1; \
+	done
+
 image:  ## the container image
 	docker build -t wrenchbook .
 
 lock: $(VENV)/.installed-dev  ## write both lock files anew from pyproject.toml
 	$(BIN)/uv $(LOCK) -o requirements.lock
 	$(BIN)/uv $(LOCK) --extra dev -c requirements.lock -o requirements-dev.lock
+	echo "ziglang>=0.14" | $(BIN)/uv pip compile - $(LOCKED) -o requirements-zig.lock
 
 clean:  ## remove .venv and caches
 	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .import_linter_cache build dist

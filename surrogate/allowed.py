@@ -29,16 +29,22 @@ class Allowed:
         Largest less smallest value of each output over the rows.
     ranges : ndarray, shape (6,), m and rad
         The same with zero counted as one of the values.
+    outputs : tuple of int
+        The outputs that count; any error of the others is allowed.
     """
 
     tolerance: Tolerance | None
     variation: Floats
     ranges: Floats
+    outputs: tuple[int, ...] = tuple(range(6))
 
     def of(self, tolerance: Tolerance | None) -> Sequence[float]:
         """Return the largest error of each output, shape (6,), m and rad, for a covered answer."""
         limit = tolerance or self.tolerance
-        return self._by_variation if limit is None else allowed_by(limit)
+        found = self._by_variation if limit is None else allowed_by(limit)
+        if len(self.outputs) == 6:
+            return found
+        return [found[output] if output in self.outputs else np.inf for output in range(6)]
 
     @cached_property
     def _by_variation(self) -> list[float]:

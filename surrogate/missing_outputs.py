@@ -82,6 +82,8 @@ class MissingOutputs(LimitedAnswers):
             )
             for outputs, held in _by_output(rows)
         ]
+        for outputs, part in groups:  # its rows hold no others: those of its answers say nothing
+            part.allowed = replace(part.allowed, outputs=outputs)
         self.groups = tuple(sorted(groups, key=lambda group: len(group[1].rows)))
         held = {output for outputs, _ in self.groups for output in outputs}
         self.unmeasured = tuple(name for k, name in enumerate(OUTPUTS) if k not in held)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from xml.etree import ElementTree
 
+from surrogate.kernel.build import sources as kernel_sources
 from surrogate.table.rows import OUTPUTS
 
 LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -14,13 +15,7 @@ SOURCES = (
     "fmu_instance.c",
     "fmu_variables.c",
     "fmu_simulation.c",
-    "wb_table.c",
-    "wb_answer.c",
-    "wb_compose.c",
-    "wb_axis.c",
-    "wb_hull.c",
-    "wb_walk.c",
-    "wb_kriging.c",
+    *sorted(path.name for path in kernel_sources() if path.suffix == ".c"),
 )
 # Exponents of the base units.
 _UNITS: dict[str, dict[str, str]] = {
@@ -77,6 +72,7 @@ def describe(component: str, guid: str, made_by: str, told: str) -> bytes:
         "canGetAndSetFMUstate": "true",
         "canSerializeFMUstate": "true",
         "providesDirectionalDerivative": "true",
+        "canNotUseMemoryManagementFunctions": "true",  # the table is mapped
     }
     for kind, more in (("ModelExchange", {}), ("CoSimulation", _STEPS)):
         door = ElementTree.SubElement(root, kind, abilities | more)

@@ -1,4 +1,4 @@
-"""Make an FMU 2.0 of a table: pack it, compile the C sources, zip it all."""
+"""Make an FMU 2.0 of a packed table: the table, the kernel's sources and library, zipped."""
 
 from __future__ import annotations
 
@@ -18,27 +18,22 @@ from itertools import pairwise
 from pathlib import Path
 
 from service.fmu.description import SOURCES, describe, identifier_of
-from service.fmu.packing import groups_of, pack_table
-from service.fmu.stream import file_of
-from surrogate.build import AnyTable
+from surrogate.answer import UnknownMethodError
+from surrogate.kernel.binding import PackedTable
+from surrogate.kernel.build import COMPILERS
+from surrogate.kernel.build import FLAGS as KERNEL_FLAGS
+from surrogate.kernel.build import sources as kernel_sources
+from surrogate.packed.codes import METHODS
 
-COMPILERS = ("cc", "gcc", "clang")
-# No contraction of products and sums: the numbers are those of the table in Python. No option names
-# a processor: the FMU runs on others of its kind.
-FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
-COMPILE_S = 120.0  # it takes about two seconds
+# Those of the kernel, whose numbers an FMU has to the last bit.
+FLAGS = (*(flag for flag in KERNEL_FLAGS if flag != "-DWB_SHARED"), "-fPIC", "-shared")
+COMPILE_S = 120.0  # it takes about four seconds
 PLATFORMS = {
     ("Linux", "x86_64"): ("linux64", ".so"),
     ("Darwin", "x86_64"): ("darwin64", ".dylib"),
     ("Darwin", "arm64"): ("darwin64", ".dylib"),
 }
-_HEADERS = (
-    "fmu.h",
-    "wb_table.h",
-    "fmi2Functions.h",
-    "fmi2FunctionTypes.h",
-    "fmi2TypesPlatform.h",
-)
+_HEADERS = ("fmu.h", "fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 _DATE = (1980, 1, 1, 0, 0, 0)  # the earliest a zip holds: the same table gives the same file
 _CMAKE = """\
 # Build the FMU's binary where the exporting machine had no compiler, or for another platform:
@@ -47,12 +42,16 @@ _CMAKE = """\
 cmake_minimum_required(VERSION 3.10)
 project({name} C)
 add_library({name} SHARED {sources})
-set_target_properties({name} PROPERTIES PREFIX "" C_STANDARD 99 C_VISIBILITY_PRESET hidden)
+set_target_properties({name} PROPERTIES PREFIX "" C_STANDARD 11 C_VISIBILITY_PRESET hidden)
 if(NOT MSVC)
-  target_compile_options({name} PRIVATE -O3 -ffp-contract=off)
+  target_compile_options({name} PRIVATE {options})
   target_link_libraries({name} PRIVATE m)
 endif()
 """
+
+
+class NotExportableError(ValueError):
+    """A table that no FMU can hold; the text says why and what to do."""
 
 
 class CompilerError(RuntimeError):
@@ -86,7 +85,7 @@ def find_compiler() -> str | None:
     )
 
 
-def make_fmu(component: str, table: AnyTable, method: str | None = None) -> Fmu:
+def make_fmu(component: str, table: PackedTable, method: str | None = None) -> Fmu:
     """Return the FMU of a component's table.
 
     Without a compiler, or on a platform that FMI 2.0 does not name, it holds sources only.
@@ -94,23 +93,29 @@ def make_fmu(component: str, table: AnyTable, method: str | None = None) -> Fmu:
     Parameters
     ----------
     method : str, optional
-        One of `surrogate.answer.METHODS`; the table's default otherwise.
+        One of `METHODS`; the table's default otherwise.
 
     Raises
     ------
+    UnknownMethodError
+        If there is no such method.
     NotExportableError
-        See `pack_table`.
+        If the table has no rows within its load range.
     CompilerError
         If the compiler fails.
     """
-    groups = groups_of(table, method)
-    packed = pack_table(table, method)
-    used = ", ".join(dict.fromkeys(group.method for group in groups))
-    told = f"table version {table.version}, {len(table.rows)} rows, method {used}"
-    guid = _guid(component, packed)
+    if method is not None and method not in METHODS:
+        raise UnknownMethodError(method)
+    _check_rows(table)
+    used = ", ".join(dict.fromkeys(method or one["method"] for one in table.words["groups"]))
+    about = table.words["provenance"]
+    told = f"table version {about['version']}, {about['rows']} rows, method {used}"
+    number = -1 if method is None else METHODS.index(method)
+    guid = _guid(component, number, table.content)
     parts = {
         "modelDescription.xml": describe(component, guid, _made_by(), told),
-        "resources/table.bin": file_of(guid, packed),
+        "resources/table.wbt": table.content,
+        "resources/model.txt": f"{guid}\n{number}\n".encode(),
         **_sources(identifier_of(component)),
     }
     place = PLATFORMS.get((platform.system(), platform.machine()))
@@ -122,9 +127,21 @@ def make_fmu(component: str, table: AnyTable, method: str | None = None) -> Fmu:
     return Fmu(_zipped(parts), built, used)
 
 
-def _guid(component: str, packed: bytes) -> str:
+def _check_rows(table: PackedTable) -> None:
+    """Raise `NotExportableError` if some output has no rows to answer from."""
+    if not table.words["provenance"]["rows"]:
+        raise NotExportableError("the table has no rows: fill or import it first, then export it")
+    groups = range(len(table.words["groups"]))
+    if not all(len(table.arrays[f"g{number}/near/moved"]) for number in groups):
+        raise NotExportableError(
+            "all rows of the table are outside its load range: nothing answers within it"
+        )
+
+
+def _guid(component: str, method: int, content: bytes) -> str:
     """Return a GUID made of what the FMU answers: the same table has the same one."""
-    digest = hashlib.blake2b(component.encode() + b"\0" + packed, digest_size=16).hexdigest()
+    named = f"{component}\0{method}\0".encode()
+    digest = hashlib.blake2b(named + content, digest_size=16).hexdigest()
     cuts = (0, 8, 12, 16, 20, 32)
     return "{" + "-".join(digest[a:b] for a, b in pairwise(cuts)) + "}"
 
@@ -138,8 +155,11 @@ def _made_by() -> str:
 
 def _sources(identifier: str) -> dict[str, bytes]:
     folder = files(__package__ or "service.fmu") / "c"
-    found = {f"sources/{name}": (folder / name).read_bytes() for name in (*SOURCES, *_HEADERS)}
-    cmake = _CMAKE.format(name=identifier, sources=" ".join(SOURCES))
+    own = [name for name in SOURCES if name.startswith("fmu_")]
+    found = {f"sources/{name}": (folder / name).read_bytes() for name in (*own, *_HEADERS)}
+    found |= {f"sources/{path.name}": path.read_bytes() for path in kernel_sources()}
+    options = " ".join(flag for flag in FLAGS if flag.startswith(("-O", "-f")) and flag != "-fPIC")
+    cmake = _CMAKE.format(name=identifier, sources=" ".join(SOURCES), options=options)
     return found | {"sources/CMakeLists.txt": cmake.encode()}
 
 
@@ -151,7 +171,7 @@ def _compiled(compiler: str, ending: str) -> bytes:
         for path, content in _sources("fmu").items():
             (folder / Path(path).name).write_bytes(content)
         library = folder / f"fmu{ending}"
-        command = [compiler, *FLAGS, "-o", str(library), *SOURCES, "-lm"]
+        command = [compiler, *FLAGS, "-o", str(library), *SOURCES, "-lm", "-lpthread"]
         try:
             ran = subprocess.run(
                 command, cwd=folder, capture_output=True, text=True, timeout=COMPILE_S, check=False

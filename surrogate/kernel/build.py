@@ -114,8 +114,10 @@ def compile_library(library: Path, target: str | None = None) -> None:
         If there is no compiler, or it fails.
     """
     command = compiler_command(target)
-    windows = "windows" in target if target else sys.platform == "win32"
-    more = [] if windows else ["-fPIC", "-lm", "-lpthread"]
+    system = target or sys.platform
+    more = [] if "win" in system and "darwin" not in system else ["-fPIC", "-lm", "-lpthread"]
+    if "macos" not in system and "darwin" not in system:
+        more.append("-s")  # symbols and lines of the source are most of ziglang's library
     files = [str(path) for path in sources() if path.suffix == ".c"]
     try:
         folder = tempfile.mkdtemp(prefix=".kernel-", dir=library.parent)

@@ -241,7 +241,7 @@ def _asked(span: Floats, full: NDArray[np.bool_], settings: KrigingSettings) -> 
     still = high - low <= STILL * settings.same
     low, high = np.where(still, (low + high) / 2, [low, high])
     places = spread_wrenches(LoadRange(low, high), ASKED)
-    if full.sum() < settings.few_full:
+    if full.sum() < min(settings.full_rows, len(full) / 2):
         inputs = [np.isin(np.arange(6), axis.inputs) for axis in AXES]
         places = places * np.stack(inputs)[np.arange(ASKED) % len(AXES)]
     return places

@@ -94,8 +94,6 @@ class KrigingSettings:
     # deviations at random wrenches up to which groups grow.
     far: float = 0.95
     enough: float = 0.8
-    # Fewer rows of more than one axis tell nothing of such wrenches, which are not covered then.
-    few_full: int = 4
     # How likely rows that are spread evenly leave more beyond the outermost ones than is counted as
     # theirs: of six loads with two ends each one end in nine tables.
     beyond_rows: float = 0.01

@@ -15,6 +15,7 @@ from ..table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
 from .left_out import AxesErrors, axes_errors
 
 CLEARLY = 0.8  # of the axes' error: a kriging that is no better than that is not worth its cost
+EXACT = 1e-9  # of the range: a kriging that errs by rounding alone needs no smaller error
 ENOUGH_FULL = 20  # full wrenches that show what loads of several axes do together: measured on
 # `plate_thin`, with fewer and no tangents 3 to 26 % of the errors lie inside the bars (DESIGN 3)
 # With tangents, which bend across axes where loads act together, so many hold 86 to 100 % of the
@@ -105,7 +106,7 @@ def choose(
         return Choice("kriging", "the axes have too few rows to tell the error of answers", scores)
     best = min(axes, key=lambda name: axes[name])
     told = f"{scores['kriging']:.2g} of the range against {best}'s {axes[best]:.2g}"
-    if not scores["kriging"] < CLEARLY * axes[best]:
+    if not scores["kriging"] < max(CLEARLY * axes[best], EXACT):
         return Choice(method, f"kriging errs at left-out rows by {told}; {why}", scores)
     return Choice("kriging", f"its error at left-out rows is {told}", scores)
 

@@ -193,7 +193,8 @@ def _group_arrays(
     ``outputs`` (m), which; ``flags``: the default method, the bits of its reference, whether rows
     show interaction, whether the answer at no load is unknown, whether the fit is exact, whether
     there are rows to answer from, full wrenches, full wrenches needed; ``allowed`` (m), the largest
-    interpolation error of a covered answer, m and rad; ``near``, the used rows: scaled loads and outputs.
+    interpolation error of a covered answer, m and rad; ``near``, the used rows: scaled loads and
+    outputs.
     """
     used = len(group.used) > 0
     exact = group.linear and group.fit.complete

@@ -81,6 +81,11 @@ def axes_of(rows: Rows, method: str = "griddata") -> StraightDirection:
     return StraightDirection(composition, reference, method)
 
 
+def six(error: tuple[float, ...] | None) -> tuple[float, ...]:
+    """Return error bars as batches have them: NaN where they are not known."""
+    return (np.nan,) * 6 if error is None else error
+
+
 def table(response: Response, scaled: np.ndarray, **columns: object) -> Rows:
     """Return rows of a response of scaled loads."""
     return Rows.of(scaled * HIGH, response(scaled), **columns)

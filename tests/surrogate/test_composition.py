@@ -1,11 +1,12 @@
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import griddata
 
 from surrogate.build import build
 from surrogate.table.axes import AXES
-from surrogate.table.rows import LoadRange, Rows
+from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.responses import (
     HIGH,
     RANGE,
@@ -101,7 +102,9 @@ def test_affine_responses_are_exact_wherever_the_table_reaches(seed: int) -> Non
 
 
 def test_changing_the_units_changes_no_answer() -> None:
-    scaled, asked = clean_wrenches(60, 3), full_wrenches(100, 4)
+    # The eight corners lie on one sphere: which way their faces are parted would be arbitrary.
+    scaled = clean_wrenches(60, 3) * np.random.default_rng(5).uniform(0.9, 1.0, (180, 6))
+    asked = full_wrenches(100, 4)
     # Estimates too: what is not given beyond 20 degrees and 10 m is a limit in SI.
     plain = build(table(smooth, scaled), RANGE).estimates(asked * HIGH)
     # pound-force and inch, millimetre and milliradian
@@ -118,7 +121,7 @@ def test_changing_the_units_changes_no_answer() -> None:
 def test_no_load_answers_the_row_at_no_load_or_what_the_axes_interpolate_there() -> None:
     scaled = clean_wrenches(20, 5)
     rows = table(smooth, scaled)
-    empty = build(rows, RANGE).answer([0.0] * 6)
+    empty = build(rows, RANGE).answer([0.0] * 6, Tolerance(1.0, 1.0))
     np.testing.assert_allclose(np.array(empty.displacement), rest(rows), rtol=0, atol=1e-15)
     assert empty.error is not None
     assert min(empty.error) > 0
@@ -141,15 +144,16 @@ def test_an_offset_without_a_row_at_zero_load_is_not_lost(seed: int) -> None:
         return x @ slope.T + offset
 
     scaled = np.concatenate((clean_wrenches(12, seed), full_wrenches(20, seed)))
-    surrogate = build(table(response, scaled), RANGE)
+    surrogate = build(table(response, scaled), RANGE, tolerance=Tolerance(10.0, 10.0))
     asked = np.concatenate((full_wrenches(40, seed + 1), np.zeros((1, 6)), np.eye(6) / 2))
     asked[::3, :3] = 0.0
     asked[1::4, 3] = 0.0
-    answers = surrogate.batch(asked * HIGH)
-    assert (answers.coverage == 0).all()
+    # Displacements of metres and radians: beyond the limits of what is given, unless covered.
+    answers = surrogate.estimates(asked * HIGH)
+    assert (answers.coverage < 2).all()
     np.testing.assert_allclose(answers.displacement, response(asked), atol=1e-9)
     for wrench, expected in zip(asked * HIGH, response(asked), strict=True):
-        single = surrogate.answer(wrench.tolist())
+        single = surrogate.estimate(wrench.tolist())
         np.testing.assert_allclose(np.array(single.displacement), expected, atol=1e-9)
         np.testing.assert_array_less(np.abs(np.array(single.displacement) - expected) / 10, 1e-9)
 
@@ -162,11 +166,12 @@ def test_zero_load_is_not_covered_where_no_axis_surrounds_it() -> None:
     assert answer.coverage == "outside"
     assert "no row is at zero load" in answer.reason
     assert surrogate.batch(np.zeros((1, 6))).coverage.tolist() == [2]
-    loaded = surrogate.answer([0.0, 0, 2000, 0, 0, 0])  # what no row tells of u_x is in its bar
+    # What the axes of other loads leave out of u_x is in its error bar.
+    loaded = surrogate.answer([0.0, 0, 2100, 0, 0, 0], method="griddata")
     assert loaded.displacement is not None
     assert loaded.error is not None
     assert loaded.error[0] >= 2e-5
-    assert loaded.displacement[3] == 2000 * 1e-8
+    assert loaded.displacement[3] == pytest.approx(2100 * 1e-8)
 
 
 @settings(max_examples=10)
@@ -207,7 +212,7 @@ def test_a_one_force_table_answers_that_force_and_no_other() -> None:
     wrench = np.zeros((21, 6))
     wrench[:, 2] = force
     moved = np.outer(np.tanh(force / 3000), np.arange(1, 7)) * 1e-3
-    surrogate = build(Rows.of(wrench, moved), RANGE)
+    surrogate = build(Rows.of(wrench, moved), RANGE, tolerance=Tolerance(1.0, 1.0))
     answer = surrogate.answer([0, 0, 1234.0, 0, 0, 0])
     assert answer.coverage == "covered"
     assert answer.displacement is not None
@@ -221,7 +226,7 @@ def test_a_scattered_two_load_table_reads_one_moment_alone_from_the_axis_that_ha
     rng = np.random.default_rng(6)
     scaled = np.zeros((80, 6))
     scaled[:, [2, 3]] = rng.uniform(-1, 1, (80, 2))  # F_z and M_x: no row of axis y at all
-    surrogate = build(table(smooth, scaled), RANGE)
+    surrogate = build(table(smooth, scaled), RANGE, tolerance=Tolerance(1.0, 1.0))
     x = np.array([0, 0, 0.3, -0.4, 0, 0])
     answer = surrogate.answer((x * HIGH).tolist())
     assert answer.coverage == "covered"

@@ -8,13 +8,14 @@ from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.calibrating import with_slopes
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
 
-# Four full wrenches: without any, rows of one axis do not tell what axes do together.
-ROWS = with_slopes(smooth, np.concatenate((clean_wrenches(60, 1), full_wrenches(4, 1))))
+# Twenty full wrenches: rows of one axis alone show nothing of what axes do together.
+ROWS = with_slopes(smooth, np.concatenate((clean_wrenches(60, 1), full_wrenches(20, 1))))
 FULL = build(ROWS, RANGE)
 
 
 def test_inside_the_rows_is_covered_without_a_word() -> None:
-    answer = FULL.answer([100.0, -200.0, 300.0, 40.0, 50.0, -60.0], method="griddata")
+    wrench = [100.0, -200.0, 300.0, 40.0, 50.0, -60.0]
+    answer = FULL.answer(wrench, Tolerance(1e-3, 1e-2), method="griddata")
     assert (answer.coverage, answer.reason, answer.method) == ("covered", "", "griddata")
 
 
@@ -24,7 +25,7 @@ def test_beyond_the_rows_is_outside_and_says_which_load_of_which_axis() -> None:
     assert answer.method == "griddata"
     assert answer.reason == "axis x: fx = 1200 N lies outside the rows, which span -1000..1000 N"
     assert answer.displacement is not None
-    assert answer.error is not None
+    assert answer.error is None  # no row tells it out there
 
 
 def test_in_the_span_but_beyond_the_hull_says_so() -> None:
@@ -111,7 +112,8 @@ def test_points_on_the_hull_are_inside() -> None:
     scaled[:, [2, 3, 4]] = np.array(np.meshgrid(steps, steps, steps)).reshape(3, -1).T
     high = HIGH * [1, 1, 0.3, 0.7, 1.1, 1]
     load_range = LoadRange(-high, high)
-    surrogate = build(Rows.of(scaled * high, smooth(scaled)), load_range)
+    rows = Rows.of(scaled * high, smooth(scaled))
+    surrogate = build(rows, load_range, tolerance=Tolerance(1, 1))
     rng = np.random.default_rng(2)
     asked = np.zeros((500, 6))
     asked[:, 2] = rng.choice([-1, 1], 500)  # the moments alone lie inside
@@ -134,9 +136,10 @@ def test_outside_is_never_covered_and_no_nan_ever_leaves(x: list[float], axis: i
     if (np.abs(x) > 1 + 1e-6).any():
         assert answer.coverage == "outside"
         assert answer.reason
-    for six in (answer.displacement, answer.error):
-        assert six is not None
-        assert np.isfinite(six).all()
+    assert answer.displacement is not None
+    assert np.isfinite(answer.displacement).all()
+    assert answer.error is not None or answer.coverage != "covered"
+    assert answer.error is None or np.isfinite(answer.error).all()
 
 
 def test_detail_names_inputs_outputs_and_the_rows_used() -> None:

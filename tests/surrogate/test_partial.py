@@ -5,7 +5,7 @@ import pytest
 
 from surrogate.build import build
 from surrogate.missing_outputs import MissingOutputs
-from surrogate.table.rows import RowError, Rows, joined
+from surrogate.table.rows import RowError, Rows, Tolerance, joined
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth
 
 SCALED = clean_wrenches(40, 1)
@@ -33,7 +33,7 @@ def test_an_output_nobody_measured_is_none_and_the_reason_says_so() -> None:
     assert [value for k, value in enumerate(answer.error) if k != 2] == [None] * 5
     assert answer.coverage == "thin"  # no full wrenches
     assert answer.missing == ("ux", "uy", "rx", "ry", "rz")
-    only_z = surrogate.answer([0.0, 0.0, 2000.0, 50.0, 50.0, 0.0])
+    only_z = surrogate.answer([0.0, 0.0, 2000.0, 50.0, 50.0, 0.0], Tolerance(1.0, 1.0))
     assert only_z.coverage == "covered"
     assert only_z.missing == answer.missing
     assert only_z.reason == "not measured in any row: ux, uy, rx, ry, rz"

@@ -12,6 +12,7 @@ from tests.surrogate.responses import (
     clean_wrenches,
     coupled,
     full_wrenches,
+    six,
     smooth,
     table,
 )
@@ -38,9 +39,8 @@ def test_a_batch_gives_the_numbers_of_single_answers(
         one = surrogate.answer(wrench, tolerance, method)
         assert names[batch.coverage[place]] == one.coverage
         np.testing.assert_allclose(batch.displacement[place], one.displacement, atol=1e-12)
-        np.testing.assert_allclose(batch.error[place], one.error, atol=1e-12)
-    sure = tolerance is None and method is not None
-    assert set(np.unique(batch.coverage)) == ({0, 2} if sure else {0, 1, 2})
+        np.testing.assert_allclose(batch.error[place], six(one.error), atol=1e-12)
+    assert set(np.unique(batch.coverage)) == {0, 1, 2}
 
 
 @settings(max_examples=3)
@@ -90,7 +90,7 @@ def test_linear_components_answer_by_their_stored_compliance_in_the_whole_range(
 def test_six_independent_rows_of_a_linear_component_tell_its_compliance() -> None:
     wrench = np.diag(HIGH)
     surrogate = build(Rows.of(wrench, wrench @ COMPLIANCE), RANGE, linear=True)
-    answer = surrogate.answer([10.0, 20, 30, 4, 5, 6])
+    answer = surrogate.answer([10.0, 20, 30, 4, 5, 6], Tolerance(1.0, 1.0))
     assert (answer.coverage, answer.method) == ("covered", "linear")
     np.testing.assert_allclose(answer.displacement, COMPLIANCE @ [10, 20, 30, 4, 5, 6], rtol=1e-12)
     assert min(answer.error or ()) > 0  # measured once each, of unknown accuracy
@@ -159,7 +159,10 @@ def test_inputs_over_twelve_orders_of_magnitude_answer_finite_numbers() -> None:
     asked = full_wrenches(100, 2) * 10 ** rng.uniform(-12, 0, (100, 6))
     batch = surrogate.batch(asked * HIGH)
     assert np.isfinite(batch.displacement).all()
-    assert np.isfinite(batch.error).all()
+    # Most rows lie about zero: none is as far from the others as wrenches of the range are.
+    unknown = np.isnan(batch.error).any(axis=1)
+    assert not np.isinf(batch.error).any()
+    assert (batch.coverage[unknown] != 0).all()
 
 
 def test_a_linear_answer_is_explained_by_what_each_axis_contributes():

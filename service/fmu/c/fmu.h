@@ -1,14 +1,16 @@
 /* One instance of the FMU. MIT license, as all of wrenchbook.
  *
- * An instance owns its table, its workspace and its state; there is nothing global that changes, so
- * any number of instances may run in as many threads (one thread an instance at a time, as FMI 2.0
- * has it).
+ * An instance owns its mapped table, its scratch and its state; there is nothing global that
+ * changes, so any number of instances may run in as many threads (one thread an instance at a time,
+ * as FMI 2.0 has it).
  */
 #ifndef WB_FMU_H
 #define WB_FMU_H
 
 #include "fmi2Functions.h"
-#include "wb_table.h"
+#include "wb_internal.h"
+
+#define WB_GUID 40 /* bytes of a GUID in braces, with the final zero, and one to spare */
 
 /* Value references; service/fmu/description.py writes the same into modelDescription.xml. */
 enum { VR_WRENCH = 0, VR_OUTPUT = 6, VR_ERROR = 12, VR_COVERAGE = 18, VR_TOLERANCE = 19,
@@ -22,27 +24,30 @@ typedef struct {
     char mark[8], guid[WB_GUID];
     double wrench[6], tolerance[2], time;
     int32_t mode, event_coverage, event_within;
-} wb_state;
+} fmu_state;
 
 typedef struct {
     fmi2CallbackFunctions callbacks;
     fmi2Type type;
     char *name;
     wb_table *table;
-    wb_workspace *work;
-    wb_state state;
-    wb_answer answer;
+    void *scratch;
+    int method;
+    char guid[WB_GUID]; /* of the table and the method: resources/model.txt */
+    fmu_state state;
+    wb_reply reply;
     double derivative[36];
     int warned;
     int answered, derived; /* whether answer and derivative are those of the state */
-} wb_instance;
+} fmu_instance;
 
 /* Report to the simulator; returns the status. */
-fmi2Status wb_say(wb_instance *m, fmi2Status status, const char *text);
+fmi2Status fmu_say(fmu_instance *m, fmi2Status status, const char *text);
 /* Whether a call is allowed in this mode; reports if it is not. */
-int wb_allowed(wb_instance *m, const char *call, int modes);
-const wb_answer *wb_answered(wb_instance *m);
-const double *wb_derived(wb_instance *m);
-void wb_reset(wb_instance *m);
+int fmu_allowed(fmu_instance *m, const char *call, int modes);
+const wb_reply *fmu_answered(fmu_instance *m);
+const double *fmu_derived(fmu_instance *m);
+void fmu_ask(fmu_instance *m, const double wrench[6], wb_reply *reply);
+void fmu_reset(fmu_instance *m);
 
 #endif

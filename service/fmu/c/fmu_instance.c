@@ -7,7 +7,7 @@
 
 enum { LONGEST = 4096 };
 
-fmi2Status wb_say(wb_instance *m, fmi2Status status, const char *text) {
+fmi2Status fmu_say(fmu_instance *m, fmi2Status status, const char *text) {
     char plain[LONGEST]; /* the message is a format, and not every tool fills in what it names */
     size_t at = 0;
     for (; *text && at + 2 < sizeof plain; text++) {
@@ -21,36 +21,48 @@ fmi2Status wb_say(wb_instance *m, fmi2Status status, const char *text) {
     return status;
 }
 
-int wb_allowed(wb_instance *m, const char *call, int modes) {
+int fmu_allowed(fmu_instance *m, const char *call, int modes) {
     char text[128];
     if (!m) return 0;
     if (m->state.mode & modes) return 1;
     snprintf(text, sizeof text, "%s is not allowed now%s", call,
              m->state.mode == TERMINATED ? ": the instance is terminated; reset it first" : "");
-    wb_say(m, fmi2Error, text);
+    fmu_say(m, fmi2Error, text);
     return 0;
 }
 
-const wb_answer *wb_answered(wb_instance *m) {
-    if (!m->answered) {
-        wb_answer_at(m->table, m->work, m->state.wrench, m->state.tolerance, &m->answer);
-        m->answered = 1;
+void fmu_ask(fmu_instance *m, const double wrench[6], wb_reply *reply) {
+    double tolerance[6];
+    wb_options options = {m->method, tolerance};
+    for (int q = 0; q < 6; q++) {
+        double most = m->state.tolerance[q / 3];
+        tolerance[q] = most > 0 ? most : NAN; /* zero: the component's own */
     }
-    return &m->answer;
+    wb_answer(m->table, &options, wrench, reply, m->scratch);
 }
 
-const double *wb_derived(wb_instance *m) {
+const wb_reply *fmu_answered(fmu_instance *m) {
+    if (!m->answered) {
+        fmu_ask(m, m->state.wrench, &m->reply);
+        m->answered = 1;
+    }
+    return &m->reply;
+}
+
+const double *fmu_derived(fmu_instance *m) {
     if (!m->derived) {
-        wb_derivative_at(m->table, m->work, m->state.wrench, wb_answered(m), m->derivative);
+        wb_options options = {m->method, NULL};
+        wb_work work = wb_work_of(m->table, m->scratch);
+        wb_reply_derivative(m->table, &options, &work, fmu_answered(m), m->derivative);
         m->derived = 1;
     }
     return m->derivative;
 }
 
-void wb_reset(wb_instance *m) {
+void fmu_reset(fmu_instance *m) {
     memset(&m->state, 0, sizeof m->state);
     memcpy(m->state.mark, "WBSTATE1", 8);
-    memcpy(m->state.guid, m->table->guid, WB_GUID);
+    memcpy(m->state.guid, m->guid, WB_GUID);
     m->state.mode = INSTANTIATED;
     m->answered = m->derived = 0;
 }
@@ -86,24 +98,38 @@ static int path_of(const char *uri, const char *file, char *path) {
     return 1;
 }
 
-/* Load the table of an instance; 0 after a report if that cannot be done. */
-static int open_table(wb_instance *m, fmi2String guid, fmi2String location) {
-    char path[LONGEST], why[LONGEST + 64];
-    if (!path_of(location, "table.bin", path)) {
+/* Read the GUID and the method, a line each; 0 if they are not there. */
+static int read_model(fmu_instance *m, const char *path) {
+    FILE *file = fopen(path, "rb");
+    int found = file && fscanf(file, "%39s %d", m->guid, &m->method) == 2;
+    if (file) fclose(file);
+    return found;
+}
+
+/* Map the table of an instance; 0 after a report if that cannot be done. */
+static int open_table(fmu_instance *m, fmi2String guid, fmi2String location) {
+    char path[LONGEST], why[LONGEST + 128];
+    if (!path_of(location, "model.txt", path)) {
         snprintf(why, sizeof why, "fmuResourceLocation must be a file URI such as file:///tmp/plate"
                  "/resources, not %.200s", location ? location : "nothing");
-        return wb_say(m, fmi2Error, why), 0;
+        return fmu_say(m, fmi2Error, why), 0;
     }
-    m->table = wb_table_read(path, m->callbacks.allocateMemory, m->callbacks.freeMemory, why,
-                             sizeof why);
-    if (!m->table) return wb_say(m, fmi2Error, why), 0;
-    if (!guid || strcmp(guid, m->table->guid)) {
+    if (!read_model(m, path)) {
+        snprintf(why, sizeof why, "cannot read %s: unpack the FMU again", path);
+        return fmu_say(m, fmi2Error, why), 0;
+    }
+    if (!guid || strcmp(guid, m->guid)) {
         snprintf(why, sizeof why, "the GUID %.60s is not that of the table in %.200s, which is %s",
-                 guid ? guid : "(none)", path, m->table->guid);
-        return wb_say(m, fmi2Error, why), 0;
+                 guid ? guid : "(none)", path, m->guid);
+        return fmu_say(m, fmi2Error, why), 0;
     }
-    m->work = wb_workspace_new(m->table, m->callbacks.allocateMemory, m->callbacks.freeMemory);
-    return m->work ? 1 : (wb_say(m, fmi2Error, "no memory for the workspace"), 0);
+    path_of(location, "table.wbt", path);
+    m->table = wb_open(path, why, sizeof why);
+    if (!m->table) return fmu_say(m, fmi2Error, why), 0;
+    if (wb_inputs(m->table) != 6 || wb_outputs(m->table) != 6)
+        return fmu_say(m, fmi2Error, "the table has not six loads and six outputs"), 0;
+    m->scratch = m->callbacks.allocateMemory(1, wb_scratch(m->table));
+    return m->scratch ? 1 : (fmu_say(m, fmi2Error, "no memory for the scratch"), 0);
 }
 
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String location,
@@ -111,7 +137,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
                               fmi2Boolean logging) {
     (void)visible, (void)logging; /* mistakes are reported in any case; there is nothing else */
     if (!functions || !functions->allocateMemory || !functions->freeMemory) return NULL;
-    wb_instance *m = functions->allocateMemory(1, sizeof *m);
+    fmu_instance *m = functions->allocateMemory(1, sizeof *m);
     if (!m) return NULL;
     memset(m, 0, sizeof *m);
     m->callbacks = *functions, m->type = type;
@@ -122,31 +148,31 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
         fmi2FreeInstance(m);
         return NULL;
     }
-    wb_reset(m);
+    fmu_reset(m);
     return m;
 }
 
 void fmi2FreeInstance(fmi2Component c) {
-    wb_instance *m = c;
+    fmu_instance *m = c;
     if (!m) return;
     fmi2CallbackFreeMemory free_ = m->callbacks.freeMemory;
-    wb_workspace_free(m->work, free_);
-    wb_table_free(m->table, free_);
+    if (m->scratch) free_(m->scratch);
+    wb_close(m->table);
     if (m->name) free_(m->name);
     free_(m);
 }
 
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance,
                                fmi2Real start, fmi2Boolean has_stop, fmi2Real stop) {
-    wb_instance *m = c;
+    fmu_instance *m = c;
     (void)has_tolerance, (void)tolerance, (void)has_stop, (void)stop; /* nothing is integrated */
-    if (!wb_allowed(m, "fmi2SetupExperiment", INSTANTIATED)) return fmi2Error;
+    if (!fmu_allowed(m, "fmi2SetupExperiment", INSTANTIATED)) return fmi2Error;
     m->state.time = start;
     return fmi2OK;
 }
 
-static fmi2Status go(wb_instance *m, const char *call, int from, int to) {
-    if (!wb_allowed(m, call, from)) return fmi2Error;
+static fmi2Status go(fmu_instance *m, const char *call, int from, int to) {
+    if (!fmu_allowed(m, call, from)) return fmi2Error;
     m->state.mode = to;
     return fmi2OK;
 }
@@ -156,7 +182,7 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
 }
 
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
-    wb_instance *m = c;
+    fmu_instance *m = c;
     int to = m && m->type == fmi2CoSimulation ? STEP : EVENT;
     return go(m, "fmi2ExitInitializationMode", INITIALIZATION, to);
 }
@@ -167,21 +193,21 @@ fmi2Status fmi2Terminate(fmi2Component c) {
 
 fmi2Status fmi2Reset(fmi2Component c) {
     if (!c) return fmi2Error;
-    wb_reset(c);
+    fmu_reset(c);
     return fmi2OK;
 }
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *out) {
-    wb_instance *m = c;
+    fmu_instance *m = c;
     if (!m || !out) return fmi2Error;
     if (!*out && !(*out = m->callbacks.allocateMemory(1, sizeof m->state)))
-        return wb_say(m, fmi2Error, "no memory for a state");
+        return fmu_say(m, fmi2Error, "no memory for a state");
     memcpy(*out, &m->state, sizeof m->state);
     return fmi2OK;
 }
 
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate in) {
-    wb_instance *m = c;
+    fmu_instance *m = c;
     if (!m || !in) return fmi2Error;
     memcpy(&m->state, in, sizeof m->state);
     m->answered = m->derived = 0;
@@ -189,7 +215,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate in) {
 }
 
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
-    wb_instance *m = c;
+    fmu_instance *m = c;
     if (!m || !state) return fmi2Error;
     if (*state) m->callbacks.freeMemory(*state);
     *state = NULL;
@@ -198,22 +224,22 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size) {
     if (!c || !state || !size) return fmi2Error;
-    *size = sizeof(wb_state);
+    *size = sizeof(fmu_state);
     return fmi2OK;
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[],
                                  size_t size) {
     if (!c || !state || !bytes) return fmi2Error;
-    if (size < sizeof(wb_state)) return wb_say(c, fmi2Error, "the state needs more bytes");
-    memcpy(bytes, state, sizeof(wb_state));
+    if (size < sizeof(fmu_state)) return fmu_say(c, fmi2Error, "the state needs more bytes");
+    memcpy(bytes, state, sizeof(fmu_state));
     return fmi2OK;
 }
 
 /* Whether bytes are a state of this very table that an instance can be in. */
-static int is_state(const wb_instance *m, const wb_state *s) {
+static int is_state(const fmu_instance *m, const fmu_state *s) {
     int modes = INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED;
-    if (memcmp(s->mark, "WBSTATE1", 8) || memcmp(s->guid, m->table->guid, WB_GUID)) return 0;
+    if (memcmp(s->mark, "WBSTATE1", 8) || memcmp(s->guid, m->guid, WB_GUID)) return 0;
     for (int k = 0; k < 6; k++)
         if (!isfinite(s->wrench[k])) return 0;
     return s->mode > 0 && (s->mode & modes) && !(s->mode & (s->mode - 1))
@@ -222,14 +248,14 @@ static int is_state(const wb_instance *m, const wb_state *s) {
 
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size,
                                    fmi2FMUstate *out) {
-    wb_instance *m = c;
-    wb_state state;
+    fmu_instance *m = c;
+    fmu_state state;
     if (!m || !bytes || !out) return fmi2Error;
     if (size == sizeof state) memcpy(&state, bytes, sizeof state);
     if (size != sizeof state || !is_state(m, &state))
-        return wb_say(m, fmi2Error, "these bytes are no state of this FMU");
+        return fmu_say(m, fmi2Error, "these bytes are no state of this FMU");
     if (!*out && !(*out = m->callbacks.allocateMemory(1, sizeof state)))
-        return wb_say(m, fmi2Error, "no memory for a state");
+        return fmu_say(m, fmi2Error, "no memory for a state");
     memcpy(*out, &state, sizeof state);
     return fmi2OK;
 }

@@ -18,35 +18,35 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t count,
 /* Co-simulation */
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_return) {
-    wb_instance *m = c;
+    fmu_instance *m = c;
     (void)no_return;
-    if (!wb_allowed(m, "fmi2DoStep", STEP)) return fmi2Error;
+    if (!fmu_allowed(m, "fmi2DoStep", STEP)) return fmi2Error;
     if (!(isfinite(time) && isfinite(step) && step >= 0))
-        return wb_say(m, fmi2Error, "fmi2DoStep: time and step must be finite, the step not below 0");
+        return fmu_say(m, fmi2Error, "fmi2DoStep: time and step must be finite, the step not below 0");
     m->state.time = time + step;
     return fmi2OK;
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c) {
-    return c ? wb_say(c, fmi2Error, "there is no step to cancel: steps end at once") : fmi2Error;
+    return c ? fmu_say(c, fmi2Error, "there is no step to cancel: steps end at once") : fmi2Error;
 }
 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                                        const fmi2Integer order[], const fmi2Real value[]) {
     (void)vr, (void)nvr, (void)order, (void)value;
-    return c ? wb_say(c, fmi2Error, "inputs are not interpolated (canInterpolateInputs is false)")
+    return c ? fmu_say(c, fmi2Error, "inputs are not interpolated (canInterpolateInputs is false)")
              : fmi2Error;
 }
 
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                                         const fmi2Integer order[], fmi2Real value[]) {
     (void)vr, (void)nvr, (void)order, (void)value;
-    return c ? wb_say(c, fmi2Error, "outputs have no time derivatives (maxOutputDerivativeOrder 0)")
+    return c ? fmu_say(c, fmi2Error, "outputs have no time derivatives (maxOutputDerivativeOrder 0)")
              : fmi2Error;
 }
 
 static fmi2Status no_status(fmi2Component c) {
-    return c ? wb_say(c, fmi2Discard, "steps are not asynchronous: there is no such status")
+    return c ? fmu_say(c, fmi2Discard, "steps are not asynchronous: there is no such status")
              : fmi2Error;
 }
 
@@ -56,7 +56,7 @@ fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status 
 }
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
-    wb_instance *m = c;
+    fmu_instance *m = c;
     if (!m || kind != fmi2LastSuccessfulTime) return no_status(c);
     *value = m->state.time;
     return fmi2OK;
@@ -81,24 +81,24 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2S
 /* Model exchange */
 
 fmi2Status fmi2EnterEventMode(fmi2Component c) {
-    wb_instance *m = c;
-    if (!wb_allowed(m, "fmi2EnterEventMode", EVENT | CONTINUOUS)) return fmi2Error;
+    fmu_instance *m = c;
+    if (!fmu_allowed(m, "fmi2EnterEventMode", EVENT | CONTINUOUS)) return fmi2Error;
     m->state.mode = EVENT;
     return fmi2OK;
 }
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
-    wb_instance *m = c;
-    if (!wb_allowed(m, "fmi2NewDiscreteStates", EVENT)) return fmi2Error;
+    fmu_instance *m = c;
+    if (!fmu_allowed(m, "fmi2NewDiscreteStates", EVENT)) return fmi2Error;
     memset(info, 0, sizeof *info);
-    m->state.event_coverage = wb_answered(m)->coverage;
-    m->state.event_within = wb_answered(m)->within;
+    m->state.event_coverage = fmu_answered(m)->coverage;
+    m->state.event_within = fmu_answered(m)->within;
     return fmi2OK;
 }
 
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
-    wb_instance *m = c;
-    if (!wb_allowed(m, "fmi2EnterContinuousTimeMode", EVENT)) return fmi2Error;
+    fmu_instance *m = c;
+    if (!fmu_allowed(m, "fmi2EnterContinuousTimeMode", EVENT)) return fmi2Error;
     m->state.mode = CONTINUOUS;
     return fmi2OK;
 }
@@ -107,19 +107,19 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
  * an event. */
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_return, fmi2Boolean *event,
                                        fmi2Boolean *terminate) {
-    wb_instance *m = c;
+    fmu_instance *m = c;
     (void)no_return;
-    if (!wb_allowed(m, "fmi2CompletedIntegratorStep", CONTINUOUS)) return fmi2Error;
-    *event = wb_answered(m)->coverage != m->state.event_coverage ||
-             wb_answered(m)->within != m->state.event_within;
+    if (!fmu_allowed(m, "fmi2CompletedIntegratorStep", CONTINUOUS)) return fmi2Error;
+    *event = fmu_answered(m)->coverage != m->state.event_coverage ||
+             fmu_answered(m)->within != m->state.event_within;
     *terminate = fmi2False;
     return fmi2OK;
 }
 
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
-    wb_instance *m = c;
-    if (!wb_allowed(m, "fmi2SetTime", EVENT | CONTINUOUS)) return fmi2Error;
-    if (!isfinite(time)) return wb_say(m, fmi2Error, "fmi2SetTime: the time must be finite");
+    fmu_instance *m = c;
+    if (!fmu_allowed(m, "fmi2SetTime", EVENT | CONTINUOUS)) return fmi2Error;
+    if (!isfinite(time)) return fmu_say(m, fmi2Error, "fmi2SetTime: the time must be finite");
     m->state.time = time;
     return fmi2OK;
 }
@@ -127,7 +127,7 @@ fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
 /* There are no states and no event indicators. */
 static fmi2Status none(fmi2Component c, size_t count) {
     if (!c) return fmi2Error;
-    return count ? wb_say(c, fmi2Error, "there are no continuous states and no event indicators")
+    return count ? fmu_say(c, fmi2Error, "there are no continuous states and no event indicators")
                  : fmi2OK;
 }
 

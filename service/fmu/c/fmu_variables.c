@@ -9,21 +9,21 @@ static const int ANY = INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP
 static const int SETTING = INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP;
 static const double STEP_SHARE = 1e-6; /* of the load range: between its rounding and its kinks */
 
-static fmi2Status no_variable(wb_instance *m, const char *call, fmi2ValueReference vr) {
+static fmi2Status no_variable(fmu_instance *m, const char *call, fmi2ValueReference vr) {
     char text[160];
     snprintf(text, sizeof text, "%s: there is no such variable: value reference %u", call, vr);
-    return wb_say(m, fmi2Error, text);
+    return fmu_say(m, fmi2Error, text);
 }
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                        fmi2Real value[]) {
-    wb_instance *m = c;
-    if (!wb_allowed(m, "fmi2GetReal", ANY)) return fmi2Error;
+    fmu_instance *m = c;
+    if (!fmu_allowed(m, "fmi2GetReal", ANY)) return fmi2Error;
     for (size_t i = 0; i < nvr; i++) {
         fmi2ValueReference k = vr[i];
         if (k < VR_OUTPUT) value[i] = m->state.wrench[k];
-        else if (k < VR_ERROR) value[i] = wb_answered(m)->displacement[k - VR_OUTPUT];
-        else if (k < VR_COVERAGE) value[i] = wb_answered(m)->error[k - VR_ERROR];
+        else if (k < VR_ERROR) value[i] = fmu_answered(m)->outputs[k - VR_OUTPUT];
+        else if (k < VR_COVERAGE) value[i] = fmu_answered(m)->error[k - VR_ERROR];
         else if (k >= VR_TOLERANCE && k < VR_WITHIN) value[i] = m->state.tolerance[k - VR_TOLERANCE];
         else return no_variable(m, "fmi2GetReal", k);
     }
@@ -31,7 +31,7 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
 }
 
 /* Whether a variable may be set to a value now; reports if not. */
-static int may_set(wb_instance *m, fmi2ValueReference vr, double value) {
+static int may_set(fmu_instance *m, fmi2ValueReference vr, double value) {
     char text[160];
     int load = vr < VR_OUTPUT, tolerance = vr >= VR_TOLERANCE && vr < VR_WITHIN;
     if (!load && !tolerance) {
@@ -47,13 +47,13 @@ static int may_set(wb_instance *m, fmi2ValueReference vr, double value) {
     } else {
         return 1;
     }
-    return wb_say(m, fmi2Error, text), 0;
+    return fmu_say(m, fmi2Error, text), 0;
 }
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                        const fmi2Real value[]) {
-    wb_instance *m = c;
-    if (!wb_allowed(m, "fmi2SetReal", SETTING)) return fmi2Error;
+    fmu_instance *m = c;
+    if (!fmu_allowed(m, "fmi2SetReal", SETTING)) return fmi2Error;
     for (size_t i = 0; i < nvr; i++) /* all of them, or none */
         if (!may_set(m, vr[i], value[i])) return fmi2Error;
     for (size_t i = 0; i < nvr; i++) {
@@ -66,11 +66,11 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
 
 fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                           fmi2Integer value[]) {
-    wb_instance *m = c;
-    if (!wb_allowed(m, "fmi2GetInteger", ANY)) return fmi2Error;
+    fmu_instance *m = c;
+    if (!fmu_allowed(m, "fmi2GetInteger", ANY)) return fmi2Error;
     for (size_t i = 0; i < nvr; i++) {
-        if (vr[i] == VR_COVERAGE) value[i] = wb_answered(m)->coverage;
-        else if (vr[i] == VR_WITHIN) value[i] = wb_answered(m)->within;
+        if (vr[i] == VR_COVERAGE) value[i] = fmu_answered(m)->coverage;
+        else if (vr[i] == VR_WITHIN) value[i] = fmu_answered(m)->within;
         else return no_variable(m, "fmi2GetInteger", vr[i]);
     }
     return fmi2OK;
@@ -79,8 +79,8 @@ fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
 fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                           const fmi2Integer value[]) {
     (void)vr, (void)value;
-    if (!wb_allowed(c, "fmi2SetInteger", SETTING)) return fmi2Error;
-    return nvr ? wb_say(c, fmi2Error, "integers are outputs: they cannot be set") : fmi2OK;
+    if (!fmu_allowed(c, "fmi2SetInteger", SETTING)) return fmi2Error;
+    return nvr ? fmu_say(c, fmi2Error, "integers are outputs: they cannot be set") : fmi2OK;
 }
 
 /* There are no variables of the other types. */
@@ -109,10 +109,10 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 }
 
 /* How the error bars change along a direction: by central differences, since bars have kinks. */
-static void bar_slopes(wb_instance *m, const double along[6], double slopes[6]) {
-    const double *scale = m->table->group[0].scale;
+static void bar_slopes(fmu_instance *m, const double along[6], double slopes[6]) {
+    const double *scale = m->table->scale;
     double size = 0.0, to[6], from[6];
-    wb_answer high, low;
+    wb_reply high, low;
     for (int k = 0; k < 6; k++) size = fmax(size, fabs(along[k]) / scale[k]);
     for (int q = 0; q < 6; q++) slopes[q] = 0.0;
     if (!(size > 0)) return;
@@ -121,13 +121,13 @@ static void bar_slopes(wb_instance *m, const double along[6], double slopes[6]) 
         to[k] = m->state.wrench[k] + step * along[k];
         from[k] = m->state.wrench[k] - step * along[k];
     }
-    wb_answer_at(m->table, m->work, to, m->state.tolerance, &high);
-    wb_answer_at(m->table, m->work, from, m->state.tolerance, &low);
+    fmu_ask(m, to, &high);
+    fmu_ask(m, from, &low);
     for (int q = 0; q < 6; q++) slopes[q] = (high.error[q] - low.error[q]) / (2 * step);
 }
 
 /* The direction that the knowns span; 0 if one of them is no load. */
-static int direction_of(wb_instance *m, const fmi2ValueReference known[], size_t count,
+static int direction_of(fmu_instance *m, const fmi2ValueReference known[], size_t count,
                         const fmi2Real by[], double along[6]) {
     memset(along, 0, 6 * sizeof(double));
     for (size_t i = 0; i < count; i++) {
@@ -143,16 +143,16 @@ static int direction_of(wb_instance *m, const fmi2ValueReference known[], size_t
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknown[],
                                         size_t unknowns, const fmi2ValueReference known[],
                                         size_t knowns, const fmi2Real by[], fmi2Real out[]) {
-    wb_instance *m = c;
+    fmu_instance *m = c;
     double along[6], bars[6];
     int barred = 0, finite = 1;
-    if (!wb_allowed(m, "fmi2GetDirectionalDerivative", ANY)) return fmi2Error;
+    if (!fmu_allowed(m, "fmi2GetDirectionalDerivative", ANY)) return fmi2Error;
     if (!direction_of(m, known, knowns, by, along)) return fmi2Error;
     for (size_t i = 0; i < unknowns; i++) {
         fmi2ValueReference k = unknown[i];
         out[i] = 0.0;
         if (k >= VR_OUTPUT && k < VR_ERROR) {
-            const double *row = wb_derived(m) + 6 * (k - VR_OUTPUT);
+            const double *row = fmu_derived(m) + 6 * (k - VR_OUTPUT);
             for (int load = 0; load < 6; load++) out[i] += row[load] * along[load];
         } else if (k >= VR_ERROR && k < VR_COVERAGE) {
             if (!barred) bar_slopes(m, along, bars), barred = 1;
@@ -165,5 +165,5 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     if (finite) return fmi2OK;
     if (m->warned) return fmi2Warning; /* once: a loop would fill a log */
     m->warned = 1;
-    return wb_say(m, fmi2Warning, "the derivative is not known here: not a number");
+    return fmu_say(m, fmi2Warning, "the derivative is not known here: not a number");
 }

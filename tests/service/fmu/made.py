@@ -13,6 +13,8 @@ from fmpy.fmi2 import FMU2Model, FMU2Slave
 
 from service.fmu.export import Fmu, find_compiler, make_fmu
 from surrogate.build import AnyTable, build
+from surrogate.kernel.binding import PackedTable
+from surrogate.packed.writer import pack
 from surrogate.table.rows import LoadRange, Rows
 
 LOADS, OUTPUTS, BARS = list(range(6)), list(range(6, 12)), list(range(12, 18))
@@ -36,21 +38,16 @@ def solved(name: str, clean: int, full: int, *, tangents: bool = True, **more: o
     return build(rows, LoadRange(found["low"], found["high"]), **more)
 
 
+def packed(table: AnyTable) -> PackedTable:
+    """The packed form of a table."""
+    return PackedTable.from_bytes(b"".join(pack(table)))
+
+
 def wrenches_of(table: AnyTable, count: int, span: float = 1.0, seed: int = 1) -> np.ndarray:
     """Random wrenches, (count, 6), within so much of the load range."""
     loads = table.load_range
     x = np.random.default_rng(seed).uniform(-span, span, (count, 6))
     return (loads.low + loads.high) / 2 + x * loads.scale
-
-
-def special(table: AnyTable, count: int) -> np.ndarray:
-    """Wrenches of few loads, of one, of none, and those of the table's rows."""
-    asked = wrenches_of(table, count, 1.2, seed=2)
-    for place in range(count):
-        asked[place] *= np.random.default_rng(place).random(6) < 0.5
-    asked[0] = 0.0
-    rows = table.rows.wrench[: count // 4]
-    return np.concatenate((asked, rows))
 
 
 class Opened:
@@ -109,7 +106,7 @@ class Opened:
 def opened(table: AnyTable, folder: Path, method: str | None = None) -> Opened:
     """The FMU of a table."""
     need_compiler()
-    return Opened(make_fmu("plate", table, method), folder)
+    return Opened(make_fmu("plate", packed(table), method), folder)
 
 
 def answers(instance, wrenches: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -238,7 +238,7 @@ def test_a_wrong_guid_is_refused_by_name(fmu, capfd):
 def test_a_table_that_is_gone_or_damaged_is_refused(fmu, tmp_path, damage):
     folder = tmp_path / "a folder ü%"
     shutil.copytree(fmu.folder, folder)
-    table = folder / "resources" / "table.bin"
+    table = folder / "resources" / "table.wbt"
     content = bytearray(table.read_bytes())
     if damage == "bit":
         content[len(content) // 2] ^= 1

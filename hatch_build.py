@@ -1,0 +1,51 @@
+"""Compile the kernel while a wheel or an editable install is made: see surrogate/kernel/build.py.
+
+`WRENCHBOOK_PLATFORM`, a key of `PLATFORMS` there, makes the wheel of another platform.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sysconfig
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+KERNEL = Path("surrogate") / "kernel"
+
+
+class CustomBuildHook(BuildHookInterface):
+    """Puts the compiled kernel beside its sources, and into the wheel."""
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Compile, and name the platform that the wheel is for."""
+        build = _load(Path(self.root) / KERNEL / "build.py")
+        platform = os.environ.get("WRENCHBOOK_PLATFORM", "")
+        if not platform:
+            library = build.ready_library()
+            platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+        else:
+            target = build.PLATFORMS[platform]
+            library = Path(self.directory) / platform / build.library_path(_system(target)).name
+            library.parent.mkdir(parents=True, exist_ok=True)
+            build.compile_library(library, target)
+        build_data["pure_python"] = False
+        build_data["tag"] = f"py3-none-{platform}"
+        if version != "editable":
+            build_data["force_include"][str(library)] = str(KERNEL / library.name)
+
+
+def _system(target: str) -> str:
+    """Return a target's system as `sys.platform` has it."""
+    return "win32" if "windows" in target else "darwin" if "macos" in target else "linux"
+
+
+def _load(path: Path) -> Any:
+    spec = importlib.util.spec_from_file_location("kernel_build", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
