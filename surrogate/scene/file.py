@@ -42,8 +42,9 @@ _KINDS: dict[str, type] = {
     kind.__name__: kind
     for kind in (
         Allowed, AtRest, Axes, AxisRows, Calibration, ComplianceFit, Dense, Doubt, Equations,
-        ErrorLaw, Factor, Hyperparameters, Kriging, KrigingSettings, LoadRange, LocalFactor, Need,
-        Part, Rows, Scaling, Spread, Tolerance,
+        ErrorLaw, Factor,
+        Hyperparameters, Kriging, KrigingSettings, LoadRange, LocalFactor, Need, Part, Rows,
+        Scaling, Spread, Tolerance,
     )
 }  # fmt: skip
 
