@@ -1,10 +1,12 @@
 # One image that can serve (the default) or work: `docker run ... wrenchbook work --data /data`.
 FROM python:3.12-slim AS build
 WORKDIR /src
+# Compiles the kernel; this stage is not in the image.
+RUN apt-get update && apt-get install -y --no-install-recommends gcc libc6-dev
 COPY requirements.lock ./
 RUN python -m venv /opt/wrenchbook \
     && /opt/wrenchbook/bin/pip install --no-cache-dir --require-hashes -r requirements.lock
-COPY pyproject.toml README.md LICENSE wrenchbook.py ./
+COPY pyproject.toml hatch_build.py README.md LICENSE wrenchbook.py ./
 COPY fea fea
 COPY surrogate surrogate
 COPY service service

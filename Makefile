@@ -87,6 +87,9 @@ bench-stability: $(VENV)/.installed-dev  ## extreme parts and loads: each right 
 bench-surrogate: $(VENV)/.installed-dev  ## single answers, batches and builds beside scipy's own calls
 	$(BIN)/python -m pytest tests/benchmarks/test_surrogate_speed.py -s -p no:cacheprovider
 
+bench-kernel: $(VENV)/.installed-dev  ## single answers and batches of the kernel beside scipy's own calls
+	$(BIN)/python -m pytest tests/benchmarks/test_kernel_speed.py -s -p no:cacheprovider
+
 bench-live: $(VENV)/.installed-dev  ## imports and new rows of a real server: seconds and memory
 	$(BIN)/python -m pytest tests/benchmarks/test_live_tables.py -s -p no:cacheprovider --timeout 1800
 

@@ -41,7 +41,7 @@ int wb_cut_state(const wb_cut *cut, double moment) {
 }
 
 /* `PureMomentCut.read`, in a stretch that is known. */
-static void read_cut(const wb_cut *cut, double along, int found, int with_slopes,
+static void read_cut(const wb_cut *cut, double along, int found, int with_slopes, int with_bends,
                      alone_part *out) {
     const double *o = cut->outputs + 12 * (int64_t)found, *b = cut->bends + 18 * (int64_t)found;
     const double *r = cut->stated + 12 * (int64_t)found, *s = cut->unit + 3 * (int64_t)found;
@@ -49,7 +49,8 @@ static void read_cut(const wb_cut *cut, double along, int found, int with_slopes
     double unit = s[0] + y * (s[1] + y * s[2]);
     unit = unit > 0.0 ? unit : 0.0;
     for (int q = 0; q < 6; q++) out->outputs[q] = o[q] + y * o[6 + q];
-    for (int q = 0; q < 6; q++) out->bends[q] = b[q] + y * (b[6 + q] + y * b[12 + q]);
+    for (int q = 0; q < 6; q++)
+        out->bends[q] = with_bends ? b[q] + y * (b[6 + q] + y * b[12 + q]) : 0.0;
     for (int q = 0; q < 6; q++) {
         out->rest[q] = r[q] + y * r[6 + q];
         out->rest[q] += sqrt(cut->error[q] + cut->error[6 + q] * (unit * unit));
@@ -74,7 +75,7 @@ static void guess(const wb_composition *c, int load, double amount, alone_part *
 
 /* `Composition._alone`: from the axis the moment comes first in, or from the other one. */
 static void read_alone(const wb_composition *c, int moment, double amount, int with_slopes,
-                       alone_part *out) {
+                       int with_bends, alone_part *out) {
     const wb_cut *best = NULL;
     double along = 0.0;
     int found = 0;
@@ -88,7 +89,7 @@ static void read_alone(const wb_composition *c, int moment, double amount, int w
         if (state < out->state) out->state = state, best = cut, along = own, found = stretch;
     }
     if (!best) guess(c, moment + 3, amount, out);
-    else if (best->stretches) read_cut(best, along, found, with_slopes, out);
+    else if (best->stretches) read_cut(best, along, found, with_slopes, with_bends, out);
     else memset(out, 0, offsetof(alone_part, state));
 }
 
@@ -141,12 +142,12 @@ void wb_add_axis(const wb_part *part, int axis, wb_composed *out) {
 
 /* Add what single moments and no load answer, after the axes. */
 void wb_add_moments(const wb_composition *c, const double small[6], const double wrench[6],
-                    wb_composed *out) {
+                    int with_bends, wb_composed *out) {
     for (int m = 0; m < 3; m++) {
         alone_part alone;
         double times = -1.0;
         if (!(fabs(wrench[3 + m]) > small[3 + m])) continue;
-        read_alone(c, m, wrench[3 + m], 0, &alone);
+        read_alone(c, m, wrench[3 + m], 0, with_bends, &alone);
         int base = (m + 2) % 3; /* the axis that the moment comes first in; then the other one */
         for (int k = 0; k < 2; k++) {
             int axis = (m + 2 - k) % 3;
@@ -174,7 +175,7 @@ void wb_compose(const wb_composition *c, const double small[6], const double wre
         wb_axis_part(c, axis, wrench, 0, with_bends, &part);
         wb_add_axis(&part, axis, out);
     }
-    wb_add_moments(c, small, wrench, out);
+    wb_add_moments(c, small, wrench, with_bends, out);
 }
 
 /* `Composition.derivatives`: of the law with all axes and moments in it, so that a load that is
@@ -196,7 +197,7 @@ void wb_compose_derivative(const wb_composition *c, const double wrench[6], int 
     }
     for (int m = 0; m < 3; m++) {
         alone_part alone;
-        read_alone(c, m, wrench[3 + m], 1, &alone);
+        read_alone(c, m, wrench[3 + m], 1, 1, &alone);
         for (int q = additive ? 0 : 3; q < 6; q++)
             derivative[6 * q + 3 + m] -= alone.slopes[q] + (bent ? alone.bend_slopes[q] : 0.0);
     }

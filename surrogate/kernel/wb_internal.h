@@ -179,7 +179,7 @@ void wb_compose_start(const wb_composition *c, wb_composed *out);
 int wb_needs_axis(const double small[6], const double wrench[6], int axis);
 void wb_add_axis(const wb_part *part, int axis, wb_composed *out);
 void wb_add_moments(const wb_composition *c, const double small[6], const double wrench[6],
-                    wb_composed *out);
+                    int with_bends, wb_composed *out);
 void wb_compose(const wb_composition *c, const double small[6], const double wrench[6],
                 int with_bends, wb_composed *out);
 void wb_compose_derivative(const wb_composition *c, const double wrench[6], int method,

@@ -129,7 +129,7 @@ static void compose_block(const wb_table *t, const wb_group *g, int bends, size_
         for (size_t i = 0; i < used; i += RUN) compose_run(c, axis, bends, i, used, b);
     }
     for (size_t i = 0; i < count; i++)
-        wb_add_moments(c, t->small, b->inputs + 6 * i, &b->composed[i]);
+        wb_add_moments(c, t->small, b->inputs + 6 * i, bends, &b->composed[i]);
 }
 
 /* The order in which a block is answered: that of the kriging's neighbourhoods. */

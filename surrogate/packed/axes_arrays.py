@@ -31,7 +31,7 @@ from ..interpolation.numbering import (
 from ..table.rows import Floats
 from .buckets import buckets_of
 
-CELLS_PER_SIMPLEX = 2.0
+CELLS_PER_SIMPLEX = 4.0  # of the grids that start walks: most then take one step
 SIMPLEX, VERTEX = 16, 16  # doubles of a simplex and of a point: wb_simplex, wb_vertex
 
 Array = NDArray[np.generic]

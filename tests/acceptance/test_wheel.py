@@ -15,6 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from surrogate.build import build
+from surrogate.kernel.build import library_path
+from surrogate.packed.writer import write
+from surrogate.table.rows import LoadRange, Rows
+
 ROOT = Path(__file__).parents[2]
 ROOMS = ("fea", "surrogate", "service", "data")
 
@@ -163,6 +168,36 @@ def test_the_wheel_puts_no_folder_named_data_among_other_packages(wheel: Path):
     tops = {name.partition("/")[0] for name in names if ".dist-info/" not in name}
     assert tops == {"fea", "service", "surrogate", "wrenchbook.py"}
     assert "fea/bundle/components/plate_ccx/plate.inp" in names
+
+
+def test_the_wheel_brings_the_compiled_kernel_its_header_and_its_platform(wheel: Path):
+    platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+    assert wheel.name.endswith(f"-py3-none-{platform}.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    folder = "surrogate/kernel"
+    assert {f"{folder}/{library_path().name}", f"{folder}/wrenchbook.h"} <= names
+    assert f"{folder}/wb_answer.c" in names
+
+
+def test_a_packed_table_answers_with_numpy_alone_and_is_not_compiled(
+    with_numpy: Environment, tmp_path: Path
+):
+    rows = Rows.of(np.eye(6), 1e-3 * np.eye(6))
+    table = build(rows, LoadRange(-np.ones(6), np.ones(6)), linear=True)
+    write(table, tmp_path / "rig.wbt")
+    code = (
+        "import os, sys\n"
+        "os.environ['PATH'] = ''\n"  # no compiler
+        "import wrenchbook\n"
+        "from wrenchbook.surrogate.kernel.binding import PackedTable\n"
+        "table = PackedTable.open(sys.argv[1])\n"
+        "print(table.answer([0, 0, 0.5, 0, 0, 0]).outputs)\n"
+        "print('scipy' in sys.modules)\n"
+    )
+    run = with_numpy.run("python", "-c", code, str(tmp_path / "rig.wbt"))
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines() == ["(0.0, 0.0, 0.0005, 0.0, 0.0, 0.0)", "False"]
 
 
 def test_client_and_server_work_beside_a_project_with_a_package_named_service(

@@ -17,7 +17,14 @@ from surrogate.packed.codes import ANSWERED, COVERAGE, METHODS
 from surrogate.packed.writer import write
 from tests.surrogate.kernel.kinds import KINDS, asked_of, packed_of, special_of, table_of
 
-PROGRAM = Path(__file__).parent / "program.c"
+README = Path(__file__).parents[3] / "README.md"
+
+
+@pytest.fixture(scope="module")
+def program_text():
+    """The program of the README's section."""
+    section = README.read_text().split("## From C and C++")[1]
+    return section.split("```c\n")[1].split("```")[0]
 
 
 def same_bits(one, other):
@@ -137,21 +144,22 @@ def _compiler(*names: str) -> str:
 
 @pytest.mark.parametrize("language", ["c", "c++"])
 @pytest.mark.parametrize("kind", ["solved", "clean"])
-def test_a_program_of_20_lines_has_the_bits_of_python(tmp_path, language, kind):
+def test_the_readmes_program_has_the_bits_of_python(program_text, tmp_path, language, kind):
     """Compiled as C with the sources, and as C++ against the library."""
-    assert len(PROGRAM.read_text().splitlines()) <= 20
+    assert len(program_text.splitlines()) <= 20
+    source = tmp_path / ("program.c" if language == "c" else "program.cpp")
+    source.write_text(program_text)
     write(table_of(kind), tmp_path / "plate.wbt")
     program = tmp_path / "program"
     include = ["-O2", f"-I{kernel_build.FOLDER}", "-o", str(program)]
     if language == "c":
         sources = [str(path) for path in kernel_build.FOLDER.glob("wb_*.c")]
         flags = [one for one in kernel_build.FLAGS if one != "-DWB_SHARED"]
-        command = [_compiler("gcc", "cc"), *flags, *include, str(PROGRAM), *sources]
+        command = [_compiler("gcc", "cc"), *flags, *include, str(source), *sources]
     else:
-        shutil.copy(PROGRAM, tmp_path / "program.cpp")
         library = kernel_build.ready_library()
         link = [str(library), f"-Wl,-rpath,{library.parent}"]
-        command = [_compiler("g++", "c++"), *include, str(tmp_path / "program.cpp"), *link]
+        command = [_compiler("g++", "c++"), *include, str(source), *link]
     subprocess.run([*command, "-lm", "-lpthread"], check=True)
     packed = PackedTable.open(tmp_path / "plate.wbt")
     for wrench in asked_of(table_of(kind), 10).tolist():
@@ -168,11 +176,13 @@ def test_a_program_of_20_lines_has_the_bits_of_python(tmp_path, language, kind):
         assert unknown or errors == reply.error
 
 
-def test_the_program_says_why_a_table_cannot_be_opened(tmp_path):
+def test_the_program_says_why_a_table_cannot_be_opened(program_text, tmp_path):
+    source = tmp_path / "program.c"
+    source.write_text(program_text)
     program = tmp_path / "program"
     sources = [str(path) for path in kernel_build.FOLDER.glob("wb_*.c")]
     include = [f"-I{kernel_build.FOLDER}", "-o", str(program), "-lm", "-lpthread"]
-    subprocess.run([_compiler("gcc", "cc"), str(PROGRAM), *sources, *include], check=True)
+    subprocess.run([_compiler("gcc", "cc"), str(source), *sources, *include], check=True)
     (tmp_path / "plate.wbt").write_bytes(b"no table")
     ran = subprocess.run([program, tmp_path / "plate.wbt", *"123456"], capture_output=True)
     assert ran.returncode == 1
