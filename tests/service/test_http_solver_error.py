@@ -9,7 +9,6 @@ import pytest
 from service.answering.one import answered
 from service.answering.queries import Query
 from service.cli.render import answer_table, own_error_lines
-from service.contract import CONTRACT
 from service.jobs import solve_attempt
 from service.jobs.attempt import Spec, prepare, read_outcome
 from service.library.component import LibraryUnavailableError
