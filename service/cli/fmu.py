@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from service.client.local import build
 from service.fmu.export import make_fmu
 from surrogate.kernel.binding import PackedTable
-from surrogate.packed.writer import pack
 
 
 def fmu_of(file: Path, name: str, table: bytes, method: str | None) -> tuple[bytes, str]:
@@ -16,7 +14,7 @@ def fmu_of(file: Path, name: str, table: bytes, method: str | None) -> tuple[byt
     Parameters
     ----------
     table : bytes
-        The component's table as HDF5.
+        The component's packed table.
     method : str or None
         How it answers; the table's default if None.
 
@@ -25,8 +23,7 @@ def fmu_of(file: Path, name: str, table: bytes, method: str | None) -> tuple[byt
     UnknownMethodError, NotExportableError, CompilerError
         See `service.fmu.export.make_fmu`.
     """
-    content = b"".join(pack(build(table, None).surrogate, component=name))
-    made = make_fmu(name, PackedTable.from_bytes(content), method)
+    made = make_fmu(name, PackedTable.from_bytes(table), method)
     if made.platform:
         return made.content, f"{file} written: FMI 2.0, {made.platform}, method {made.method}."
     return made.content, (

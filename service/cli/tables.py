@@ -58,7 +58,7 @@ _Note = Annotated[str | None, typer.Option(help="kept with the import")]
 _Written = Annotated[
     Path,
     typer.Argument(
-        help="a .csv, .xlsx, .parquet, .json, .h5, .hdf5, .mat or .fmu file; - prints CSV"
+        help="a .csv, .xlsx, .parquet, .json, .h5, .hdf5, .mat, .wbt or .fmu file; - prints CSV"
     ),
 ]
 _Method = Annotated[
@@ -124,7 +124,7 @@ def export_table(
     printed, fmu = str(file) == "-", file.suffix.lower() == ".fmu"
     if method is not None and not fmu:
         raise typer.BadParameter("--method is for .fmu files: other formats hold rows only")
-    format_ = "csv" if printed else "hdf5" if fmu else table_format(file)
+    format_ = "csv" if printed else "packed" if fmu else table_format(file)
     names = ("force", "moment", "translation", "rotation")
     pairs = zip(names, (force, moment, translation, rotation), strict=True)
     units = {quantity: unit for quantity, unit in pairs if unit is not None}
@@ -136,7 +136,7 @@ def export_table(
     content = content.encode() if isinstance(content, str) else content
     told = f"{file} written."
     if fmu:
-        from service.cli.fmu import fmu_of  # scipy and numba: no other command waits for them
+        from service.cli.fmu import fmu_of  # the compiler: no other command waits for it
 
         content, told = fmu_of(file, name, content, method)
     write_whole_bytes(file, content)

@@ -14,7 +14,7 @@ from .connection import Connection
 from .errors import ProblemError, ServerTimeout, ServerUnreachable
 from .questions import component_path
 
-_FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "mat")
+_FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "mat", "packed")
 _TEXTS = ("csv", "json")
 _ENDINGS = {
     ".csv": "csv",
@@ -24,9 +24,10 @@ _ENDINGS = {
     ".xlsx": "xlsx",
     ".parquet": "parquet",
     ".mat": "mat",
+    ".wbt": "packed",
 }
 # What is read is told by its content; these are only refused where nothing else could be meant.
-_NOT_READ = frozenset({".mat", ".fmu", ".pdf", ".xls"})
+_NOT_READ = frozenset({".mat", ".fmu", ".wbt", ".pdf", ".xls"})
 
 
 def table_format(file: str | Path) -> str:
@@ -182,8 +183,9 @@ class Library(Connection):
         ----------
         name : str
             The component.
-        format : {"csv", "xlsx", "parquet", "hdf5", "json", "mat"}
-            Text of csv and json, bytes of the others; mat has breakpoints for lookup blocks.
+        format : {"csv", "xlsx", "parquet", "hdf5", "json", "mat", "packed"}
+            Text of csv and json, bytes of the others; mat has breakpoints for lookup blocks, packed
+            is what `Table.open` opens.
         units : mapping, optional
             For csv and xlsx, any of ``force``, ``moment``, ``translation``, ``rotation`` to a unit,
             such as ``{"force": "lbf", "translation": "mm"}``; SI otherwise.
@@ -193,7 +195,8 @@ class Library(Connection):
         Returns
         -------
         str or bytes
-            What `import_table` loads again; of mat, what MATLAB loads.
+            What `import_table` loads again; of mat, what MATLAB loads; packed is derived from the
+            rows and not loaded again.
         """
         chosen = _known(format)
         query = {"format": chosen, "table_version": table_version, **(units or {})}

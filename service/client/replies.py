@@ -288,9 +288,13 @@ def _held(bars: Vector, tolerance: str | None) -> NDArray[np.bool_] | None:
     """Return the same of bars (n, 6), m and rad, held against "translation, rotation"."""
     if tolerance is None:
         return None
-    allowed = np.repeat([float(one) for one in tolerance.split(",")], 3)
+    return bars_within(bars, np.repeat([float(one) for one in tolerance.split(",")], 3))
+
+
+def bars_within(bars: Vector, allowed: ArrayLike) -> NDArray[np.bool_]:
+    """Return where error bars (n, 6), m and rad, are known and within what is allowed (6,)."""
     unknown = np.isnan(bars)
-    held = np.all(unknown | (bars <= allowed), axis=1)
+    held = np.all(unknown | (bars <= np.asarray(allowed, dtype=float)), axis=1)
     return np.logical_and(held, ~np.all(unknown, axis=1))
 
 

@@ -2,88 +2,118 @@
 
 from __future__ import annotations
 
+import os
 import threading
+from pathlib import Path
 from time import perf_counter_ns
-from typing import Any
+from typing import Any, Self, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .connection import Connection
-from .local import Built, build, build_scene, require_room, room
-from .questions import component_path
-from .replies import COVERAGE, EXACT, ROUNDED, Displacement, Displacements, judged
-from .scene import ComponentPlan, Scene
+from .local import fetched_table, room
+from .replies import (
+    COVERAGE,
+    EXACT,
+    ROUNDED,
+    Displacement,
+    Displacements,
+    Vector,
+    bars_within,
+)
+from .scene import Scene
+from .scene_table import SceneTable
 from .wrenches import many_wrenches, one_wrench, tolerance_body
 
 
 class Table:
-    """One component's table and the surrogate built from it, as `Client.download` returns it.
+    """One version of a component's table; `Client.download` and `Table.open` return one.
 
-    It answers in microseconds what the server would, to the last digit where the same versions of
-    numpy, scipy and numba are installed, and asks the server only in `refresh`. Any number of
-    threads may use one. A pickle holds the table's rows, and is built again where it is loaded.
+    It is the server's packed table, answered by the same compiled code: the numbers are those of
+    the server to the last bit, in microseconds. Only `refresh` calls the server. Any number of
+    threads may use one. A pickle holds the table's bytes, of an opened file its path.
 
     Parameters
     ----------
-    client : Connection
-        Where the table is fetched.
-    name : str
-        The component.
-    scene : Scene, optional
-        What a simulation needs of it: only that is fetched and kept. Wrenches that the scene has
-        not are ``outside``; an output that it does not read is NaN.
-
-    Attributes
-    ----------
-    plan : ComponentPlan or None
-        The plan that a scene's table follows.
-
-    Raises
-    ------
-    ImportError
-        If scipy or h5py is not installed.
-    SceneError
-        If the scene has no such component.
-    ProblemError
-        If there is no such component (404).
-    ServerUnreachable, ServerTimeout
-        See `Connection.call`.
+    packed : PackedTable
+        The table, of `surrogate.kernel.binding`.
+    name : str, optional
+        The component; the one that the table names if not given.
+    client : Connection, optional
+        Where `refresh` gets newer versions.
+    etag : str, optional
+        The server's name of this version.
     """
 
-    def __init__(self, client: Connection, name: str, scene: Scene | None = None) -> None:
-        require_room()  # before anything is fetched for nothing
-        self.name, self._wanted = name, None if scene is None else scene.query(name)
+    plan = None  # a scene's table has one
+
+    def __init__(
+        self,
+        packed: Any,
+        name: str | None = None,
+        client: Connection | None = None,
+        etag: str | None = None,
+    ) -> None:
+        self._now: tuple[Any, str | None] = packed, etag  # replaced as one: threads read it
+        self.name = name or packed.words["provenance"]["component"]
         self._client = client
         self._fetching = threading.Lock()
-        fetched = self._fetch(None)
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> Self:
+        """Return the table in a ``.wbt`` file, which is mapped; no server is needed.
+
+        Raises
+        ------
+        PackedTableError
+            If it cannot be opened, is no packed table, is damaged, or has another format; a
+            ValueError.
+        """
+        return cls(room("kernel.binding").PackedTable.open(path))
+
+    @classmethod
+    def fetch(cls, client: Connection, name: str) -> Self:
+        """Return a component's table from a server; errors are those of `Client.download`."""
+        opened = room("kernel.binding").PackedTable.from_bytes  # may fail: before the download
+        fetched = fetched_table(client, name, "table", _QUERY, None)
         assert fetched is not None
-        self._built = fetched
+        content, etag = fetched
+        return cls(opened(content), name, client, etag)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the table to a file that `open` opens; it is complete or not there.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        room("packed.format").write_file(Path(path), [self._packed.content])
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return read-only views of the table's arrays by name; none is copied.
+
+        ``space/range`` (2, 6) has the load range, N and N·m; ``gK/row/wrench`` (r, 6), N and N·m,
+        and ``gK/row/moved`` (r, 6), m and rad, the rows of the K-th group of outputs. The names,
+        shapes and units of all are in surrogate/packed/writer.py.
+        """
+        return dict(self._packed.arrays)
 
     @property
     def version(self) -> int:
         """The table's version, the server's `table_version`."""
-        return self._built.surrogate.version
+        return self._packed.words["provenance"]["version"]
 
     @property
-    def tolerance(self) -> Any:
+    def method(self) -> str:
+        """The method that answers where none is asked for."""
+        return self._packed.words["summary"]["method"]
+
+    @property
+    def tolerance(self) -> dict[str, float] | None:
         """The component's own tolerance, ``translation`` in m and ``rotation`` in rad, or None."""
-        surrogate = self._built.surrogate
-        if self._wanted is None:
-            return surrogate.tolerance
-        told = surrogate.plan.get("tolerance")  # a scene's table is made by its plan
-        return None if told is None else _tolerance(told)
-
-    def _judging(self, asked: Any) -> Any:
-        """Return what whole bars are held against; None where the solver's share is not known."""
-        return (asked or self.tolerance) if self._built.surrogate.bars_are_whole else None
-
-    @property
-    def plan(self) -> ComponentPlan | None:
-        """The plan that a scene's table follows; None of a whole table."""
-        if self._wanted is None:
-            return None
-        return ComponentPlan.read(self.name, self._built.surrogate.plan)
+        return _tolerance_of(self._packed)
 
     def answer(
         self,
@@ -108,25 +138,16 @@ class Table:
         ValueError
             If a number is not finite, a shape is wrong, or there is no such method.
         """
-        wrench = one_wrench(force, moment)
-        asked = tuple((wrench + 0.0).tolist())  # no negative zeros, as in the server
-        surrogate, limit = self._built.surrogate, _tolerance(tolerance)
+        wrench, limit = one_wrench(force, moment), _six(tolerance)
+        asked, packed = _asked(wrench), self._packed
         started = perf_counter_ns()
-        answer = surrogate.answer(asked, limit, method)
+        found = packed.answer(asked, limit, method)
         elapsed_us = (perf_counter_ns() - started) / 1e3
-        derivative = None
+        body = _reply(packed, found)
+        body["elapsed_us"] = elapsed_us
         if derivatives:
-            tell, by_row = room("derivative").derivative_at, answer.method == "row"
-            derivative = tell(surrogate, asked, method, by_row=by_row)
-        whole = room("whole_bars").whole_bar(surrogate, asked, answer, method)
-        answer = answer._replace(error=whole)
-        body = _reply(surrogate, asked, answer)
-        held = room("answer").within_tolerance(answer.error, self._judging(limit))
-        body |= {
-            "elapsed_us": elapsed_us,
-            "derivative": _known(derivative),
-            "within_tolerance": held,
-        }
+            slope = packed.derivative(asked, limit, method)
+            body["derivative"] = None if np.isnan(slope).all() else slope
         return Displacement.read(self.name, wrench, body)
 
     def batch(
@@ -145,46 +166,50 @@ class Table:
         Displacements
             Shapes (n, 6), m and rad; with `derivatives` also `Displacements.derivatives`.
         """
-        block = many_wrenches(wrenches)
-        surrogate, limit, asked = self._built.surrogate, _tolerance(tolerance), block + 0.0
+        block, limit, packed = many_wrenches(wrenches), _six(tolerance), self._packed
+        asked = block + 0.0
         started = perf_counter_ns()
-        found = surrogate.batch(asked, limit, method)
+        found = packed.batch(asked, limit, method)
         elapsed_us = (perf_counter_ns() - started) / 1e3
-        errors = room("whole_bars").whole_bars(surrogate, asked, found, limit, method)
-        told = None
-        if derivatives:
-            told = room("derivative").derivatives_at(surrogate, asked, limit, method)
-        held = room("answer").within_tolerance_many(errors, self._judging(limit))
+        # Errors without the solver's share cannot be compared with a tolerance.
+        whole = packed.arrays["solver/flags"][_ALL_PARTS]
+        allowed = (limit or _six(_tolerance_of(packed))) if whole else None
         return Displacements(
             component=self.name,
             wrenches=block,
-            displacements=found.displacement,
-            errors=errors,
+            displacements=found.outputs,
+            errors=found.errors,
             coverage=np.array(COVERAGE)[found.coverage],
             jobs={},
             no_job={},
-            table_version=surrogate.version,
+            table_version=packed.words["provenance"]["version"],
             elapsed_us=elapsed_us,
-            method=method or surrogate.default,
-            within_tolerance=judged(held),
-            derivatives=told,
+            method=method or packed.words["summary"]["method"],
+            within_tolerance=None if allowed is None else bars_within(found.errors, allowed),
+            derivatives=packed.derivatives(asked, limit, method) if derivatives else None,
         )
 
-    def refresh(self) -> bool:
-        """Take the server's newest version of the table; return whether there was a new one.
+    def stiffness(self, force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
+        """Return dw/du under one wrench, shape (6, 6): N/m, N/rad, N·m/m, N·m/rad, a line a load.
 
-        Answers given meanwhile are those of the version before.
+        It is the inverse of the derivative that `answer` gives; parameters are `answer`'s.
 
         Raises
         ------
-        ProblemError, ServerUnreachable, ServerTimeout
-            As in `Connection.call`; the table is then as it was.
+        ValueError
+            If the derivative is not known here, or has no inverse: a component with locked
+            freedoms has none.
         """
-        with self._fetching:
-            fetched = self._fetch(self._built.etag)
-            if fetched is not None:
-                self._built = fetched
-            return fetched is not None
+        slope = self._packed.derivative(_asked(one_wrench(force, moment)))
+        if np.isnan(slope).any():
+            raise ValueError(f"the derivative of {self.name} under this wrench is not known")
+        try:
+            return np.linalg.inv(slope)
+        except np.linalg.LinAlgError:
+            raise ValueError(
+                f"the derivative of {self.name} under this wrench has no inverse: a load moves "
+                "nothing, as on a locked freedom"
+            ) from None
 
     def error_parts(
         self, force: ArrayLike, moment: ArrayLike | None = None
@@ -195,63 +220,76 @@ class Table:
         -------
         dict
             ``mesh`` and of a linear component ``linearity``: shape (6,), m and rad, None where it
-            is not known. The rest of a bar is the table's. Empty of a table that nothing has told
-            of, a measured one say.
+            is not known. The rest of a bar is the table's. Empty where nothing is known of the
+            solver, as of a measured table.
         """
-        asked = one_wrench(force, moment).tolist()
-        table = self._built.surrogate
-        told = room("whole_bars").solver_parts(table, asked, table.answer(asked), None)
-        return {cause: share if share is None else np.array(share) for cause, share in told.items()}
+        packed = self._packed
+        error = packed.words["solver_error"]
+        if error is None:
+            return {}
+        found = packed.answer(_asked(one_wrench(force, moment)))
+        parts = {"mesh": found.discretisation}
+        if "linearity" in error:
+            parts["linearity"] = found.linearity
+        return {
+            cause: None if part is None else np.array(part, dtype=float)
+            for cause, part in parts.items()
+        }
+
+    def refresh(self) -> bool:
+        """Take the server's newest version of the table; return whether there was a new one.
+
+        Answers given meanwhile are those of the version before.
+
+        Raises
+        ------
+        ValueError
+            If the table was opened from a file.
+        ProblemError, ServerUnreachable, ServerTimeout
+            As in `Connection.call`; the table is then as it was.
+        """
+        if self._client is None:
+            raise ValueError(f"{self!r} is of a file: download the newest version from a server")
+        with self._fetching:
+            fetched = fetched_table(self._client, self.name, "table", _QUERY, self._now[1])
+            if fetched is None:
+                return False
+            content, etag = fetched
+            self._now = room("kernel.binding").PackedTable.from_bytes(content), etag
+            return True
 
     def close(self) -> None:
         """Close the idle connections to the server; a later `refresh` opens a new one."""
-        self._client.close()
+        if self._client is not None:
+            self._client.close()
 
-    def _fetch(self, etag: str | None) -> Built | None:
-        """Return the server's version of the table, or None if it is the one of this name."""
-        call, query = "table", {"format": "hdf5"}
-        if self._wanted is not None:
-            call, query = "scene", {"wanted": self._wanted}
-        reply = self._client.call(
-            "GET",
-            component_path(self.name, call),
-            query=query,
-            headers={"If-None-Match": etag} if etag else None,
+    @property
+    def _packed(self) -> Any:
+        return self._now[0]
+
+    def __repr__(self) -> str:
+        rows, size = self._packed.words["provenance"]["rows"], self._packed.size
+        return (
+            f"<Table {self.name!r}, version {self.version}: {rows} rows, method {self.method}, "
+            f"{size / 1e6:.3g} MB>"
         )
-        tag = reply.headers.get("ETag")
-        # Some proxies answer from a cache of theirs with 200 where nothing is new.
-        if reply.status == 304 or (etag is not None and tag == etag):
-            return None
-        return self._made(reply.content, tag)
-
-    def _made(self, content: bytes, etag: str | None) -> Built:
-        """Return what answers from a file of the server's."""
-        if self._wanted is None:
-            return build(content, etag)
-        return build_scene(content, etag, self.name)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: the file, not what is built from it."""
-        built = self._built
-        return {
-            "name": self.name,
-            "client": self._client,
-            "wanted": self._wanted,
-            "content": built.content,
-            "etag": built.etag,
-        }
+        """Return what is pickled."""
+        return {name: value for name, value in vars(self).items() if name != "_fetching"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.name, self._client = state["name"], state["client"]
-        self._wanted = state["wanted"]
-        self._fetching = threading.Lock()
-        self._built = self._made(state["content"], state["etag"])
+        vars(self).update(state, _fetching=threading.Lock())
 
 
 class Downloads(Connection):
     """Carry a component's table into this process."""
 
-    def download(self, name: str, scene: Scene | None = None) -> Table:
+    @overload
+    def download(self, name: str, scene: None = None) -> Table: ...
+    @overload
+    def download(self, name: str, scene: Scene) -> SceneTable: ...
+    def download(self, name: str, scene: Scene | None = None) -> Table | SceneTable:
         """Return a component's table, which answers in this process.
 
         Parameters
@@ -259,46 +297,66 @@ class Downloads(Connection):
         name : str
             The component.
         scene : Scene, optional
-            What a simulation needs of it: the same answers to its wrenches, from less.
+            The needs of a simulation: the same answers to its wrenches, from less; that needs
+            ``pip install 'wrenchbook[local]'``.
 
         Raises
         ------
+        KernelBuildError
+            If the compiled code is not there and there is no C compiler.
+        PackedTableError
+            If the server's table has another format: install the server's version.
         ImportError
-            If scipy or h5py is not installed: ``pip install 'wrenchbook[local]'``.
+            Of a scene, if scipy is not installed.
         ProblemError
             If there is no such component (404), or the scene goes beyond its load range (422).
         SceneError
             If the scene has no such component.
+        ServerUnreachable, ServerTimeout
+            See `Connection.call`.
         """
-        return Table(self, name, scene)
+        return Table.fetch(self, name) if scene is None else SceneTable(self, name, scene)
 
 
-def _tolerance(tolerance: Any) -> Any:
-    """Return a tolerance as the surrogate takes it; None for the component's own."""
+_QUERY = {"format": "packed"}
+_ALL_PARTS = 4  # of the array solver/flags: whether all parts of the error are known
+
+
+def _six(tolerance: Any) -> tuple[float, ...] | None:
+    """Return the largest error of each output, shape (6,), m and rad; None for the component's."""
     if tolerance is None:
         return None
-    return room("table.rows").Tolerance(**tolerance_body(tolerance))
+    pair = tolerance_body(tolerance)
+    return (pair["translation"],) * 3 + (pair["rotation"],) * 3
 
 
-def _reply(surrogate: Any, asked: tuple[float, ...], answer: Any) -> dict[str, Any]:
-    """Return what the server's reply to ``estimate`` says, of an answer to a wrench (6,)."""
-    moved, bars = answer.displacement, answer.error
-    source, reason = "table" if moved else None, answer.reason
-    if answer.method == "row":
-        own = EXACT if surrogate.has_row(asked) else ROUNDED
-        source, reason = surrogate.source_of(asked), f"{own} {reason}".rstrip()
+def _tolerance_of(packed: Any) -> dict[str, float] | None:
+    translation, rotation = packed.arrays["space/tolerance"][[0, 3]].tolist()
+    if np.isnan(translation):
+        return None
+    return {"translation": translation, "rotation": rotation}
+
+
+def _asked(wrench: Vector) -> list[float]:
+    """Return the loads without negative zeros, as the server reads them."""
+    return (wrench + 0.0).tolist()
+
+
+def _reply(packed: Any, found: Any) -> dict[str, Any]:
+    """Return the server's reply to ``estimate`` with this answer."""
+    moved, bars = found.outputs, found.error
+    source, reason = "table" if moved else None, found.reason
+    if found.row is not None:
+        source = found.source
+        reason = f"{EXACT if found.exact else ROUNDED} {reason}".rstrip()
     return {
         "translation": moved and moved[:3],
         "rotation": moved and moved[3:],
         "error": bars and {"translation": bars[:3], "rotation": bars[3:]},
-        "coverage": answer.coverage,
+        "coverage": found.coverage,
+        "within_tolerance": found.within_tolerance,
         "source": source,
-        "method": answer.method,
-        "table_version": surrogate.version,
+        "method": found.method,
+        "table_version": packed.words["provenance"]["version"],
         "reason": reason,
-    }
-
-
-def _known(derivative: Any) -> Any:
-    """Return du/dw (6, 6), or None where none of it is known."""
-    return None if derivative is None or np.isnan(derivative).all() else derivative
+    } | ({"missing": found.missing} if found.missing else {})

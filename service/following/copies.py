@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import tempfile
 import threading
 import time
 from dataclasses import dataclass
@@ -20,13 +21,14 @@ import numpy as np
 from fea.bundle.tables import is_slug
 from fea.spec.schema import FREEDOMS
 from service.client import Client, ProblemError, ServerTimeout, ServerUnreachable
-from service.client.local import Built, build
 from service.demand.demand import Demand
 from service.files.durable import write_whole_bytes
 from service.library.component import Component
-from service.tables.making import ask_once
-from surrogate.build import AnyTable
-from surrogate.table.hdf5 import TableFileError
+from service.tables.making import ask_once, put_packed
+from surrogate.build import AnyTable, build
+from surrogate.kriging.threads import one_thread
+from surrogate.solver_error import SolverError
+from surrogate.table.hdf5 import TableFileError, read_table
 from surrogate.table.rows import LoadRange, Tolerance
 
 log = logging.getLogger(__name__)
@@ -39,6 +41,26 @@ _AWAY = (ServerUnreachable, ServerTimeout, OSError)
 
 class NotHereError(Exception):
     """What is asked for is more than a copy knows: the other server has to be asked."""
+
+
+@dataclass(frozen=True, eq=False)
+class Built:
+    """One version of a component's table, and what answers from it.
+
+    Attributes
+    ----------
+    content : bytes
+        The HDF5 file that it is built from.
+    etag : str or None
+        The other server's name of this version.
+    surrogate : surrogate.build.AnyTable
+    component : str
+    """
+
+    content: bytes
+    etag: str | None
+    surrogate: AnyTable
+    component: str
 
 
 @dataclass(frozen=True)
@@ -193,7 +215,7 @@ class Copies:
     def _put(
         self, name: str, told: dict[str, Any], content: bytes, etag: str | None, before: Copy | None
     ) -> None:
-        built = build(content, etag, before.built.surrogate if before else None)
+        built = _built(content, etag, before.built.surrogate if before else None)
         others = told.get("another_setup", {})  # an older server does not tell
         built.surrogate.other_rows = others.get("rows", 0)
         built.surrogate.other_wrenches = others.get("wrenches", 0)
@@ -216,6 +238,35 @@ class Copies:
             known.pop(name, None)
         for ending in ("h5", "json"):
             (self._folder / f"{name}.{ending}").unlink(missing_ok=True)
+
+
+def _built(content: bytes, etag: str | None, before: AnyTable | None) -> Built:
+    """Build and pack the table of an HDF5 file as the other server does from the same rows.
+
+    Raises
+    ------
+    TableFileError
+        If the bytes are no table that this version reads.
+    """
+    with tempfile.TemporaryDirectory(prefix="wrenchbook-") as folder:
+        path = Path(folder) / "table.h5"
+        path.write_bytes(content)
+        rows, meta = read_table(path)
+    # The server computes on one thread; with several, sums are added up in another order.
+    with one_thread():
+        table = build(
+            rows,
+            meta.load_range,
+            tolerance=meta.tolerance,
+            linear=meta.linear,
+            off_axis=meta.off_axis,
+            version=meta.last_seq,
+            before=before,
+            solver_error=SolverError.read(meta.solver_error),
+            locked=meta.locked,
+        )
+        put_packed(table, meta.component, meta.fingerprint)
+    return Built(content, etag, table, meta.component)
 
 
 def _is_current(copy: Copy, listed: dict[str, Any]) -> bool:

@@ -36,10 +36,14 @@ def make(
         solver_error=own and own.read(component.name, component.fingerprint),
         locked=component.idle,
     )
-    name, setup = component.name, component.fingerprint
-    content = pack(table, component=name, fingerprint=setup, contract=CONTRACT)
-    table.packed = PackedTable.from_bytes(b"".join(content))
+    put_packed(table, component.name, component.fingerprint)
     return table
+
+
+def put_packed(table: AnyTable, name: str, fingerprint: str) -> None:
+    """Pack a component's table: the kernel answers from that."""
+    content = pack(table, component=name, fingerprint=fingerprint, contract=CONTRACT)
+    table.packed = PackedTable.from_bytes(b"".join(content))
 
 
 def ask_once(surrogate: AnyTable) -> None:

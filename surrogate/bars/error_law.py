@@ -7,18 +7,21 @@ variance A and curvature of variance C:
 
     95 % error bar = sqrt(A + C S^2)
 
-A and C come from points left out of the interpolation: their squared errors, fitted by a + c S^2,
-and multiplied so that the bars hold 95 % of the errors.
+A and C come from points left out of the interpolation. Such an error has the noise of the point
+besides that of the vertices, which barycentric coordinates l_v weigh: squared errors are fitted by
+a (1 + sum_v l_v^2) + c S^2, and a and c multiplied so that the bars hold 95 % of the errors. An
+answer has the noise a sum_v l_v^2, at most a.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .conformal import conformal_factor
+from .conformal import CAUTION, conformal_factor
 
 Floats = NDArray[np.float64]
 
@@ -56,28 +59,59 @@ class ErrorLaw:
         return np.sqrt(self.noise_variance + self.curvature_variance * unit_error[:, None] ** 2)
 
 
-def error_law(errors: Floats, unit_errors: Floats, stated: Floats, least: Floats) -> ErrorLaw:
+class LeftOutErrors(NamedTuple):
+    """Errors at k left-out points within the hull of the others, of q outputs.
+
+    Attributes
+    ----------
+    size, stated : ndarray, shape (k, q), m and rad
+        Absolute errors, and the stated uncertainty that every error bar has besides.
+    unit_errors, noise_shares : ndarray, shape (k,), dimensionless
+        S, and sum_v l_v^2.
+    """
+
+    size: Floats
+    stated: Floats
+    unit_errors: Floats
+    noise_shares: Floats
+
+
+def error_law(left: LeftOutErrors, least: Floats) -> ErrorLaw:
     """Return the law that holds 95 % of left-out errors, unknown where they are too few.
 
     Parameters
     ----------
-    errors, stated : ndarray, shape (k, q), m and rad
-        Absolute errors, and the stated uncertainty that every error bar has besides.
-    unit_errors : ndarray, shape (k,), dimensionless
     least : ndarray, shape (q,), m and rad
         The least error bar: rounding.
     """
-    if len(errors) < FEWEST:
-        return ErrorLaw.unknown(errors.shape[1])
-    law = ErrorLaw(*_variances(errors**2, unit_errors**2))
-    bars = np.maximum(law.bars(unit_errors), least)
-    factor = conformal_factor(np.maximum(errors - stated, 0.0), bars) ** 2
-    noise = np.maximum(factor * law.noise_variance, least**2)
-    return ErrorLaw(noise, factor * law.curvature_variance)
+    if len(left.size) < FEWEST:
+        return ErrorLaw.unknown(left.size.shape[1])
+    noise, growth = 1.0 + left.noise_shares[:, None], left.unit_errors[:, None] ** 2
+    a, c = _variances(left.size**2, noise, growth)
+    bars = np.maximum(np.sqrt(a * noise + c * growth), least)
+    factor = _factor(np.maximum(left.size - left.stated, 0.0), bars) ** 2
+    return ErrorLaw(np.maximum(factor * a, least**2), factor * c)
 
 
-def _variances(squares: Floats, growth: Floats) -> tuple[Floats, Floats]:
-    """Fit squared errors (k, q) by a + c growth, growth (k,), neither below zero; return a and c.
+def _factor(errors: Floats, bars: Floats) -> Floats:
+    """Return by how much to multiply error bars so that they hold a level of errors, (k, q) each.
+
+    The conformal factor of each output, or, where that is more, its mean square times the quantile
+    that all outputs have in common: the largest of ten ratios is small by chance in every fourth
+    table (measured on five made-up responses: 20 % of the tables of 30 rows below 0.9, then 8 %).
+    """
+    ratios = errors / np.maximum(bars, np.finfo(float).tiny)
+    size = np.sqrt((ratios**2).mean(axis=0))
+    common = ratios[:, size > 0] / size[size > 0]
+    if not common.size:
+        return np.zeros(errors.shape[1])
+    quantile = conformal_factor(common.reshape(-1, 1), np.ones((common.size, 1)))[0]
+    widened = size * quantile * (1 + CAUTION / len(errors))
+    return np.maximum(conformal_factor(errors, bars), widened)
+
+
+def _variances(squares: Floats, noise: Floats, growth: Floats) -> tuple[Floats, Floats]:
+    """Fit squared errors (k, q) by a noise + c growth, (k, 1) each, a and c not below zero.
 
     Least squares, weighted by the inverse square of the variance that the round before fitted:
     squared errors scatter in proportion to their mean. Unweighted, a few large simplices decide for
@@ -85,15 +119,15 @@ def _variances(squares: Floats, growth: Floats) -> tuple[Floats, Floats]:
     """
     size = growth.max()
     if not size > 0:
-        return squares.mean(axis=0), np.zeros(squares.shape[1])
-    t = growth[:, None] / size
+        return squares.mean(axis=0) / noise.mean(), np.zeros(squares.shape[1])
+    t = growth / size
     model = np.tile(squares.mean(axis=0), (len(t), 1))
     a = c = np.zeros(squares.shape[1])
     for _ in range(ROUNDS):
-        least = np.maximum(LEAST_WEIGHT * model.max(axis=0), np.finfo(float).tiny)
-        weight = (model.max(axis=0).clip(np.finfo(float).tiny) / np.maximum(model, least)) ** 2
-        n0, n1, n2 = (np.sum(weight * t**power, axis=0) for power in range(3))
-        y0, y1 = np.sum(weight * squares, axis=0), np.sum(weight * t * squares, axis=0)
+        top = np.maximum(model.max(axis=0), np.finfo(float).tiny)
+        weight = (top / np.maximum(model, LEAST_WEIGHT * top)) ** 2
+        n0, n1, n2 = (np.sum(weight * one, axis=0) for one in (noise**2, noise * t, t**2))
+        y0, y1 = np.sum(weight * noise * squares, axis=0), np.sum(weight * t * squares, axis=0)
         apart = n0 * n2 - n1**2
         tells = apart > ALIKE * n0 * n2
         over = 1.0 / np.where(tells, apart, 1.0)
@@ -101,5 +135,5 @@ def _variances(squares: Floats, growth: Floats) -> tuple[Floats, Floats]:
         straight, level = ~tells | (a < 0), tells & (c < 0)
         a = np.where(straight, 0.0, np.where(level, y0 / n0, a))
         c = np.where(straight, y1 / n2, np.where(level, 0.0, c))
-        model = a + c * t
+        model = a * noise + c * t
     return a, c / size

@@ -39,6 +39,8 @@ class AxisReading:
         Derivatives of the outputs and of the bends by the scaled inputs.
     unit_errors : ndarray, shape (k,), dimensionless
         1/2 sum_v l_v |x - x_v|^2, from which the error bars follow.
+    noise_shares : ndarray, shape (k,), dimensionless
+        sum_v l_v^2: what part of the rows' noise variance the outputs have.
     stated : ndarray, shape (k, 6), m and rad
         Uncertainty of the rows, interpolated: the other part of the error bars.
     simplices : ndarray of int, shape (k,)
@@ -56,6 +58,7 @@ class AxisReading:
     slopes: Floats
     bend_slopes: Floats
     unit_errors: Floats
+    noise_shares: Floats
     stated: Floats
     simplices: Indices
     inside: NDArray[np.bool_]
@@ -117,18 +120,16 @@ class AxisTable:
     @cached_property
     def law(self) -> ErrorLaw:
         """How error bars grow with the simplices; unknown where too few points can be left out."""
-        left = self.left_out
-        errors, stated = np.abs(left.errors[left.inside]), left.stated[left.inside]
         least = np.maximum(ROUNDING * np.abs(self.values).max(axis=0), SMALLEST)
-        return error_law(errors, left.unit_errors[left.inside], stated, least)
+        return error_law(self.left_out.told, least)
 
     @property
     def typical_error(self) -> Floats:
         """The median error bar at left-out points within the hull, (6,), m and rad; NaN if none."""
-        left, inside = self.left_out, self.left_out.inside
         if not self.law.known:
             return np.full(6, np.nan)
-        return np.median(self.law.bars(left.unit_errors[inside]) + left.stated[inside], axis=0)
+        left = self.left_out.told
+        return np.median(self.law.bars(left.unit_errors) + left.stated, axis=0)
 
     @property
     def noise_variance(self) -> Floats:
@@ -226,6 +227,7 @@ class AxisTable:
             slopes=shape.gradients_at(simplices, self.values),
             bend_slopes=bend_slopes,
             unit_errors=unit,
+            noise_shares=(shares**2).sum(axis=1),
             stated=stated,
             simplices=simplices,
             inside=np.ones(len(x), dtype=bool),
@@ -253,7 +255,8 @@ def _errors_at(table: AxisTable, rows: AxisRows, places: Indices) -> LeftOut:
     """Return a table's errors at some of rows that it was made without."""
     reading = table.read(rows.points[places])
     errors = reading.outputs - rows.displacement[places]
-    return LeftOut(places, errors, reading.unit_errors, reading.stated, reading.inside)
+    units, shares = reading.unit_errors, reading.noise_shares
+    return LeftOut(places, errors, units, shares, reading.stated, reading.inside)
 
 
 def axis_table(

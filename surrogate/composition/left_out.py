@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from ..bars.error_law import LeftOutErrors
 from ..interpolation.delaunay import Indices, Triangulation
 from ..table.rows import Floats
 from ..table.thinning import hashes
@@ -30,6 +31,9 @@ MOST = 2000  # points left out of a fold: their 95 % quantile is known to 1 %
 # Points left out one at a time, or a few, where there are few: 60 are left out in ten folds.
 FEW = 600
 WORK = 8000  # points triangulated in all folds, if there is more than one: an axis of 2000 has four
+# So that the same loads in other units, which differ by rounding, are left out in the same folds:
+DECIMALS = 7  # of the range: points closer than 1e-6 are one
+ASIDE = 0.382  # of a cell: rows of a grid lie on no border
 
 
 class LeftOut(NamedTuple):
@@ -43,6 +47,8 @@ class LeftOut(NamedTuple):
         Interpolated less given displacement.
     unit_errors : ndarray, shape (k,), dimensionless
         Of the function |x|^2 / 2 (`bars.error_law`).
+    noise_shares : ndarray, shape (k,), dimensionless
+        Sum of the squares of the barycentric coordinates.
     stated : ndarray, shape (k, 6), m and rad
         The rows' own uncertainty, interpolated.
     inside : ndarray of bool, shape (k,)
@@ -52,19 +58,21 @@ class LeftOut(NamedTuple):
     places: Indices
     errors: Floats
     unit_errors: Floats
+    noise_shares: Floats
     stated: Floats
     inside: NDArray[np.bool_]
 
     @property
-    def told(self) -> int:
-        """How many errors there are inside the hull."""
-        return int(self.inside.sum())
+    def told(self) -> LeftOutErrors:
+        """The errors inside the hull."""
+        columns = np.abs(self.errors), self.stated, self.unit_errors, self.noise_shares
+        return LeftOutErrors(*(column[self.inside] for column in columns))
 
 
 def joined(parts: Sequence[LeftOut]) -> LeftOut:
     """Return the left-out points of several folds as one; none if there are no folds."""
     six, none = np.empty((0, 6)), np.empty(0)
-    blank = LeftOut(none.astype(np.intp), six, none, six, none.astype(bool))
+    blank = LeftOut(none.astype(np.intp), six, none, none, six, none.astype(bool))
     return LeftOut(*(np.concatenate(column) for column in zip(blank, *parts, strict=True)))
 
 
@@ -107,8 +115,8 @@ def _one_a_cell(points: Floats, side: float) -> Indices:
 
     By a hash of each point alone: every fourth row of a grid would be one of its faces.
     """
-    order = np.argsort(hashes(points), kind="stable")
-    cells = np.floor(points[order] / side)
+    order = np.argsort(hashes(np.round(points, DECIMALS)), kind="stable")
+    cells = np.floor(points[order] / side + ASIDE)
     place = np.lexsort(cells.T)  # stable: the first of a cell is the first of the order
     new = np.ones(len(order), dtype=bool)
     new[1:] = (cells[place][1:] != cells[place][:-1]).any(axis=1)

@@ -50,8 +50,8 @@ def why_weak(table: AxisTable, simplex: int) -> str:
         )
     if table.shape_state[simplex] == SOUND:
         return (
-            f"axis {name}: {table.left_out.told} of its {points} rows can be left out and lie "
-            f"between the others, at least {FEWEST} are needed to tell the error"
+            f"axis {name}: {len(table.left_out.told.size)} of its {points} rows can be left out "
+            f"and lie between the others, at least {FEWEST} are needed to tell the error"
         )
     if table.state[simplex] == DEGENERATE:
         return f"axis {name}: the rows around this wrench lie almost in one plane or line"

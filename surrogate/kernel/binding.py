@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..packed.codes import COVERAGE
-from ..packed.format import Packed, PackedTableError, map_file, read
+from ..packed.format import CHECKED, Packed, PackedTableError, checksum_in, map_file, read
 from ..packed.reasons import Reason, text_of
 from .library import Work, kernel
 from .replies import AXIS, NO_METHOD, AxisPart, Floats, Reader, Replies, Reply, mistake
@@ -102,6 +102,14 @@ class PackedTable:
         if isinstance(self._kept, np.ndarray):
             return self._kept.tobytes()[: self.size]
         return self._kept.read_bytes()
+
+    @property
+    def checksum(self) -> int:
+        """The CRC-32 of the file's content, from its header."""
+        if isinstance(self._kept, np.ndarray):
+            return checksum_in(self._kept[: CHECKED // 8].tobytes())
+        with self._kept.open("rb") as file:
+            return checksum_in(file.read(CHECKED))
 
     def answer(
         self,

@@ -30,6 +30,9 @@ from .settings import DEFAULTS, KrigingSettings
 from .shares import Share
 
 ASKED = 256  # places that stand for what is asked: their median is known to a tenth of its size
+# Of the distance within which rows are one: what the span leaves on both sides of a load that no
+# row varies, and rounding.
+STILL = 2.5
 
 
 @dataclass(frozen=True)
@@ -234,6 +237,9 @@ def _asked(span: Floats, full: NDArray[np.bool_], settings: KrigingSettings) -> 
     """
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
+    # A load that no row varies is asked for as the rows have it: off that the mean is unsettled.
+    still = high - low <= STILL * settings.same
+    low, high = np.where(still, (low + high) / 2, [low, high])
     places = spread_wrenches(LoadRange(low, high), ASKED)
     if full.sum() < min(settings.full_rows, len(full) / 2):
         inputs = [np.isin(np.arange(6), axis.inputs) for axis in AXES]

@@ -15,6 +15,7 @@ from ..table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
 from .left_out import AxesErrors, axes_errors
 
 CLEARLY = 0.8  # of the axes' error: a kriging that is no better than that is not worth its cost
+EXACT = 1e-9  # of the range: a kriging that errs by rounding alone needs no smaller error
 ENOUGH_FULL = 20  # full wrenches that show what loads of several axes do together: measured on
 # `plate_thin`, with fewer and no tangents 3 to 26 % of the errors lie inside the bars (DESIGN 3)
 # With tangents, which bend across axes where loads act together, so many hold 86 to 100 % of the
@@ -101,9 +102,11 @@ def choose(
     scores = {"kriging": _score(left, size)} | axes
     if not axes:
         return Choice("kriging", "the axes have too few rows to leave one out", scores)
+    if made.knows_errors and not _axes_tell_errors(composition):
+        return Choice("kriging", "the axes have too few rows to tell the error of answers", scores)
     best = min(axes, key=lambda name: axes[name])
     told = f"{scores['kriging']:.2g} of the range against {best}'s {axes[best]:.2g}"
-    if not scores["kriging"] < CLEARLY * axes[best]:
+    if not scores["kriging"] < max(CLEARLY * axes[best], EXACT):
         return Choice(method, f"kriging errs at left-out rows by {told}; {why}", scores)
     return Choice("kriging", f"its error at left-out rows is {told}", scores)
 
@@ -155,6 +158,11 @@ def _of_the_axes(
     if not shown and scores and scores["additive"] < scores["griddata"]:
         return "additive", "at left-out rows all axes together err less than each by itself"
     return "griddata", "what loads of other axes move a translation by is within its error bars"
+
+
+def _axes_tell_errors(composition: Composition) -> bool:
+    """Return whether every axis with rows has an error law: without, no answer is covered."""
+    return all(table is None or table.law.known for table in composition.tables)
 
 
 def _interaction_untold(rows: Rows, load_range: LoadRange) -> bool:

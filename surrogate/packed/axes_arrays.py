@@ -70,7 +70,7 @@ def axes_arrays(
     yield "facet_first", np.array(_first([len(facet) for facet in facets]), dtype=np.int32)
     yield from _frames(tables, first_simplex)
     yield "fewest", np.array([0 if table is None else table.fewest for table in tables], np.int32)
-    left_out = [0 if table is None else table.left_out.told for table in tables]
+    left_out = [0 if table is None else len(table.left_out.told.size) for table in tables]
     yield "left_out", np.array([*left_out, FEWEST], dtype=np.int32)
     yield "largest", np.array([LARGEST[dimension] for dimension in range(4)])
     yield "span", np.array([_span(table) for table in tables])

@@ -178,6 +178,11 @@ def map_file(path: str | os.PathLike[str], *, checked: bool = False) -> Packed:
         return _views(memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)))
 
 
+def checksum_in(head: bytes) -> int:
+    """Return the checksum that the first `CHECKED` bytes of a file have."""
+    return int.from_bytes(head[CHECKED - 8 : CHECKED], "little")
+
+
 def _aligned(size: int) -> int:
     return -(-size // ALIGNED) * ALIGNED
 

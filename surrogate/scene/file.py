@@ -17,10 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..allowed import Allowed
 from ..bars.error_law import ErrorLaw
 from ..composition.composition import AtRest
 from ..doubt import Doubt
 from ..kriging import Hyperparameters, Kriging, KrigingSettings
+from ..kriging.calibration import Calibration
 from ..kriging.dense import Dense, Spread
 from ..kriging.equations import Equations, Scaling
 from ..kriging.factor import Factor
@@ -39,7 +41,8 @@ _TREE = "tree"
 _KINDS: dict[str, type] = {
     kind.__name__: kind
     for kind in (
-        AtRest, Axes, AxisRows, ComplianceFit, Dense, Doubt, Equations, ErrorLaw, Factor,
+        Allowed, AtRest, Axes, AxisRows, Calibration, ComplianceFit, Dense, Doubt, Equations,
+        ErrorLaw, Factor,
         Hyperparameters, Kriging, KrigingSettings, LoadRange, LocalFactor, Need, Part, Rows,
         Scaling, Spread, Tolerance,
     )

@@ -26,7 +26,8 @@ Decision = Literal["rigid", "linear", "table"]
 
 SAMPLE = 64  # wrenches of the scene, with its corners: as many as six loads have corners
 NO_ROWS = (
-    "no row yet: one solve tells the tangent compliance, and with it a bound of the displacement"
+    "no row yet: one solve tells the tangent compliance, and rows that show how large errors are "
+    "tell a bound of the displacement"
 )
 NO_LOAD = "no load can occur in the scene, so it stays as it is"
 

@@ -50,7 +50,7 @@ print(json.dumps({
     "same": [here.vector.tolist() == measured.vector.tolist(), here.coverage == measured.coverage,
              (bar.vector == there.vector).all().item(), bar.method == there.method,
              (bar.derivative == there.derivative).all().item()],
-    "table": [type(table).__module__, type(table._built.surrogate).__module__],
+    "table": [type(table).__module__, type(table._packed).__module__],
     "batch_uz": batch.displacements[:, 2].tolist(),
     "server_stack": sorted({"fastapi", "starlette", "pydantic", "uvicorn", "sqlite3"}
                            & set(sys.modules)),
@@ -211,7 +211,7 @@ def test_client_and_server_work_beside_a_project_with_a_package_named_service(
     assert told["client"] == "wrenchbook.client.replies"
     assert told["owners"] == ["the project"] * 3
     assert told["same"] == [True] * 5
-    assert told["table"] == ["wrenchbook.client.table", "wrenchbook.surrogate.surrogate"]
+    assert told["table"] == ["wrenchbook.client.table", "wrenchbook.surrogate.kernel.binding"]
     assert told["batch_uz"] == pytest.approx([1e-3, 2e-3], rel=1e-9)
     assert told["server_stack"] == []
     assert told["source"] == "fea"
@@ -235,7 +235,9 @@ def test_commands_and_their_child_processes_run_the_installed_rooms(
         assert "ready to solve" in checked.stdout
 
 
-def test_with_numpy_alone_the_client_and_the_conventions_work(with_numpy: Environment):
+def test_with_numpy_alone_the_client_a_download_and_the_conventions_work(
+    with_numpy: Environment, address: str
+):
     code = (
         "import sys, wrenchbook\n"
         "assert 'numpy' not in sys.modules, 'loaded before it was used'\n"
@@ -245,17 +247,27 @@ def test_with_numpy_alone_the_client_and_the_conventions_work(with_numpy: Enviro
         "    Client('http://127.0.0.1:9').components()\n"
         "except ServerUnreachable as error:\n"
         "    print(error)\n"
+        "scene = wrenchbook.Scene({'bar': {'force': [0, 0, 5], 'moment': [0, 0, 0]}})\n"
         "try:\n"
-        "    Client('http://127.0.0.1:9').download('plate')\n"
+        "    Client('http://127.0.0.1:9').download('bar', scene=scene)\n"
         "except ImportError as error:\n"
         "    print(error)\n"
+        "import pickle\n"
+        "with Client(sys.argv[1]) as client:\n"
+        "    table = client.download('bar')\n"
+        "    there = client.displacement('bar', [0, 0, -5], on_thin='estimate')\n"
+        "here = pickle.loads(pickle.dumps(table)).answer([0, 0, -5])\n"
+        "table.save('bar.wbt')\n"
+        "opened = wrenchbook.Table.open('bar.wbt').answer([0, 0, -5])\n"
+        "print(here.coverage == opened.coverage == there.coverage)\n"
     )
-    run = with_numpy.run("python", "-c", code)
+    run = with_numpy.run("python", "-c", code, address)
     assert run.returncode == 0, run.stderr
     lines = run.stdout.splitlines()
     assert lines[0] == "[4.0, 5.0, 6.0, 1.0, 2.0, 3.0]"
     assert "start a server with: wrenchbook serve" in lines[1]
     assert lines[2].endswith("pip install 'wrenchbook[local]'")
+    assert lines[3] == "True"
 
 
 def test_the_command_without_the_servers_packages_says_what_to_install(with_numpy: Environment):

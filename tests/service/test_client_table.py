@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -190,3 +191,83 @@ def test_wrong_input_is_refused_before_anything_is_answered(client: Client) -> N
         table.answer([0, 0, 1], method="magic")
     with pytest.raises(ValueError, match="a tolerance is"):
         table.answer([0, 0, 1], tolerance={"translation": -1, "rotation": 1})
+
+
+def test_a_saved_table_opens_without_a_server_and_answers_to_the_last_bit(
+    client: Client, tmp_path: Path
+) -> None:
+    for name in ("solved", "partial", "bar"):
+        table = client.download(name)
+        path = tmp_path / f"{name}.wbt"
+        table.save(path)
+        assert path.read_bytes() == client.export_table(name, "packed")
+        opened = Table.open(path)
+        assert (opened.name, opened.version) == (name, table.version)
+        assert opened.tolerance == table.tolerance
+        for wrench in full_wrenches(5, 12):
+            same(opened.answer(wrench, derivatives=True), table.answer(wrench, derivatives=True))
+        here, there = opened.batch(full_wrenches(50, 13)), table.batch(full_wrenches(50, 13))
+        np.testing.assert_array_equal(here.displacements, there.displacements)
+        np.testing.assert_array_equal(here.errors, there.errors)
+        again = pickle.loads(pickle.dumps(opened))
+        same(again.answer(FULL / 3), table.answer(FULL / 3))
+        opened.save(tmp_path / "copy.wbt")
+        assert (tmp_path / "copy.wbt").read_bytes() == path.read_bytes()
+        with pytest.raises(ValueError, match=r"is of a file: download the newest version"):
+            opened.refresh()
+        opened.close()
+
+
+def test_a_file_that_is_no_packed_table_is_refused_with_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "rows.wbt"
+    path.write_bytes(b"fx [N]\n")
+    with pytest.raises(ValueError, match=r"rows\.wbt: .*not a packed table"):
+        Table.open(path)
+
+
+def test_the_stiffness_is_the_inverse_of_the_derivative(client: Client) -> None:
+    table = client.download("solved")
+    for wrench in full_wrenches(5, 14):
+        derivative = table.answer(wrench, derivatives=True).derivative
+        stiffness = table.stiffness(wrench[:3], wrench[3:])
+        np.testing.assert_allclose(stiffness @ derivative, np.eye(6), atol=1e-9)
+        # A small load more, as the stiffness has it from the displacement that it makes.
+        load = 1e-4 * FULL
+        change = table.answer(wrench + load).vector - table.answer(wrench).vector
+        np.testing.assert_allclose(stiffness @ change, load, rtol=1e-2)
+
+
+def test_a_stiffness_that_is_not_there_is_refused_with_the_reason(client: Client) -> None:
+    guided_rows(client)
+    with pytest.raises(ValueError, match="locked freedom"):
+        client.download("spring").stiffness([0, 0, 0.1])
+    missing = client.download("partial")
+    unknown = np.isnan(missing.answer(FULL / 3, derivatives=True).derivative)
+    assert unknown[4].all()
+    with pytest.raises(ValueError, match="not known"):
+        missing.stiffness(FULL / 3)
+
+
+def test_the_arrays_are_read_only_views_with_the_tables_rows(client: Client) -> None:
+    table = client.download("solved")
+    arrays = table.arrays()
+    assert arrays["space/range"].shape == (2, 6)
+    assert len(arrays["g0/row/wrench"]) == 40
+    for name, array in arrays.items():
+        assert not array.flags.writeable, name
+        assert not array.flags.owndata, name
+    with pytest.raises(ValueError, match="read-only"):
+        arrays["g0/row/moved"][0] = 0.0
+    rows = np.lexsort(arrays["g0/row/wrench"].T)
+    sent = full_wrenches(40)
+    del table  # the views keep the content
+    np.testing.assert_array_equal(arrays["g0/row/wrench"][rows], sent[np.lexsort(sent.T)])
+    np.testing.assert_array_equal(arrays["g0/row/moved"][rows], moved(sent)[np.lexsort(sent.T)])
+
+
+def test_a_table_shows_its_name_version_rows_and_method(client: Client) -> None:
+    table = client.download("solved")
+    assert repr(table) == (
+        f"<Table 'solved', version {table.version}: 40 rows, method kriging, "
+        f"{len(client.export_table('solved', 'packed')) / 1e6:.3g} MB>"
+    )

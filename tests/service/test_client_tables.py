@@ -118,6 +118,15 @@ def test_export_to_x_h5_writes_the_bytes_that_came(stub: Stub, tmp_path: Path):
     assert stub.seen[0].path == "/v1/components/bar/table?format=hdf5"
 
 
+def test_export_to_x_wbt_writes_the_packed_table(stub: Stub, tmp_path: Path):
+    stub.answers(Answer(b"\x89WBT\r\n", kind="application/octet-stream"))
+    target = tmp_path / "x.wbt"
+    run = CliRunner().invoke(app, ["export", "bar", str(target), "--server", stub.url])
+    assert run.exit_code == 0, run.output
+    assert target.read_bytes() == b"\x89WBT\r\n"
+    assert stub.seen[0].path == "/v1/components/bar/table?format=packed"
+
+
 def test_import_says_what_became_of_the_rows(stub: Stub, tmp_path: Path):
     rows = {"read": 9, "loaded": 1, "refused": 0, "tare": 5, "unmatched": 3}
     reply = {"inserted": 1, "existing": 0, "errors": [], "dry_run": False, "in_use": False}

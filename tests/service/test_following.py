@@ -15,12 +15,31 @@ from service.following.serve import OwnDirectoryError, follow
 from service.http.door import Door, Opening
 from service.http.door.opening import opening_for
 from service.keys import Keyring
-from tests.service.live import FULL, add_table, as_rows, clean_wrenches, moved, served
+from tests.service.live import (
+    FULL,
+    add_table,
+    as_rows,
+    clean_wrenches,
+    full_wrenches,
+    moved,
+    served,
+)
 from tests.service.until import until
 
 HERE = "http://127.0.0.1:8000"
 COVERED = {"force": [50.0, 0.0, 0.0], "moment": [0.0, 2.0, 3.0]}
 THIN = {"force": [50.0, 20.0, 10.0], "moment": [1.0, 2.0, 3.0]}
+# Of corners alone no point can be left out inside the others: nothing would be covered.
+LOADED = np.concatenate(
+    (
+        clean_wrenches(),
+        *(
+            full_wrenches(30, k) * np.isin(np.arange(6), loads)
+            for k, loads in enumerate(((0, 4, 5), (1, 5, 3), (2, 3, 4)))
+        ),
+    )
+)
+TOLERANCE = {"translation": 1e-4, "rotation": 1e-4}
 ESTIMATE = {"on_thin": "estimate"}
 MAIN = "/v1/components/one/displacement"
 MANY = "/v1/components/one/displacements"
@@ -41,7 +60,7 @@ def pair(tmp_path_factory):
     """A server with a table, and one that follows it."""
     folder = tmp_path_factory.mktemp("followed")
     with served(folder / "there") as client:
-        add_table(client, "one", as_rows(clean_wrenches(), moved(clean_wrenches())))
+        add_table(client, "one", as_rows(LOADED, moved(LOADED)), tolerance=TOLERANCE)
         with following(client.url, folder / "here") as (http, app):
             yield client, http, app
 
@@ -51,7 +70,7 @@ def left(tmp_path_factory):
     """A server that follows one that has gone, with a copy of an earlier start."""
     folder = tmp_path_factory.mktemp("left")
     with served(folder / "there") as client:
-        add_table(client, "one", as_rows(clean_wrenches(), moved(clean_wrenches())))
+        add_table(client, "one", as_rows(LOADED, moved(LOADED)), tolerance=TOLERANCE)
         answer = client.displacement("one", COVERED["force"], COVERED["moment"])
         with following(client.url, folder / "here"):
             pass
@@ -269,7 +288,7 @@ def test_a_tolerance_edited_there_holds_here(pair, tmp_path_factory):
 
 def test_a_damaged_copy_on_the_disk_is_fetched_anew(tmp_path):
     with served(tmp_path / "there") as client:
-        add_table(client, "one", as_rows(clean_wrenches(), moved(clean_wrenches())))
+        add_table(client, "one", as_rows(LOADED, moved(LOADED)), tolerance=TOLERANCE)
         with following(client.url, tmp_path / "here"):
             pass
         file = tmp_path / "here" / "one.h5"

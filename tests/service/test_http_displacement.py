@@ -8,7 +8,7 @@ from service.answering.refusals import SolveFailedError
 from service.http.app import create_app
 from service.workspace import Settings
 from surrogate.answer import METHODS
-from surrogate.surrogate import Surrogate
+from surrogate.kernel.binding import PackedTable
 from tests.service.following import wait_for_version
 
 CALL = "/v1/components/plate_thin/displacement"
@@ -286,8 +286,8 @@ def test_a_mistake_of_the_server_is_500_and_not_blamed_on_the_method(
     def fail(self, *_):
         raise error
 
-    monkeypatch.setattr(Surrogate, "answer", fail)
-    monkeypatch.setattr(Surrogate, "batch", fail)
+    monkeypatch.setattr(PackedTable, "answer", fail)
+    monkeypatch.setattr(PackedTable, "batch", fail)
     app = create_app(Settings(folder, solvers=0))
     with TestClient(app, raise_server_exceptions=False) as http:
         body = {"wrenches": [[1.0] * 6]} if call == "displacements" else WRENCH

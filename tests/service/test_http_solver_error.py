@@ -17,7 +17,10 @@ from service.tables import solver_errors
 from service.tables.solver_errors import SolverErrors
 from service.workspace import Workspace
 from surrogate.build import build
+from surrogate.kernel.binding import PackedTable
+from surrogate.packed.writer import pack
 from surrogate.solver_error import SolverError
+from surrogate.table.hdf5 import read_table
 from surrogate.table.rows import Tolerance
 from tests.service.live import add_table, as_rows, full_wrenches, moved, served
 from tests.service.test_runjob_evidence import BUNDLE
@@ -270,13 +273,18 @@ def test_an_answer_whose_bar_is_over_the_tolerance_is_shown_with_a_word_of_it(cl
     assert "over the tolerance by the solver's own error" in caption
 
 
-def test_nobody_is_told_that_a_bar_without_the_solvers_share_is_within_the_tolerance(client):
+def test_nobody_is_told_that_a_bar_without_the_solvers_share_is_within_the_tolerance(
+    client, tmp_path
+):
     wide = {"translation": 1.0, "rotation": 1.0}
     assert client.displacement("bar", WRENCH, tolerance=wide).within_tolerance is True
-    solved = client.download("bar")._built.surrogate
+    path = tmp_path / "bar.h5"
+    path.write_bytes(client.export_table("bar", "hdf5"))
+    rows, meta = read_table(path)
     query = Query(tuple(WRENCH), "estimate", 0.0, Tolerance(1.0, 1.0))
     for lost in (None, SolverError(TOLD | {"mesh": None})):
-        table = build(solved.rows, solved.load_range, linear=True, solver_error=lost)
+        table = build(rows, meta.load_range, linear=True, solver_error=lost)
+        table.packed = PackedTable.from_bytes(b"".join(pack(table)))
         found = asyncio.run(answered("bar", table, query))
         assert found.error is not None
         assert found.within_tolerance is None

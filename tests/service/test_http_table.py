@@ -309,6 +309,26 @@ def test_an_export_names_its_version_and_a_holder_of_it_gets_304(rig):
     assert len(newer.json()["rows"]) == 6
 
 
+def test_the_packed_table_that_answers_is_exported_of_the_newest_and_of_an_earlier_version(rig):
+    load(rig, as_csv(measured(5)))
+    first = rig.get("/v1/components/rig").json()["table_version"]
+    before = rig.get(CALL, params={"format": "packed"})
+    assert before.headers["content-type"] == "application/octet-stream"
+    assert f'filename="rig-{first}.wbt"' in before.headers["content-disposition"]
+    assert before.content == rig.app.state.workspace.surrogate("rig").packed.content
+    held = {"if-none-match": before.headers["etag"]}
+    again = rig.get(CALL, params={"format": "packed"}, headers=held)
+    assert (again.status_code, again.content) == (304, b"")
+    load(rig, as_csv(measured(9)))
+    newest = rig.get(CALL, params={"format": "packed"}, headers=held)
+    assert newest.status_code == 200
+    assert newest.content != before.content
+    earlier = {"format": "packed", "table_version": first}
+    assert rig.get(CALL, params=earlier).content == before.content
+    assert rig.get(CALL, params=earlier, headers=held).status_code == 304
+    assert rig.get(CALL, params=earlier | {"table_version": 10**6}).status_code == 404
+
+
 KEPT = {"inserted", "existing", "errors", "dry_run", "in_use", "table_version"}
 
 
@@ -362,7 +382,7 @@ def test_openapi_lists_the_bodies_and_replies_of_both_table_calls(http):
     plain = {"application/octet-stream", "application/gzip", "multipart/form-data"}
     assert set(calls["post"]["requestBody"]["content"]) == forms | plain
     written = set(calls["get"]["responses"]["200"]["content"])
-    assert written == {*forms, "application/x-matlab-data"}
+    assert written == {*forms, "application/x-matlab-data", "application/octet-stream"}
     answered = {"200", "304", "403", "404", "409", "422", "500", "503", "507"}
     assert set(calls["get"]["responses"]) == answered
     refused = {"403", "404", "413", "415", "422", "500", "503", "507"}

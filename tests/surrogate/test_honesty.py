@@ -89,13 +89,18 @@ def test_full_wrenches_are_thin_on_tables_without_full_wrenches(method: str) -> 
 
 
 def test_twenty_full_wrenches_or_four_with_tangents_tell_what_axes_leave_out() -> None:
-    wide = Tolerance(1.0, 1.0)
-    for count, state in ((19, 1), (20, 0)):
+    for count, known in ((19, False), (20, True)):
         rows = table(coupled, np.concatenate((CLEAN, full_wrenches(count, 5))))
-        assert (build(rows, RANGE).batch(ASKED[:9] * HIGH, wide).coverage == state).all()
-    for count, state in ((3, 1), (4, 0)):
+        assert build(rows, RANGE).doubt.knows_interaction is known
+    for count, known in ((3, False), (4, True)):
         rows = with_slopes(coupled, np.concatenate((CLEAN, full_wrenches(count, 5))))
-        assert (build(rows, RANGE).batch(ASKED[:9] * HIGH, wide).coverage == state).all()
+        assert build(rows, RANGE).doubt.knows_interaction is known
+
+
+def test_forty_full_wrenches_show_the_errors_of_most_full_wrenches() -> None:
+    rows = table(coupled, np.concatenate((CLEAN, full_wrenches(40, 5))))
+    found = build(rows, RANGE).batch(ASKED * HIGH, Tolerance(1.0, 1.0))
+    assert (found.coverage == 0).mean() > 0.8
 
 
 def test_tangents_of_clean_rows_alone_cover_no_full_wrench() -> None:
@@ -111,9 +116,10 @@ def test_tangents_of_clean_rows_alone_cover_no_full_wrench() -> None:
 
 @pytest.mark.parametrize("count", range(1, 9))
 @pytest.mark.parametrize("tangents", [True, False])
-def test_linear_asked_of_a_few_nonlinear_rows_has_a_bar_of_nothing(
+def test_linear_asked_of_a_few_nonlinear_rows_has_an_unknown_error_or_one_that_holds(
     count: int, tangents: bool
 ) -> None:
+    """Its error bar was nothing, then the compliance's own: an unknown error is null, never 0."""
     scaled = np.concatenate((np.eye(6), -np.eye(6)[:2]))[:count]
     rows = with_slopes(smooth, scaled) if tangents else table(smooth, scaled)
     rows.source[:] = "fea"
@@ -121,7 +127,9 @@ def test_linear_asked_of_a_few_nonlinear_rows_has_a_bar_of_nothing(
     asked = scaled * 0.5
     told = surrogate.batch(asked * HIGH, method="linear")
     missed = np.abs(told.displacement - smooth(asked))
-    assert (missed <= told.error + 1e-12).mean() >= 0.9
+    unknown = np.isnan(told.error)
+    assert (unknown | (missed <= told.error + 1e-12)).mean() >= 0.9
+    assert (told.coverage[unknown.any(axis=1)] != 0).all()
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -5,7 +5,7 @@ import pytest
 
 from surrogate.build import build
 from surrogate.missing_outputs import MissingOutputs
-from surrogate.table.rows import RowError, Rows, joined
+from surrogate.table.rows import RowError, Rows, Tolerance, joined
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth
 
 SCALED = clean_wrenches(40, 1)

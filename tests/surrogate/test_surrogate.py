@@ -40,8 +40,7 @@ def test_a_batch_gives_the_numbers_of_single_answers(
         assert names[batch.coverage[place]] == one.coverage
         np.testing.assert_allclose(batch.displacement[place], one.displacement, atol=1e-12)
         np.testing.assert_allclose(batch.error[place], six(one.error), atol=1e-12)
-    sure = tolerance is None and method is not None
-    assert set(np.unique(batch.coverage)) == ({0, 2} if sure else {0, 1, 2})
+    assert set(np.unique(batch.coverage)) == {0, 1, 2}
 
 
 @settings(max_examples=3)
@@ -160,7 +159,10 @@ def test_inputs_over_twelve_orders_of_magnitude_answer_finite_numbers() -> None:
     asked = full_wrenches(100, 2) * 10 ** rng.uniform(-12, 0, (100, 6))
     batch = surrogate.batch(asked * HIGH)
     assert np.isfinite(batch.displacement).all()
-    assert np.isfinite(batch.error).all()
+    # Most rows lie about zero: none is as far from the others as wrenches of the range are.
+    unknown = np.isnan(batch.error).any(axis=1)
+    assert not np.isinf(batch.error).any()
+    assert (batch.coverage[unknown] != 0).all()
 
 
 def test_a_linear_answer_is_explained_by_what_each_axis_contributes():

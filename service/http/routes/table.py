@@ -13,6 +13,7 @@ from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
+from service.answering.past import table_at
 from service.http.door.grant import grant_of
 from service.http.import_query import ImportQuery
 from service.http.problems import ProblemError
@@ -22,6 +23,7 @@ from service.http.routes.table_schema import (
     IMPORT_BODY,
     IMPORT_REPLIES,
     MEDIA_TYPES,
+    PACKED_TYPE,
 )
 from service.http.versions import holds, naming
 from service.ledger import About
@@ -29,15 +31,16 @@ from service.library.component import Component
 from service.tablefile.units import UnitError
 from service.tablefile.xlsxwrite import SheetFullError
 from service.tables.breakpoints import NoTableError, write_breakpoints
-from service.tables.exporting import ENDINGS, Wanted, check_units, export_table
+from service.tables.exporting import ENDINGS, ExportFormat, Wanted, check_units, export_table
 from service.tables.importing import import_files
 from service.tables.shelf import setup_of
-from service.workspace import Workspace
+from service.workspace import CATCH_UP_S, Workspace
 from surrogate.build import AnyTable
+from surrogate.packed.format import SUFFIX
 
 router = APIRouter(prefix="/v1/components/{name}/table", tags=["table"])
 
-Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat"]
+Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat", "packed"]
 # A file of any form may come as plain bytes: its content tells what it is.
 _TAKEN = frozenset(
     {
@@ -53,7 +56,7 @@ _TAKEN = frozenset(
 
 
 @router.get("", summary="Export the table", response_class=Response, responses=EXPORT_REPLIES)
-def export(
+async def export(
     name: str,
     request: Request,
     format: Format = "json",  # noqa: A002 (the contract's word)
@@ -70,17 +73,52 @@ def export(
     if_none_match: Annotated[str | None, Header(description="a version held already")] = None,
 ) -> Response:
     workspace: Workspace = request.app.state.workspace
+    if format == "packed":
+        return await _packed(workspace, name, table_version, if_none_match)
+    units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
+    how = units, table_version, comments
+    return await run_in_threadpool(_export, workspace, name, format, how, if_none_match)
+
+
+async def _packed(
+    workspace: Workspace, name: str, version: int | None, if_none_match: str | None
+) -> Response:
+    """Return the packed table that answers, of the newest version or an earlier one."""
     component = workspace.library[name]
+    if version is None:
+        await workspace.newest(name, CATCH_UP_S)
+        table = await run_in_threadpool(workspace.surrogate, name)
+    else:
+        table = await table_at(workspace, name, version)
+    # What is known of the solver's error is in the file too, and can change within a version.
+    tag = f'{_tag(component, table.version)[:-1]}-{table.packed.checksum:08x}"'
+    headers = naming(tag)
+    if holds(if_none_match, tag):
+        return Response(status_code=304, headers=headers)
+    filename = f"{name}-{table.version}{SUFFIX}"
+    headers["Content-Disposition"] = f'attachment; filename="{filename}"'
+    content = await run_in_threadpool(lambda: table.packed.content)
+    return Response(content, 200, headers, PACKED_TYPE)
+
+
+def _export(
+    workspace: Workspace,
+    name: str,
+    format_: Literal[ExportFormat, "mat"],
+    how: tuple[dict[str, str], int | None, bool],
+    if_none_match: str | None,
+) -> Response:
+    """Return the rows as a file; `how` has units, version and whether there are comments."""
+    component, (_, table_version, _) = workspace.library[name], how
     # Only a table that is behind the ledger has to be read before its version is known.
     if table_version is None and workspace.tables.catch_up(name, 0.0):
         tag = _tag(component, workspace.tables.surrogate(name).version)
         if holds(if_none_match, tag):
             return Response(status_code=304, headers=naming(tag))
-    units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
-    if format == "mat":
+    if format_ == "mat":
         table = _table(workspace, name, table_version)
-        return _file(component, format, lambda path: _write_mat(table, name, path))
-    wanted = Wanted(format, units, table_version, comments)
+        return _file(component, format_, lambda path: _write_mat(table, name, path))
+    wanted = Wanted(format_, *how)
     try:
         check_units(wanted)
     except UnitError as error:
@@ -88,7 +126,7 @@ def export(
     own = workspace.errors.read(name, component.fingerprint) if component.has_fea else None
     return _file(
         component,
-        format,
+        format_,
         lambda path: export_table(workspace.ledger, component, wanted, path, own),
     )
 

@@ -12,6 +12,7 @@ MEDIA_TYPES: Final = {
     "parquet": "application/vnd.apache.parquet",
     "mat": "application/x-matlab-data",
 }
+PACKED_TYPE: Final = "application/octet-stream"
 _BYTES: Final = {"schema": {"type": "string", "format": "binary"}}
 
 _ROW_ERROR: Final = {
@@ -130,13 +131,26 @@ _REPLY: Final = {
 
 
 _ETAG: Final = {
-    "ETag": {"schema": {"type": "string"}, "description": "names the table version and setup"}
+    "ETag": {
+        "schema": {"type": "string"},
+        "description": "names the table version and setup; of packed the content",
+    }
 }
 
 EXPORT_REPLIES: Final[dict[int | str, dict[str, Any]]] = {
     200: {
         "description": "the table",
-        "content": {**_FILES, MEDIA_TYPES["mat"]: _BYTES},
+        "content": {
+            **_FILES,
+            MEDIA_TYPES["mat"]: _BYTES,
+            PACKED_TYPE: {
+                "schema": {
+                    **_BYTES["schema"],
+                    "description": "packed: the table that answers, for `Table.open` and the "
+                    "kernel's `wb_open`",
+                }
+            },
+        },
         "headers": _ETAG,
     },
     409: {"description": "this form cannot hold this table"},

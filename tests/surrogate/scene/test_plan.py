@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from surrogate.scene.need import Need, NeedError, need_of
 from surrogate.scene.plan import design_of, first_solves, plan_of
 from surrogate.scene.savings import measured
 from surrogate.solver_error import SolverError
+from surrogate.surrogate import UNKNOWN_ERROR
 from surrogate.table.rows import OUTPUTS, LoadRange, Rows, Tolerance
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, table
@@ -21,9 +23,19 @@ from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, table
 TIGHT, LOOSE = Tolerance(1e-9, 1e-9), Tolerance(1.0, 1.0)
 
 
+CORNERS = np.array(list(product((-1.0, 1.0), repeat=6)))
+COUNTS = {"strongly_coupled": 150}  # the kriging's errors are known with more rows alone
+
+
 @cache
 def filled(kind: str = "hardening") -> AnyTable:
-    return build(solved(RESPONSES[kind], full_wrenches(40, 3)), RANGE)
+    """Return a table whose errors are known up to the corners of the range."""
+    return build(solved(RESPONSES[kind], spread(COUNTS.get(kind, 40))), RANGE)
+
+
+def spread(count: int) -> np.ndarray:
+    """Return the corners of all six loads and random wrenches, scaled, (64 + count, 6)."""
+    return np.concatenate((CORNERS, full_wrenches(count, 3)))
 
 
 def empty(**more: bool) -> AnyTable:
@@ -74,9 +86,12 @@ def test_without_rows_the_plan_says_what_one_solve_would_tell() -> None:
     assert np.isnan(plan.bound).all()
 
 
-def test_one_solve_tells_a_bound() -> None:
+def test_one_solve_tells_no_bound_since_no_row_shows_how_large_errors_are() -> None:
     one = build(solved(RESPONSES["hardening"], full_wrenches(1, 1)), RANGE)
-    assert np.isfinite(plan_of(one, need(PLANAR)).bound).all()
+    plan = plan_of(one, need(PLANAR))
+    assert np.isnan(plan.bound).all()
+    assert plan.reason == UNKNOWN_ERROR
+    assert np.isfinite(plan_of(filled(), need(PLANAR)).bound).all()
 
 
 def test_a_component_that_moves_less_than_the_tolerance_is_rigid_and_needs_no_solve() -> None:
@@ -94,7 +109,7 @@ def test_outputs_that_are_not_read_have_no_say_in_rigid() -> None:
 
 
 def test_the_bound_holds_what_the_solver_may_be_wrong_by() -> None:
-    own = build(solved(RESPONSES["smooth"], full_wrenches(8, 3)), RANGE)
+    own = build(solved(RESPONSES["smooth"], spread(40)), RANGE)
     before = plan_of(own, need(PLANAR)).bound
     told = {"mesh": np.full((6, 6), 1e-6).tolist(), "loads": HIGH.tolist()}
     own.solver_error = SolverError(told)
