@@ -35,39 +35,18 @@ def axes_arrays(
     barycentric coordinates but the last, the place of the last vertex; ``state`` (s), how sound
     it is; ``vertex`` (p, 16): place, nothing, outputs, uncertainty; ``slopes`` (p, 6, 3) by the
     scaled loads; ``grid``, where walks start; ``ints`` (3, 5) and ``floats`` (3, 22), the frames,
-    see `numbering`; ``facets`` (f, 4): vertices and the simplex behind;
-    ``simplex_first``, ``point_first``, ``facet_first`` (4); ``fewest`` (3), points that an axis
-    needs; ``largest`` (4), the largest part of the range of a simplex by dimension; ``span``
-    (3, 3, 2), N and N·m; ``rest_point`` (2, 6), the answer at no load and its error; ``error``
-    (3, 2, 6), A and C of the error of interpolation; ``left_out`` (4), points left out an axis, and
-    how many are needed; ``cutMK``, the answers to moment M alone by
-    the axis it comes first (K = 0) or second in; ``member_first`` (p + 1), ``members``, the rows
-    behind each point. Outputs and errors are m and rad, scaled loads dimensionless.
+    see `numbering`; ``facets`` (f, 4): vertices and the simplex behind; ``simplex_first``,
+    ``point_first``, ``facet_first`` (4); ``fewest`` (3), points that an axis needs; ``largest``
+    (4), the largest part of the range of a simplex by dimension; ``span`` (3, 3, 2), N and N·m;
+    ``rest_point`` (2, 6), the answer at no load and its error; ``error`` (3, 2, 6), A and C of the
+    error of interpolation; ``left_out`` (4), points left out an axis, and how many are needed;
+    ``cutMK``, the answers to moment M alone by the axis it comes first (K = 0) or second in;
+    ``member_first`` (p + 1), ``members``, the rows behind each point. Outputs and errors are m and
+    rad, scaled loads dimensionless.
     """
     tables = composition.tables
-    points = [0 if table is None else len(table.values) for table in tables]
-    simplices = [0 if table is None else len(table.state) for table in tables]
-    facets = [_facets(table) for table in tables]
-    first_point, first_simplex = _first(points), _first(simplices)
-    yield (
-        "simplex",
-        _joined(
-            [_simplices(*one) for one in zip(tables, first_point, first_simplex, strict=False)],
-            (0, SIMPLEX),
-        ),
-    )
-    states = [table.state[_order(table)[1]] for table in tables if table is not None]
-    yield "state", _joined(states, (0,)).astype(np.uint8)
-    yield "vertex", _joined([_vertices(table) for table in tables], (0, VERTEX))
-    own = [table.slopes[_order(table)[0]] for table in tables if table is not None]
-    yield "slopes", _joined(own, (0, 6, 3))
-    for index, facet in enumerate(facets):
-        facet[:, :3] += first_point[index]
-        facet[:, 3] += first_simplex[index]
-    yield "facets", _joined(facets, (0, 4)).astype(np.int32)
-    yield "point_first", np.array(first_point, dtype=np.int32)
-    yield "simplex_first", np.array(first_simplex, dtype=np.int32)
-    yield "facet_first", np.array(_first([len(facet) for facet in facets]), dtype=np.int32)
+    first_simplex = _first([0 if table is None else len(table.state) for table in tables])
+    yield from _shapes(tables, first_simplex)
     yield from _frames(tables, first_simplex)
     yield "fewest", np.array([0 if table is None else table.fewest for table in tables], np.int32)
     left_out = [0 if table is None else len(table.left_out.told.size) for table in tables]
@@ -78,6 +57,28 @@ def axes_arrays(
     yield "error", np.array([_error(table) for table in tables])
     yield from _cuts(composition)
     yield from _members(tables, members)
+
+
+def _shapes(
+    tables: Sequence[AxisTable | None], first_simplex: list[int]
+) -> Iterator[tuple[str, Array]]:
+    """Yield points, simplices and hulls, of all axes one after another."""
+    first_point = _first([0 if table is None else len(table.values) for table in tables])
+    each = zip(tables, first_point, first_simplex, strict=False)
+    yield "simplex", _joined([_simplices(*one) for one in each], (0, SIMPLEX))
+    states = [table.state[_order(table)[1]] for table in tables if table is not None]
+    yield "state", _joined(states, (0,)).astype(np.uint8)
+    yield "vertex", _joined([_vertices(table) for table in tables], (0, VERTEX))
+    slopes = [table.slopes[_order(table)[0]] for table in tables if table is not None]
+    yield "slopes", _joined(slopes, (0, 6, 3))
+    facets = [_facets(table) for table in tables]
+    for index, facet in enumerate(facets):
+        facet[:, :3] += first_point[index]
+        facet[:, 3] += first_simplex[index]
+    yield "facets", _joined(facets, (0, 4)).astype(np.int32)
+    yield "point_first", np.array(first_point, dtype=np.int32)
+    yield "simplex_first", np.array(first_simplex, dtype=np.int32)
+    yield "facet_first", np.array(_first([len(facet) for facet in facets]), dtype=np.int32)
 
 
 def _first(counts: list[int]) -> list[int]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kriging import Kriging
+from ..kriging.calibration import Calibration
 from ..kriging.correlation import LOADS, PLACES
 from ..kriging.dense import Spread
 from ..kriging.equations import OUTPUTS
@@ -60,15 +61,18 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "span", inside.span
     yield "span_loads", scaling.wrenches(inside.span)
     yield "shares", np.array([len(inside.shares)], dtype=np.int32)
-    for number, share in enumerate(inside.shares):
-        for name, array in _share_arrays(share, rows, stride):
+    for number, (share, found) in enumerate(zip(inside.shares, inside.calibrations, strict=True)):
+        for name, array in (*_share_arrays(share, rows, stride), *_levels(share, found)):
             yield f"share{number}/{name}", array
-        found = inside.calibrations[number]
-        factors = np.zeros((len(found.sigma), OUTPUTS))
-        factors[:, share.factor.outputs] = found.factors.reshape(len(found.sigma), -1)
-        yield f"share{number}/sigma", found.sigma
-        yield f"share{number}/factors", factors
-        yield f"share{number}/reach", np.array([found.reach])
+
+
+def _levels(share: Spread, found: Calibration) -> Iterator[tuple[str, Array]]:
+    """Yield a calibration with l levels: ``sigma`` (l), ``factors`` (l, m) and ``reach`` (1)."""
+    factors = np.zeros((len(found.sigma), OUTPUTS))
+    factors[:, share.factor.outputs] = found.factors.reshape(len(found.sigma), -1)
+    yield "sigma", found.sigma
+    yield "factors", factors
+    yield "reach", np.array([found.reach])
 
 
 def _share_arrays(share: Spread, rows: int, stride: int) -> Iterator[tuple[str, Array]]:
@@ -78,8 +82,7 @@ def _share_arrays(share: Spread, rows: int, stride: int) -> Iterator[tuple[str, 
     neighbourhood; ``places`` (k, e), where its equations stand among the (n + 1) s covariances;
     ``panels``; ``unsettled`` (k, n + 1, e), T times the mean's terms; ``least`` (s), the smallest
     sigma squared but for the mean's; ``penalty`` (s), 0, or infinite for a row without a
-    neighbourhood; ``mean_covariance`` (n + 1, n + 1). All are dimensionless. So are, of the
-    calibration with l levels, ``sigma`` (l), ``factors`` (l, m) and ``reach`` (1): `Calibration`.
+    neighbourhood; ``mean_covariance`` (n + 1, n + 1). All are dimensionless.
     """
     count = len(share.around)
     most = max(len(local.places) for local in share.around)

@@ -224,15 +224,14 @@ def _group_arrays(
     yield "fit/known", group.fit.known.astype(np.int32)
     yield "fit/rows", np.array(linear_rows(group.fit, group.used, group.members), dtype=np.int64)
     yield from _row_arrays(group, sources)
+    parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
     if used:
-        for name, array in axes_arrays(group.composition, group.members):
-            yield f"axes/{name}", array
-    if group.kriging is not None:
-        for name, array in kriging_arrays(group.kriging):
-            yield f"kriging/{name}", array
-    if missed is not None:
-        for name, array in kriging_arrays(missed):
-            yield f"missed/{name}", array
+        parts.append(("axes", axes_arrays(group.composition, group.members)))
+    for name, kriging in (("kriging", group.kriging), ("missed", missed)):
+        if kriging is not None:
+            parts.append((name, kriging_arrays(kriging)))
+    for name, arrays in parts:
+        yield from ((f"{name}/{own}", array) for own, array in arrays)
 
 
 def _reference(group: Surrogate, exact: bool) -> tuple[int, Kriging | None]:
