@@ -10,7 +10,8 @@
 
 /* Where the C library can choose at load time, processors with AVX2 run these loops four numbers at a
  * time. The operations on each number are the same, without fused multiply-add: so are the bits. */
-#if defined(__GNUC__) && defined(__x86_64__) && defined(__GLIBC__)
+#if defined(WB_VECTORS) /* the compiler's command says */
+#elif defined(__GNUC__) && defined(__x86_64__) && defined(__GLIBC__)
 #define WB_VECTORS __attribute__((target_clones("default", "avx2")))
 #else
 #define WB_VECTORS

@@ -11,6 +11,7 @@ import pytest
 
 from surrogate.answer import UnknownMethodError
 from surrogate.kernel import build as kernel_build
+from surrogate.kernel import library
 from surrogate.kernel.binding import PackedTable
 from surrogate.kernel.replies import InverseError
 from surrogate.packed.codes import ANSWERED, COVERAGE, METHODS
@@ -63,6 +64,28 @@ def test_the_order_and_the_company_of_wrenches_change_no_bit():
     order = np.random.default_rng(1).permutation(len(asked))
     assert same_bits([column[order] for column in whole], packed.batch(asked[order]))
     assert same_bits([column[:7] for column in whole], packed.batch(asked[:7]))
+
+
+@pytest.mark.parametrize("kind", ["solved", "clean and full", "uncertain"])
+def test_other_optimisation_and_vectors_change_no_bit(kind, tmp_path, monkeypatch):
+    """As on a processor without AVX2, and by another compiler's choice of instructions."""
+    sources = [str(path) for path in kernel_build.FOLDER.glob("wb_*.c")]
+    other = tmp_path / "other.so"
+    flags = ["-std=c11", "-O1", "-ffp-contract=off", "-DWB_SHARED", "-DWB_VECTORS=", "-fPIC"]
+    command = [_compiler("gcc", "cc"), *flags, "-shared", "-o", str(other), *sources]
+    subprocess.run([*command, "-lm", "-lpthread"], check=True)
+    packed, asked = packed_of(kind), asked_of(table_of(kind), 300)
+    expected = packed.batch(asked), packed.derivatives(asked[:50])
+    monkeypatch.setattr(library, "ready_library", lambda: other)
+    library.kernel.cache_clear()
+    try:
+        again = packed_of.__wrapped__(kind)
+        found = again.batch(asked), again.derivatives(asked[:50])
+    finally:
+        monkeypatch.undo()
+        library.kernel.cache_clear()
+    for one, two in zip((*found[0], found[1]), (*expected[0], expected[1]), strict=True):
+        np.testing.assert_array_equal(one, two)
 
 
 def test_many_python_threads_share_a_table():
@@ -157,8 +180,8 @@ def test_the_readmes_program_has_the_bits_of_python(program_text, tmp_path, lang
         flags = [one for one in kernel_build.FLAGS if one != "-DWB_SHARED"]
         command = [_compiler("gcc", "cc"), *flags, *include, str(source), *sources]
     else:
-        library = kernel_build.ready_library()
-        link = [str(library), f"-Wl,-rpath,{library.parent}"]
+        built = kernel_build.ready_library()
+        link = [str(built), f"-Wl,-rpath,{built.parent}"]
         command = [_compiler("g++", "c++"), *include, str(source), *link]
     subprocess.run([*command, "-lm", "-lpthread"], check=True)
     packed = PackedTable.open(tmp_path / "plate.wbt")
