@@ -163,7 +163,7 @@ pictures: $(VENV)/.installed-dev  ## the pictures of README.md: the figure, and 
 wheels: setup  ## wheels of all five platforms, compiled here by ziglang, into dist/
 	$(PIP) install --require-hashes -r requirements-zig.lock
 	for platform in $(PLATFORMS); do \
-		WRENCHBOOK_PLATFORM=$$platform $(BIN)/python -m hatchling build -t wheel -d dist || exit 1; \
+		KERNEL_PLATFORM=$$platform $(BIN)/python -m hatchling build -t wheel -d dist || exit 1; \
 	done
 
 image:  ## the container image

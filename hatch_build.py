@@ -1,6 +1,6 @@
 """Compile the kernel while a wheel or an editable install is made: see surrogate/kernel/build.py.
 
-`WRENCHBOOK_PLATFORM`, a key of `PLATFORMS` there, makes the wheel of another platform.
+`KERNEL_PLATFORM`, a key of `PLATFORMS` there, makes the wheel of another platform.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class CustomBuildHook(BuildHookInterface):
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Compile, and name the platform that the wheel is for."""
         build = _load(Path(self.root) / KERNEL / "build.py")
-        platform = os.environ.get("WRENCHBOOK_PLATFORM", "")
+        platform = os.environ.get("KERNEL_PLATFORM", "")
         if not platform:
             library = build.ready_library()
             platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")

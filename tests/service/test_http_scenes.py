@@ -151,9 +151,12 @@ def test_a_downloaded_scene_answers_as_the_whole_table_and_as_the_server(client:
     told, full = part.batch(asked), whole.batch(asked)
     far = client.displacements("rig", asked, on_thin="estimate")
     scale = np.abs(full.displacements).max(axis=0)[read]
+    # A scene's kriging sums in another order than the kernel, with weights far larger than sums.
+    rounding = 1e-12 * scale + 1e-3 * told.errors[:, read]
     for other in (full, far):
-        assert (np.abs(told.displacements - other.displacements)[:, read] <= 1e-12 * scale).all()
-        np.testing.assert_allclose(told.errors[:, read], other.errors[:, read], rtol=1e-9)
+        assert (np.abs(told.displacements - other.displacements)[:, read] <= rounding).all()
+        # A sigma is the root of a difference of sums.
+        np.testing.assert_allclose(told.errors[:, read], other.errors[:, read], rtol=1e-5)
     assert np.isnan(told.displacements[:, [1, 3, 5]]).all()
     one = part.answer(asked[0, :3], asked[0, 3:], derivatives=True)
     assert one.derivative is not None
