@@ -81,9 +81,14 @@ class Browser:
         self.driver.get(f"{self.server}/{address}")
 
     def go(self, address: str) -> None:
-        """Go to an address of the page that is open, and wait until its view is there."""
+        """Go to an address of the page that is open, and wait until its view is there.
+
+        The browser has no event for the address that is open already: it may be drawn by then.
+        """
         self.run(
-            "document.querySelector('main').replaceChildren(); location.hash = arguments[0]",
+            "document.querySelector('main').replaceChildren();"
+            "if (location.hash === arguments[0]) dispatchEvent(new HashChangeEvent('hashchange'));"
+            "else location.hash = arguments[0]",
             address,
         )
         self.one("main h1")
