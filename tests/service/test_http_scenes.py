@@ -143,21 +143,42 @@ def test_a_scene_plans_itself_by_a_client(client: Client):
     assert (np.abs(moved(asked)) <= plan.displacement_bound).all()
 
 
+READ = [0, 2, 4]
+
+
+def asked_on_rig() -> np.ndarray:
+    """Wrenches of the scene on the rig, (50, 6), N and N m."""
+    asked = full_wrenches(50, 3) * np.isin(np.arange(6), READ)
+    asked[:, 2] = -np.abs(asked[:, 2])
+    return asked
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="a scene sums its kriging in numpy, the kernel in C, each in its own order: 5e-12 of the"
+    " output and 2e-6 of the error apart",
+)
 def test_a_downloaded_scene_answers_as_the_whole_table_and_as_the_server(client: Client):
     part, whole = client.download("rig", scene=Scene(ON_RIG)), client.download("rig")
-    asked = full_wrenches(50, 3) * np.isin(np.arange(6), (0, 2, 4))
-    asked[:, 2] = -np.abs(asked[:, 2])
-    read = [0, 2, 4]
+    asked = asked_on_rig()
     told, full = part.batch(asked), whole.batch(asked)
     far = client.displacements("rig", asked, on_thin="estimate")
-    scale = np.abs(full.displacements).max(axis=0)[read]
-    # A scene's kriging sums in another order than the kernel, with weights far larger than sums.
-    rounding = 1e-12 * scale + 1e-3 * told.errors[:, read]
+    scale = np.abs(full.displacements).max(axis=0)[READ]
     for other in (full, far):
-        assert (np.abs(told.displacements - other.displacements)[:, read] <= rounding).all()
-        # A sigma is the root of a difference of sums.
-        np.testing.assert_allclose(told.errors[:, read], other.errors[:, read], rtol=1e-5)
-    assert np.isnan(told.displacements[:, [1, 3, 5]]).all()
+        assert (np.abs(told.displacements - other.displacements)[:, READ] <= 1e-12 * scale).all()
+        np.testing.assert_allclose(told.errors[:, READ], other.errors[:, READ], rtol=1e-9)
+
+
+def test_a_downloaded_scene_is_as_the_whole_table_far_inside_its_error(client: Client):
+    part, whole = client.download("rig", scene=Scene(ON_RIG)), client.download("rig")
+    told, full = part.batch(asked_on_rig()), whole.batch(asked_on_rig())
+    apart = np.abs(told.displacements - full.displacements)[:, READ]
+    assert (apart <= 1e-3 * full.errors[:, READ]).all()
+
+
+def test_outputs_that_a_scene_leaves_out_are_unknown(client: Client):
+    part, asked = client.download("rig", scene=Scene(ON_RIG)), asked_on_rig()
+    assert np.isnan(part.batch(asked).displacements[:, [1, 3, 5]]).all()
     one = part.answer(asked[0, :3], asked[0, 3:], derivatives=True)
     assert one.derivative is not None
     np.testing.assert_array_equal(np.isnan(one.derivative).all(axis=1), [0, 1, 0, 1, 0, 1])

@@ -72,6 +72,8 @@ class Calibration(NamedTuple):
             found.append(f"{self.covered_inside:.1%} of what is called covered inside")
         if not calibrated:
             return found
+        if np.isnan(self.inside).any():
+            return [*found, "no error is known"]
         if self.inside.min() < INSIDE:
             found.append(f"{self.inside.min():.1%} inside")
         ratio = self.tail_ratio if piecewise else self.ratio
