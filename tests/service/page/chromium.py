@@ -15,6 +15,7 @@ from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webelement import WebElement
+from selenium.webdriver.support.expected_conditions import staleness_of
 from selenium.webdriver.support.ui import WebDriverWait
 
 from service.client import Client
@@ -128,9 +129,19 @@ class Browser:
         )
 
     def type(self, css: str, text: str) -> None:
-        place = self.one(css)
-        place.clear()
-        place.send_keys(text)
+        """Replace the text of a field; a field that is drawn anew meanwhile is looked up again."""
+
+        def typed() -> bool:
+            place = self.one(css)
+            place.clear()
+            place.send_keys(text)
+            return place.get_attribute("value") == text
+
+        self.until(typed, f"{css} with the value {text!r}")
+
+    def gone(self, element: WebElement) -> None:
+        """Wait until an element has left the page."""
+        self.until(lambda: staleness_of(element)(self.driver), "the page drawn anew")
 
     def press(self, *keys: str) -> None:
         webdriver.ActionChains(self.driver).send_keys(*keys).perform()

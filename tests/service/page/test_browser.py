@@ -355,10 +355,12 @@ def test_words_stand_out_from_what_is_behind_them(browser, plate, scheme):
 
 def test_a_key_that_is_typed_goes_with_every_call(browser, plate):
     browser.visit(f"{PLATE}/query")
+    before = browser.one("input[name=fx]")
     browser.one("#key").click()
     key = getattr(plate, "_key", None) or "wb_secret"
     browser.type("dialog input", key)
     browser.named("dialog button", "Use this key").click()
+    browser.gone(before)
     browser.named("pre", "Authorization: Bearer $WRENCHBOOK_KEY")
     browser.run(
         "window.sent = []; const own = window.fetch;"
