@@ -16,10 +16,10 @@ METHODS = ("griddata", "additive", "kriging", "linear", "nearest", "tangent")
 
 
 class UnknownMethodError(ValueError):
-    """A method that is none of `METHODS`; the text names those."""
+    """A method that the table does not have; the text says which there are."""
 
-    def __init__(self, method: str) -> None:
-        super().__init__(f"unknown method {method!r}: one of {', '.join(METHODS)}")
+    def __init__(self, method: str, why: str = "") -> None:
+        super().__init__(why or f"unknown method {method!r}: one of {', '.join(METHODS)}")
 
 
 class Answer(NamedTuple):

@@ -131,6 +131,11 @@ class Surrogate(LimitedAnswers):
         self.build_s = thread_time() - started
 
     @property
+    def groups(self) -> tuple[tuple[tuple[int, ...], Surrogate], ...]:
+        """The outputs that the same rows hold, and what answers them: all six, and this."""
+        return ((tuple(range(6)), self),)
+
+    @property
     def default(self) -> str:
         """The method that answers where nobody asks for one."""
         return self.choice.method

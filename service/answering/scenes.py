@@ -10,10 +10,11 @@ import numpy as np
 from service.library.component import Component
 from service.workspace import Workspace
 from surrogate.build import AnyTable
+from surrogate.packed.format import Packed
+from surrogate.scene.cut import cut
 from surrogate.scene.need import Need
 from surrogate.scene.plan import Plan, plan_of
 from surrogate.scene.savings import Savings, measured
-from surrogate.scene.scene_table import SceneTable, scene_table
 
 SOLVES_TIMED = 32  # the last done ones, whose median is what a solve takes
 
@@ -23,21 +24,16 @@ def scene_reply(
 ) -> dict[str, Any]:
     """Return a scene's plan of one component, JSON-able."""
     plan = plan_of(table, need, solved=component.has_fea)
-    _, savings = measured(table, plan)
-    return _told(workspace, component, plan, savings, table.version)
+    return _told(workspace, component, plan, measured(table, plan), table.version)
 
 
-def scene_file_table(
-    workspace: Workspace, component: Component, table: AnyTable, need: Need
-) -> SceneTable:
-    """Return a component's table cut to a scene, with the plan that it follows.
+def scene_file(workspace: Workspace, component: Component, table: AnyTable, need: Need) -> bytes:
+    """Return a component's packed table cut to a scene, with the scene plan in it.
 
-    Also of a component that is rigid or linear in the scene: who asks for its table gets it.
+    A component that is rigid or linear in the scene has one too.
     """
-    plan = plan_of(table, need, solved=component.has_fea)
-    _, savings = measured(table, plan)
-    told = _told(workspace, component, plan, savings, table.version)
-    return scene_table(table, plan.need, told)
+    plan = scene_reply(workspace, component, table, need)
+    return b"".join(cut(Packed(table.packed.arrays, table.packed.words), need, plan))
 
 
 def _told(

@@ -14,23 +14,8 @@ ROOM = "wrenchbook.surrogate" if __name__.startswith("wrenchbook.") else "surrog
 
 
 def room(module: str) -> Any:
-    """Return a module of the surrogate room.
-
-    Raises
-    ------
-    ImportError
-        If a package that it needs is not installed; the text says how to install it.
-    """
-    try:
-        return importlib.import_module(f"{ROOM}.{module}")
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.startswith(ROOM):
-            raise
-        raise ImportError(
-            f"a scene's table needs the package {error.name!r}, which is not installed: "
-            "pip install 'wrenchbook[local]'",
-            name=error.name,
-        ) from error
+    """Return a module of the surrogate package; it needs numpy alone."""
+    return importlib.import_module(f"{ROOM}.{module}")
 
 
 def fetched_table(

@@ -6,7 +6,7 @@ import os
 import threading
 from pathlib import Path
 from time import perf_counter_ns
-from typing import Any, Self, overload
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,13 +22,15 @@ from .replies import (
     Vector,
     bars_within,
 )
-from .scene import Scene
-from .scene_table import SceneTable
+from .scene import ComponentPlan, Scene
 from .wrenches import many_wrenches, one_wrench, tolerance_body
 
 
 class Table:
     """One version of a component's table; `Client.download` and `Table.open` return one.
+
+    A table of a scene answers by the component's default method alone. Wrenches that cannot occur
+    in the scene are ``outside``; an output that the scene does not read is NaN.
 
     It is the server's packed table, answered by the same compiled code: the numbers are those of
     the server to the last bit, in microseconds. Only `refresh` calls the server. Any number of
@@ -44,9 +46,9 @@ class Table:
         Where `refresh` gets newer versions.
     etag : str, optional
         The server's name of this version.
+    scene : Scene, optional
+        The scene that it is cut to.
     """
-
-    plan = None  # a scene's table has one
 
     def __init__(
         self,
@@ -54,9 +56,11 @@ class Table:
         name: str | None = None,
         client: Connection | None = None,
         etag: str | None = None,
+        scene: Scene | None = None,
     ) -> None:
         self._now: tuple[Any, str | None] = packed, etag  # replaced as one: threads read it
         self.name = name or packed.words["provenance"]["component"]
+        self._call, self._query = _call(self.name, scene)
         self._client = client
         self._fetching = threading.Lock()
 
@@ -73,13 +77,14 @@ class Table:
         return cls(room("kernel.binding").PackedTable.open(path))
 
     @classmethod
-    def fetch(cls, client: Connection, name: str) -> Self:
+    def fetch(cls, client: Connection, name: str, scene: Scene | None = None) -> Self:
         """Return a component's table from a server; errors are those of `Client.download`."""
         opened = room("kernel.binding").PackedTable.from_bytes  # may fail: before the download
-        fetched = fetched_table(client, name, "table", _QUERY, None)
+        call, query = _call(name, scene)
+        fetched = fetched_table(client, name, call, query, None)
         assert fetched is not None
         content, etag = fetched
-        return cls(opened(content), name, client, etag)
+        return cls(opened(content), name, client, etag, scene)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the table to a file that `open` opens; it is complete or not there.
@@ -114,6 +119,12 @@ class Table:
     def tolerance(self) -> dict[str, float] | None:
         """The component's own tolerance, ``translation`` in m and ``rotation`` in rad, or None."""
         return _tolerance_of(self._packed)
+
+    @property
+    def plan(self) -> ComponentPlan | None:
+        """The scene plan that a scene's table follows; None of a whole table."""
+        scene = self._packed.words.get("scene")
+        return None if scene is None else ComponentPlan.read(self.name, scene["plan"])
 
     def answer(
         self,
@@ -251,7 +262,7 @@ class Table:
         if self._client is None:
             raise ValueError(f"{self!r} is of a file: download the newest version from a server")
         with self._fetching:
-            fetched = fetched_table(self._client, self.name, "table", _QUERY, self._now[1])
+            fetched = fetched_table(self._client, self.name, self._call, self._query, self._now[1])
             if fetched is None:
                 return False
             content, etag = fetched
@@ -285,11 +296,7 @@ class Table:
 class Downloads(Connection):
     """Carry a component's table into this process."""
 
-    @overload
-    def download(self, name: str, scene: None = None) -> Table: ...
-    @overload
-    def download(self, name: str, scene: Scene) -> SceneTable: ...
-    def download(self, name: str, scene: Scene | None = None) -> Table | SceneTable:
+    def download(self, name: str, scene: Scene | None = None) -> Table:
         """Return a component's table, which answers in this process.
 
         Parameters
@@ -297,8 +304,7 @@ class Downloads(Connection):
         name : str
             The component.
         scene : Scene, optional
-            The needs of a simulation: the same answers to its wrenches, from less; that needs
-            ``pip install 'wrenchbook[local]'``.
+            The needs of a simulation: the same answers to its wrenches from a smaller table.
 
         Raises
         ------
@@ -306,8 +312,6 @@ class Downloads(Connection):
             If the compiled code is not there and there is no C compiler.
         PackedTableError
             If the server's table has another format: install the server's version.
-        ImportError
-            Of a scene, if scipy is not installed.
         ProblemError
             If there is no such component (404), or the scene goes beyond its load range (422).
         SceneError
@@ -315,10 +319,9 @@ class Downloads(Connection):
         ServerUnreachable, ServerTimeout
             See `Connection.call`.
         """
-        return Table.fetch(self, name) if scene is None else SceneTable(self, name, scene)
+        return Table.fetch(self, name, scene)
 
 
-_QUERY = {"format": "packed"}
 _ALL_PARTS = 4  # of the array solver/flags: whether all parts of the error are known
 
 
@@ -360,3 +363,10 @@ def _reply(packed: Any, found: Any) -> dict[str, Any]:
         "table_version": packed.words["provenance"]["version"],
         "reason": reason,
     } | ({"missing": found.missing} if found.missing else {})
+
+
+def _call(name: str, scene: Scene | None) -> tuple[str, dict[str, str]]:
+    """Return the server's call for a table, and its query."""
+    if scene is None:
+        return "table", {"format": "packed"}
+    return "scene", {"wanted": scene.query(name)}

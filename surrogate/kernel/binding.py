@@ -139,7 +139,7 @@ class PackedTable:
         inputs, reply, scratch = work.at
         wrong = self._answer(self._handle, options, inputs, reply, scratch)
         if wrong:
-            raise mistake(wrong, method)
+            raise mistake(wrong, method, self._packed)
         found = self._read(work.reply)
         self._idle.append(work)
         return found
@@ -165,7 +165,7 @@ class PackedTable:
         )
         self._idle.append(work)
         if wrong:
-            raise mistake(wrong, method)
+            raise mistake(wrong, method, self._packed)
         return Replies(*out, coverage)
 
     def derivative(
@@ -198,7 +198,7 @@ class PackedTable:
         )
         self._idle.append(work)
         if wrong:
-            raise mistake(wrong, method)
+            raise mistake(wrong, method, self._packed)
         return found
 
     def inverse(
@@ -231,7 +231,7 @@ class PackedTable:
         )
         self._idle.append(work)
         if wrong:
-            raise mistake(wrong, method)
+            raise mistake(wrong, method, self._packed)
         return found, stiffness
 
     def axis(
@@ -256,7 +256,7 @@ class PackedTable:
         if wrong == NO_METHOD:
             return None
         if wrong:
-            raise mistake(wrong, None)
+            raise mistake(wrong, None, self._packed)
         found = AXIS.unpack_from(reply)
         reasons = [Reason(*found[20:])._replace(group=group)] if found[7] else []
         locked = self.arrays["space/locked"].tolist()

@@ -229,8 +229,15 @@ def method_code(method: str | None) -> int:
         raise UnknownMethodError(method) from None
 
 
-def mistake(code: int, method: str | None) -> Exception:
+def mistake(code: int, method: str | None, packed: Packed) -> Exception:
     """Return what a code other than WB_OK means: see wrenchbook.h."""
+    if code == NO_METHOD and "scene" in packed.words:
+        own = packed.words["summary"]["method"]
+        return UnknownMethodError(
+            method or "(default)",
+            f"the table of a scene answers by its default method alone, {own}: download the whole "
+            "table for others",
+        )
     return {
         1: ValueError("wrenches and displacements must be finite numbers"),
         NO_METHOD: UnknownMethodError(method or "(default)"),

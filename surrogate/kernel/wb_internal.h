@@ -116,6 +116,8 @@ struct wb_table {
     int vectors; /* triples of outputs whose length is limited */
     const int32_t *locked, *vector_first;
     const double *ends, *scale, *small, *tolerance, *limit, *vector_limit;
+    const double *scene_ends; /* (2, n) of a table cut to a scene, else NULL */
+    const int32_t *scene_varying, *scene_slopes;
     wb_solver solver;
     wb_group *group;
     wb_share *share;
@@ -195,6 +197,7 @@ int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w);
 int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
                      wb_found *a);
 int wb_is_beyond(const wb_table *t, const double *w);
+int wb_leaves_scene(const wb_table *t, const double *w);
 double wb_allowed(const wb_group *g, const wb_options *o, int q);
 wb_reason *wb_add_reason(wb_found *a, int code);
 void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_found *a);

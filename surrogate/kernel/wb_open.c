@@ -105,6 +105,11 @@ static void read_space(reader *r) {
     t->small = doubles(r, "space/small", 1, n);
     t->tolerance = doubles(r, "space/tolerance", 1, m);
     t->limit = doubles(r, "space/limit", 1, m);
+    if (exists(r, "scene/ends")) {
+        t->scene_ends = doubles(r, "scene/ends", 2, (int64_t)2, n);
+        t->scene_varying = ints(r, "scene/varying", n);
+        t->scene_slopes = ints(r, "scene/slopes", n);
+    }
     t->vectors = (int)length(r, "space/vector_first", WB_I4, 1);
     t->vector_first = ints(r, "space/vector_first", t->vectors);
     t->vector_limit = doubles(r, "space/vector_limit", 1, (int64_t)t->vectors);

@@ -73,6 +73,9 @@ void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
         for (int q = 0; q < m; q++)
             if (g->outputs[q]) memcpy(derivative + n * q, slopes + n * q, (size_t)n * sizeof(double));
     }
+    for (int k = 0; k < n; k++) /* a scene's table has not all axes */
+        for (int q = 0; t->scene_slopes && !t->scene_slopes[k] && q < m; q++)
+            derivative[n * q + k] = NAN;
     for (int k = 0; k < n; k++) /* a guide carries these loads: no displacement depends on them */
         for (int q = 0; t->locked[k] && q < m; q++)
             if (!isnan(derivative[n * q + k])) derivative[n * q + k] = 0.0;
@@ -154,8 +157,31 @@ static int beyond_limits(const wb_table *t, const double *outputs) {
     return 0;
 }
 
+/* A table cut to a scene: beyond its loads it estimates without an error, or not at all. */
+static void judge_scene(const wb_table *t, wb_reply *reply) {
+    int leaves = wb_leaves_scene(t, reply->inputs), n = t->inputs;
+    int known = 0;
+    for (int q = 0; q < t->outputs; q++) known |= !(reply->missing >> q & 1);
+    if (!known) reply->coverage = WB_OUTSIDE; /* no row holds an output that the scene reads */
+    if (!leaves) return;
+    reply->coverage = WB_OUTSIDE, reply->reasons = 0;
+    for (int q = 0; q < t->outputs; q++) {
+        reply->interpolation[q] = NAN;
+        if (leaves > 1) reply->outputs[q] = NAN;
+    }
+    for (int k = 0; k < n && reply->reasons < WB_MOST_REASONS; k++) {
+        double load = reply->inputs[k], low = t->scene_ends[k], high = t->scene_ends[n + k];
+        if (!(load < low || load > high)) continue;
+        wb_reason *reason = &reply->reason[reply->reasons++];
+        memset(reason, 0, sizeof *reason);
+        reason->code = WB_REASON_NOT_IN_SCENE, reason->axis = -1, reason->index = k;
+        reason->value = load, reason->limit = load < low ? low : high;
+    }
+}
+
 /* Add the solver's share; take an estimate away that no table could hold. */
 void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
+    if (t->scene_ends) judge_scene(t, reply);
     if (t->solver.none) keep(t, reply);
     else widen(t, o, work, reply);
     if (reply->coverage != WB_COVERED && beyond_limits(t, reply->outputs)) {

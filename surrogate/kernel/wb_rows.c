@@ -17,12 +17,22 @@ int wb_is_beyond(const wb_table *t, const double *w) {
     return 0;
 }
 
+/* Whether a table cut to a scene lacks a wrench: 1 beyond the range of a load that varies, 2 by a
+ * load that the scene holds at another value. */
+int wb_leaves_scene(const wb_table *t, const double *w) {
+    int found = 0;
+    for (int k = 0; t->scene_ends && k < t->inputs; k++)
+        if (w[k] < t->scene_ends[k] || w[k] > t->scene_ends[t->inputs + k])
+            found = found > 1 || !t->scene_varying[k] ? 2 : 1;
+    return found;
+}
+
 /* The nearest row within NEAR in each load, of equally near ones the first, or -1. */
 int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w) {
     const wb_rows *r = &g->rows;
     double key = 0, closest = NEAR, window = NEAR * (1 + 1e-6);
     int n = t->inputs;
-    if (!r->count) return -1;
+    if (!r->count || wb_leaves_scene(t, w)) return -1;
     for (int k = 0; k < n; k++) key += w[k] * r->rates[k];
     int64_t bucket = wb_bucket(key - window, r->bucket, r->buckets), found = -1;
     int64_t low = r->start[bucket], high = r->start[bucket + 1];

@@ -74,6 +74,12 @@ def _beyond(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     return f"{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}"
 
 
+def _not_in_scene(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    low, high = packed.arrays["scene/range"][:, reason.place].tolist()
+    amount, unit = _amount(packed, reason.place, reason.value), _name(packed, reason.place)[1]
+    return f"{amount} cannot occur in the scene: {low:.6g}..{high:.6g} {unit}"
+
+
 def _unknown_load(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     return f"no row tells the influence of {_name(packed, reason.place)[0]}"
 
@@ -198,6 +204,7 @@ _WORDS: dict[int, Maker] = {
     17: _fixed(LEAVES_LIMITS),
     18: _left_out,
     19: _fixed(TOO_FAR),
+    20: _not_in_scene,
 }
 """By code: WB_REASON_... of surrogate/kernel/wrenchbook.h."""
 
@@ -209,5 +216,6 @@ FIXED = frozenset({1, 2, 11, 12, 15, 16, 17, 19})
 def unmeasured_text(missing: int, packed: Packed) -> str:
     """Return which outputs no row holds, by the bits of a mask; empty if there are none."""
     names = [one["name"] for one in packed.words["space"]["outputs"]]
-    found = [name for bit, name in enumerate(names) if missing >> bit & 1]
+    read = packed.words.get("scene", {}).get("outputs", names)
+    found = [name for bit, name in enumerate(names) if missing >> bit & 1 and name in read]
     return f"not measured in any row: {', '.join(found)}" if found else ""

@@ -20,7 +20,6 @@ from ..kriging import Kriging
 from ..limits import LONGEST, TRANSLATION_LIMIT
 from ..methods.reference import AxesReference, KrigingReference
 from ..methods.selection import ENOUGH_FULL
-from ..missing_outputs import MissingOutputs
 from ..surrogate import Surrogate
 from ..table.rows import CLEAN, LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS, Floats, Tolerance
 from .axes_arrays import axes_arrays
@@ -52,7 +51,7 @@ def pack(
     contract, interface
         What is said of loads and displacements, in words; kept as they are.
     """
-    groups = table.groups if isinstance(table, MissingOutputs) else ((tuple(range(6)), table),)
+    groups = table.groups
     arrays = dict(_space_arrays(table, len(groups))) | dict(_solver_arrays(table))
     sources = _Sources(table)
     for number, (outputs, group) in enumerate(groups):

@@ -17,7 +17,6 @@ from ..table.rows import (
     Floats,
     LoadRange,
     Tolerance,
-    acting,
 )
 
 Mask = NDArray[np.bool_]
@@ -62,22 +61,9 @@ class Need:
         """The names of the loads that can occur."""
         return [LOADS[load] for load in np.flatnonzero(self.occurring)]
 
-    def acting(self, wrenches: Floats) -> Floats:
-        """Return wrenches (n, 6), N and N·m, without the loads on locked freedoms."""
-        return acting(wrenches, self.idle)
-
     def beyond(self, wrenches: Floats) -> Mask:
         """Return which loads of wrenches (n, 6), N and N·m, the scene has not, shape (n, 6)."""
         return (wrenches < self.span.low - self.slack) | (wrenches > self.span.high + self.slack)
-
-    def why_beyond(self, wrench: Floats) -> str:
-        """Return which loads of a wrench (6,), N and N·m, the scene has not, if any."""
-        found = []
-        for load in np.flatnonzero(self.beyond(wrench[None])[0]).tolist():
-            low, high, unit = self.span.low[load], self.span.high[load], LOAD_UNITS[load]
-            amount = f"{LOADS[load]} = {wrench[load]:.10g} {unit}"
-            found.append(f"{amount} cannot occur in the scene: {low:.6g}..{high:.6g} {unit}")
-        return "; ".join(found)
 
     def axes(self) -> dict[str, dict[str, object]]:
         """Return the axes that are composed: their inputs that can occur, and their dimensions.

@@ -20,7 +20,6 @@ from ..surrogate import UNKNOWN_ERROR, Surrogate
 from ..table.rows import LOADS, OUTPUT_UNITS, OUTPUTS, Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .need import Need
-from .part import parts_of
 
 Decision = Literal["rigid", "linear", "table"]
 
@@ -127,7 +126,7 @@ def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
     the rows may be wrong by.
     """
     bound, why = np.full(6, np.nan), NO_ROWS
-    for outputs, surrogate in parts_of(table):
+    for outputs, surrogate in table.groups:
         own, fit = list(outputs), surrogate.fit
         unknown = need.occurring & ~fit.known
         if not len(surrogate.used) or unknown.any():

@@ -8,11 +8,11 @@ from time import perf_counter, thread_time
 import numpy as np
 
 from ..build import AnyTable
+from ..kernel.binding import PackedTable
+from ..packed.format import Packed
 from ..table.rows import Floats
-from .memory import array_bytes
-from .part import parts_of
+from .cut import cut
 from .plan import Plan
-from .scene_table import SceneTable, scene_table
 
 ANSWERS = 32  # single answers timed in a run
 RUNS = 5  # of which the best counts: what interrupts a run only ever makes it longer
@@ -27,7 +27,7 @@ class Savings:
     build_s : float or None
         Processor time of building; None where there is no table yet.
     memory_bytes : int or None
-        Of the arrays that answers keep.
+        Of the packed table.
     us_per_answer : float or None
         Of one answer to a wrench of the scene; may be below zero.
     origin : dict of str to str
@@ -40,38 +40,36 @@ class Savings:
     origin: dict[str, str]
 
 
-def measured(table: AnyTable, plan: Plan) -> tuple[SceneTable | None, Savings]:
-    """Return the scene's table, if there are rows, and what it saves against the whole's.
+def measured(table: AnyTable, plan: Plan) -> Savings:
+    """Return what the scene's table saves against the whole.
 
-    A component that is rigid is left out: all of the whole's is saved, and there is no table.
+    A component that is rigid in the scene is left out: all of the whole is saved.
     """
-    if not any(len(surrogate.used) for _, surrogate in parts_of(table)):
+    if not any(len(surrogate.used) for _, surrogate in table.groups):
         none = "not measured: there are no rows yet"
         keys = ("build_s", "memory_bytes", "us_per_answer")
-        return None, Savings(None, None, None, dict.fromkeys(keys, none))
-    wrenches = _wrenches(plan)
-    whole = built_s(table), array_bytes(table), _us(table, wrenches)
-    if plan.decision == "rigid":
-        own, cut = (0.0, 0, 0.0), None
-    else:
+        return Savings(None, None, None, dict.fromkeys(keys, none))
+    wrenches, packed = _wrenches(plan), table.packed
+    whole = built_s(table), packed.size, _us(packed, wrenches)
+    own = 0.0, 0, 0.0
+    if plan.decision != "rigid":
         started = thread_time()
-        cut = scene_table(table, plan.need)
-        cut.answer(wrenches[0].tolist())  # what is made at the first answer
-        own = thread_time() - started, array_bytes(cut), _us(cut, wrenches)
+        content = b"".join(cut(Packed(packed.arrays, packed.words), plan.need))
+        took = thread_time() - started
+        own = took, len(content), _us(PackedTable.from_bytes(content), wrenches)
     origin = {
         "build_s": f"measured, processor time: {whole[0]:.3g} s for the whole table when it was "
         f"built, {own[0]:.3g} s for cutting the scene's from it now",
-        "memory_bytes": f"counted: {whole[1]} bytes of arrays in the whole table, {own[1]} in the "
-        "scene's",
+        "memory_bytes": f"counted: {whole[1]} bytes in the whole table, {own[1]} in the scene's",
         "us_per_answer": f"measured now, best of {RUNS} runs of {ANSWERS} wrenches of the scene: "
         f"{whole[2]:.3g} µs by the whole table, {own[2]:.3g} µs by the scene's",
     }
-    return cut, Savings(whole[0] - own[0], whole[1] - own[1], whole[2] - own[2], origin)
+    return Savings(whole[0] - own[0], whole[1] - own[1], whole[2] - own[2], origin)
 
 
 def built_s(table: AnyTable) -> float:
     """Return the processor time, s, that building a table took."""
-    return sum(surrogate.build_s for _, surrogate in parts_of(table))
+    return sum(surrogate.build_s for _, surrogate in table.groups)
 
 
 def _wrenches(plan: Plan) -> Floats:
@@ -80,7 +78,7 @@ def _wrenches(plan: Plan) -> Floats:
     return low + np.random.default_rng(0).uniform(size=(ANSWERS, 6)) * (high - low)
 
 
-def _us(table: AnyTable | SceneTable, wrenches: Floats) -> float:
+def _us(table: PackedTable, wrenches: Floats) -> float:
     """Return the time of one answer, µs: the best of some runs."""
     asked, times = [tuple(wrench) for wrench in wrenches.tolist()], []
     for _ in range(RUNS):

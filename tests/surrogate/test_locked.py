@@ -12,8 +12,6 @@ import pytest
 
 from surrogate.build import build
 from surrogate.derivative import derivatives_at
-from surrogate.scene.need import need_of
-from surrogate.scene.scene_table import SceneTable, scene_table
 from surrogate.solver_error import SolverError
 from surrogate.table.hdf5 import read_table, write_table
 from surrogate.table.meta import TableMeta
@@ -27,7 +25,7 @@ FREE = [2, 5]
 MESH = SolverError({"mesh": np.full((6, 6), 1e-9).tolist(), "loads": HIGH.tolist()})
 
 
-def guided(partial: bool = False, scene: bool = False) -> Any:
+def guided(partial: bool = False) -> Any:
     wrenches = np.random.default_rng(4).uniform(-1, 1, (30, 6)) * np.isin(np.arange(6), FREE)
     rows = solved(RESPONSES["hardening"], wrenches)
     slopes = np.where(np.isin(np.arange(6), FREE), rows.compliance, 0.0)
@@ -35,13 +33,12 @@ def guided(partial: bool = False, scene: bool = False) -> Any:
     if partial:
         lacking = np.where(np.arange(6) == 4, np.nan, rows.displacement)
         rows = Rows.of(rows.wrench, lacking, compliance=slopes)
-    table = build(rows, RANGE, locked=LOCKED, solver_error=MESH)
-    return scene_table(table, need_of(RANGE, idle=LOCKED)) if scene else table
+    return build(rows, RANGE, locked=LOCKED, solver_error=MESH)
 
 
-@pytest.mark.parametrize(("partial", "scene"), [(False, False), (True, False), (False, True)])
-def test_no_call_of_a_table_sees_the_loads_on_locked_freedoms(partial: bool, scene: bool) -> None:
-    table = guided(partial, scene)
+@pytest.mark.parametrize("partial", [False, True])
+def test_no_call_of_a_table_sees_the_loads_on_locked_freedoms(partial: bool) -> None:
+    table = guided(partial)
     bare = np.concatenate((table.rows.wrench[:5], table.rows.wrench[5:15] * 0.7))
     full = bare + np.isin(np.arange(6), LOCKED) * 2.0 * HIGH  # beyond the range
     found, expected = table.batch(full), table.batch(bare)
@@ -63,8 +60,7 @@ def test_no_call_of_a_table_sees_the_loads_on_locked_freedoms(partial: bool, sce
         assert table.source_of(with_all) == table.source_of(without)
         assert table.has_row(with_all) == table.has_row(without)
         np.testing.assert_array_equal(table.row_tangent(with_all), table.row_tangent(without))
-        if not isinstance(table, SceneTable):
-            assert table.explain(with_all) == table.explain(without)
+        assert table.explain(with_all) == table.explain(without)
 
 
 def test_a_file_has_the_names_of_the_locked_freedoms(tmp_path: Path) -> None:

@@ -10,22 +10,19 @@ from fastapi import APIRouter, Header, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from service.answering.scenes import scene_file_table, scene_reply
+from service.answering.scenes import scene_file, scene_reply
 from service.http.bodies import SceneBody, SceneComponent
 from service.http.limited import read_limited
 from service.http.needs import need_from
 from service.http.parsing import read_body
 from service.http.replies import json_reply
+from service.http.routes.table_schema import PACKED_TYPE
 from service.http.versions import holds, naming
-from service.library.component import Component
 from service.workspace import Workspace
-from surrogate.build import AnyTable
-from surrogate.scene.file import write_scene
 from surrogate.scene.need import Need
 
 router = APIRouter(prefix="/v1", tags=["scenes"])
 CATCH_UP_S = 25.0
-MEDIA_TYPE = "application/x-wrenchbook-scene"
 
 
 @router.post("/scenes/plan", summary="What a scene needs of its components, and what that saves")
@@ -40,7 +37,7 @@ async def plan(request: Request) -> Response:
     return json_reply({"components": told})
 
 
-@router.get("/components/{name}/scene", summary="The table cut to a scene, as one file")
+@router.get("/components/{name}/scene", summary="The packed table cut to a scene")
 async def scene_table(
     name: str,
     request: Request,
@@ -56,15 +53,11 @@ async def scene_table(
     table = await workspace.newest(name, CATCH_UP_S)
     told = orjson.dumps(body.model_dump(), option=orjson.OPT_SORT_KEYS)
     what = hashlib.sha256(told + component.fingerprint.encode()).hexdigest()[:16]
-    tag = f'"{table.version}-{what}"'
+    tag = f'"{table.version}-{what}-{table.packed.checksum:08x}"'
     if holds(if_none_match, tag):
         return Response(None, 304, naming(tag))
-    content = await run_in_threadpool(_file, workspace, component, table, need)
-    return Response(content, 200, naming(tag), MEDIA_TYPE)
-
-
-def _file(workspace: Workspace, component: Component, table: AnyTable, need: Need) -> bytes:
-    return write_scene(scene_file_table(workspace, component, table, need))
+    content = await run_in_threadpool(scene_file, workspace, component, table, need)
+    return Response(content, 200, naming(tag), PACKED_TYPE)
 
 
 def _need(workspace: Workspace, name: str, wanted: SceneComponent) -> Need:

@@ -1,0 +1,235 @@
+"""A packed table cut to a scene: the same numbers at the scene's wrenches, from a smaller file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..answer import allowed_by
+from ..packed.buckets import buckets_of
+from ..packed.codes import METHODS
+from ..packed.format import Packed, pieces
+from ..packed.numbering import DIMENSION, FIRST_CELL
+from ..table.axes import AXES
+from ..table.rows import OUTPUTS, Floats
+from .need import Mask, Need
+from .reach import nearest_anywhere
+
+Arrays = dict[str, NDArray[Any]]
+
+# Columns of the array ``flags`` of a group: see `packed.writer`.
+_METHOD, _REFERENCE, _EXACT = 0, 1, 4
+_BY_KRIGING, _BY_MISSED = 4, 2  # bits of the reference
+
+
+def cut(whole: Packed, need: Need, plan: Mapping[str, Any] | None = None) -> list[bytes]:
+    """Return the packed file of a table cut to a scene, as pieces of bytes.
+
+    It answers by the table's default method. Left out are groups whose outputs the scene does not
+    read, rows and axes whose loads cannot occur, and neighbourhoods of a kriging that no wrench of
+    the scene is in. ``scene/range`` and ``scene/ends`` (2, n) are the scene's loads, N and N·m, the
+    latter with room for rounding; ``scene/varying`` (n), which have more than one value;
+    ``scene/slopes`` (n), by which loads derivatives are known.
+
+    Parameters
+    ----------
+    plan : mapping, optional
+        The scene plan that the file carries, JSON-able.
+    """
+    arrays = {name: array for name, array in whole.arrays.items() if name[0] != "g"}
+    read = [_is_read(whole, group, need) for group in range(len(whole.words["groups"]))]
+    groups = np.flatnonzero(read).tolist() or [0]  # the first one says that nothing is measured
+    slopes = np.ones(6, dtype=bool)
+    for number, group in enumerate(groups):
+        own = _cut_group(_named(whole, f"g{group}/"), need, _asks_tangent(whole), slopes)
+        arrays |= {f"g{number}/{name}": array for name, array in own.items()}
+    arrays |= _scene_arrays(whole, need, len(groups), slopes)
+    words = {
+        **whole.words,
+        "groups": [whole.words["groups"][group] for group in groups],
+        "scene": {"outputs": [OUTPUTS[output] for output in need.outputs], "plan": plan or {}},
+    }
+    return pieces(arrays, words)
+
+
+def _named(whole: Packed, prefix: str) -> Arrays:
+    size = len(prefix)
+    return {name[size:]: one for name, one in whole.arrays.items() if name.startswith(prefix)}
+
+
+def _is_read(whole: Packed, group: int, need: Need) -> bool:
+    return bool(whole.arrays[f"g{group}/outputs"][list(need.outputs)].any())
+
+
+def _asks_tangent(whole: Packed) -> bool:
+    """Return whether the solver's error needs the derivative by all loads: all axes stay then."""
+    return bool(whole.arrays["solver/flags"][0])
+
+
+def _scene_arrays(whole: Packed, need: Need, groups: int, slopes: Mask) -> Arrays:
+    ends = np.stack((need.span.low, need.span.high))
+    sizes = whole.arrays["space/sizes"].copy()
+    sizes[2] = groups
+    locked = whole.arrays["space/locked"].copy()
+    locked[list(need.idle)] = 1
+    found = {
+        "space/sizes": sizes,
+        "space/locked": locked,
+        "scene/range": ends,
+        "scene/ends": ends + np.stack((-need.slack, need.slack)),
+        "scene/varying": need.varying.astype(np.int32),
+        "scene/slopes": slopes.astype(np.int32),
+    }
+    if need.tolerance is not None:
+        found["space/tolerance"] = np.array(allowed_by(need.tolerance))
+    return found
+
+
+def _cut_group(own: Arrays, need: Need, asks_tangent: bool, slopes: Mask) -> Arrays:
+    """Return a group's arrays; in `slopes` (6,) the loads without derivatives are crossed out."""
+    flags = own["flags"]
+    by_kriging = METHODS[flags[_METHOD]] == "kriging" and flags[_REFERENCE] & _BY_KRIGING
+    alone = by_kriging or (METHODS[flags[_METHOD]] == "linear" and flags[_EXACT])
+    kept = {name: array for name, array in own.items() if "/" not in name or name[:4] == "fit/"}
+    kept["outputs"] = np.where(np.isin(np.arange(6), need.outputs), own["outputs"], 0)
+    kept["outputs"] = kept["outputs"].astype(np.int32)
+    kept |= {name: own[name][:0] for name in ("near/wrench", "near/moved")}
+    kept |= _cut_rows(own, need)
+    if need.tolerance is not None:
+        kept["allowed"] = np.array(allowed_by(need.tolerance))
+    if flags[_REFERENCE] & _BY_KRIGING:
+        kept |= _cut_kriging(own, "kriging/", need)
+    if flags[_REFERENCE] & _BY_MISSED:
+        kept |= _cut_kriging(own, "missed/", need)
+    if not alone and "axes/vertex" in own:
+        loaded = np.array([need.occurring[list(axis.inputs)].any() for axis in AXES]) | asks_tangent
+        kept |= _cut_axes(own, loaded)
+        for axis, stays in zip(AXES, loaded, strict=True):
+            slopes[list(axis.inputs)] &= stays
+    kept["flags"] = flags.copy()
+    if alone and not by_kriging:
+        kept["flags"][_REFERENCE] = 0
+    return kept
+
+
+def _cut_rows(own: Arrays, need: Need) -> Arrays:
+    """Return the rows whose loads can occur."""
+    kept = ~(need.beyond(own["row/wrench"]) & ~need.varying).any(axis=1)
+    found = {name: own[name] for name in ("row/rates", "row/steepest")}
+    for name in ("key", "number", "seq", "wrench", "moved", "bar", "source"):
+        found[f"row/{name}"] = own[f"row/{name}"][kept]
+    found["row/bucket"], found["row/start"] = buckets_of(found["row/key"])
+    tangent = own["row/tangent_of"][kept]
+    has_one = tangent >= 0
+    found["row/tangent"] = own["row/tangent"][tangent[has_one]]
+    found["row/tangent_of"] = np.where(has_one, np.cumsum(has_one) - 1, -1).astype(np.int32)
+    return found
+
+
+def _cut_kriging(own: Arrays, name: str, need: Need) -> Arrays:
+    """Return a kriging without the neighbourhoods that no wrench of the scene is in."""
+    whole = {key: array for key, array in own.items() if key.startswith(name)}
+    found = {key: array for key, array in whole.items() if "/share" not in key}
+    low, high = _box(own, name, need)
+    shares = [
+        f"{name}share{number}/"
+        for number in range(int(own[f"{name}shares"][0]))
+        if own[f"{name}share{number}/outputs"][list(need.outputs)].any()
+    ] or [f"{name}share0/"]
+    found[f"{name}shares"] = np.array([len(shares)], dtype=np.int32)
+    for number, share in enumerate(shares):
+        arrays = {key[len(share) :]: array for key, array in own.items() if key.startswith(share)}
+        anchors = np.flatnonzero(np.isfinite(arrays["least"]))
+        points, rates = own[f"{name}x"].T[anchors], own[f"{name}rates"]
+        anchors = anchors[nearest_anywhere(points, rates, low, high)]
+        found |= {f"{name}share{number}/{key}": one for key, one in _cut_share(arrays, anchors)}
+    return found
+
+
+def _box(own: Arrays, name: str, need: Need) -> tuple[Floats, Floats]:
+    """Return the scene's ends in half ranges, (6,) each, with room for rounding."""
+    room = np.where(need.varying, need.slack, 0.0)
+    centre, rate = own[f"{name}centre"], own[f"{name}rate"]
+    return (need.span.low - room - centre) * rate, (need.span.high + room - centre) * rate
+
+
+def _cut_share(arrays: Arrays, anchors: NDArray[np.intp]) -> list[tuple[str, NDArray[Any]]]:
+    """Return one factor's arrays with the neighbourhoods of some rows."""
+    around = arrays["number"][anchors]
+    number, least = np.zeros_like(arrays["number"]), np.full(len(arrays["least"]), np.inf)
+    number[anchors], least[anchors] = np.arange(len(anchors)), arrays["least"][anchors]
+    own = {name: arrays[name][around] for name in ("places", "panels", "unsettled")}
+    own |= {"number": number, "least": least}
+    own["penalty"] = np.where(np.isfinite(least), 0.0, np.inf)
+    return list((arrays | own).items())
+
+
+def _cut_axes(own: Arrays, loaded: Mask) -> Arrays:
+    """Return the axes that the scene loads; the triangulation of each stays whole."""
+    axes = {key[5:]: array for key, array in own.items() if key.startswith("axes/")}
+    point, simplex = axes["point_first"], axes["simplex_first"]
+    points, simplices = _kept(point, loaded), _kept(simplex, loaded)
+    facets, cells = _kept(axes["facet_first"], loaded), _kept(_cells(axes), loaded)
+    members = _kept(axes["member_first"], points)
+    found = axes | {name: axes[name][points] for name in ("vertex", "slopes")}
+    fewer_points, fewer_simplices = _fewer(point, loaded), _fewer(simplex, loaded)
+    found["state"] = axes["state"][simplices]
+    found["simplex"] = _renumbered(axes, simplices, fewer_points, fewer_simplices)
+    corners = axes["facets"][facets]
+    axis_of = np.repeat(np.arange(3), np.diff(axes["facet_first"]))[facets]
+    corners[:, :3] -= fewer_points[axis_of, None]
+    corners[:, 3] -= fewer_simplices[axis_of]
+    cell_axis = np.repeat(np.arange(3), np.diff(_cells(axes)))[cells]
+    found["facets"], found["grid"] = corners, axes["grid"][cells] - fewer_simplices[cell_axis]
+    ints = axes["ints"].copy()
+    ints[:, FIRST_CELL] -= _fewer(_cells(axes), loaded)
+    ints[~loaded], ints[~loaded, DIMENSION] = 0, -1
+    found["ints"] = ints
+    for name in ("point_first", "simplex_first", "facet_first"):
+        found[name] = _first(np.diff(axes[name]) * loaded)
+    found["fewest"] = axes["fewest"] * loaded
+    found["member_first"] = _first(np.diff(axes["member_first"])[points])
+    found["members"] = axes["members"][members]
+    for axis in np.flatnonzero(~loaded).tolist():
+        for gone in (f"cut{(axis + 1) % 3}0/", f"cut{(axis + 2) % 3}1/"):
+            found = {name: one for name, one in found.items() if not name.startswith(gone)}
+    return {f"axes/{name}": np.asarray(one, axes[name].dtype) for name, one in found.items()}
+
+
+def _renumbered(
+    axes: Arrays, simplices: Mask, fewer_points: NDArray[Any], fewer_simplices: NDArray[Any]
+) -> Floats:
+    """Return the kept simplices (s, 16) with the numbers of what is left."""
+    axis_of = np.repeat(np.arange(3), np.diff(axes["simplex_first"]))[simplices]
+    kept = axes["simplex"][simplices]
+    ints = np.ascontiguousarray(kept[:, :4]).view(np.int32)
+    dimension = axes["ints"][axis_of, DIMENSION]
+    corner = np.arange(4) <= dimension[:, None]
+    ints[:, :4] -= np.where(corner, fewer_points[axis_of, None], 0).astype(np.int32)
+    inner = ints[:, 4:] >= 0
+    ints[:, 4:] -= np.where(inner, fewer_simplices[axis_of, None], 0).astype(np.int32)
+    kept[:, :4] = ints.view(np.float64)
+    return kept
+
+
+def _cells(axes: Arrays) -> NDArray[np.intp]:
+    """Return where each axis' cells begin, and the end, shape (4,)."""
+    has_one = axes["ints"][:, DIMENSION] >= 0
+    return _first(np.where(has_one, axes["ints"][:, FIRST_CELL + 1 :].prod(axis=1), 0))
+
+
+def _first(counts: NDArray[Any]) -> NDArray[Any]:
+    return np.concatenate(([0], np.cumsum(counts)))
+
+
+def _kept(first: NDArray[Any], kept: Mask) -> Mask:
+    """Return which entries belong to a kept part; part k has those from first[k] to first[k+1]."""
+    return np.repeat(kept, np.diff(first))
+
+
+def _fewer(first: NDArray[Any], kept: Mask) -> NDArray[Any]:
+    """Return how many entries before each part are left out."""
+    return _first(np.where(kept, 0, np.diff(first)))[:-1]
