@@ -31,7 +31,6 @@ from ..solver_error import SolverError
 from ..table.axes import AXES, Axis, AxisRows
 from ..table.compliance import ComplianceFit
 from ..table.rows import LoadRange, Rows, Tolerance
-from .lean import without_copies
 from .need import Need
 from .part import Axes, Part
 from .scene_table import SceneTable
@@ -152,8 +151,4 @@ def _dense(equations: Equations, held: Hyperparameters, shares: Any, **rest: Any
     return Dense(equations=equations, held=held, shares=whole, **rest)
 
 
-def _kriging(**given: Any) -> Kriging:
-    return without_copies(Kriging(**given))
-
-
-_MAKERS: dict[str, Callable[..., Any]] = {"Dense": _dense, "Kriging": _kriging}
+_MAKERS: dict[str, Callable[..., Any]] = {"Dense": _dense}

@@ -47,27 +47,7 @@ def lean_kriging(kriging: Kriging, need: Need) -> Kriging:
         errors=inside.errors[:0],
         calibrations=tuple(compress(inside.calibrations, read)),
     )
-    return without_copies(replace(kriging, inside=lean))
-
-
-def without_copies(kriging: Kriging) -> Kriging:
-    """Return a kriging whose neighbourhoods are views of the compiled code's tables.
-
-    Where there is compiled code; else there are no tables, and nothing is there twice.
-    """
-    tables, inside = kriging.tables, kriging.inside
-    if tables is None:
-        return kriging
-    around = tuple(
-        replace(
-            local,
-            T=tables.columns[place, : len(local.places), : len(local.places)].T,
-            TF=tables.unsettled[place, : len(local.places)],
-        )
-        for place, local in enumerate(inside.shares[0].around)
-    )
-    shares = (replace(inside.shares[0], around=around),)
-    return replace(kriging, inside=replace(inside, shares=shares)).with_tables(tables)
+    return replace(kriging, inside=lean)
 
 
 def _box(need: Need, scaling: Scaling) -> tuple[Floats, Floats]:

@@ -136,7 +136,7 @@ class Part:
         if self.answering is None:
             blank = np.full((len(asked), 6), np.nan)
             return Batch(blank, blank.copy(), np.full(len(asked), OUTSIDE, dtype=np.uint8))
-        told = self.answering.estimate(np.require(asked, float, ("C", "W")))
+        told = self.answering.estimate(asked)
         state, own = told.state.copy(), list(self.outputs)
         over = ~(told.error <= self.allowed(tolerance))[:, own].all(axis=1)
         together, at_rest = self.doubt.of_many(asked)
