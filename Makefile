@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 LOCKED := --universal --python-version 3.11 --generate-hashes --no-annotate --no-header \
 	--no-emit-index-url -q
-LOCK := pip compile pyproject.toml $(LOCKED) --extra server --extra fast --extra build
+LOCK := pip compile pyproject.toml $(LOCKED) --extra server --extra build
 # The platforms of `make wheels`: those of surrogate/kernel/build.py.
 PLATFORMS := manylinux_2_28_x86_64 manylinux_2_28_aarch64 macosx_11_0_x86_64 macosx_11_0_arm64 win_amd64
 

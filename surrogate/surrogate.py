@@ -194,8 +194,9 @@ class Surrogate(LimitedAnswers):
             nothing, allowed = Answer(None, None, "outside", reason, "estimate"), self.allowed
             return self.exact.instead_of(wrench, nothing, allowed.of(tolerance))
         found = self._methods.get(name)
-        told = found.one(tuple(map(float, wrench)))
-        displacement, error, state, reason = told[:6], told[6:12], int(told[12]), ""
+        told = found.estimate(np.array((wrench,), dtype=float))
+        displacement, error = tuple(told.displacement[0].tolist()), tuple(told.error[0].tolist())
+        state, reason = int(told.state[0]), ""
         if state != COVERED:
             reason = found.reason(np.array(wrench, dtype=float))
         elif not self.doubt.none and (reason := self.doubt.of_one(wrench)):

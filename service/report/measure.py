@@ -17,7 +17,8 @@ from fea.failure import SolveFailed
 from fea.mesh.refine import refined
 from fea.solve import Solver
 from fea.spec.schema import FREEDOMS, Bundle
-from service.report.timing import Times, answer_times, times_without_fast
+from service.report.timing import answer_times
+from service.tables.making import put_packed
 from surrogate.answer import METHODS
 from surrogate.build import AnyTable, build
 from surrogate.table.rows import LoadRange, Rows, acting
@@ -55,10 +56,7 @@ def measure(
     tables = []
     for part in PARTS:
         some = rows.take(np.arange(max(1, round(part * len(rows)))))
-        plain = times_without_fast(some, load_range, compared) if part == 1.0 else {}
-        tables += _tables(
-            some, load_range, compared, references, scale, own["seconds_p50"], linear, plain
-        )
+        tables += _tables(some, load_range, compared, references, scale, own["seconds_p50"], linear)
     meshes = [_mesh_entry(level, solved, reference, scale) for level in levels]
     limit = bundle.tolerance
     return {
@@ -161,9 +159,8 @@ def _tables(
     scale: Array,
     solve_seconds: float,
     linear: bool,
-    plain: Times,
 ) -> list[dict[str, Any]]:
-    """Measure one size of the table with every method; `plain` is what it costs without `fast`."""
+    """Measure one size of the table with every method."""
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
     surrogate = build(rows, load_range, linear=linear)
@@ -172,6 +169,7 @@ def _tables(
     started = time.perf_counter()
     build(rows, load_range, linear=linear)
     build_s = time.perf_counter() - started
+    put_packed(surrogate, "", "")
     size = {
         "rows": len(rows),
         "build_s": build_s,
@@ -182,7 +180,6 @@ def _tables(
         {
             "method": method,
             **size,
-            "plain_us": list(plain.get(method, (None, None))),
             **_method(surrogate, method, wrenches, references, scale),
         }
         for method in METHODS
@@ -200,7 +197,7 @@ def _method(
     error = np.abs(answers.displacement - references["own"])
     told = np.isfinite(answers.error)
     inside = [_share(error[told[:, k], k] <= answers.error[told[:, k], k]) for k in range(6)]
-    middle, late = answer_times(surrogate, method, wrenches)
+    middle, late = answer_times(surrogate.packed, method, wrenches)
     return {
         "covered": float(np.mean(answers.coverage == 0)),
         "query_us_p50": middle,

@@ -121,18 +121,16 @@ def _tables(report: dict[str, Any]) -> Section:
             f"{entry['build_s']:.2f}",
             f"{entry['query_us_p50']:.0f}",
             f"{entry['query_us_p99']:.0f}",
-            *("-" if value is None else f"{value:.0f}" for value in entry["plain_us"]),
             f"{entry['memory_bytes'] / 1e6:.1f}",
             *_percents(entry["lookup_error"]["rms_relative"]),
             f"{entry['covered']:.0%}",
         )
         for entry in sorted(report["tables"], key=lambda entry: (entry["rows"], worst(entry)))
     )
-    times = ("p50, µs", "p99, µs", "p50 without fast", "p99")
-    head = ("method", "rows", "FEA spent, s", "build, s", *times, "MB", *OUTPUTS)
+    head = ("method", "rows", "FEA spent, s", "build, s", "p50, µs", "p99, µs", "MB", *OUTPUTS)
     note = (
-        "Errors against solves on the table's own mesh. `fast` is the extra that compiles the "
-        f"answer. Neither beaten in error nor in run time: {'; '.join(report['pareto'])}."
+        "Errors against solves on the table's own mesh. Neither beaten in error nor in run time: "
+        f"{'; '.join(report['pareto'])}."
     )
     return Section("Tables", note, (*head, "covered"), lines)
 

@@ -3,7 +3,7 @@
 What answers is pickled with its arrays beside it, as they lie in memory (protocol 5, PEP 574), so
 whoever maps them has the same bytes in the same layout, and answers the same digits. The pages are
 mapped privately: they are the file's, shared by all, for as long as nobody writes into them, and
-nobody does. To compiled code they are arrays like all others.
+nobody does.
 
 A file is checked before anything in it is used: a sum over all of it, who wrote it, and of which
 kinds its objects are. It is no archive: another version of anything builds the table anew.

@@ -22,9 +22,7 @@ from service.tables.news import usable, without
 from service.tables.other_setup import count_others
 from service.tables.shelf import Shelf
 from service.tables.solver_errors import SolverErrors
-from service.tables.warm_up import use_compiled_code
 from surrogate.build import AnyTable
-from surrogate.jit import warm_in_background
 from surrogate.table.rows import Rows, joined
 
 log = logging.getLogger(__name__)
@@ -96,7 +94,6 @@ class Tables:
             if rows <= LARGE:
                 small.append(name)
             self._builders.ask(name, rows)
-        warm_in_background(self._warm_up)
         self._builders.start()
         for thread in self._threads:
             thread.start()
@@ -236,12 +233,6 @@ class Tables:
             except Exception:
                 log.exception("following the ledger failed; trying again")
                 self._stopping.wait(TROUBLE_S)
-
-    def _warm_up(self) -> None:
-        """Load the compiled code, and what the tables that are there need to use it."""
-        use_compiled_code()
-        for surrogate in list(self._surrogates.values()):
-            ask_once(surrogate)
 
     def _keep_files(self) -> None:
         while not self._stopping.wait(SAVE_AFTER_QUIET_S / 4):

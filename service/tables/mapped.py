@@ -17,9 +17,7 @@ from service.tables.image import ImageError, read_image
 from service.tables.live import START_S, SWITCH_S
 from service.tables.making import ask_once, make
 from service.tables.shelf import Shelf, Shelved, Told, setup_of
-from service.tables.warm_up import use_compiled_code
 from surrogate.build import AnyTable
-from surrogate.jit import warm_in_background
 from surrogate.table.rows import Rows
 
 log = logging.getLogger(__name__)
@@ -58,7 +56,6 @@ class MappedTables:
     def start(self) -> None:
         """Start to follow; return once every table is there that the builder can build."""
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_S))
-        warm_in_background(self._warm_up)
         self._thread.start()
         names = self._library.names()
         with self._grown:
@@ -204,9 +201,3 @@ class MappedTables:
             self._unread.pop(name, None)
             self._surrogates[name], self._held[name] = surrogate, shelved
             self._grown.notify_all()
-
-    def _warm_up(self) -> None:
-        """Load the compiled code, and ask each table by it once."""
-        use_compiled_code()
-        for surrogate in list(self._surrogates.values()):
-            ask_once(surrogate)

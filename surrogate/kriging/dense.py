@@ -24,7 +24,7 @@ from .correlation import (
 from .equations import OUTPUTS, Equations, Scaling
 from .factor import Factor, border, factorise
 from .left_out import left_out
-from .neighbourhood import Finder, LocalFactor, local_factor
+from .neighbourhood import Finder, LocalFactor, local_factor, row_by_row
 from .rounding import rounding_of
 from .settings import DEFAULTS, KrigingSettings
 from .shares import Share
@@ -91,39 +91,28 @@ class Dense:
     calibrations: tuple[Calibration, ...]
     span: Floats
 
-    def answers(self, x: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return values and errors (m, 6) and slopes (m, outputs, loads) at places (m, 6).
+    def answers(self, x: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Return values, errors, and whether the errors are known, (m, 6) each, at places (m, 6).
 
-        Errors are 95 % error bars, larger than which some answers are beyond what `within_reach`
-        tells.
+        Errors are 95 % error bars; where they are not known, some answers err by more.
         """
-        across = block(x, self.equations.x, self.held, slopes_x=True, slopes_v=True)
-        across = across.reshape(len(x), PLACES, -1)
-        told = across @ self.weights.reshape(-1, OUTPUTS)
-        values = told[:, 0] + self.coefficients[0] + x @ self.coefficients[1:]
-        slopes = told[:, 1:] + self.coefficients[1:]
-        sigmas, errors = self._sigmas(x, across[:, 0]), np.empty((len(x), OUTPUTS))
-        for share, found, sigma in zip(self.shares, self.calibrations, sigmas, strict=True):
-            outputs = share.factor.outputs
-            errors[:, outputs] = sigma[:, None] * found.at(sigma) * self.deviation[outputs]
-        return values, errors, slopes.transpose(0, 2, 1)
-
-    def within_reach(self, x: Floats) -> NDArray[np.bool_]:
-        """Return of which outputs the error is known at places (m, 6), shape (m, 6)."""
         across = block(x, self.equations.x, self.held, slopes_x=False, slopes_v=True)
-        sigmas = self._sigmas(x, across.reshape(len(x), -1))
-        out = np.empty((len(x), OUTPUTS), dtype=bool)
-        for share, found, sigma in zip(self.shares, self.calibrations, sigmas, strict=True):
-            out[:, share.factor.outputs] = (sigma <= found.reach)[:, None]
-        return out & ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
+        across = across.reshape(len(x), -1)
+        values = row_by_row(across, self.weights.reshape(-1, OUTPUTS))
+        values += self.coefficients[0] + row_by_row(x, self.coefficients[1:])
+        errors, known = np.empty((len(x), OUTPUTS)), np.empty((len(x), OUTPUTS), dtype=bool)
+        for share, found in zip(self.shares, self.calibrations, strict=True):
+            sigma, outputs = deviations(x, across, self.held, share), share.factor.outputs
+            errors[:, outputs] = sigma[:, None] * found.at(sigma) * self.deviation[outputs]
+            known[:, outputs] = (sigma <= found.reach)[:, None]
+        known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
+        return values, errors, known
 
-    def _sigmas(self, x: Floats, across: Floats) -> list[Floats]:
-        """Return the posterior deviation at places (m, 6), (m,) for each share.
-
-        In process deviations. `across` (m, 7 n) is the covariance of their values with all places
-        of all rows.
-        """
-        return [deviations(x, across, self.held, share) for share in self.shares]
+    def slopes(self, x: Floats) -> Floats:
+        """Return the derivatives of the values by the loads at places (m, 6), shape (m, 6, 6)."""
+        across = block(x, self.equations.x, self.held, slopes_x=True, slopes_v=True)[:, 1:]
+        told = across.reshape(len(x), LOADS, -1) @ self.weights.reshape(-1, OUTPUTS)
+        return (told + self.coefficients[1:]).transpose(0, 2, 1)
 
     def sigmas_with(self, pending: Floats, x: Floats) -> Floats:
         """Return sigma at places (m, 6) over what it will be once others are solved, shape (m,).

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 
-from ..jit import ready
 from ..table.rows import LOAD_UNITS, Floats, LoadRange, Rows
 from ..table.rows import LOADS as LOAD_NAMES
-from . import compiled
-from .compiled_tables import Tables, tables_of
 from .correlation import LOADS, Hyperparameters
 from .dense import Dense, dense
 from .equations import (
@@ -156,23 +152,6 @@ class Kriging:
             detail=_in_words(fresh),
         )
 
-    @cached_property
-    def tables(self) -> Tables | None:
-        """What compiled code answers from; None without it, or where it does not apply."""
-        if compiled.answers is None:
-            return None
-        return tables_of(self.inside, self.scaling, self.tangent, self.settings.bar_floor)
-
-    def with_tables(self, tables: Tables) -> Kriging:
-        """Return this with the tables that compiled code answers from, which are at hand."""
-        same = replace(self)
-        vars(same)["tables"] = tables  # where the property keeps what it once made
-        return same
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: not the tables, which follow from the rest."""
-        return {name: value for name, value in vars(self).items() if name != "tables"}
-
     @property
     def knows_errors(self) -> bool:
         """Whether left-out rows show how large errors are, of all outputs."""
@@ -183,7 +162,7 @@ class Kriging:
         if not self.knows_errors:
             return UNKNOWN_ERRORS
         x = self.scaling.loads(np.asarray(wrench, dtype=float).reshape(1, LOADS))
-        if self.inside.within_reach(x).all():
+        if self.inside.answers(x)[2].all():
             return ""
         low, high = self.scaling.wrenches(self.inside.span)
         found = [
@@ -194,71 +173,37 @@ class Kriging:
         ]
         return "; ".join(found) or TOO_FAR
 
-    def answer(self, wrench: Floats) -> tuple[Floats, Floats]:
-        """Return displacement and 95 % error bar at one wrench (6,), each (6,), m and rad."""
-        displacement, bar, _ = self.evaluate(np.asarray(wrench, dtype=float).reshape(1, LOADS))
-        return displacement[0], bar[0]
-
     def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""
-        if compiled.values is None or not ready() or self.tables is None:
-            return self.evaluate(wrenches)[:2]
-        asked = np.require(wrenches, float, ("C", "W"))
-        out = np.empty((len(asked), OUTPUTS)), np.empty((len(asked), OUTPUTS))
-        compiled.values(self.tables, asked, *out)
-        return out
-
-    def answer_one(self, wrench: tuple[float, ...]) -> tuple[float, ...] | None:
-        """Return what `answer_many` does to one wrench (6,), as plain numbers.
-
-        Six displacements, six bars, m and rad, and whether it is beyond the load range, 0 or 1;
-        None without compiled code.
-        """
-        if compiled.one is None or not ready() or self.tables is None:
-            return None
-        return compiled.one(self.tables, self.load_range.ends, wrench)
-
-    def derivative(self, wrench: Floats) -> Floats:
-        """Return du/dw (6, 6) at one wrench: m/N, m/(N·m), rad/N, rad/(N·m)."""
-        return self.derivatives(np.asarray(wrench, dtype=float).reshape(1, LOADS))[0]
+        x, spread, offset = self.scaling.loads(wrenches), self.scaling.spread, self.scaling.offset
+        displacement, bars = np.empty((len(x), OUTPUTS)), np.empty((len(x), OUTPUTS))
+        with one_thread():
+            for part in self._chunks(len(x)):
+                values, errors, known = self.inside.answers(x[part])
+                size = (np.abs(values) + 1) * spread + np.abs(offset)
+                # Never below what rounding makes of an answer.
+                least = np.maximum(self.settings.bar_floor * size, self.inside.rounding * spread)
+                bars[part] = np.where(known, np.maximum(errors * spread, least), np.nan)
+                displacement[part] = values * spread + offset
+        return displacement, bars
 
     def derivatives(self, wrenches: Floats) -> Floats:
         """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
 
         Exact of the interpolant. By a load that takes no part it is the rows' mean tangent.
         """
-        return self.evaluate(wrenches)[2]
-
-    def evaluate(self, wrenches: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return displacements (n, 6), 95 % error bars (n, 6) and du/dw (n, 6, 6) in one go.
-
-        Wrenches are (n, 6), N and N·m, displacements and bars m and rad, du/dw SI.
-        """
-        asked = np.require(wrenches, float, ("C", "W"))
-        n = len(asked)
-        out = np.empty((n, OUTPUTS)), np.empty((n, OUTPUTS)), np.empty((n, OUTPUTS, LOADS))
-        if compiled.answers is not None and ready() and self.tables is not None:
-            compiled.answers(self.tables, asked, *out)
-            return out
+        x = self.scaling.loads(wrenches)
+        out, rate = np.empty((len(x), OUTPUTS, LOADS)), self.scaling.spread[:, None]
         with one_thread():
-            for start in range(0, n, self.settings.chunk):
-                part = slice(start, start + self.settings.chunk)
-                for column, told in zip(out, self._evaluate(asked[part]), strict=True):
-                    column[part] = told
+            for part in self._chunks(len(x)):
+                by_load = self.inside.slopes(x[part]) * rate / self.scaling.half
+                out[part] = np.where(self.scaling.active, by_load, self.tangent)
         return out
 
-    def _evaluate(self, wrenches: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return what `evaluate` does, without compiled code."""
-        x = self.scaling.loads(wrenches)
-        values, errors, slopes = self.inside.answers(x)
-        spread, offset = self.scaling.spread, self.scaling.offset
-        size = (np.abs(values) + 1) * spread + np.abs(offset)
-        # Never below what rounding makes of an answer.
-        least = np.maximum(self.settings.bar_floor * size, self.inside.rounding * spread)
-        bars = np.where(self.inside.within_reach(x), np.maximum(errors * spread, least), np.nan)
-        by_load = slopes * spread[:, None] / self.scaling.half
-        derivative = np.where(self.scaling.active, by_load, self.tangent)
-        return values * spread + offset, bars, derivative
+    def _chunks(self, count: int) -> Iterator[slice]:
+        """Yield the parts of so many wrenches that are told at once."""
+        size = self.settings.chunk
+        return (slice(start, start + size) for start in range(0, count, size))
 
     def sigma_with(self, pending: Floats, at: Floats) -> Floats:
         """Return the error bars (n, 6), m and rad, at wrenches if others were solved too.
@@ -271,11 +216,9 @@ class Kriging:
             What is being solved (with slopes, if rows bring them), and where to tell the bars.
         """
         others, places = self.scaling.loads(pending), self.scaling.loads(at)
-        size, spread = self.settings.chunk, self.scaling.spread
-        bars = np.empty((len(at), OUTPUTS))
+        spread, bars = self.scaling.spread, np.empty((len(at), OUTPUTS))
         with one_thread():
-            for start in range(0, len(at), size):
-                part = slice(start, start + size)
+            for part in self._chunks(len(at)):
                 bars[part] = self.inside.answers(places[part])[1] * spread
                 if len(pending):
                     bars[part] *= self.inside.sigmas_with(others, places[part])[:, None]

@@ -161,11 +161,20 @@ class LocalFactor:
         terms : ndarray, shape (m, 7)
             The mean's terms there.
         """
-        reduced = across @ self.T.T
-        unsettled = terms - reduced @ self.TF
+        reduced = row_by_row(across, self.T.T)
+        unsettled = terms - row_by_row(reduced, self.TF)
         spent = np.einsum("me,me->m", reduced, reduced)
         loose = np.einsum("ma,ab,mb->m", unsettled, mean_covariance, unsettled)
         return np.maximum(prior - spent, self.least) + loose
+
+
+def row_by_row(left: Floats, right: Floats) -> Floats:
+    """Return the product of matrices (m, k) and (k, n), each row of it by itself.
+
+    So a row's digits do not depend on which others there are: weights are up to 1e8 times their
+    sum, and the order of a sum depends on the shape of the matrices.
+    """
+    return (left[:, None] @ right)[:, 0]
 
 
 def local_factor(

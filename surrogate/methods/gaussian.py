@@ -39,13 +39,6 @@ class GaussianProcess(Method):
         state = np.where(outside, OUTSIDE, COVERED).astype(np.uint8)
         return Estimates(displacement, error, state)
 
-    def single(self, wrench: tuple[float, ...]) -> tuple[float, ...] | None:
-        """Answer one wrench (6,), N and N·m: see `Method`."""
-        if self.reference is not None:
-            return None
-        told = self.kriging.answer_one(wrench)
-        return told if told is None or told[12] == COVERED else (*told[:12], OUTSIDE)
-
     def derivatives(self, wrenches: Floats) -> Floats:
         """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)."""
         return self.kriging.derivatives(wrenches)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import nan
-
 import numpy as np
 
 from ..answer import COVERED, OUTSIDE
@@ -32,32 +30,12 @@ class Linear(Method):
         self, fit: ComplianceFit, load_range: LoadRange, reference: Reference | None
     ) -> None:
         self.fit, self.load_range, self.reference = fit, load_range, reference
-        # Of a loop's single answers, which took half their time to be made anew.
-        self._turned, self._sizes = fit.matrix.T, np.abs(fit.matrix).T
-        small = np.where(fit.known, np.inf, CLEAN * load_range.scale)
-        self._limits = list(zip(*load_range.ends.tolist(), small.tolist(), strict=True))
-
-    def single(self, wrench: tuple[float, ...]) -> tuple[float, ...] | None:
-        """Return what `estimate` says of one wrench, to the same digits; None with a reference."""
-        if self.reference is not None:
-            return None
-        asked = np.array((wrench,), dtype=float)
-        displacement = asked @ self._turned
-        error = self.fit.bar + ROUNDING * np.abs(asked) @ self._sizes
-        state, told = COVERED, error[0].tolist()
-        for load, (low, high, small) in zip(wrench, self._limits, strict=True):
-            if abs(load) > small:
-                told = [nan] * 6
-                state = OUTSIDE
-            elif not low <= load <= high:
-                state = OUTSIDE
-        return (*displacement[0].tolist(), *told, state)
 
     def estimate(self, wrenches: Floats) -> Estimates:
         """Answer wrenches, shape (n, 6), N and N·m."""
-        displacement = wrenches @ self._turned
+        displacement = wrenches @ self.fit.matrix.T
         # Rounding is that of the sum's parts, which may cancel.
-        error = self.fit.bar + ROUNDING * np.abs(wrenches) @ self._sizes
+        error = self.fit.bar + ROUNDING * np.abs(wrenches) @ np.abs(self.fit.matrix).T
         if self.reference is not None:
             best, bars = self.reference.estimate(wrenches)
             error = np.maximum(error, np.abs(displacement - best) + bars)

@@ -35,21 +35,6 @@ class Method(Protocol):
         """Answer wrenches, shape (n, 6), N and N·m."""
         ...
 
-    def single(self, wrench: tuple[float, ...]) -> tuple[float, ...] | None:
-        """Return what `estimate` does to one wrench (6,), N and N·m, as 13 plain numbers.
-
-        Six displacements, six bars, m and rad, and the state; None where it is not to be had
-        without arrays: then `estimate` is to be asked.
-        """
-        return None
-
-    def one(self, wrench: tuple[float, ...]) -> tuple[float, ...]:
-        """Return what `single` does, by arrays where that has nothing: of (6,), N and N·m."""
-        if told := self.single(wrench):
-            return told
-        found = self.estimate(np.array((wrench,), dtype=float))
-        return (*found.displacement[0].tolist(), *found.error[0].tolist(), found.state[0])
-
     def derivatives(self, wrenches: Floats) -> Floats:
         """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), exact of the method."""
         ...

@@ -66,7 +66,6 @@ def test_a_backup_under_load_restores_to_one_state_and_its_answers(server, tmp_p
     client.add_component({"name": "rig", "title": "Rig", "range": RANGE})
     for first in range(0, len(rows), ROWS):
         send_rows(client, first)
-    # (to rounding: what is compiled soon after the start gives other last digits.)
     loaded, told = answers(client)
     assert loaded == rows
     # 1e-12 of the largest displacement, 1e-3 m: that at no load is what rounding leaves of it.

@@ -76,7 +76,7 @@ def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
 
 
 def _fill(client: Client) -> None:
-    """Load the tables, and wait until their answers come from compiled code."""
+    """Load the tables, and wait until they answer quickly."""
     deadline = time.monotonic() + 120
     while not client.is_ready() and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -87,7 +87,7 @@ def _fill(client: Client) -> None:
         while client.component(name)["table_version"] < version and time.monotonic() < deadline:
             time.sleep(0.5)
     lasting = [np.inf]
-    while min(lasting) > 60 and time.monotonic() < deadline:  # µs: by arrays it takes over 200
+    while min(lasting) > 60 and time.monotonic() < deadline:  # µs
         time.sleep(0.2)
         asked = [client.displacement("solved", FORCE, MOMENT) for _ in range(20)]
         lasting = [answer.elapsed_us for answer in asked if answer.elapsed_us]

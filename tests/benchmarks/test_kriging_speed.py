@@ -1,4 +1,4 @@
-"""Run times of the kriging: single answers with bar and derivative, batches, builds, updates."""
+"""Run times of the kriging: builds and updates."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from surrogate.kriging import Kriging, compiled
+from surrogate.kriging import Kriging
 from surrogate.kriging.equations import equations_of, scaling_of, within
 from surrogate.kriging.estimate import estimated
 from surrogate.kriging.settings import DEFAULTS
 from tests.surrogate.kriging.responses import RESPONSES, solved, spread_wrenches
-from tests.surrogate.responses import HIGH, RANGE, full_wrenches
+from tests.surrogate.responses import RANGE
 
 RESPONSE = RESPONSES["strongly_coupled"]
-ASKED = full_wrenches(100_000, 3) * HIGH
 
 
 def best(call: Callable[[], object], repeats: int) -> float:
@@ -33,24 +32,6 @@ def rows_of(count: int):
     """Return a table of so many solves, a third of them of one axis."""
     clean = count // 9
     return solved(RESPONSE, spread_wrenches(clean, count - 3 * clean, 1))
-
-
-@pytest.mark.skipif(compiled.answers is None, reason="numba is an extra")
-@pytest.mark.parametrize(("solves", "most"), [(60, 20.0), (120, 40.0)])
-def test_a_single_answer_with_bar_and_derivative_takes_microseconds(
-    solves: int, most: float
-) -> None:
-    kriging = Kriging.build(rows_of(solves), RANGE)
-    kriging.answer(ASKED[0])
-    single = best(lambda: [kriging.answer(one) for one in ASKED[:500]], 7) * 2000
-    whole = best(lambda: [kriging.evaluate(ASKED[:1]) for _ in range(500)], 7) * 2000
-    plain = best(lambda: kriging._evaluate(ASKED[1:2]), 100) * 1e6
-    batch = best(lambda: kriging.answer_many(ASKED), 2)
-    print(
-        f"\n{solves} solves: answer {single:.1f} us, with derivative {whole:.1f} us, "
-        f"numpy {plain:.0f} us, batch of 1e5 {batch:.2f} s"
-    )
-    assert whole <= most
 
 
 @pytest.mark.parametrize("solves", [30, 60, 120, 400])

@@ -84,7 +84,7 @@ def serving(folder: Path, processes: int, solvers: int = 0) -> Iterator[Served]:
 
 
 def ready(client: Client, version: int) -> None:
-    """Wait until each process answers from a version, by compiled code (arrays take ms)."""
+    """Wait until each process answers from a version, and quickly."""
     quick, deadline = 0, time.monotonic() + 60
     while quick < 20 and time.monotonic() < deadline:
         client.close()  # the next one meets whichever process takes it

@@ -6,17 +6,10 @@ import pytest
 from starlette.testclient import TestClient
 
 from service.http.app import create_app
-from service.tables.warm_up import use_compiled_code
 from service.workspace import Settings
 
 HERE = Path(__file__).parent
 SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
-
-
-@pytest.fixture(scope="session", autouse=True)
-def compiled_code():
-    """Load compiled code first: numbers asked before and after would differ in their last digit."""
-    use_compiled_code()
 
 
 @pytest.fixture

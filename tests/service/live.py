@@ -16,7 +16,6 @@ from service.client import Client
 from service.http.app import create_app
 from service.http.server import server_config
 from service.workspace import Settings
-from surrogate.jit import COMPILED, ready
 
 FULL = np.array([100.0] * 3 + [10.0] * 3)  # N and N·m: the load range of the made-up tables
 
@@ -33,8 +32,6 @@ def served(folder: Path, solvers: int = 0) -> Iterator[Client]:
         deadline = time.monotonic() + 30
         while not client.is_ready() and time.monotonic() < deadline:
             time.sleep(0.02)
-        while COMPILED and not ready() and time.monotonic() < deadline:
-            time.sleep(0.02)  # what is compiled gives other last digits
         yield client
     server.should_exit = True
     thread.join(20)

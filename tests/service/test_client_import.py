@@ -43,7 +43,7 @@ def test_opening_a_packed_table_loads_numpy_and_the_standard_library_alone():
     code = (
         "import sys, surrogate.kernel.binding, surrogate.packed.format\n"
         "roots = {name.partition('.')[0] for name in sys.modules}\n"
-        "print([name for name in ('scipy', 'h5py', 'numba', 'threadpoolctl') if name in roots])\n"
+        "print([name for name in ('scipy', 'h5py', 'threadpoolctl') if name in roots])\n"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"

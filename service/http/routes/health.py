@@ -9,7 +9,6 @@ from starlette.responses import JSONResponse
 
 from service.files.discreet import discreetly
 from service.workspace import Workspace
-from surrogate import jit
 
 router = APIRouter(prefix="/health", tags=["health"])
 
@@ -33,6 +32,5 @@ def ready(request: Request) -> JSONResponse:
         "faults": faults,
         "broken": workspace.broken(),
         "building": workspace.tables.building(),
-        "compiled_code": jit.state(),
     }
     return JSONResponse(discreetly(body), 200 if not faults else 503)

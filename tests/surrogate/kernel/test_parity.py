@@ -12,10 +12,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from surrogate.answer import within_tolerance_many
+from surrogate.build import build
 from surrogate.derivative import derivatives_at
+from surrogate.kernel.binding import PackedTable
 from surrogate.kernel.explain import explain
 from surrogate.missing_outputs import MissingOutputs
 from surrogate.packed.codes import METHODS
+from surrogate.packed.writer import pack
 from surrogate.table.rows import OUTPUTS, Tolerance
 from tests.surrogate.kernel.kinds import (
     KINDS,
@@ -28,6 +31,8 @@ from tests.surrogate.kernel.kinds import (
     special_of,
     table_of,
 )
+from tests.surrogate.kriging.responses import RESPONSES, solved
+from tests.surrogate.responses import RANGE, full_wrenches
 
 SAME = 1e-12
 LOCKED = [(), (1,), (0, 4, 5)]
@@ -86,6 +91,18 @@ def test_wrenches_of_few_loads_and_of_rows_have_the_numbers_of_numpy(kind):
     assert (np.nan_to_num(np.abs(found.outputs - outputs))[same] <= near[same]).all()
     loose = near + 1e-5 * np.nan_to_num(errors)  # sigma at a row is the root of a difference
     assert (np.nan_to_num(np.abs(found.errors - errors))[same] <= loose[same]).all()
+
+
+def test_both_take_the_same_of_equally_near_rows():
+    x = np.concatenate((np.eye(6), -np.eye(6), np.zeros((1, 6)), full_wrenches(12, 4)))
+    table = build(solved(RESPONSES["strongly_coupled"], x), RANGE)
+    packed = PackedTable.from_bytes(b"".join(pack(table)))
+    own = table.rows.wrench
+    asked = np.array([(own[i] + own[j]) / 2 for i in range(12) for j in range(i)])
+    expected = table.batch(asked, method="kriging").error
+    assert np.isfinite(expected).all(axis=1).mean() > 0.5
+    found = packed.batch(asked, None, "kriging").errors
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))

@@ -1,4 +1,4 @@
-"""A table's kriging: exact at rows, invariant, calibrated, updated, and the same compiled."""
+"""A table's kriging: exact at rows, invariant, calibrated, updated."""
 
 import pickle
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +11,6 @@ from surrogate.kriging import (
     KrigingSettings,
     TooFewRowsError,
     TooManyRowsError,
-    compiled,
 )
 from surrogate.kriging.dense import Dense
 from surrogate.table.rows import LoadRange, Rows
@@ -40,7 +39,8 @@ def _size(rows: Rows) -> np.ndarray:
 
 
 def test_answers_and_derivatives_at_rows_are_the_rows(kriging: Kriging) -> None:
-    displacement, bar, derivative = kriging.evaluate(ROWS.wrench)
+    displacement, bar = kriging.answer_many(ROWS.wrench)
+    derivative = kriging.derivatives(ROWS.wrench)
     size = _size(ROWS)
     nugget = kriging.settings.nugget * kriging.hyperparameters.prior[0]
     allowed = np.sqrt(nugget) * kriging.inside.deviation * kriging.scaling.spread
@@ -62,24 +62,15 @@ def test_derivatives_equal_differences(kriging: Kriging) -> None:
 
 
 def test_one_answer_is_that_of_many(kriging: Kriging) -> None:
-    displacement, bar, derivative = kriging.evaluate(ASKED)
+    displacement, bar = kriging.answer_many(ASKED)
+    derivative = kriging.derivatives(ASKED)
     for place in (0, 7, 31):
-        one, its_bar = kriging.answer(ASKED[place])
-        np.testing.assert_allclose(one, displacement[place], rtol=0, atol=1e-14)
-        np.testing.assert_allclose(its_bar, bar[place], rtol=1e-9)
-        slope = kriging.derivative(ASKED[place])
+        alone = ASKED[place : place + 1]
+        one, its_bar = kriging.answer_many(alone)
+        np.testing.assert_allclose(one[0], displacement[place], rtol=0, atol=1e-14)
+        np.testing.assert_allclose(its_bar[0], bar[place], rtol=1e-9)
+        slope = kriging.derivatives(alone)[0]
         np.testing.assert_allclose(slope, derivative[place], rtol=0, atol=1e-14)
-
-
-@pytest.mark.skipif(compiled.answers is None, reason="numba is an extra")
-def test_compiled_answers_are_those_of_numpy(kriging: Kriging) -> None:
-    """To 1e-12 m and rad, of displacements of 1e-3: the sums over the rows lose that much."""
-    wrenches = np.concatenate((ASKED, ROWS.wrench, 1.3 * ASKED[:5]))
-    assert kriging.tables is not None
-    told, plain = kriging.evaluate(wrenches), kriging._evaluate(wrenches)
-    np.testing.assert_allclose(told[0], plain[0], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(told[1], plain[1], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(told[2] * HIGH, plain[2] * HIGH, rtol=0, atol=1e-12)
 
 
 def test_answers_do_not_depend_on_units(kriging: Kriging) -> None:
@@ -134,8 +125,8 @@ def test_an_invalidated_row_is_forgotten(kriging: Kriging) -> None:
     later = Kriging.build(ROWS.take(np.arange(len(ROWS) - 1)), RANGE, previous=kriging)
     assert isinstance(later.inside, Dense)
     assert len(later.inside.equations) == len(ROWS) - 1
-    _, bar = later.answer(ROWS.wrench[-1])
-    assert (bar > kriging.answer(ROWS.wrench[-1])[1]).all()
+    _, bar = later.answer_many(ROWS.wrench[-1:])
+    assert (bar > kriging.answer_many(ROWS.wrench[-1:])[1]).all()
 
 
 def test_rows_outside_the_load_range_take_no_part(kriging: Kriging) -> None:
@@ -156,8 +147,8 @@ def test_rows_at_one_wrench_are_one_row() -> None:
 def test_rows_that_contradict_each_other_at_one_wrench_are_met_between() -> None:
     other = Rows.of(ROWS.wrench[-1:], ROWS.displacement[-1:] + 2e-4)
     kriging = Kriging.build(ROWS + other, RANGE)
-    displacement, bar = kriging.answer(ROWS.wrench[-1])
-    part = (displacement - ROWS.displacement[-1]) / 2e-4
+    displacement, bar = kriging.answer_many(ROWS.wrench[-1:])
+    part = (displacement[0] - ROWS.displacement[-1]) / 2e-4
     assert (part > -0.1).all()
     assert (part < 1.1).all()
     assert (bar > 1e-5).all()
@@ -180,7 +171,7 @@ def test_a_load_that_cannot_occur_drops_out() -> None:
     error = np.abs(kriging.answer_many(asked)[0] - COUPLED(asked / HIGH))
     assert (np.sqrt((error**2).mean(axis=0)) / _size(rows)).max() < 0.05
     mean = rows.compliance[:, :, 4].mean(axis=0)
-    np.testing.assert_allclose(kriging.derivative(asked[0])[:, 4], mean, rtol=1e-12)
+    np.testing.assert_allclose(kriging.derivatives(asked[:1])[0, :, 4], mean, rtol=1e-12)
 
 
 def test_a_load_that_moves_nothing_drops_out() -> None:
@@ -286,17 +277,6 @@ def test_a_table_too_large_for_one_factor_has_no_kriging_and_says_so(measured: b
     rows = table(COUPLED, x) if measured else solved(COUPLED, x)
     with pytest.raises(TooManyRowsError, match="more than the 150 that one factor holds"):
         Kriging.build(rows, RANGE, settings=KrigingSettings(dense_equations=150))
-
-
-def test_without_numba_the_same_answers_come_from_numpy(
-    kriging: Kriging, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    told = kriging.evaluate(ASKED)
-    monkeypatch.setattr(compiled, "answers", None)
-    again = pickle.loads(pickle.dumps(kriging))
-    assert again.tables is None
-    for one, other in zip(again.evaluate(ASKED), told, strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
 
 
 def test_many_threads_read_one_kriging_at_once(kriging: Kriging) -> None:

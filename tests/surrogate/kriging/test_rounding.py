@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surrogate.kriging import Kriging, compiled
+from surrogate.kriging import Kriging
 from surrogate.kriging.neighbourhood import Finder
 from surrogate.table.rows import Rows
 from tests.surrogate.kriging.responses import RESPONSES, solved
@@ -25,28 +25,13 @@ def _asked(kriging: Kriging) -> np.ndarray:
     return np.concatenate((rows, 0.999 * rows, full_wrenches(300, 2) * HIGH))
 
 
-@pytest.mark.skipif(compiled.answers is None, reason="numba is an extra")
-@pytest.mark.parametrize("name", ["gentle", "smooth", "clearance", "kink_across"])
-def test_no_bar_is_less_than_the_two_versions_differ_by(name: str, gentle: Kriging) -> None:
-    rows = solved(RESPONSES.get(name, _gentle), full_wrenches(30, 1))
-    kriging = gentle if name == "gentle" else Kriging.build(rows, RANGE)
-    asked = _asked(kriging)
-    one, other = kriging.evaluate(asked), kriging._evaluate(asked)
-    apart = np.abs(one[0] - other[0])
-    least = kriging.inside.rounding * kriging.scaling.spread
-    np.testing.assert_array_equal(np.isnan(one[1]), np.isnan(other[1]))
-    known = np.isfinite(one[1])
-    assert (apart <= np.minimum(one[1], other[1]))[known].all()
-    assert (apart <= np.maximum(least, 1e-11 * kriging.scaling.spread)).all()
-
-
 def test_weights_that_are_huge_are_told_by_the_floor_of_the_bars(gentle: Kriging) -> None:
     assert np.abs(gentle.inside.weights).sum() > 1e7
     assert gentle.inside.rounding.max() > 10 * gentle.settings.bar_floor
 
 
 def test_the_nugget_keeps_rounding_below_a_thousandth_of_every_bar(gentle: Kriging) -> None:
-    _, bars, _ = gentle.evaluate(_asked(gentle))
+    _, bars = gentle.answer_many(_asked(gentle))
     bars = bars[np.isfinite(bars).all(axis=1)]
     assert len(bars)
     assert (gentle.inside.rounding * gentle.scaling.spread < 1e-3 * bars).all()
@@ -64,15 +49,6 @@ def test_of_equally_near_rows_the_first_tells_the_bar() -> None:
     tied = distance <= distance.min(axis=1, keepdims=True) + 1e-10
     assert (tied.sum(axis=1) > 1).any()
     np.testing.assert_array_equal(finder.nearest(asked), tied.argmax(axis=1))
-
-
-@pytest.mark.skipif(compiled.answers is None, reason="numba is an extra")
-def test_both_versions_take_the_same_of_equally_near_rows() -> None:
-    x = np.concatenate((np.eye(6), -np.eye(6), np.zeros((1, 6)), full_wrenches(12, 4)))
-    kriging = Kriging.build(solved(RESPONSES["strongly_coupled"], x), RANGE)
-    own = kriging.inside.equations.x
-    asked = np.array([(own[i] + own[j]) / 2 for i in range(12) for j in range(i)]) * HIGH
-    np.testing.assert_allclose(kriging.evaluate(asked)[1], kriging._evaluate(asked)[1], rtol=1e-4)
 
 
 def test_a_row_left_out_takes_the_first_of_its_equally_near_others() -> None:
