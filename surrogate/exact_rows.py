@@ -17,9 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .answer import COVERED, Answer, Batch, within
 from .table.row_index import RowIndex
-from .table.rows import Floats, LoadRange, Rows, acting, acting_one, without_locked
+from .table.rows import Floats, LoadRange, Rows, acting_one, without_locked
 
 STEEPER = 2.0  # than in proportion: of a response that bends, at the rows there are
 
@@ -75,46 +74,7 @@ class ExactRows:
     ) -> None:
         self.index = RowIndex(wrenches, load_range.scale)
         self.steepest, self._locked = STEEPER * ranges, tuple(locked)
-        self.wrenches, self.told, self.owner, self._range = wrenches, told, owner, load_range
-
-    def instead_of(
-        self, wrench: Sequence[float], found: Answer, allowed: Sequence[float]
-    ) -> Answer:
-        """Return what the row at or beside a wrench, N and N·m, says, or else what was found.
-
-        Parameters are those of `at`.
-        """
-        told = self.at(wrench, allowed)
-        if told is None:
-            return found
-        moved, error = tuple(told.displacement.tolist()), tuple(told.error.tolist())
-        return Answer(moved, error, "covered", "", "row")
-
-    def at(self, wrench: Sequence[float], allowed: Sequence[float]) -> Beside | None:
-        """Return what the row at or beside a wrench (6,), N and N·m, says, if one does.
-
-        Parameters
-        ----------
-        allowed : sequence of 6 floats, m and rad
-            What the distance from the row may add to its bar.
-        """
-        wrench = acting_one(wrench, self._locked)
-        place = self.index.place(wrench)
-        return None if place < 0 else self._told_by(place, np.array(wrench, dtype=float), allowed)
-
-    def put_into(self, asked: Floats, found: Batch, allowed: Sequence[float]) -> Batch:
-        """Where wrenches (n, 6), N and N·m, are not covered, take the rows at or beside them."""
-        doubtful, asked = np.flatnonzero(found.coverage != COVERED), acting(asked, self._locked)
-        rows = self.index.places(asked[doubtful])
-        for place, row in zip(doubtful[rows >= 0], rows[rows >= 0].tolist(), strict=True):
-            if (told := self._told_by(row, asked[place], allowed)) is not None:
-                found.displacement[place], found.error[place] = told.displacement, told.error
-                found.coverage[place] = COVERED
-        return found
-
-    def near(self, wrenches: Floats) -> NDArray[np.bool_]:
-        """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
-        return self.index.places(acting(wrenches, self._locked)) >= 0
+        self.wrenches, self.told, self.owner = wrenches, told, owner
 
     def tangent(self, wrench: Sequence[float]) -> Floats:
         """Return the tangent (6, 6), SI, of the row at or beside a wrench (6,); NaN if none has."""
@@ -122,27 +82,6 @@ class ExactRows:
         if place < 0:
             return np.full((6, 6), np.nan)
         return without_locked(self.told.compliance[self.owner[place]], self._locked)
-
-    def wrench_at(self, wrench: Sequence[float]) -> Floats | None:
-        """Return the wrench (6,), N and N·m, of the row at or beside one, if there is one."""
-        place = self.index.place(acting_one(wrench, self._locked))
-        return None if place < 0 else self.wrenches[place]
-
-    def has(self, wrench: Sequence[float]) -> bool:
-        """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
-        own = self.wrench_at(wrench)
-        return own is not None and bool((own == acting(wrench, self._locked)).all())
-
-    def _told_by(self, place: int, wrench: Floats, allowed: Sequence[float]) -> Beside | None:
-        """Return what a row says of a wrench (6,), N and N·m, if it is that or may stand for it."""
-        told, pair = self._beside(place, wrench), np.stack((wrench, self.wrenches[place]))
-        inside = self._range.holds(pair)
-        return told if inside[0] == inside[1] and within(told.growth.tolist(), allowed) else None
-
-    def _beside(self, place: int, wrench: Floats) -> Beside:
-        """Return what a row, or the one that it became, says of a wrench (6,), N and N·m."""
-        own, owner = self.wrenches[place], int(self.owner[place])
-        return beside(self.told, owner, own, wrench, self._range.scale, self.steepest)
 
 
 def beside(
@@ -176,12 +115,3 @@ def beside(
     known = np.isfinite(moved)
     growth = np.where(unread, 0.0, np.where(known, np.abs(moved), slope * reach))
     return Beside(displacement + np.where(known, moved, 0.0), error + growth, growth)
-
-
-def sources_at(rows: Rows, wrenches: Sequence[Floats | None]) -> str | None:
-    """Return the sources of the rows that have any of some wrenches (6,), each once, or None."""
-    same = np.zeros(len(rows), dtype=bool)
-    for wrench in wrenches:
-        if wrench is not None:
-            same |= (rows.wrench == wrench).all(axis=1)
-    return ", ".join(dict.fromkeys(rows.source[same].tolist())) if same.any() else None

@@ -12,13 +12,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from .answer import NAMES, Answer, Batch
 from .composition.composition import Composition
-from .exact_rows import sources_at
 from .kriging import Kriging
-from .limits import LimitedAnswers
 from .solver_error import SolverError
 from .surrogate import Surrogate
 from .table.axes import OffAxis
@@ -27,7 +24,7 @@ from .table.conflicts import row_conflicts
 from .table.rows import OUTPUTS, Floats, LoadRange, Rows, Tolerance
 
 
-class MissingOutputs(LimitedAnswers):
+class MissingOutputs:
     """The surrogates of rows that may lack some outputs.
 
     Attributes
@@ -39,6 +36,8 @@ class MissingOutputs(LimitedAnswers):
         Outputs that are held by the same rows, and the surrogate of those rows, the fewest first.
     unmeasured : tuple of str
         The names of the outputs that no row holds.
+    packed : surrogate.kernel.binding.PackedTable or None
+        The same table packed; None until it is made.
     solver_error : SolverError or None
         What the solver may be wrong by: in no bar here; `bars_are_whole` says if it is known.
     other_rows, other_wrenches : int
@@ -46,6 +45,7 @@ class MissingOutputs(LimitedAnswers):
         wrenches of theirs no row of the table has.
     """
 
+    packed: Any = None
     solver_error: SolverError | None = None
     bars_are_whole: bool = True
     other_rows: int = 0
@@ -150,113 +150,6 @@ class MissingOutputs(LimitedAnswers):
     def version(self) -> int:
         """The table's version."""
         return self.thinnest.version
-
-    def estimate(
-        self,
-        wrench: Sequence[float],
-        tolerance: Tolerance | None = None,
-        method: str | None = None,
-    ) -> Answer:
-        """Answer one wrench, N and N·m; an output that no row holds is None, in the bars too."""
-        moved: list[float | None] = [None] * 6
-        bars: list[float | None] = [None] * 6
-        answers = [part.estimate(wrench, tolerance, method) for _, part in self.groups]
-        for (outputs, _), found in zip(self.groups, answers, strict=True):
-            for output in outputs:
-                moved[output] = found.displacement[output] if found.displacement else None
-                bars[output] = found.error[output] if found.error else None
-        # An answer is a row's only if all its outputs are.
-        worst = max(answers, key=lambda one: (NAMES.index(one.coverage), one.method != "row"))
-        reasons = list(dict.fromkeys(one.reason for one in answers if one.reason))
-        if self.unmeasured:
-            reasons.append(f"not measured in any row: {', '.join(self.unmeasured)}")
-        displacement = tuple(moved) if any(one is not None for one in moved) else None
-        error = tuple(bars) if any(one is not None for one in bars) else None
-        return Answer(
-            displacement,  # pyright: ignore[reportArgumentType]  # None where not measured
-            error,  # pyright: ignore[reportArgumentType]
-            worst.coverage,
-            "; ".join(reasons),
-            worst.method,
-            self.unmeasured,
-        )
-
-    def estimates(
-        self,
-        wrenches: ArrayLike,
-        tolerance: Tolerance | None = None,
-        method: str | None = None,
-    ) -> Batch:
-        """Answer many wrenches, shape (n, 6), N and N·m; NaN for an output that no row holds."""
-        asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
-        moved, bars = np.full((len(asked), 6), np.nan), np.full((len(asked), 6), np.nan)
-        coverage = np.zeros(len(asked), dtype=np.uint8)
-        for outputs, part in self.groups:
-            found = part.estimates(asked, tolerance, method)
-            chosen = list(outputs)
-            moved[:, chosen] = found.displacement[:, chosen]
-            bars[:, chosen] = found.error[:, chosen]
-            coverage = np.maximum(coverage, found.coverage)
-        return Batch(moved, bars, coverage)
-
-    def derivatives(self, wrenches: ArrayLike, method: str | None = None) -> Floats:
-        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
-
-        NaN for an output that no row holds.
-
-        Raises
-        ------
-        UnknownMethodError
-            If the method is none of `METHODS`.
-        """
-        asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
-        found = np.full((len(asked), 6, 6), np.nan)
-        for outputs, part in self.groups:
-            found[:, list(outputs)] = part.derivatives(asked, method)[:, list(outputs)]
-        return found
-
-    def explain(
-        self,
-        wrench: Sequence[float],
-        tolerance: Tolerance | None = None,
-        method: str | None = None,
-    ) -> list[dict[str, Any]]:
-        """Return per group and axis what `Surrogate.explain` does, for the outputs there are.
-
-        The wrench is six floats, N and N·m.
-        """
-        detail = []
-        for outputs, part in self.groups:
-            names = {OUTPUTS[output] for output in outputs}
-            for axis in part.explain(wrench, tolerance, method):
-                for key in ("outputs", "error"):
-                    if axis[key] is not None:
-                        axis[key] = {k: v for k, v in axis[key].items() if k in names}
-                if axis["outputs"]:
-                    detail.append(axis)
-        return detail
-
-    def source_of(self, wrench: Sequence[float]) -> str | None:
-        """Return the source of the rows at or beside a wrench, N and N·m; None if none is.
-
-        Of several rows that have it, which may hold different outputs, all their sources.
-        """
-        return sources_at(self.rows, [part.exact.wrench_at(wrench) for _, part in self.groups])
-
-    def has_row(self, wrench: Sequence[float]) -> bool:
-        """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
-        return any(part.has_row(wrench) for _, part in self.groups)
-
-    def near_rows(self, wrenches: Floats) -> NDArray[np.bool_]:
-        """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
-        return np.logical_or.reduce([part.near_rows(wrenches) for _, part in self.groups])
-
-    def row_tangent(self, wrench: Sequence[float]) -> Floats:
-        """Return the tangent (6, 6), SI, of the rows at or beside a wrench; NaN where none has."""
-        found = np.full((6, 6), np.nan)
-        for outputs, part in self.groups:
-            found[list(outputs)] = part.row_tangent(wrench)[list(outputs)]
-        return found
 
     def coverage_summary(self) -> dict[str, Any]:
         """Return the summary of the thinnest surrogate, and how many rows hold what."""

@@ -1,25 +1,21 @@
-"""The surrogate of one version of a table: rows in; displacement, error bar and coverage out."""
+"""The interpolators of one version of a table; its packed form answers (`surrogate.kernel`)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from math import isfinite
 from time import thread_time
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from .allowed import Allowed, allowed_of
-from .answer import COVERED, NAMES, OUTSIDE, THIN, Answer, Batch, no_answers, over_tolerance, within
 from .composition.build import build_composition
 from .composition.composition import Composition
-from .describe.explain import explain_axes, explain_linear
 from .describe.summary import summarise
-from .doubt import UNKNOWN_AT_REST, Doubt, doubt_of
-from .exact_rows import ExactRows, sources_at
+from .doubt import Doubt, doubt_of
+from .exact_rows import ExactRows
 from .kriging import (
     Kriging,
     Readings,
@@ -30,23 +26,16 @@ from .kriging import (
     readings_of,
     too_large_in_words,
 )
-from .limits import LimitedAnswers
-from .methods.makers import makers
-from .methods.reference import AxesReference, KrigingReference, Reference, interaction_of
-from .methods.registry import Registry
+from .methods.interaction import interaction_of
 from .methods.selection import Choice, choose, linear_choice, without_kriging
 from .solver_error import SolverError
 from .table.axes import OffAxis
 from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import merge
-from .table.rows import Floats, LoadRange, Rows, Tolerance, acting, acting_one, without_locked
-
-EMPTY = "the table has no rows"
-ONLY_BEYOND = "all rows of the table are outside its load range"
-UNKNOWN_ERROR = "no row tells how far this answer may be wrong"
+from .table.rows import Floats, LoadRange, Rows, Tolerance
 
 
-class Surrogate(LimitedAnswers):
+class Surrogate:
     """The interpolators built from one version of a table; immutable.
 
     Attributes
@@ -77,6 +66,8 @@ class Surrogate(LimitedAnswers):
         What rows say at and beside their own wrenches.
     build_s : float, s
         Processor time that building it took.
+    packed : surrogate.kernel.binding.PackedTable or None
+        The same table packed; None until it is made.
     solver_error : SolverError or None
         What the solver may be wrong by: in no bar here; `bars_are_whole` says if it is known.
     other_rows, other_wrenches : int
@@ -84,6 +75,7 @@ class Surrogate(LimitedAnswers):
         wrenches of theirs no row of the table has.
     """
 
+    packed: Any = None
     solver_error: SolverError | None = None
     bars_are_whole: bool = True
     other_rows: int = 0
@@ -115,14 +107,13 @@ class Surrogate(LimitedAnswers):
         self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
         self.equations = self._equations()
         self.one_factor = fits_one_factor(self.equations)
-        self._methods = Registry(makers(self))
         if len(self.used) and not (linear and self.fit.complete):
             # Not kept: versions would hold each other without end.
             known = before.composition_if_made if before is not None else None
             self.composition = self._compose(known)
         self.choice = self._choice()
-        if len(self.used):
-            _ = self._methods.get(self.default)
+        if self.by_axes:
+            _ = self.interaction
         if self.by_axes and (thinning := self.composition.thinning):
             self.choice = replace(self.choice, reason=f"{self.choice.reason}; {thinning}")
         self.doubt = self._doubt()
@@ -158,13 +149,15 @@ class Surrogate(LimitedAnswers):
         """The composition, if something has asked for it."""
         return self.__dict__.get("composition")
 
+    @property
+    def by_kriging(self) -> bool:
+        """Whether the kriging answers by default: then its own error bars hold."""
+        return self.default == "kriging" and self.kriging is not None
+
     @cached_property
-    def reference(self) -> Reference:
-        """What the answers of methods are compared with for their error bars."""
-        if self.default == "kriging" and self.kriging is not None:
-            return KrigingReference(self.kriging)
-        interaction = interaction_of(self.used, self.load_range, self.composition)
-        return AxesReference(self.composition, interaction)
+    def interaction(self) -> Kriging | None:
+        """The kriging of what the additive composition of the axes leaves out."""
+        return interaction_of(self.used, self.load_range, self.composition)
 
     @cached_property
     def kriging(self) -> Kriging | None:
@@ -178,114 +171,6 @@ class Surrogate(LimitedAnswers):
             return Kriging.build(self.used, self.load_range, readings=self._readings())
         except (TooFewRowsError, SingularCovarianceError):
             return None
-
-    def estimate(
-        self,
-        wrench: Sequence[float],
-        tolerance: Tolerance | None = None,
-        method: str | None = None,
-    ) -> Answer:
-        """Answer one wrench of six finite floats, N and N·m."""
-        wrench = acting_one(wrench, self.locked)
-        name = method or self.default
-        if not len(self.used):
-            self._methods.check(name)
-            reason = ONLY_BEYOND if len(self.rows) else EMPTY
-            nothing, allowed = Answer(None, None, "outside", reason, "estimate"), self.allowed
-            return self.exact.instead_of(wrench, nothing, allowed.of(tolerance))
-        found = self._methods.get(name)
-        told = found.estimate(np.array((wrench,), dtype=float))
-        displacement, error = tuple(told.displacement[0].tolist()), tuple(told.error[0].tolist())
-        state, reason = int(told.state[0]), ""
-        if state != COVERED:
-            reason = found.reason(np.array(wrench, dtype=float))
-        elif not self.doubt.none and (reason := self.doubt.of_one(wrench)):
-            state = OUTSIDE if reason == UNKNOWN_AT_REST else THIN
-        allowed = self.allowed.of(tolerance)
-        if state == COVERED and not within(error, allowed):
-            unknown = None if isfinite(sum(error)) else self._why_unknown(wrench)
-            state, reason = THIN, unknown or over_tolerance(error, allowed)
-        bars = error if isfinite(sum(error)) else None
-        answer = Answer(displacement, bars, NAMES[state], reason, name)
-        return answer if state == COVERED else self.exact.instead_of(wrench, answer, allowed)
-
-    def estimates(
-        self,
-        wrenches: ArrayLike,
-        tolerance: Tolerance | None = None,
-        method: str | None = None,
-    ) -> Batch:
-        """Answer many wrenches, shape (n, 6), N and N·m, with the same numbers as `estimate`."""
-        asked = acting(wrenches, self.locked).reshape(-1, 6)
-        name = method or self.default
-        allowed = self.allowed.of(tolerance)
-        if not len(self.used):
-            self._methods.check(name)
-            return self.exact.put_into(asked, no_answers(len(asked)), allowed)
-        told = self._methods.get(name).estimate(asked)
-        state = told.state.copy()
-        over = ~(told.error <= np.array(allowed)).all(axis=1)
-        together, at_rest = self.doubt.of_many(asked)
-        state[(state == COVERED) & at_rest] = OUTSIDE
-        state[(state == COVERED) & (over | together)] = THIN
-        unknown = ~np.isfinite(told.error).all(axis=1)
-        told.error[unknown] = np.nan
-        return self.exact.put_into(asked, Batch(told.displacement, told.error, state), allowed)
-
-    def derivatives(self, wrenches: ArrayLike, method: str | None = None) -> Floats:
-        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
-
-        Exact of the method's interpolant; NaN for a table without rows.
-
-        Raises
-        ------
-        UnknownMethodError
-            If the method is none of `METHODS`.
-        """
-        asked = acting(wrenches, self.locked).reshape(-1, 6)
-        name = method or self.default
-        if not len(self.used):
-            self._methods.check(name)
-            return np.full((len(asked), 6, 6), np.nan)
-        return without_locked(self._methods.get(name).derivatives(asked), self.locked)
-
-    def explain(
-        self,
-        wrench: Sequence[float],
-        tolerance: Tolerance | None = None,
-        method: str | None = None,
-    ) -> list[dict[str, Any]]:
-        """Return per axis its inputs, outputs, error bars, coverage, reason and rows (their seq).
-
-        They are those of the compliance if it answers, of the composition otherwise.
-        """
-        name = method or self.default
-        self._methods.check(name)
-        asked = acting(wrench, self.locked)
-        if name == "linear" and len(self.used):
-            found = self.answer(wrench, tolerance, name)
-            return explain_linear(self.fit, self.used, self.members, asked, found)
-        limit = tolerance or self.tolerance
-        return explain_axes(self.composition, self.members, asked, limit)
-
-    def source_of(self, wrench: Sequence[float]) -> str | None:
-        """Return the source of the row at or beside a wrench, N and N·m; None if none is.
-
-        Of several rows that have its wrench, all their sources.
-        """
-        return sources_at(self.rows, [self.exact.wrench_at(wrench)])
-
-    def has_row(self, wrench: Sequence[float]) -> bool:
-        """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
-        return self.exact.has(wrench)
-
-    def near_rows(self, wrenches: Floats) -> NDArray[np.bool_]:
-        """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
-        return self.exact.near(wrenches)
-
-    def row_tangent(self, wrench: Sequence[float]) -> Floats:
-        """Return that row's tangent (6, 6), m/N, m/(N·m), rad/N, rad/(N·m); NaN if it has none."""
-        return self.exact.tangent(wrench)
 
     def coverage_summary(self) -> dict[str, Any]:
         """Return how the table covers the load range, as JSON-able values."""
@@ -321,23 +206,9 @@ class Surrogate(LimitedAnswers):
         """What each output varies by over the rows and from zero, shape (6,), m and rad."""
         return self.allowed.ranges
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: all but how methods are made that are not."""
-        return {**self.__dict__, "_methods": self._methods.made}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._methods = Registry(makers(self), state["_methods"])
-
     def _doubt(self) -> Doubt:
         rest_unknown = self.by_axes and not self.linear and not self.composition.at_rest.known
         return doubt_of(self.used, self.load_range, linear=self.linear, rest_unknown=rest_unknown)
-
-    def _why_unknown(self, wrench: Sequence[float]) -> str:
-        """Return why the error of an answer to a wrench (6,), N and N·m, is not known."""
-        told = isinstance(self.reference, KrigingReference) and self.kriging is not None
-        found = self.kriging.why_unknown(np.array(wrench)) if told and self.kriging else ""
-        return found or UNKNOWN_ERROR
 
     def _readings(self) -> Readings:
         """Return what was measured behind each of `used`, for the noise that nobody stated."""
@@ -364,5 +235,4 @@ class Surrogate(LimitedAnswers):
     def _kriging_detail(self) -> str:
         if not self.one_factor:
             return too_large_in_words(len(self.used), self.equations)
-        by_kriging = self.default == "kriging" and self.kriging is not None
-        return self.kriging.detail if by_kriging and self.kriging else ""
+        return self.kriging.detail if self.by_kriging and self.kriging else ""

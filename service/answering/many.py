@@ -17,7 +17,7 @@ from service.ordering import Placed
 from service.workspace import Workspace
 from surrogate.answer import COVERED, six
 from surrogate.build import AnyTable
-from surrogate.methods.method import why_beyond
+from surrogate.table.rows import why_beyond
 
 Places = NDArray[np.intp]
 

@@ -22,8 +22,7 @@ from service.workspace import Workspace
 from surrogate.answer import six, within_tolerance
 from surrogate.build import AnyTable
 from surrogate.kernel.explain import explain
-from surrogate.methods.method import why_beyond
-from surrogate.table.rows import acting_one
+from surrogate.table.rows import acting_one, why_beyond
 
 
 def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | None:

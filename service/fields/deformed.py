@@ -22,9 +22,8 @@ from service.fields.store import FieldStore
 from service.library.component import Component
 from surrogate.field_weights import FieldWeights, nearest_rows
 from surrogate.kriging import Hyperparameters, SingularCovarianceError
-from surrogate.methods.method import why_beyond
 from surrogate.solver_error import SolverError
-from surrogate.table.rows import Rows
+from surrogate.table.rows import Rows, why_beyond
 
 Floats = NDArray[np.float64]
 

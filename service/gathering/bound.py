@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from service.gathering.gathering import Envelope
 from surrogate.answer import COVERED, NAMES, OUTSIDE
 from surrogate.build import AnyTable
+from surrogate.kernel.packing import packed_of
 from surrogate.table.rows import Tolerance
-from surrogate.whole_bars import whole_bars
 
 Floats = NDArray[np.float64]
 
@@ -62,16 +62,15 @@ def bound_of(surrogate: AnyTable, envelope: Envelope, tolerance: Tolerance | Non
         return Bound(unknown, "unknown", "", "outside", None, "no wrench has come yet")
     exact = surrogate.linear and surrogate.fit.complete
     points = np.concatenate([_corners(low, high), envelope.lowest, envelope.highest])
-    answers = surrogate.estimates(points)
-    answers = answers._replace(error=whole_bars(surrogate, points, answers))
+    answers = packed_of(surrogate).batch(points)
     coverage = int(answers.coverage.max(initial=COVERED))
     if exact:
-        most = _over_box(surrogate.fit.matrix, low, high) + answers.error.max(axis=0)
-        at_rest = surrogate.batch(np.zeros((1, 6)))
-        most = most + np.abs(at_rest.displacement[0])
+        most = _over_box(surrogate.fit.matrix, low, high) + answers.errors.max(axis=0)
+        at_rest = packed_of(surrogate).batch(np.zeros((1, 6)))
+        most = most + np.abs(at_rest.outputs[0])
     else:
         # NaN stays: what is not known at one point is no estimate of the largest.
-        most = (np.abs(answers.displacement) + answers.error).max(axis=0)
+        most = (np.abs(answers.outputs) + answers.errors).max(axis=0)
     kind = "unknown" if np.isnan(most).any() else "bound" if exact else "estimate"
     negligible, reason = _judged(most, coverage, kind, tolerance)
     formula = EXACT if exact else ESTIMATE

@@ -18,6 +18,7 @@ from scipy.io import savemat
 
 from service.contract import CONTRACT
 from surrogate.build import AnyTable
+from surrogate.kernel.packing import packed_of
 from surrogate.table.rows import OUTPUT_UNITS, OUTPUTS
 
 AXES = {"x": (0, 4, 5), "y": (1, 5, 3), "z": (2, 3, 4)}
@@ -48,13 +49,13 @@ def write_breakpoints(table: AnyTable, name: str, path: Path) -> None:
     """
     low, high = table.load_range.low, table.load_range.high
     wrenches = _between(low, high)
-    exact = table.batch(wrenches)
-    if not np.isfinite(exact.displacement).all():
+    exact = packed_of(table).batch(wrenches)
+    if not np.isfinite(exact.outputs).all():
         raise NoTableError(
             f"the table of {name!r} does not tell all six outputs within its load range; add rows, "
             "or export them as they are: csv, xlsx, parquet, hdf5, json"
         )
-    bar = np.nanmedian(exact.error, axis=0)
+    bar = np.nanmedian(exact.errors, axis=0)
     alone = _single(wrenches)
     for count in GRIDS:
         content = _resampled(table, low, high, count)
@@ -87,25 +88,25 @@ def _about(table: AnyTable, name: str, count: int, bar: Any, single: Any, whole:
 
 def _resampled(table: AnyTable, low: np.ndarray, high: np.ndarray, count: int) -> dict[str, Any]:
     """Return the axes, the answers to moments alone, and the one to no load."""
-    found: dict[str, Any] = {"zero": table.batch(np.zeros((1, 6))).displacement[0]}
+    found: dict[str, Any] = {"zero": packed_of(table).batch(np.zeros((1, 6))).outputs[0]}
     points = [_points(*ends, count) for ends in zip(low, high, strict=True)]
     for axis, loads in AXES.items():
         grid = np.meshgrid(*(points[load] for load in loads), indexing="ij")
         wrenches = np.zeros((grid[0].size, 6))
         for load, values in zip(loads, grid, strict=True):
             wrenches[:, load] = values.ravel()
-        answers = table.batch(wrenches)
+        answers = packed_of(table).batch(wrenches)
         entry: dict[str, Any] = {f"bp{n + 1}": points[load] for n, load in enumerate(loads)}
         entry["loads"] = " ".join(_LOADS[load] for load in loads)
-        entry["u"] = answers.displacement[:, "xyz".index(axis)].reshape(grid[0].shape)
+        entry["u"] = answers.outputs[:, "xyz".index(axis)].reshape(grid[0].shape)
         for output in _ROTATIONS:
-            entry[OUTPUTS[output]] = answers.displacement[:, output].reshape(grid[0].shape)
+            entry[OUTPUTS[output]] = answers.outputs[:, output].reshape(grid[0].shape)
         entry["coverage"] = answers.coverage.reshape(grid[0].shape)
         found[f"axis_{axis}"] = entry
     for load in _ROTATIONS:
         wrenches = np.zeros((count, 6))
         wrenches[:, load] = points[load]
-        moved = table.batch(wrenches).displacement
+        moved = packed_of(table).batch(wrenches).outputs
         entry = {"bp1": points[load]} | {OUTPUTS[output]: moved[:, output] for output in _ROTATIONS}
         found[f"moment_{_LOADS[load][1]}"] = entry
     return found
@@ -134,7 +135,7 @@ def _errors(
     table: AnyTable, content: dict[str, Any], wrenches: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest and the RMS error of each output, m and rad, against the table."""
-    off = composed(content, wrenches) - table.batch(wrenches).displacement
+    off = composed(content, wrenches) - packed_of(table).batch(wrenches).outputs
     return np.abs(off).max(axis=0), np.sqrt((off**2).mean(axis=0))
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from surrogate.build import AnyTable, build
+from surrogate.kernel.packing import packed_of
 from surrogate.table.rows import LOADS, OUTPUTS, LoadRange, Rows, Tolerance
 
 MOST_ROWS = 5000  # measured ones that are compared; more are thinned evenly
@@ -57,15 +58,15 @@ def disagreement(
 
 
 def _compared(table: AnyTable, measured: Rows) -> dict[str, Any]:
-    expected = table.batch(measured.wrench)
-    off = measured.displacement - expected.displacement
+    expected = packed_of(table).batch(measured.wrench)
+    off = measured.displacement - expected.outputs
     own = np.where(np.isfinite(measured.uncertainty), measured.uncertainty, 0.0)
-    bar = np.hypot(expected.error, own)  # two independent 95 % half widths
+    bar = np.hypot(expected.errors, own)  # two independent 95 % half widths
     known = np.isfinite(off) & np.isfinite(bar) & (expected.coverage < 2)[:, None]
     ratio = np.where(known, np.abs(off) / np.maximum(bar, np.finfo(float).tiny), 0.0)
     outside = ratio > 1.0
     told = [
-        _row(measured, expected.displacement, bar, ratio, at, output)
+        _row(measured, expected.outputs, bar, ratio, at, output)
         for at, output in np.argwhere(outside).tolist()
     ]
     told.sort(key=lambda row: -row["ratio"])

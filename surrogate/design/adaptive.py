@@ -25,7 +25,6 @@ from numpy.typing import ArrayLike
 
 from ..answer import allowed_by
 from ..build import AnyTable
-from ..missing_outputs import MissingOutputs
 from ..surrogate import Surrogate
 from ..table.axes import AXES
 from ..table.rows import Floats, LoadRange, Tolerance
@@ -88,7 +87,7 @@ def next_wrenches(
     span = span or table.load_range
     known = Known(table.load_range, table.rows.wrench, waiting.reshape(-1, 6))
     # Of outputs that some rows lack, those that the fewest rows hold are the worst known.
-    surrogate = table.thinnest if isinstance(table, MissingOutputs) else table
+    _, surrogate = table.groups[0]
     if surrogate.linear:
         return _linear_design(surrogate, known, budget, span)
     if not (span.high > span.low).any():

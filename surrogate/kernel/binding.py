@@ -45,7 +45,7 @@ class PackedTable:
         self._handle, self._packed, self._kept, self.size = handle, packed, kept, size
         self.arrays, self.words = packed
         library = kernel().held
-        self._answer = library.wb_answer
+        self._answer, self._release = library.wb_answer, library.wb_close
         self.inputs, self.outputs = library.wb_inputs(handle), library.wb_outputs(handle)
         self._scratch = library.wb_scratch(handle)
         self._read = Reader(packed, self.inputs, self.outputs).read
@@ -275,7 +275,7 @@ class PackedTable:
         handle, self._handle = self._handle, 0
         if handle:
             self._answer = _closed
-            kernel().held.wb_close(handle)
+            self._release(handle)
 
     def __del__(self) -> None:
         """Unmap the table once nobody uses it."""

@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..build import AnyTable
-from ..describe.explain import linear_rows
 from ..kriging import Kriging
 from ..limits import LONGEST, TRANSLATION_LIMIT
-from ..methods.reference import AxesReference, KrigingReference
 from ..methods.selection import ENOUGH_FULL
 from ..surrogate import Surrogate
 from ..table.rows import CLEAN, LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS, Floats, Tolerance
@@ -221,7 +219,7 @@ def _group_arrays(
     yield "fit/matrix", group.fit.matrix
     yield "fit/bar", group.fit.bar
     yield "fit/known", group.fit.known.astype(np.int32)
-    yield "fit/rows", np.array(linear_rows(group.fit, group.used, group.members), dtype=np.int64)
+    yield "fit/rows", np.array(_linear_rows(group), dtype=np.int64)
     yield from _row_arrays(group, sources)
     parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
     if used:
@@ -237,13 +235,18 @@ def _reference(group: Surrogate, exact: bool) -> tuple[int, Kriging | None]:
     """Return the bits of what errors are measured against, and the kriging of what axes miss."""
     if exact:  # its default needs no reference: none is built
         return _ADDITIVE, None
-    reference = group.reference
-    if isinstance(reference, KrigingReference):
+    if group.by_kriging:
         return _KRIGING, None
-    assert isinstance(reference, AxesReference)
-    if reference.interaction is None:
-        return _ADDITIVE, None
-    return _ADDITIVE | _MISSED, reference.interaction
+    missed = group.interaction
+    return _ADDITIVE if missed is None else _ADDITIVE | _MISSED, missed
+
+
+def _linear_rows(group: Surrogate) -> list[int]:
+    """Return the numbers of the rows that the compliance comes from."""
+    places = range(len(group.used))
+    if group.fit.origin == "stored":
+        places = np.flatnonzero(np.isfinite(group.used.compliance).all(axis=(1, 2))).tolist()
+    return sorted(row for place in places for row in group.members[place])
 
 
 def _row_arrays(group: Surrogate, sources: _Sources) -> Iterator[tuple[str, Array]]:

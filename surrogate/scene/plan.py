@@ -16,7 +16,9 @@ from ..answer import allowed_by
 from ..build import AnyTable
 from ..design.adaptive import Design, next_wrenches
 from ..design.initial import Known, first_count, first_design
-from ..surrogate import UNKNOWN_ERROR, Surrogate
+from ..kernel.binding import PackedTable
+from ..kernel.packing import packed_of
+from ..packed.reasons import UNKNOWN_ERROR
 from ..table.rows import LOADS, OUTPUT_UNITS, OUTPUTS, Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .need import Need
@@ -120,12 +122,16 @@ def first_solves(table: AnyTable, span: LoadRange) -> int:
 def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
     """Return what the displacement does not exceed, (6,), m and rad, and why it is not known.
 
-    The larger of two: the answers with their bars at corners and wrenches of the scene; and the
-    compliance's sum over the loads with its bar, which is one for the whole load range, or what the
-    steepest slopes of the scene's wrenches allow, if that is less. To that comes what the solver of
-    the rows may be wrong by.
+    The larger of two: the answers with their errors at corners and wrenches of the scene; and the
+    compliance's sum over the loads with its error, which is one for the whole load range, or what
+    the steepest slopes of the scene's wrenches allow, if that is less.
     """
     bound, why = np.full(6, np.nan), NO_ROWS
+    full = np.maximum(np.abs(need.span.low), np.abs(need.span.high))
+    solver = np.zeros(6)
+    if table.solver_error is not None:  # it is largest where the loads are
+        solver = table.solver_error.widened_many(np.zeros((1, 6)), full[None])[0]
+    found = packed_of(table).batch(_sample(need))
     for outputs, surrogate in table.groups:
         own, fit = list(outputs), surrogate.fit
         unknown = need.occurring & ~fit.known
@@ -133,31 +139,26 @@ def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
             told = [LOADS[load] for load in np.flatnonzero(unknown)]
             why = f"no row tells the influence of {', '.join(told)}" if len(surrogate.used) else why
             continue
-        full = np.maximum(np.abs(need.span.low), np.abs(need.span.high))
-        most = np.abs(fit.matrix) @ full + fit.bar
+        most = np.abs(fit.matrix) @ full + fit.bar + solver
         if not surrogate.linear:
-            found = surrogate.estimates(_sample(need))
             if not found.coverage.any():  # slopes of a table that is thin here prove nothing
-                most = np.fmin(most, _reach(surrogate, need) + found.error.max(axis=0))
-            most = np.maximum(most, (np.abs(found.displacement) + found.error).max(axis=0))
+                most = np.fmin(most, _reach(packed_of(table), need) + found.errors.max(axis=0))
+            most = np.maximum(most, (np.abs(found.outputs) + found.errors).max(axis=0))
         bound[own], why = most[own], UNKNOWN_ERROR if np.isnan(most[own]).any() else ""
-    if table.solver_error is not None:  # rows share it: it is largest where the loads are
-        full = np.maximum(np.abs(need.span.low), np.abs(need.span.high))
-        bound = table.solver_error.widened_many(bound[None], full[None])[0]
     return bound, why if np.isnan(bound[list(need.outputs)]).any() else ""
 
 
-def _reach(surrogate: Surrogate, need: Need) -> Floats:
+def _reach(table: PackedTable, need: Need) -> Floats:
     """Return how far the steepest slopes reach from a scene's middle to its ends, (6,), m and rad.
 
     By the mean value theorem: where loads are small the component moves little, however far it
     bends from one compliance at its largest.
     """
     middle = (need.span.low + need.span.high) / 2
-    there = surrogate.estimates(middle)
-    steepest = np.abs(surrogate.derivatives(_sample(need))).max(axis=0)
-    moved = np.abs(there.displacement[0]) + steepest @ (need.span.high - middle)
-    return np.asarray(moved + there.error[0])
+    there = table.batch(middle[None])
+    steepest = np.abs(table.derivatives(_sample(need))).max(axis=0)
+    moved = np.abs(there.outputs[0]) + steepest @ (need.span.high - middle)
+    return np.asarray(moved + there.errors[0])
 
 
 def _sample(need: Need) -> Floats:
@@ -188,15 +189,15 @@ def _one_compliance(table: AnyTable, need: Need) -> tuple[Floats | None, str]:
     if need.tolerance is None:
         return None, "its response is looked up; no tolerance says what may be left out"
     asked, read = _sample(need), list(need.outputs)
-    found = table.estimates(asked, need.tolerance)
+    found = packed_of(table).batch(asked, allowed_by(need.tolerance))
     scale = table.load_range.scale
-    told = np.asarray(np.isfinite(found.displacement).all(axis=0))
-    moved = np.where(told, found.displacement, 0.0)
+    told = np.asarray(np.isfinite(found.outputs).all(axis=0))
+    moved = np.where(told, found.outputs, 0.0)
     if not np.isfinite(moved).all():
         return None, NO_ROWS
     columns = np.linalg.lstsq(asked / scale, moved, rcond=None)[0]
     matrix = np.where(told[:, None], columns.T / scale, 0.0)
-    missed = np.abs(moved - asked @ matrix.T) + found.error
+    missed = np.abs(moved - asked @ matrix.T) + found.errors
     share = (missed / np.array(allowed_by(need.tolerance)))[:, read]
     if (share <= 1.0).all():
         reason = f"over the scene's loads one compliance answers within {share.max():.2g} of the "

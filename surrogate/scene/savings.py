@@ -9,6 +9,7 @@ import numpy as np
 
 from ..build import AnyTable
 from ..kernel.binding import PackedTable
+from ..kernel.packing import packed_of
 from ..packed.format import Packed
 from ..table.rows import Floats
 from .cut import cut
@@ -49,7 +50,7 @@ def measured(table: AnyTable, plan: Plan) -> Savings:
         none = "not measured: there are no rows yet"
         keys = ("build_s", "memory_bytes", "us_per_answer")
         return Savings(None, None, None, dict.fromkeys(keys, none))
-    wrenches, packed = _wrenches(plan), table.packed
+    wrenches, packed = _wrenches(plan), packed_of(table)
     whole = built_s(table), packed.size, _us(packed, wrenches)
     own = 0.0, 0, 0.0
     if plan.decision != "rigid":

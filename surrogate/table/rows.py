@@ -337,3 +337,13 @@ def _column(records: list[Mapping[str, Any]], name: str, shape: tuple[int, ...])
         if record.get(name) is not None:
             column[place] = np.asarray(record[name], dtype=float).reshape(shape)
     return column
+
+
+def why_beyond(load_range: LoadRange, wrench: Floats) -> str:
+    """Return which loads of a wrench (6,), N and N·m, lie outside the load range, if any do."""
+    found = []
+    for load in np.flatnonzero(load_range.exceeded(wrench)).tolist():
+        low, high, unit = load_range.low[load], load_range.high[load], LOAD_UNITS[load]
+        amount = f"{LOADS[load]} = {wrench[load]:.10g} {unit}"
+        found.append(f"{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}")
+    return "; ".join(found)

@@ -15,10 +15,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrogate.build import build
 from surrogate.kriging import Kriging
 from surrogate.kriging.settings import DEFAULTS
-from surrogate.surrogate import Surrogate
 from tests.surrogate.calibrating import (
     PIECEWISE,
     SOLVES,
@@ -30,6 +28,7 @@ from tests.surrogate.calibrating import (
     synthetic,
 )
 from tests.surrogate.kriging.responses import RESPONSES, solved
+from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, smooth
 from tests.surrogate.scenarios import SCENARIOS, asked_of, judged, shipped_truth
 
@@ -87,7 +86,6 @@ def test_made_up_responses() -> None:
             found, methods = [], set()
             for seed in SEEDS:
                 surrogate = build(case.rows(response, seed), RANGE)
-                assert isinstance(surrogate, Surrogate)
                 asked = full_wrenches(1000, seed + 10_000)
                 one = calibration(surrogate, asked * HIGH, response(asked))
                 told = one.complaints(piecewise=name in PIECEWISE, calibrated=case.calibrated)
@@ -131,7 +129,6 @@ def test_shipped_components() -> None:
                 continue
             component = shipped(name, full, clean)
             surrogate = build(component.rows, component.load_range)
-            assert isinstance(surrogate, Surrogate)
             found = calibration(surrogate, component.asked, component.true, accuracy=SOLVES)
             size = f"{len(component.rows) - full}+{full}"
             line(name, size, surrogate.default, [found])

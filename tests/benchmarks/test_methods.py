@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from surrogate.answer import METHODS
-from surrogate.build import build
 from surrogate.table.rows import OUTPUTS, Rows
 from tests.benchmarks.peers import SMT_MISSING, radial, smt_kriging
 from tests.surrogate.calibrating import Shipped, shipped
+from tests.surrogate.law import build
 
 
 def percent(component: Shipped, moved: np.ndarray) -> np.ndarray:

@@ -15,10 +15,10 @@ import pytest
 from scipy.interpolate import LinearNDInterpolator, griddata
 from scipy.spatial import Delaunay
 
-from surrogate.build import build
 from surrogate.surrogate import Surrogate
 from surrogate.table.axes import AXES
 from surrogate.table.rows import Rows, Tolerance
+from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
 
 ASKED = full_wrenches(2000, 7) * 0.9
@@ -53,7 +53,7 @@ def per_call(call: Callable[[int], object], count: int = 2000) -> float:
 def built(per_axis: int) -> tuple[Surrogate, list[LinearNDInterpolator], float]:
     rows = table(smooth, clean_wrenches(per_axis, 1))
     start = time.perf_counter()
-    surrogate = Surrogate(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
+    surrogate = build(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
     took = time.perf_counter() - start
     bare = [
         LinearNDInterpolator(axis.triangulation.delaunay, axis.values)

@@ -12,11 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surrogate.build import AnyTable, build
+from surrogate.build import AnyTable
 from surrogate.kriging import Kriging
 from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.calibrating import TABLES
 from tests.surrogate.kriging.responses import Response, solved
+from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE
 
 ASKED = 300  # wrenches that answers are judged at

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from surrogate.build import build
 from surrogate.solver_error import SolverError
 from surrogate.table.rows import LoadRange, Rows
+from tests.surrogate.law import build
 
 
 def column(pushed, stiffer=0.0):

@@ -4,9 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import griddata
 
-from surrogate.build import build
 from surrogate.table.axes import AXES
 from surrogate.table.rows import LoadRange, Rows, Tolerance
+from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
     RANGE,

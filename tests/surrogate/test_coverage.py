@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surrogate.build import build
 from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.calibrating import with_slopes
+from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
 
 # Twenty full wrenches: rows of one axis alone show nothing of what axes do together.

@@ -5,7 +5,6 @@ import pytest
 
 import surrogate.kriging.dense as dense
 from surrogate.answer import allowed_by
-from surrogate.build import build
 from surrogate.design.adaptive import ENOUGH, next_wrenches
 from surrogate.design.initial import CORNERS, Known, first_design, spread_wrenches
 from surrogate.missing_outputs import MissingOutputs
@@ -13,11 +12,12 @@ from surrogate.surrogate import Surrogate
 from surrogate.table.axes import clean_rows
 from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.kriging.responses import solved
+from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, smooth, table
 
 EMPTY = build(Rows.empty(), RANGE)
 FIRST = next_wrenches(EMPTY, 100).wrenches
-FILLED = Surrogate(solved(coupled, FIRST / HIGH), RANGE)
+FILLED = build(solved(coupled, FIRST / HIGH), RANGE)
 
 
 def test_the_first_design_is_no_load_then_corners_then_an_even_spread() -> None:
@@ -194,7 +194,7 @@ def test_a_table_whose_rows_lack_outputs_is_filled_for_those_that_fewest_rows_ho
     moved[15:, 3:] = np.nan  # a rig that measured no rotations
     rows = Rows.of(scaled * HIGH, moved)
     partial = build(rows, RANGE)
-    assert isinstance(partial, MissingOutputs)
+    assert isinstance(partial.table, MissingOutputs)
     asked = next_wrenches(partial, 12).wrenches
     thin = next_wrenches(partial.thinnest, 12).wrenches
     np.testing.assert_array_equal(asked, thin)
@@ -207,7 +207,7 @@ def test_a_table_of_which_no_row_tells_an_error_covers_nothing_but_has_next_wren
     monkeypatch.setattr(dense, "_level", lambda *_: None)  # as rounding leaves it of a few rows
     wrenches = spread_wrenches(RANGE, 20)
     surrogate = build(Rows.of(wrenches, wrenches * 1e-6, source=["fea"] * 20), RANGE)
-    assert isinstance(surrogate, Surrogate)
+    assert isinstance(surrogate.table, Surrogate)
     assert surrogate.kriging is not None
     assert not surrogate.kriging.knows_errors
     assert len(next_wrenches(surrogate, 3, pending=-wrenches).wrenches) == 3

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from surrogate.bars.conformal import conformal_factor
-from surrogate.build import build
 from surrogate.kriging.kriging import UNKNOWN_ERRORS
-from surrogate.surrogate import Surrogate
 from surrogate.table.rows import Rows, Tolerance
 from tests.surrogate.calibrating import (
     INSIDE,
@@ -22,6 +20,7 @@ from tests.surrogate.calibrating import (
     synthetic,
 )
 from tests.surrogate.kriging.responses import RESPONSES, solved, spread_wrenches
+from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
     RANGE,
@@ -102,7 +101,7 @@ def test_bars_are_sharp(name: str) -> None:
 )
 def test_bars_hold_on_the_shipped_components(name: str, clean: int | None) -> None:
     component = shipped(name, 40 if name == "plate_thin" else 20, clean)
-    surrogate = Surrogate(component.rows, component.load_range)
+    surrogate = build(component.rows, component.load_range)
     found = calibration(surrogate, component.asked, component.true, accuracy=SOLVES)
     assert found.inside.min() >= INSIDE
 
@@ -115,7 +114,7 @@ def test_a_table_that_cannot_know_what_loads_do_together_covers_no_full_wrench()
 
 def test_what_is_called_covered_is_inside_under_a_tolerance_too() -> None:
     rows = solved(coupled, full_wrenches(40, 5))
-    surrogate = Surrogate(rows, RANGE, tolerance=Tolerance(1e-4, 1e-4))
+    surrogate = build(rows, RANGE, tolerance=Tolerance(1e-4, 1e-4))
     asked = full_wrenches(1000, 6)
     found = calibration(surrogate, asked * HIGH, coupled(asked))
     assert 0.05 < found.covered < 0.95
@@ -150,7 +149,7 @@ def test_the_bars_of_other_methods_hold(method: str) -> None:
 @pytest.mark.parametrize("response", [smooth, kinked])
 def test_bars_hold_where_a_table_is_too_large_for_one_factor(response) -> None:
     rows = solved(response, spread_wrenches(120, 60, 2))
-    assert Surrogate(rows, RANGE).kriging is None
+    assert build(rows, RANGE).kriging is None
     assert synthetic(response, rows).inside.min() >= INSIDE
 
 
@@ -192,7 +191,7 @@ def test_the_factor_covers_its_level_and_is_careful_with_few_errors() -> None:
 def test_a_table_whose_left_out_rows_tell_no_size_covers_nothing_and_says_why() -> None:
     """Play off the origin, 15 filled solves: two rows make nearly all of the left-out error."""
     rows = filled(RESPONSES["clearance"], 15, 103)
-    surrogate = Surrogate(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
+    surrogate = build(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
     asked = full_wrenches(20, 1) * HIGH
     assert (surrogate.batch(asked).coverage == 1).all()
     told = surrogate.answer(asked[0].tolist())

@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surrogate.build import AnyTable, build
+from surrogate.build import AnyTable
 from surrogate.missing_outputs import MissingOutputs
 from surrogate.surrogate import Surrogate
 from surrogate.table import thinning
 from surrogate.table.row_index import RowIndex
 from surrogate.table.rows import Rows, Tolerance
 from surrogate.table.thinning import evenly_chosen
+from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
     RANGE,
@@ -93,7 +94,7 @@ def test_tables_that_lack_outputs_grow_to_the_same_digits() -> None:
     moved[:20, 3:] = np.nan
     partial = Rows.of(rows.wrench, moved)
     before = build(partial, RANGE)
-    assert isinstance(before, MissingOutputs)
+    assert isinstance(before.table, MissingOutputs)
     grown = build(one_more(partial, [0.3, 0, 0, 0, 0.1, 0.2]), RANGE, before=before)
     asked = ASKED[0].tolist()
     fresh = build(one_more(partial, [0.3, 0, 0, 0, 0.1, 0.2]), RANGE)
@@ -104,7 +105,7 @@ def test_no_version_holds_the_one_before() -> None:
     rows = table(smooth, clean_wrenches(30, 1))
     before = build(rows, RANGE)
     after = build(one_more(rows, [0.3, 0, 0, 0, 0.1, 0.2]), RANGE, before=before)
-    assert isinstance(after, Surrogate)
+    assert isinstance(after.table, Surrogate)
     kept = [cut.table for cuts in after.composition.cuts for cut in cuts]
     assert all(one in after.composition.tables for one in kept)
     assert all(value is not before for value in vars(after).values())
@@ -123,7 +124,7 @@ def test_a_thinned_axis_is_told_and_its_bars_hold_the_points_left_out(
 ) -> None:
     monkeypatch.setattr(thinning, "MOST_POINTS", 1000)
     rows = table(smooth, clean_wrenches(3500, 1))
-    surrogate = Surrogate(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
+    surrogate = build(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
     assert "triangulated" in surrogate.choice.reason
     assert all(len(one.values) < 1500 for one in surrogate.composition.tables if one)
     asked = 0.95 * clean_wrenches(500, 9)

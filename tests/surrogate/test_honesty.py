@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surrogate.answer import METHODS, UnknownMethodError
-from surrogate.build import build
 from surrogate.interpolation.delaunay import Triangulation
 from surrogate.missing_outputs import MissingOutputs
 from surrogate.table.rows import Rows, Tolerance
 from tests.surrogate.calibrating import with_slopes
 from tests.surrogate.kriging.responses import RESPONSES
+from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
     RANGE,
@@ -148,7 +148,7 @@ def test_source_of_a_partly_measured_table_is_that_of_the_row_itself() -> None:
     moved[:20, 3:] = np.nan
     source = [f"rig {place}" for place in range(len(CLEAN))]
     surrogate = build(Rows.of(CLEAN * HIGH, moved, source=source), RANGE)
-    assert isinstance(surrogate, MissingOutputs)
+    assert isinstance(surrogate.table, MissingOutputs)
     for place in (0, 19, 20, 50):
         assert surrogate.source_of((CLEAN[place] * HIGH).tolist()) == f"rig {place}"
     assert surrogate.source_of([1.0] * 6) is None

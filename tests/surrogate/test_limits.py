@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from surrogate.answer import COVERED, Answer, Batch
-from surrogate.build import build
-from surrogate.limits import BEYOND_LIMITS, within_limits, within_limits_many
-from surrogate.scene.need import need_of
-from surrogate.scene.scene_table import scene_table
+from surrogate.kernel.packing import packed_of
 from surrogate.table.rows import LoadRange, Rows
+from tests.surrogate.law import build
+from tests.surrogate.law.limits import BEYOND_LIMITS, within_limits, within_limits_many
 
 TURN = math.radians(20.0)
 EDGE = [
@@ -60,18 +59,18 @@ def soft(partial: bool) -> Rows:
 def test_a_table_leaves_out_estimates_beyond_the_limits(partial: bool) -> None:
     """Of several groups of outputs the whole displacement counts, and all of it goes."""
     table = build(soft(partial), LoadRange(-np.ones(6), np.ones(6)))
-    cut = scene_table(table, need_of(table.load_range))
-    for one in (table, cut):
-        assert one.answer([0, 0, 1.3, 0, 0, 0]).displacement is not None
-        for load in (2.5, 20.0):
-            answer = one.answer([0, 0, load, 0, 0, 0])
-            assert answer.displacement is None
-            assert answer.error is None
-            assert BEYOND_LIMITS in answer.reason
-            assert answer.coverage == "outside"
-            found = one.batch([[0, 0, load, 0, 0, 0]])
-            assert np.isnan(found.displacement).all()
-            assert np.isnan(found.error).all()
+    assert table.answer([0, 0, 1.3, 0, 0, 0]).displacement is not None
+    for load in (2.5, 20.0):
+        wrench = [0, 0, load, 0, 0, 0]
+        answer, packed = table.answer(wrench), packed_of(table).answer(wrench)
+        assert (answer.displacement, answer.error) == (None, None)
+        assert (packed.outputs, packed.error) == (None, None)
+        assert BEYOND_LIMITS in answer.reason
+        assert BEYOND_LIMITS in packed.reason
+        assert answer.coverage == packed.coverage == "outside"
+        found = table.batch([wrench])
+        assert np.isnan(found.displacement).all()
+        assert np.isnan(found.error).all()
 
 
 def test_a_row_beyond_the_limits_answers_its_own_wrench() -> None:

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from surrogate.answer import METHODS, UnknownMethodError
-from surrogate.build import build
 from surrogate.kriging import Kriging
 from surrogate.methods.selection import CLEARLY, ENOUGH_FULL
-from surrogate.surrogate import Surrogate
 from surrogate.table.rows import Rows
 from tests.surrogate.calibrating import calibration, shipped
 from tests.surrogate.kriging.responses import LINEAR, solved, spread_wrenches
+from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
     RANGE,
@@ -23,7 +22,7 @@ from tests.surrogate.responses import (
 )
 
 PLATE = shipped("plate_thin", 40, 60)
-PLATE_TABLE = Surrogate(PLATE.rows, PLATE.load_range)
+PLATE_TABLE = build(PLATE.rows, PLATE.load_range)
 
 
 def test_the_tangent_method_is_exact_of_a_quadratic() -> None:
@@ -34,7 +33,7 @@ def test_the_tangent_method_is_exact_of_a_quadratic() -> None:
         part = x[:, own]
         return np.outer(np.einsum("ni,ij,nj->n", part, bowl, part), [1.0, 0, 0, 0, 0, 0])
 
-    surrogate = Surrogate(solved(quadratic, clean_wrenches(60, 3)), RANGE)
+    surrogate = build(solved(quadratic, clean_wrenches(60, 3)), RANGE)
     asked = np.zeros((100, 6))
     asked[:, own] = full_wrenches(100, 4)[:, :3] * 0.8
     plain, bent = (
@@ -128,15 +127,15 @@ def test_the_default_is_kriging_where_solves_bring_tangents_and_says_why() -> No
 
 def test_without_tangents_and_with_few_full_wrenches_griddata_answers() -> None:
     scaled = spread_wrenches(30, ENOUGH_FULL - 1, 1)
-    few = Surrogate(table(smooth, scaled), RANGE)
+    few = build(table(smooth, scaled), RANGE)
     assert few.default == "griddata"
     assert "full wrenches" in few.choice.reason
     one_more = spread_wrenches(30, ENOUGH_FULL, 1)
-    assert Surrogate(table(smooth, one_more), RANGE).default == "kriging"
+    assert build(table(smooth, one_more), RANGE).default == "kriging"
 
 
 def test_with_too_few_rows_griddata_answers_and_kriging_does_on_request() -> None:
-    few = Surrogate(table(smooth, full_wrenches(3, 1)), RANGE)
+    few = build(table(smooth, full_wrenches(3, 1)), RANGE)
     assert (few.default, few.kriging) == ("griddata", None)
     asked = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     assert few.answer(asked, None, "kriging").displacement is not None
@@ -144,7 +143,7 @@ def test_with_too_few_rows_griddata_answers_and_kriging_does_on_request() -> Non
 
 def test_a_linear_component_is_answered_by_its_compliance() -> None:
     rows = Rows.of(np.zeros((1, 6)), np.zeros((1, 6)), compliance=(LINEAR / HIGH)[None])
-    surrogate = Surrogate(rows, RANGE, linear=True)
+    surrogate = build(rows, RANGE, linear=True)
     asked = full_wrenches(20, 3)
     told = surrogate.batch(asked * HIGH)
     assert surrogate.default == "linear"
@@ -172,6 +171,6 @@ def test_kriging_of_a_table_is_that_of_its_rows() -> None:
 
 def test_a_table_too_large_for_one_factor_answers_by_griddata_and_says_so() -> None:
     """Kriging by the nearest rows takes milliseconds an answer, which nobody expects unasked."""
-    surrogate = Surrogate(solved(smooth, clean_wrenches(1001, 3)), RANGE)
+    surrogate = build(solved(smooth, clean_wrenches(1001, 3)), RANGE)
     assert surrogate.default == "griddata"
     assert "nearest rows takes milliseconds" in surrogate.choice.reason

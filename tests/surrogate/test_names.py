@@ -6,9 +6,9 @@ import json
 
 from service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
 from surrogate.describe.gaps import axis_gaps
-from surrogate.surrogate import Surrogate
 from surrogate.table.physics_checks import check_physics
 from surrogate.table.rows import LOADS, OUTPUTS
+from tests.surrogate.law import build
 from tests.surrogate.responses import RANGE, clean_wrenches, smooth, table
 
 SYMBOLS = {name[0].upper() + "_" + name[1] for name in (*LOADS, *OUTPUTS)}
@@ -30,7 +30,7 @@ def test_the_lists_of_loads_and_outputs_are_the_contracts() -> None:
 
 
 def test_no_key_or_list_that_leaves_the_room_spells_them_another_way() -> None:
-    surrogate = Surrogate(table(smooth, clean_wrenches(30, 1)), RANGE)
+    surrogate = build(table(smooth, clean_wrenches(30, 1)), RANGE)
     told = {
         "explained": surrogate.explain([100.0, 50, 30, 4, 5, 6]),
         "linear": surrogate.explain([100.0, 50, 30, 4, 5, 6], None, "linear"),

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from surrogate.build import build
 from surrogate.composition.composition import OFF_HULL
 from surrogate.table.rows import Rows
+from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, smooth
 
 

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surrogate.build import build
 from surrogate.table.rows import Rows
+from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
     RANGE,

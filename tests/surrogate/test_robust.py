@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surrogate.build import build
 from surrogate.interpolation.delaunay import Triangulation
 from surrogate.surrogate import Surrogate
 from surrogate.table.rows import LoadRange, Rows, Tolerance
+from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
     RANGE,

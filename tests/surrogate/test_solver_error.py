@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surrogate.build import build
 from surrogate.solver_error import SolverError
 from surrogate.table.hdf5 import read_table, write_table
 from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange, Rows
-from surrogate.whole_bars import solver_parts, whole_bar, whole_bars
+from tests.surrogate.law import build
+from tests.surrogate.law.whole_bars import solver_parts, whole_bar, whole_bars
 from tests.surrogate.softening import SHORT, SOFT, column, softening_table
 
 MESH = np.abs(np.random.default_rng(5).normal(size=(6, 6))) * 1e-6

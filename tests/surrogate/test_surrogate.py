@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surrogate.answer import METHODS, NAMES
-from surrogate.build import build
 from surrogate.table.rows import LoadRange, Rows, Tolerance
+from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
     RANGE,

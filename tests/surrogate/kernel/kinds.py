@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import copy
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from surrogate.build import AnyTable, build
+from surrogate.build import AnyTable
 from surrogate.kernel.binding import PackedTable
-from surrogate.missing_outputs import MissingOutputs
 from surrogate.packed.writer import pack
 from surrogate.solver_error import SolverError
-from surrogate.surrogate import Surrogate
 from surrogate.table.rows import LoadRange, Rows, Tolerance
-from surrogate.whole_bars import whole_bars
 from tests.service.live import FULL, clean_wrenches, full_wrenches, moved, tangents
+from tests.surrogate.law import Law, build
+from tests.surrogate.law.whole_bars import whole_bars
 from tests.surrogate.softening import softening_table
 
 RANGE = LoadRange(-FULL, FULL)
@@ -132,15 +130,10 @@ KINDS = {
 @cache
 def table_of(kind: str, locked: tuple[int, ...] = ()) -> AnyTable:
     """The table of a kind, built once."""
-    table = KINDS[kind]()
-    if not locked:
-        return table
-    table = copy.copy(table)
-    parts = [part for _, part in table.groups] if isinstance(table, MissingOutputs) else []
-    for part in (table, *parts):
-        if isinstance(part, Surrogate):
-            part.locked = locked
-    return table
+    table = KINDS[kind]().table
+    for _, group in table.groups:
+        group.locked = locked
+    return Law(table)
 
 
 @cache
@@ -192,10 +185,10 @@ def size_of(table: AnyTable) -> np.ndarray:
 
 def rounding_of(table: AnyTable) -> np.ndarray:
     """What sums of a kriging may lose to rounding, (6,), m and rad: no error bar is below it."""
-    groups = table.groups if isinstance(table, MissingOutputs) else ((tuple(range(6)), table),)
     found = np.zeros(6)
-    for outputs, group in groups:
-        interaction = getattr(group.reference, "interaction", None) if len(group.used) else None
+    for outputs, group in table.groups:
+        exact = group.by_kriging or group.default == "linear"
+        interaction = group.interaction if len(group.used) and not exact else None
         for kriging in (group.kriging, interaction):
             if kriging is not None:
                 lost = kriging.inside.rounding * kriging.scaling.spread

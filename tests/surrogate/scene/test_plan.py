@@ -10,16 +10,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surrogate.build import AnyTable, build
+from surrogate.build import AnyTable
 from surrogate.kernel.binding import PackedTable
+from surrogate.packed.reasons import UNKNOWN_ERROR
 from surrogate.packed.writer import pack
 from surrogate.scene.need import Need, NeedError, need_of
 from surrogate.scene.plan import design_of, first_solves, plan_of
 from surrogate.scene.savings import measured
 from surrogate.solver_error import SolverError
-from surrogate.surrogate import UNKNOWN_ERROR
 from surrogate.table.rows import OUTPUTS, LoadRange, Rows, Tolerance
 from tests.surrogate.kriging.responses import RESPONSES, solved
+from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, table
 
 TIGHT, LOOSE = Tolerance(1e-9, 1e-9), Tolerance(1.0, 1.0)

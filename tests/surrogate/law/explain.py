@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from ..answer import COVERED, NAMES, OUTSIDE, THIN, Answer, allowed_by, over_tolerance
-from ..composition.axis_table import SOUND
-from ..composition.composition import OFF_HULL, Composition, Look
-from ..composition.reasons import why_axis
-from ..table.axes import AXES, Axis
-from ..table.compliance import ComplianceFit
-from ..table.rows import LOADS, OUTPUTS, Floats, Rows, Tolerance
+from surrogate.answer import COVERED, NAMES, OUTSIDE, THIN, Answer, allowed_by, over_tolerance
+from surrogate.composition.axis_table import SOUND
+from surrogate.composition.composition import OFF_HULL, Composition, Look
+from surrogate.table.axes import AXES, Axis
+from surrogate.table.compliance import ComplianceFit
+from surrogate.table.rows import LOADS, OUTPUTS, Floats, Rows, Tolerance
+
+from .reasons import why_axis
 
 
 def explain_axes(
@@ -49,7 +50,10 @@ def explain_linear(
     The rows are those the compliance comes from; the error bars are those of the whole answer.
     The wrench has shape (6,), N and N·m.
     """
-    used = linear_rows(fit, rows, members)
+    places = range(len(rows))
+    if fit.origin == "stored":
+        places = np.flatnonzero(np.isfinite(rows.compliance).all(axis=(1, 2))).tolist()
+    used = sorted(row for place in places for row in members[place])
     parts = []
     for axis in AXES:
         moved = fit.matrix @ np.where(np.isin(np.arange(6), axis.inputs), wrench, 0.0)
@@ -59,14 +63,6 @@ def explain_linear(
             | {"coverage": answer.coverage, "reason": answer.reason, "rows": used}
         )
     return parts
-
-
-def linear_rows(fit: ComplianceFit, rows: Rows, members: Sequence[tuple[int, ...]]) -> list[int]:
-    """Return the numbers of the rows that a compliance comes from."""
-    places = range(len(rows))
-    if fit.origin == "stored":
-        places = np.flatnonzero(np.isfinite(rows.compliance).all(axis=(1, 2))).tolist()
-    return sorted(row for place in places for row in members[place])
 
 
 def _axis(

@@ -7,17 +7,18 @@ The mesh's share needs the displacement and, where a part softens much, the tang
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from .answer import Answer, Batch
-from .build import AnyTable
+from surrogate.answer import Answer, Batch
+from surrogate.table.rows import Floats, Tolerance, acting, acting_one
+
 from .derivative import derivative_at, derivatives_at, row_tangents
-from .table.rows import Floats, Tolerance, acting, acting_one
 
 
 def whole_bar(
-    table: AnyTable, wrench: Sequence[float], answer: Answer, method: str | None
+    table: Any, wrench: Sequence[float], answer: Answer, method: str | None
 ) -> tuple[float, ...] | None:
     """Return the whole bars (6,), m and rad, of a table's answer to a wrench (6,), N and N·m.
 
@@ -34,7 +35,7 @@ def whole_bar(
 
 
 def solver_parts(
-    table: AnyTable, wrench: Sequence[float], answer: Answer, method: str | None
+    table: Any, wrench: Sequence[float], answer: Answer, method: str | None
 ) -> dict[str, list[float] | None]:
     """Return what `SolverError.parts` does of a table's answer; empty where nothing is known."""
     error = table.solver_error
@@ -45,7 +46,7 @@ def solver_parts(
 
 
 def whole_bars(
-    table: AnyTable,
+    table: Any,
     wrenches: Floats,
     found: Batch,
     tolerance: Tolerance | None = None,
@@ -73,7 +74,7 @@ def whole_bars(
 
 
 def _state(
-    table: AnyTable, wrench: Sequence[float], answer: Answer, method: str | None
+    table: Any, wrench: Sequence[float], answer: Answer, method: str | None
 ) -> tuple[Floats | None, Floats | None]:
     """Return the displacement (6,) and the tangent (6, 6) that the mesh's share needs, or None.
 

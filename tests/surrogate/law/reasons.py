@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from ..bars.error_law import FEWEST
-from ..table.axes import AXES, Axis
-from ..table.rows import LOAD_UNITS, LOADS, Floats
-from .axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
-from .composition import NO_ROWS, OFF_HULL, Composition
-from .pure_moment import ON_HULL
+from surrogate.bars.error_law import FEWEST
+from surrogate.composition.axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
+from surrogate.composition.composition import NO_ROWS, OFF_HULL, Composition
+from surrogate.composition.pure_moment import ON_HULL
+from surrogate.table.axes import AXES, Axis
+from surrogate.table.rows import LOAD_UNITS, LOADS, Floats
 
 
 def why_not(composition: Composition, wrench: Floats) -> str:

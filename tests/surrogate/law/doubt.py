@@ -1,0 +1,69 @@
+"""Which wrenches ask what the rows of a table do not show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from surrogate.doubt import Doubt
+from surrogate.methods.selection import ENOUGH_FULL
+from surrogate.table.axes import AXES, clean_wrenches
+from surrogate.table.rows import CLEAN, Floats, LoadRange
+
+Mask = np.ndarray
+
+UNKNOWN_AT_REST = (
+    "no row is at zero load and the rows of no axis surround it: what the component does without "
+    "load is not known"
+)
+UNKNOWN_TOGETHER = (
+    "{full} full wrenches{tangents}: at least {needed} full wrenches are needed to tell what loads "
+    "of several axes do together"
+)
+
+
+class DoubtLaw:
+    """What a table's rows do not show, at wrenches."""
+
+    def __init__(self, doubt: Doubt, load_range: LoadRange) -> None:
+        self._doubt, self._range = doubt, load_range
+
+    @cached_property
+    def none(self) -> bool:
+        """Whether no wrench is doubtful, whatever it loads."""
+        return self._doubt.knows_interaction and not self._doubt.rest_unknown
+
+    def of_many(self, asked: Floats) -> tuple[Mask, Mask]:
+        """Return which wrenches (n, 6), N and N·m, are in doubt, and which at rest, (n,).
+
+        For what loads of several axes do together, and for what the component does without load.
+        """
+        together = np.zeros(len(asked), dtype=bool)
+        at_rest = np.zeros(len(asked), dtype=bool)
+        if not self._doubt.knows_interaction:
+            together |= np.asarray(~clean_wrenches(asked, self._range).any(axis=1))
+        if self._doubt.rest_unknown:
+            at_rest = np.asarray((np.abs(asked) <= self._least).all(axis=1))
+        return together, at_rest
+
+    def of_one(self, wrench: Sequence[float]) -> str:
+        """Return why one wrench of six, N and N·m, is in doubt, or an empty text.
+
+        As `of_many`, without arrays.
+        """
+        loaded = {load for load in range(6) if abs(wrench[load]) > self._least[load]}
+        if not loaded and self._doubt.rest_unknown:
+            return UNKNOWN_AT_REST
+        if self._doubt.knows_interaction or any(loaded.issubset(axis.inputs) for axis in AXES):
+            return ""
+        tangents = " and no tangents" if self._doubt.needed == ENOUGH_FULL else ""
+        return UNKNOWN_TOGETHER.format(
+            full=self._doubt.full_wrenches, tangents=tangents, needed=self._doubt.needed
+        )
+
+    @cached_property
+    def _least(self) -> list[float]:
+        """Loads up to which there is none, six of them, N and N·m."""
+        return (CLEAN * self._range.scale).tolist()

@@ -1,0 +1,307 @@
+"""Every method of an answer in numpy, and the best estimate that errors are measured against."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from surrogate.answer import COVERED, METHODS, OUTSIDE, THIN, UnknownMethodError
+from surrogate.composition.composition import OFF_HULL, Composed, Composition
+from surrogate.kriging import Kriging
+from surrogate.surrogate import Surrogate
+from surrogate.table.axes import CLEAN
+from surrogate.table.compliance import ComplianceFit
+from surrogate.table.rows import LOADS, Floats, LoadRange, Rows, why_beyond
+
+from .reasons import why_not
+
+
+class Reference(Protocol):
+    """The best estimate a table allows."""
+
+    def estimate(self, wrenches: Floats) -> tuple[Floats, Floats]:
+        """Return displacements and 95 % error bars, (n, 6) each, m and rad, at wrenches (n, 6)."""
+        ...
+
+    def against(self, wrenches: Floats, composed: Composed) -> tuple[Floats, Floats]:
+        """Return what `estimate` does, (n, 6) each, m and rad, with the axes' answers at hand."""
+        ...
+
+
+class KrigingReference:
+    """The kriging, where it is the default method."""
+
+    def __init__(self, kriging: Kriging) -> None:
+        self.kriging = kriging
+        self.estimate = kriging.answer_many
+
+    def against(self, wrenches: Floats, composed: Composed) -> tuple[Floats, Floats]:
+        """See `Reference`; (n, 6) each, m and rad."""
+        return self.estimate(wrenches)
+
+
+class AxesReference:
+    """The additive composition, and what full wrenches show of loads of several axes together.
+
+    Parameters
+    ----------
+    composition : Composition
+    interaction : Kriging or None
+        Through what the additive composition misses the full wrenches by; None where there are too
+        few, or where they are points of the axes themselves.
+    """
+
+    def __init__(self, composition: Composition, interaction: Kriging | None) -> None:
+        self.composition, self.interaction = composition, interaction
+
+    def estimate(self, wrenches: Floats) -> tuple[Floats, Floats]:
+        """See `Reference`; (n, 6) each, m and rad, at wrenches (n, 6), N and N·m."""
+        return self.against(wrenches, self.composition.evaluate(wrenches))
+
+    def against(self, wrenches: Floats, composed: Composed) -> tuple[Floats, Floats]:
+        """See `Reference`; the error bars of axes and interaction add up in quadrature.
+
+        Displacements and error bars are (n, 6) each, m and rad, at wrenches (n, 6), N and N·m.
+        """
+        if self.interaction is None:
+            return composed.additive, composed.rest
+        missed, own = self.interaction.answer_many(wrenches)
+        return composed.additive + missed, np.sqrt(composed.rest**2 + own**2)
+
+
+class Estimates(NamedTuple):
+    """Answers to n wrenches, before they are held against a tolerance.
+
+    Attributes
+    ----------
+    displacement, error : ndarray, shape (n, 6), m and rad
+        Error bars are NaN where nothing tells them.
+    state : ndarray of uint8, shape (n,)
+        `COVERED`, `THIN` or `OUTSIDE`.
+    """
+
+    displacement: Floats
+    error: Floats
+    state: NDArray[np.uint8]
+
+
+class Method(Protocol):
+    """One way to answer; made for one version of a table."""
+
+    name: str
+
+    def estimate(self, wrenches: Floats) -> Estimates:
+        """Answer wrenches, shape (n, 6), N and N·m."""
+        ...
+
+    def derivatives(self, wrenches: Floats) -> Floats:
+        """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), exact of the method."""
+        ...
+
+    def reason(self, wrench: Floats) -> str:
+        """Return why one wrench is not covered; empty if no reason is the method's own.
+
+        The wrench has shape (6,), N and N·m.
+        """
+        ...
+
+
+class StraightDirection(Method):
+    """The composition's answer, with error bars from the reference.
+
+    Parameters
+    ----------
+    composition : Composition
+    reference : Reference
+    name : {"griddata", "additive", "tangent"}
+        Translations of their own axis alone; all six outputs composed; `griddata` with its bends.
+    """
+
+    def __init__(self, composition: Composition, reference: Reference, name: str) -> None:
+        self.composition, self.reference, self.name = composition, reference, name
+
+    def estimate(self, wrenches: Floats) -> Estimates:
+        """Answer wrenches, shape (n, 6), N and N·m."""
+        composed = self.composition.evaluate(wrenches)
+        displacement = composed.of(self.name)
+        best, error = self.reference.against(wrenches, composed)
+        error = np.abs(displacement - best) + error
+        off = (composed.state >= OFF_HULL)[:, None]
+        # Off the hull an answer may be as wrong as the step from there is long.
+        error = np.where(off, np.maximum(error, composed.rest), error)
+        coverage = np.where(off[:, 0], OUTSIDE, np.where(composed.state > 0, THIN, COVERED))
+        return Estimates(displacement, error, coverage.astype(np.uint8))
+
+    def derivatives(self, wrenches: Floats) -> Floats:
+        """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m): the slopes of the simplices."""
+        return self.composition.derivatives(wrenches, self.name)
+
+    def reason(self, wrench: Floats) -> str:
+        """Return which axis does not hold a wrench (6,), N and N·m, and why."""
+        return why_not(self.composition, wrench)
+
+
+class GaussianProcess(Method):
+    """The kriging's answer; outside the load range it is an estimate.
+
+    Parameters
+    ----------
+    kriging : Kriging
+    load_range : LoadRange
+    reference : Reference or None
+        None where the kriging is the table's default method: then its own error bars hold.
+    """
+
+    name = "kriging"
+
+    def __init__(
+        self, kriging: Kriging, load_range: LoadRange, reference: Reference | None = None
+    ) -> None:
+        self.kriging, self.load_range, self.reference = kriging, load_range, reference
+
+    def estimate(self, wrenches: Floats) -> Estimates:
+        """Answer wrenches, shape (n, 6), N and N·m."""
+        displacement, error = self.kriging.answer_many(wrenches)
+        if self.reference is not None:
+            best, own = self.reference.estimate(wrenches)
+            error = np.abs(displacement - best) + own
+        outside = ~self.load_range.holds(wrenches)
+        state = np.where(outside, OUTSIDE, COVERED).astype(np.uint8)
+        return Estimates(displacement, error, state)
+
+    def derivatives(self, wrenches: Floats) -> Floats:
+        """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)."""
+        return self.kriging.derivatives(wrenches)
+
+    def reason(self, wrench: Floats) -> str:
+        """Return which load of a wrench (6,), N and N·m, lies outside the load range."""
+        return why_beyond(self.load_range, wrench)
+
+
+ROUNDING = 1e-12  # of the answer's size: what the solver's own arithmetic leaves
+
+
+class Linear(Method):
+    """The compliance's answer.
+
+    Parameters
+    ----------
+    fit : ComplianceFit
+    reference : Reference or None
+        None for a linear component, whose compliance is the whole truth.
+    """
+
+    name = "linear"
+
+    def __init__(
+        self, fit: ComplianceFit, load_range: LoadRange, reference: Reference | None
+    ) -> None:
+        self.fit, self.load_range, self.reference = fit, load_range, reference
+
+    def estimate(self, wrenches: Floats) -> Estimates:
+        """Answer wrenches, shape (n, 6), N and N·m."""
+        displacement = wrenches @ self.fit.matrix.T
+        # Rounding is that of the sum's parts, which may cancel.
+        error = self.fit.bar + ROUNDING * np.abs(wrenches) @ np.abs(self.fit.matrix).T
+        if self.reference is not None:
+            best, bars = self.reference.estimate(wrenches)
+            error = np.maximum(error, np.abs(displacement - best) + bars)
+        unknown = self._unknown(wrenches).any(axis=1)
+        error[unknown] = np.nan
+        outside = unknown | ~self.load_range.holds(wrenches)
+        return Estimates(displacement, error, np.where(outside, OUTSIDE, COVERED).astype(np.uint8))
+
+    def derivatives(self, wrenches: Floats) -> Floats:
+        """Return the compliance for each wrench, (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)."""
+        return np.tile(self.fit.matrix, (len(wrenches), 1, 1))
+
+    def reason(self, wrench: Floats) -> str:
+        """Return which load of a wrench no row tells, or lies outside the load range.
+
+        The wrench has shape (6,), N and N·m.
+        """
+        unknown = self._unknown(wrench[None])[0]
+        if unknown.any():
+            return f"no row tells the influence of {LOADS[int(np.argmax(unknown))]}"
+        return why_beyond(self.load_range, wrench)
+
+    def _unknown(self, wrenches: Floats) -> np.ndarray:
+        return ~self.fit.known & (np.abs(wrenches) > CLEAN * self.load_range.scale)
+
+
+class Nearest(Method):
+    """The nearest row's displacement; its derivative is zero, as that of any step function."""
+
+    name = "nearest"
+
+    def __init__(self, rows: Rows, load_range: LoadRange, reference: Reference) -> None:
+        """Index the rows, at least one."""
+        self.rows, self.load_range, self.reference = rows, load_range, reference
+        self._tree = KDTree(rows.wrench / load_range.scale)
+
+    def estimate(self, wrenches: Floats) -> Estimates:
+        """Answer wrenches, shape (n, 6), N and N·m."""
+        near = np.asarray(self._tree.query(wrenches / self.load_range.scale)[1], dtype=np.intp)
+        displacement = self.rows.displacement[near]
+        best, bars = self.reference.estimate(wrenches)
+        outside = ~self.load_range.holds(wrenches)
+        state = np.where(outside, OUTSIDE, COVERED).astype(np.uint8)
+        return Estimates(displacement, np.abs(displacement - best) + bars, state)
+
+    def derivatives(self, wrenches: Floats) -> Floats:
+        """Return zeros, shape (n, 6, 6), SI, for wrenches (n, 6)."""
+        return np.zeros((len(wrenches), 6, 6))
+
+    def reason(self, wrench: Floats) -> str:
+        """Return which load of a wrench (6,), N and N·m, lies outside the load range."""
+        return why_beyond(self.load_range, wrench)
+
+
+def method_of(table: Any, name: str) -> Method:
+    """Return a method of a group of outputs, a `GroupLaw`.
+
+    Raises
+    ------
+    UnknownMethodError
+        If it is none of `METHODS`.
+    """
+    check(name)
+    if name == "kriging":
+        return _gaussian(table)
+    if name == "linear":
+        return _linear(table)
+    if name == "nearest":
+        return Nearest(table.used, table.load_range, table.reference)
+    return _straight(table, name)
+
+
+def check(name: str) -> None:
+    """Raise `UnknownMethodError` if a method is none of `METHODS`."""
+    if name not in METHODS:
+        raise UnknownMethodError(name)
+
+
+def reference_of(table: Surrogate) -> Reference:
+    """Return what the answers of methods are compared with for their error bars."""
+    if table.by_kriging and table.kriging is not None:
+        return KrigingReference(table.kriging)
+    return AxesReference(table.composition, table.interaction)
+
+
+def _straight(table: Any, name: str) -> Method:
+    return StraightDirection(table.composition, table.reference, name)
+
+
+def _gaussian(table: Any) -> Method:
+    if table.kriging is None:  # too few rows, or rows that contradict each other
+        return _straight(table, "tangent")
+    own = table.default == "kriging"
+    return GaussianProcess(table.kriging, table.load_range, None if own else table.reference)
+
+
+def _linear(table: Any) -> Method:
+    exact = table.linear and table.fit.complete
+    return Linear(table.fit, table.load_range, None if exact else table.reference)
