@@ -167,7 +167,8 @@ class MissingOutputs(LimitedAnswers):
                 bars[output] = found.error[output] if found.error else None
         # An answer is a row's only if all its outputs are.
         worst = max(answers, key=lambda one: (NAMES.index(one.coverage), one.method != "row"))
-        reasons = list(dict.fromkeys(one.reason for one in answers if one.reason))
+        told = "; ".join(one.reason for one in answers if one.reason)
+        reasons = list(dict.fromkeys(told.split("; "))) if told else []
         if self.unmeasured:
             reasons.append(f"not measured in any row: {', '.join(self.unmeasured)}")
         displacement = tuple(moved) if any(one is not None for one in moved) else None

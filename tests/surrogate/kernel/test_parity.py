@@ -5,6 +5,7 @@ A kriging's weights may be 1e8 times what they sum to: there no number is right 
 """
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -12,15 +13,23 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from surrogate.answer import within_tolerance_many
+from surrogate.build import build
 from surrogate.derivative import derivatives_at
+from surrogate.kernel.binding import PackedTable
 from surrogate.kernel.explain import explain
 from surrogate.missing_outputs import MissingOutputs
 from surrogate.packed.codes import METHODS
-from surrogate.table.rows import OUTPUTS, Tolerance
+from surrogate.packed.writer import pack
+from surrogate.table.rows import OUTPUTS, Rows, Tolerance
+from tests.service.live import moved
 from tests.surrogate.kernel.kinds import (
     KINDS,
+    RANGE,
+    SAME,
     asked_of,
+    assert_law,
     by_numpy,
+    clean,
     packed_of,
     rounding_of,
     six,
@@ -29,22 +38,12 @@ from tests.surrogate.kernel.kinds import (
     table_of,
 )
 
-SAME = 1e-12
 LOCKED = [(), (1,), (0, 4, 5)]
 
 
 def assert_same(kind, asked, tolerance=None, method=None, locked=()):
     """Compare all numbers and coverage at some wrenches."""
-    table = table_of(kind, locked)
-    outputs, errors, coverage = by_numpy(table, asked, tolerance, method)
-    found = packed_of(kind, locked).batch(asked, six(tolerance), method)
-    near = SAME * np.maximum(size_of(table), np.abs(np.nan_to_num(outputs))) + rounding_of(table)
-    np.testing.assert_array_equal(found.coverage, coverage)
-    np.testing.assert_array_equal(np.isnan(found.outputs), np.isnan(outputs))
-    np.testing.assert_array_equal(np.isnan(found.errors), np.isnan(errors))
-    assert (np.nan_to_num(np.abs(found.outputs - outputs)) <= near).all()
-    loose = near + 1e-9 * np.nan_to_num(errors)
-    assert (np.nan_to_num(np.abs(found.errors - errors)) <= loose).all()
+    assert_law(table_of(kind, locked), packed_of(kind, locked), asked, tolerance, method)
 
 
 tolerances = st.none() | st.builds(
@@ -117,6 +116,22 @@ def test_replies_have_the_words_rows_and_judgements_of_the_numpy_law(kind):
             assert (table.rows.wrench[table.rows.seq == found.row] == wrench).all() or (
                 not found.exact
             )
+
+
+def test_the_reason_tells_the_rows_of_every_group_of_outputs_that_is_off_its_rows():
+    """The kernel told those of the first group alone."""
+    wrenches = clean(12)
+    told = moved(wrenches)
+    told[::2, 2] = np.nan
+    told[::3, 4] = np.nan
+    table = build(Rows.of(wrenches, told), RANGE)
+    packed = PackedTable.from_bytes(b"".join(pack(table)))
+    spans = set()
+    for wrench in asked_of(table, 40).tolist():
+        found = packed.answer(wrench).reason
+        assert found == table.answer(wrench).reason
+        spans |= set(re.findall(r"axis x: [^;]*", found)) if "lies outside" in found else set()
+    assert len(spans) > 40
 
 
 @pytest.mark.parametrize("kind", ["solved", "linear", "softening", "partial", "clean"])
