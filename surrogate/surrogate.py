@@ -200,7 +200,8 @@ class Surrogate(LimitedAnswers):
             unknown = None if isfinite(sum(error)) else self._why_unknown(wrench)
             state, reason = THIN, unknown or over_tolerance(error, allowed)
         bars = error if isfinite(sum(error)) else None
-        answer = Answer(displacement, bars, NAMES[state], reason, name)
+        answered = "tangent" if name == "kriging" and self.kriging is None else name
+        answer = Answer(displacement, bars, NAMES[state], reason, answered)
         return answer if state == COVERED else self.exact.instead_of(wrench, answer, allowed)
 
     def estimates(

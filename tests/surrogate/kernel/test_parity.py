@@ -134,6 +134,13 @@ def test_the_reason_tells_the_rows_of_every_group_of_outputs_that_is_off_its_row
     assert len(spans) > 40
 
 
+def test_without_a_kriging_the_method_that_answers_for_it_is_told():
+    """The numpy law said `kriging`, which the table has not."""
+    table, packed = table_of("one row"), packed_of("one row")
+    found, law = (one.answer([1.0] * 6, None, "kriging") for one in (packed, table))
+    assert (found.method, law.method) == ("tangent", "tangent")
+
+
 @pytest.mark.parametrize("kind", ["solved", "linear", "softening", "partial", "clean"])
 def test_whole_errors_are_judged_by_the_tolerance(kind):
     table, asked = table_of(kind), asked_of(table_of(kind), 60)
