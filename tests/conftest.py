@@ -30,6 +30,7 @@ LONGEST = (
     "surrogate/test_growing.py",
     "fea/solver/test_tangents.py",
     "service/test_report.py",
+    "acceptance/test_one_law.py",
     "acceptance/test_backup_under_load.py",
     "service/test_recording_killed.py",
     "acceptance/test_bundles_from_files.py",

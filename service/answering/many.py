@@ -70,7 +70,7 @@ def answered_many(name: str, surrogate: AnyTable, batch: BatchQuery) -> BatchOut
     how = six(batch.tolerance), batch.method
     answers = surrogate.packed.batch(batch.wrenches, *how)
     elapsed_us = (perf_counter_ns() - started) / 1e3
-    method = batch.method or surrogate.default
+    method = surrogate.packed.answers_by(batch.method)
     found = answers.outputs, answers.errors, answers.coverage
     outcome = BatchOutcome(name, *found, surrogate.version, elapsed_us, [], method)
     if surrogate.bars_are_whole:

@@ -86,7 +86,7 @@ class JobCalls(Connection):
         """Cancel a job that has not ended, and return it."""
         return Job.read(self.call_json("DELETE", _path(job), repeatable=False))
 
-    def cancel_jobs(self, component: str | None = None, status: str = "waiting") -> list[Job]:
+    def cancel_jobs(self, component: str | None = None, status: str = "waiting") -> int:
         """Cancel all jobs of a status that has not ended, of one component if given.
 
         Parameters
@@ -98,8 +98,8 @@ class JobCalls(Connection):
 
         Returns
         -------
-        list of Job
-            Those that were cancelled.
+        int
+            How many were cancelled.
 
         Raises
         ------
@@ -107,8 +107,7 @@ class JobCalls(Connection):
             If there is no such component (404), or jobs of that status have ended (422).
         """
         query = {"component": component, "status": status}
-        cancelled = self.call_json("DELETE", "/v1/jobs", query=query, repeatable=False)
-        return [Job.read(one) for one in cancelled["jobs"]]
+        return self.call_json("DELETE", "/v1/jobs", query=query, repeatable=False)["cancelled"]
 
     def retry(self, job: Job | int) -> Job:
         """Queue a failed or cancelled job again, and return it."""

@@ -195,7 +195,7 @@ class Table:
             no_job={},
             table_version=packed.words["provenance"]["version"],
             elapsed_us=elapsed_us,
-            method=method or packed.words["summary"]["method"],
+            method=packed.answers_by(method),
             within_tolerance=None if allowed is None else bars_within(found.errors, allowed),
             derivatives=packed.derivatives(asked, limit, method) if derivatives else None,
         )

@@ -144,6 +144,16 @@ class PackedTable:
         self._idle.append(work)
         return found
 
+    def answers_by(self, method: str | None = None) -> str:
+        """Return what answers where a method is asked for, or None: no row at its own wrench.
+
+        Without a kriging that is `tangent` in its place.
+        """
+        name = method or self.words["summary"]["method"]
+        groups = range(len(self.words["groups"]))
+        held = name != "kriging" or any(f"g{k}/kriging/x" in self.arrays for k in groups)
+        return name if held else "tangent"
+
     def batch(
         self,
         wrenches: ArrayLike,

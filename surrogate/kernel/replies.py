@@ -18,7 +18,7 @@ Buffer = ctypes.Array[ctypes.c_char]
 
 Floats = NDArray[np.float64]
 
-MOST, MOST_REASONS = 64, 16  # WB_MOST and WB_MOST_REASONS of wrenchbook.h
+MOST, MOST_REASONS = 64, 32  # WB_MOST and WB_MOST_REASONS of wrenchbook.h
 FIELDS = 6  # of MOST doubles each: inputs, outputs, total error and its three parts
 HEAD, REASON = struct.Struct("=8i2qQ"), struct.Struct("=4i2d")
 REASONS_AT = HEAD.size + FIELDS * MOST * 8

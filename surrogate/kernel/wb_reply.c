@@ -20,9 +20,16 @@ void wb_begin(const wb_table *t, const double *inputs, wb_reply *reply) {
     }
 }
 
-static int is_reason_of(const wb_reply *reply, const wb_reason *reason) {
+/* Whether the words of a reason tell of the rows of its group: those of another differ. */
+static int is_of_group(int code) {
+    return code == WB_REASON_AXIS_OFF_HULL || code == WB_REASON_AXIS_ERRORS_UNKNOWN ||
+           code == WB_REASON_INTERACTION || code == WB_REASON_BEYOND_SPAN;
+}
+
+static int is_reason_of(const wb_reply *reply, const wb_reason *reason, int group) {
     for (int i = 0; i < reply->reasons; i++) {
         const wb_reason *one = &reply->reason[i];
+        if (one->group != group && is_of_group(reason->code)) continue;
         if (one->code == reason->code && one->axis == reason->axis && one->index == reason->index
             && one->value == reason->value && one->limit == reason->limit)
             return 1;
@@ -40,7 +47,8 @@ void wb_merge(const wb_table *t, const wb_group *g, const wb_found *found, wb_re
         reply->missing &= ~((uint64_t)1 << q);
     }
     for (int i = 0; i < found->reasons; i++) {
-        if (reply->reasons == WB_MOST_REASONS || is_reason_of(reply, &found->reason[i])) continue;
+        if (reply->reasons == WB_MOST_REASONS || is_reason_of(reply, &found->reason[i], number))
+            continue;
         reply->reason[reply->reasons] = found->reason[i];
         reply->reason[reply->reasons++].group = number;
     }

@@ -24,7 +24,7 @@ extern "C" {
 #define WB_API
 #endif
 
-enum { WB_MOST = 64, WB_MOST_REASONS = 16 }; /* inputs, outputs; reasons of one answer */
+enum { WB_MOST = 64, WB_MOST_REASONS = 32 }; /* inputs, outputs; reasons of one answer */
 
 /* What a call returns. */
 enum {

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from service.client import Client, Job, ProblemError, ServerTimeout
+from tests.service.live import served
 from tests.service.stub_server import Answer, Stub, running_stub
 
 COVERED = {
@@ -323,14 +325,22 @@ def test_jobs_are_listed_cancelled_and_retried(stub: Stub, client: Client):
 
 
 def test_many_jobs_are_cancelled_in_one_call_waiting_ones_unless_told(stub: Stub, client: Client):
-    one = {"id": 3, "status": "cancelled", "url": "/v1/jobs/3", "component": "bar"}
-    stub.answers(Answer({"jobs": [one]}))
-    assert [job.id for job in client.cancel_jobs("bar")] == [3]
+    stub.answers(Answer({"cancelled": 3}))
+    assert client.cancel_jobs("bar") == 3
     client.cancel_jobs(status="running")
     assert [(seen.method, seen.path) for seen in stub.seen] == [
         ("DELETE", "/v1/jobs?component=bar&status=waiting"),
         ("DELETE", "/v1/jobs?status=running"),
     ]
+
+
+def test_a_server_says_how_many_jobs_it_has_cancelled(tmp_path: Path):
+    """The client looked for a list of them, and raised KeyError after they were cancelled."""
+    with served(tmp_path) as client:
+        jobs = [client.solve("plate", [load, 0, 0]).job for load in (1.0, 2.0)]
+        assert client.cancel_jobs("plate") == 2
+        assert client.cancel_jobs("plate", "running") == 0
+        assert {client.job(job).status for job in jobs if job} == {"cancelled"}
 
 
 def test_fill_until_spends_its_budget_in_rounds_and_stops_when_met(stub: Stub, client: Client):

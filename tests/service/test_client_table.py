@@ -93,6 +93,19 @@ def test_by_every_method_too(client: Client, method: str) -> None:
     compare(client, client.download("offset"), "offset", method=method, tolerance=(1e-3, 1e-3))
 
 
+def test_a_batch_tells_the_method_that_answers_where_the_one_asked_for_is_not_there(
+    client: Client,
+) -> None:
+    """A table of one row has no kriging: batches said that it had answered, single calls not."""
+    add_table(client, "lonely", as_rows(full_wrenches(1), moved(full_wrenches(1))))
+    table, asked = client.download("lonely"), full_wrenches(3, 5)
+    here, there = table.answer(asked[0], method="kriging"), table.batch(asked, method="kriging")
+    assert (here.method, there.method) == ("tangent", "tangent")
+    for binary in (False, True):
+        how = {"on_thin": "estimate", "method": "kriging", "binary": binary}
+        assert client.displacements("lonely", asked, **how).method == "tangent"
+
+
 def guided_rows(client: Client) -> np.ndarray:
     """Give `spring`, of which ux, uy, rx and ry are locked, rows of its two free loads, SI."""
     wrenches = full_wrenches(20, 3) / FULL * [0, 0, 2.0, 0, 0, 0.01]

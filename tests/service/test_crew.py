@@ -35,12 +35,12 @@ ASKED = [12.0, 0.0, 0.0, 0.0, 1.5, 2.5]
 class Crew:
     """A server of several processes, as who looks at it from outside knows it."""
 
-    def __init__(self, folder):
+    def __init__(self, folder, solvers=1):
         self.folder = folder
         command = child_command("service.cli.main", "serve", "--data", str(folder), "--port", "0")
         paths = f"{HERE}:{HERE.parents[1]}"
         self.supervisor = subprocess.Popen(
-            [*command, "--processes", "2", "--solvers", "1", "--log-level", "error"],
+            [*command, "--processes", "2", "--solvers", str(solvers), "--log-level", "error"],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

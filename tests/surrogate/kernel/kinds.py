@@ -194,3 +194,25 @@ def rounding_of(table: AnyTable) -> np.ndarray:
                 lost = kriging.inside.rounding * kriging.scaling.spread
                 found[list(outputs)] += lost[list(outputs)]
     return found
+
+
+SAME = 1e-12  # of an output's range
+
+
+def assert_law(
+    table: AnyTable,
+    packed: PackedTable,
+    asked: np.ndarray,
+    tolerance: Tolerance | None = None,
+    method: str | None = None,
+) -> None:
+    """Compare all numbers and coverage with those of the numpy law, at wrenches (n, 6)."""
+    outputs, errors, coverage = by_numpy(table, asked, tolerance, method)
+    found = packed.batch(asked, six(tolerance), method)
+    near = SAME * np.maximum(size_of(table), np.abs(np.nan_to_num(outputs))) + rounding_of(table)
+    np.testing.assert_array_equal(found.coverage, coverage)
+    np.testing.assert_array_equal(np.isnan(found.outputs), np.isnan(outputs))
+    np.testing.assert_array_equal(np.isnan(found.errors), np.isnan(errors))
+    assert (np.nan_to_num(np.abs(found.outputs - outputs)) <= near).all()
+    loose = near + 1e-9 * np.nan_to_num(errors)
+    assert (np.nan_to_num(np.abs(found.errors - errors)) <= loose).all()

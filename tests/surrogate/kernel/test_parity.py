@@ -5,6 +5,7 @@ A kriging's weights may be 1e8 times what they sum to: there no number is right 
 """
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -17,11 +18,17 @@ from surrogate.kernel.explain import explain
 from surrogate.missing_outputs import MissingOutputs
 from surrogate.packed.codes import METHODS
 from surrogate.packed.writer import pack
-from surrogate.table.rows import OUTPUTS, Tolerance
+from surrogate.table.rows import OUTPUTS, Rows, Tolerance
+from tests.service.live import moved
+from tests.surrogate import responses
 from tests.surrogate.kernel.kinds import (
     KINDS,
+    RANGE,
+    SAME,
     asked_of,
+    assert_law,
     by_numpy,
+    clean,
     packed_of,
     rounding_of,
     six,
@@ -32,24 +39,14 @@ from tests.surrogate.kernel.kinds import (
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
 from tests.surrogate.law.derivative import derivatives_at
-from tests.surrogate.responses import RANGE, full_wrenches
+from tests.surrogate.responses import full_wrenches
 
-SAME = 1e-12
 LOCKED = [(), (1,), (0, 4, 5)]
 
 
 def assert_same(kind, asked, tolerance=None, method=None, locked=()):
     """Compare all numbers and coverage at some wrenches."""
-    table = table_of(kind, locked)
-    outputs, errors, coverage = by_numpy(table, asked, tolerance, method)
-    found = packed_of(kind, locked).batch(asked, six(tolerance), method)
-    near = SAME * np.maximum(size_of(table), np.abs(np.nan_to_num(outputs))) + rounding_of(table)
-    np.testing.assert_array_equal(found.coverage, coverage)
-    np.testing.assert_array_equal(np.isnan(found.outputs), np.isnan(outputs))
-    np.testing.assert_array_equal(np.isnan(found.errors), np.isnan(errors))
-    assert (np.nan_to_num(np.abs(found.outputs - outputs)) <= near).all()
-    loose = near + 1e-9 * np.nan_to_num(errors)
-    assert (np.nan_to_num(np.abs(found.errors - errors)) <= loose).all()
+    assert_law(table_of(kind, locked), packed_of(kind, locked), asked, tolerance, method)
 
 
 tolerances = st.none() | st.builds(
@@ -95,7 +92,7 @@ def test_wrenches_of_few_loads_and_of_rows_have_the_numbers_of_numpy(kind):
 
 def test_both_take_the_same_of_equally_near_rows():
     x = np.concatenate((np.eye(6), -np.eye(6), np.zeros((1, 6)), full_wrenches(12, 4)))
-    table = build(solved(RESPONSES["strongly_coupled"], x), RANGE)
+    table = build(solved(RESPONSES["strongly_coupled"], x), responses.RANGE)
     packed = PackedTable.from_bytes(b"".join(pack(table)))
     own = table.rows.wrench
     asked = np.array([(own[i] + own[j]) / 2 for i in range(12) for j in range(i)])
@@ -134,6 +131,29 @@ def test_replies_have_the_words_rows_and_judgements_of_the_numpy_law(kind):
             assert (table.rows.wrench[table.rows.seq == found.row] == wrench).all() or (
                 not found.exact
             )
+
+
+def test_the_reason_tells_the_rows_of_every_group_of_outputs_that_is_off_its_rows():
+    """The kernel told those of the first group alone."""
+    wrenches = clean(12)
+    told = moved(wrenches)
+    told[::2, 2] = np.nan
+    told[::3, 4] = np.nan
+    table = build(Rows.of(wrenches, told), RANGE)
+    packed = PackedTable.from_bytes(b"".join(pack(table)))
+    spans = set()
+    for wrench in asked_of(table, 40).tolist():
+        found = packed.answer(wrench).reason
+        assert found == table.answer(wrench).reason
+        spans |= set(re.findall(r"axis x: [^;]*", found)) if "lies outside" in found else set()
+    assert len(spans) > 40
+
+
+def test_without_a_kriging_the_method_that_answers_for_it_is_told():
+    """The numpy law said `kriging`, which the table has not."""
+    table, packed = table_of("one row"), packed_of("one row")
+    found, law = (one.answer([1.0] * 6, None, "kriging") for one in (packed, table))
+    assert (found.method, law.method) == ("tangent", "tangent")
 
 
 @pytest.mark.parametrize("kind", ["solved", "linear", "softening", "partial", "clean"])

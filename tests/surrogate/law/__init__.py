@@ -97,7 +97,8 @@ class Law:
                 bars[output] = found.error[output] if found.error else None
         # An answer is a row's only if all its outputs are.
         worst = max(answers, key=lambda one: (NAMES.index(one.coverage), one.method != "row"))
-        reasons = list(dict.fromkeys(one.reason for one in answers if one.reason))
+        texts = "; ".join(one.reason for one in answers if one.reason)
+        reasons = list(dict.fromkeys(texts.split("; "))) if texts else []
         if self.unmeasured:
             reasons.append(f"not measured in any row: {', '.join(self.unmeasured)}")
         displacement = tuple(moved) if any(one is not None for one in moved) else None
@@ -242,7 +243,8 @@ class GroupLaw:
             unknown = None if isfinite(sum(error)) else self._why_unknown(wrench)
             state, reason = THIN, unknown or over_tolerance(error, allowed)
         bars = error if isfinite(sum(error)) else None
-        answer = Answer(displacement, bars, NAMES[state], reason, name)
+        answered = "tangent" if name == "kriging" and self.kriging is None else name
+        answer = Answer(displacement, bars, NAMES[state], reason, answered)
         return answer if state == COVERED else self.by_row.instead_of(wrench, answer, allowed)
 
     def estimates(
