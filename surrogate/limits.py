@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -69,15 +68,7 @@ def within_limits_many(found: Batch) -> Batch:
 
 
 class LimitedAnswers:
-    """The calls of a table from its estimates, of which those beyond the limits are not given.
-
-    Attributes
-    ----------
-    packed : surrogate.kernel.binding.PackedTable or None
-        The same table packed, from which the kernel answers; None until it is made.
-    """
-
-    packed: Any = None
+    """The calls of a table from its estimates, of which those beyond the limits are not given."""
 
     def estimate(
         self,

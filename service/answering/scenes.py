@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from service.library.component import Component
+from service.tables.served import ServedTable
 from service.workspace import Workspace
-from surrogate.build import AnyTable
 from surrogate.scene.need import Need
 from surrogate.scene.plan import Plan, plan_of
 from surrogate.scene.savings import Savings, measured
@@ -19,25 +19,27 @@ SOLVES_TIMED = 32  # the last done ones, whose median is what a solve takes
 
 
 def scene_reply(
-    workspace: Workspace, component: Component, table: AnyTable, need: Need
+    workspace: Workspace, component: Component, table: ServedTable, need: Need
 ) -> dict[str, Any]:
     """Return a scene's plan of one component, JSON-able."""
-    plan = plan_of(table, need, solved=component.has_fea)
-    _, savings = measured(table, plan)
+    built = table.surrogate()
+    plan = plan_of(built, need, solved=component.has_fea)
+    _, savings = measured(built, plan)
     return _told(workspace, component, plan, savings, table.version)
 
 
 def scene_file_table(
-    workspace: Workspace, component: Component, table: AnyTable, need: Need
+    workspace: Workspace, component: Component, table: ServedTable, need: Need
 ) -> SceneTable:
     """Return a component's table cut to a scene, with the plan that it follows.
 
     Also of a component that is rigid or linear in the scene: who asks for its table gets it.
     """
-    plan = plan_of(table, need, solved=component.has_fea)
-    _, savings = measured(table, plan)
+    built = table.surrogate()
+    plan = plan_of(built, need, solved=component.has_fea)
+    _, savings = measured(built, plan)
     told = _told(workspace, component, plan, savings, table.version)
-    return scene_table(table, plan.need, told)
+    return scene_table(built, plan.need, told)
 
 
 def _told(

@@ -7,6 +7,7 @@ k are named ``gK/...``: `_group_arrays`, `axes_arrays` and `kriging_arrays` stat
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,7 @@ def pack(
     fingerprint: str = "",
     contract: Mapping[str, Any] | None = None,
     interface: Mapping[str, Any] | None = None,
+    origin: Mapping[str, str] | None = None,
 ) -> list[bytes]:
     """Return the packed file of a table as pieces of bytes.
 
@@ -51,6 +53,8 @@ def pack(
         Where the rows come from.
     contract, interface
         What is said of loads and displacements, in words; kept as they are.
+    origin
+        Digests of what the table is built from; kept as they are.
     """
     groups = table.groups if isinstance(table, MissingOutputs) else ((tuple(range(6)), table),)
     arrays = dict(_space_arrays(table, len(groups))) | dict(_solver_arrays(table))
@@ -71,8 +75,9 @@ def pack(
             "fingerprint": fingerprint,
             "version": table.version,
             "rows": len(table.rows),
-            "other_rows": table.other_rows,
-            "other_wrenches": table.other_wrenches,
+            "sources": dict(Counter(table.rows.source.tolist())),
+            "linear": table.linear,
+            "origin": dict(origin or {}),
         },
     }
     return pieces(arrays, _plain(words))

@@ -9,8 +9,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from service.http.replies import json_reply
+from service.tables.served import ServedTable
 from service.workspace import Workspace
-from surrogate.build import AnyTable
 from surrogate.derivative import tangent_at_zero
 from surrogate.describe.gaps import axis_gaps
 from surrogate.table.physics_checks import check_physics
@@ -26,10 +26,11 @@ async def coverage(name: str, request: Request) -> Response:
     return await run_in_threadpool(_coverage, name, await workspace.newest(name, CATCH_UP_S))
 
 
-def _coverage(name: str, surrogate: AnyTable) -> Response:
+def _coverage(name: str, table: ServedTable) -> Response:
+    surrogate = table.surrogate()
     body = {
         "component": name,
-        **surrogate.coverage_summary(),
+        **table.summary,
         "gaps": axis_gaps(surrogate.composition, surrogate.load_range),
     }
     return json_reply(body)
@@ -44,7 +45,8 @@ async def compliance(name: str, request: Request) -> Response:
     return await run_in_threadpool(_compliance, name, await workspace.newest(name, CATCH_UP_S))
 
 
-def _compliance(name: str, surrogate: AnyTable) -> Response:
+def _compliance(name: str, table: ServedTable) -> Response:
+    surrogate = table.surrogate()
     fit = surrogate.fit
     tangent, origin = tangent_at_zero(surrogate)
     body: dict[str, Any] = {

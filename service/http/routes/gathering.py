@@ -99,7 +99,7 @@ def envelope(
     component = workspace.library[name]
     tolerance = _tolerance(translation, rotation) or component.tolerance
     found = _gathering(request).envelope(name)
-    bound = bound_of(workspace.tables.surrogate(name), found, tolerance)
+    bound = bound_of(workspace.tables.surrogate(name).surrogate(), found, tolerance)
     limit = tolerance and {"translation": tolerance.translation, "rotation": tolerance.rotation}
     body = {
         "component": name,

@@ -18,8 +18,8 @@ from service.http.parsing import read_body
 from service.http.replies import json_reply
 from service.http.versions import holds, naming
 from service.library.component import Component
+from service.tables.served import ServedTable
 from service.workspace import Workspace
-from surrogate.build import AnyTable
 from surrogate.scene.file import write_scene
 from surrogate.scene.need import Need
 
@@ -63,7 +63,7 @@ async def scene_table(
     return Response(content, 200, naming(tag), MEDIA_TYPE)
 
 
-def _file(workspace: Workspace, component: Component, table: AnyTable, need: Need) -> bytes:
+def _file(workspace: Workspace, component: Component, table: ServedTable, need: Need) -> bytes:
     return write_scene(scene_file_table(workspace, component, table, need))
 
 
