@@ -64,10 +64,15 @@ class TableFiles:
         """Return what a component's file holds; None if it is missing, damaged or another's."""
         return self._sound(component, read_table)
 
-    def saved(self, component: Component) -> int | None:
+    def saved(self, component: Component, version: int, digest: str) -> int | None:
         """Return up to which seq a component's file has its rows; 0 without a usable file.
 
         None if it has rows that the ledger lacks: `load` puts these back.
+
+        Parameters
+        ----------
+        version, digest
+            The ledger's newest change of the component, and its digest up to there.
 
         Raises
         ------
@@ -78,7 +83,8 @@ class TableFiles:
         if found is None:
             return 0
         meta = found[1]
-        if not self._is_of_ledger(meta):
+        newest = (meta.last_seq, meta.ledger) == (version, digest)
+        if not newest and not self._is_of_ledger(meta):
             return None
         return meta.last_seq if meta.fingerprint == component.fingerprint else 0
 

@@ -317,7 +317,8 @@ class Tables:
             version = self._ledger.last_seq(name)
             origin = origin_of(self._ledger, component, version, self._errors)
             packed = self._packed.open(name, version, origin)
-            saved = self._files.saved(component) if packed is not None else None
+            ledger = origin.get("ledger", "")
+            saved = packed and self._files.saved(component, version, ledger)
             if packed is None or saved is None:
                 self._packed.remove(name)  # no other process may answer from it
                 return

@@ -12,10 +12,10 @@ from surrogate.build import AnyTable, build
 from surrogate.kernel.binding import PackedTable
 from surrogate.kriging import Hyperparameters
 from surrogate.solver_error import SolverError
+from surrogate.table.compliance import ComplianceFit
 from surrogate.table.rows import Floats, LoadRange, Rows, Tolerance
 
 ROW_DETAIL = "the displacement that a row of the table has at this wrench"
-_EXACT = 4  # the place in a group's flags that says whether its compliance is the whole truth
 _WHOLE = 4  # the place in the solver's flags that says whether error bars have all their parts
 # Rows of the numpy tables that a process keeps: 13 kB each, so some 1.3 GB. The packed tables
 # answer; numpy tables serve fills, coverage gaps, plans and the build of the next version.
@@ -68,7 +68,7 @@ class ServedTable:
         self.sources: dict[str, int] = about["sources"]
         self.linear: bool = about["linear"]
         self.default: str = packed.words["groups"][0]["method"]
-        self.needs_compliance = self.linear and not packed.arrays["g0/flags"][_EXACT]
+        self.needs_compliance = self.linear and not self.fit.complete
         self.bars_are_whole = bool(packed.arrays["solver/flags"][_WHOLE])
         self.load_range = LoadRange(*packed.arrays["space/range"])
         self.locked = tuple(np.flatnonzero(packed.arrays["space/locked"]).tolist())
@@ -105,6 +105,14 @@ class ServedTable:
                     locked=self.locked,
                 )
             return self._built
+
+    @property
+    def fit(self) -> ComplianceFit:
+        """The compliance of the outputs that the fewest rows hold."""
+        matrix, bar, known = (
+            self.packed.arrays[f"g0/fit/{name}"] for name in ("matrix", "bar", "known")
+        )
+        return ComplianceFit(matrix, known.astype(bool), bar, self.summary["compliance"]["origin"])
 
     @property
     def steepest(self) -> Floats:

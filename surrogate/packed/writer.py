@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..build import AnyTable
+from ..derivative import tangent_at_zero
 from ..describe.explain import linear_rows
+from ..describe.gaps import axis_gaps
 from ..kriging import Kriging
 from ..limits import LONGEST, TRANSLATION_LIMIT
 from ..methods.reference import AxesReference, KrigingReference
@@ -70,17 +72,31 @@ def pack(
         "sources": sources.words,
         "solver_error": None if table.solver_error is None else table.solver_error.told,
         "summary": table.coverage_summary(),
+        "gaps": _gaps(table),
+        "tangent": dict(zip(("matrix", "origin"), tangent_at_zero(table), strict=True)),
         "provenance": {
             "component": component,
             "fingerprint": fingerprint,
-            "version": table.version,
-            "rows": len(table.rows),
-            "sources": dict(Counter(table.rows.source.tolist())),
-            "linear": table.linear,
             "origin": dict(origin or {}),
+            **_rows_words(table),
         },
     }
     return pieces(arrays, _plain(words))
+
+
+def _rows_words(table: AnyTable) -> dict[str, Any]:
+    return {
+        "version": table.version,
+        "rows": len(table.rows),
+        "sources": dict(Counter(table.rows.source.tolist())),
+        "linear": table.linear,
+    }
+
+
+def _gaps(table: AnyTable) -> list[dict[str, Any]] | None:
+    """Return the gaps of each axis; None where the compliance answers, which needs no axes."""
+    exact = table.linear and table.fit.complete
+    return None if exact else axis_gaps(table.composition, table.load_range)
 
 
 def _plain(value: Any) -> Any:

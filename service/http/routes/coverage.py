@@ -11,7 +11,6 @@ from starlette.responses import Response
 from service.http.replies import json_reply
 from service.tables.served import ServedTable
 from service.workspace import Workspace
-from surrogate.derivative import tangent_at_zero
 from surrogate.describe.gaps import axis_gaps
 from surrogate.table.physics_checks import check_physics
 from surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
@@ -27,12 +26,10 @@ async def coverage(name: str, request: Request) -> Response:
 
 
 def _coverage(name: str, table: ServedTable) -> Response:
-    surrogate = table.surrogate()
-    body = {
-        "component": name,
-        **table.summary,
-        "gaps": axis_gaps(surrogate.composition, surrogate.load_range),
-    }
+    gaps = table.packed.words["gaps"]
+    if gaps is None:
+        gaps = axis_gaps(table.surrogate().composition, table.load_range)
+    body = {"component": name, **table.summary, "gaps": gaps}
     return json_reply(body)
 
 
@@ -46,20 +43,18 @@ async def compliance(name: str, request: Request) -> Response:
 
 
 def _compliance(name: str, table: ServedTable) -> Response:
-    surrogate = table.surrogate()
-    fit = surrogate.fit
-    tangent, origin = tangent_at_zero(surrogate)
+    fit, tangent = table.fit, table.packed.words["tangent"]
     body: dict[str, Any] = {
         "component": name,
-        "table_version": surrogate.version,
-        "tangent": tangent.tolist(),  # NaN is null
-        "tangent_origin": origin,
+        "table_version": table.version,
+        "tangent": tangent["matrix"],
+        "tangent_origin": tangent["origin"],
         "origin": fit.origin,
         "matrix": fit.matrix.tolist(),
         "known_loads": [load for load, known in zip(LOADS, fit.known, strict=True) if known],
         "error": fit.bar.tolist(),
         "rows": [f"{name} [{unit}]" for name, unit in zip(OUTPUTS, OUTPUT_UNITS, strict=True)],
         "columns": [f"{name} [{unit}]" for name, unit in zip(LOADS, LOAD_UNITS, strict=True)],
-        **check_physics(surrogate.rows, surrogate.load_range, fit),
+        **check_physics(table.rows, table.load_range, fit),
     }
     return json_reply(body)
