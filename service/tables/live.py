@@ -92,6 +92,7 @@ class Tables:
     def start(self) -> None:
         """Start loading every table and following the ledger; return once the small ones answer."""
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_S))
+        self._packed.remove_drafts()
         small = []
         for name in self._library.names():
             self._guarded(name, self._take_up, self._faults)

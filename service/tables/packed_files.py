@@ -87,6 +87,11 @@ class PackedFiles:
                 with suppress(OSError):  # another process has removed it, or it is in use
                     path.unlink()
 
+    def remove_drafts(self) -> None:
+        """Remove what writers that were killed have left."""
+        for path in self._folder.glob(f".*{SUFFIX}.*"):
+            path.unlink(missing_ok=True)
+
     def newest(self) -> dict[str, PackedFile]:
         """Return the file of each component that was written last."""
         newest: dict[str, PackedFile] = {}

@@ -20,7 +20,6 @@ def find_leftovers(folder: Path, ledger: Ledger) -> list[Finding]:
         *(folder / "components").glob(".incoming-*"),
         *folder.glob(".restoring"),
         *_partial(folder),
-        *_partial(folder / "tables"),
     ]
     aside = [*folder.glob("*.damaged-*"), *folder.glob("*.orphan-*"), *folder.glob("*.settled-*")]
     aside += [*(folder / "tables").glob("*.damaged-*"), *folder.glob(".before-restore-*")]

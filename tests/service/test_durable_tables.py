@@ -13,7 +13,7 @@ import pytest
 from service.ledger import Ledger, LedgerUnavailableError, NewRow
 from service.library.component import BrokenComponentError
 from service.library.library import Library
-from service.tables import live
+from service.tables import live, served
 from service.tables.behind import TableBehindError
 from service.tables.live import Tables
 from surrogate.table.hdf5 import read_table, write_table
@@ -444,6 +444,27 @@ def test_a_table_whose_hdf5_file_was_not_written_before_a_kill_is_mapped_and_wri
     site.close()
     assert len(read_table(site.file())[0]) == 35
     site.open()
+
+
+def test_what_a_killed_writer_of_a_packed_file_has_left_is_removed(site):
+    site.close()
+    draft = site.folder / "tables" / ".rig-3.wbt.4711.1"
+    draft.write_bytes(b"half")
+    site.open()
+    assert not draft.exists()
+
+
+def test_numpy_tables_used_longest_ago_are_dropped_and_built_again(site, monkeypatch):
+    site.library.add_table_only("other", "other", RANGE, RANGE, None)
+    site.insert(30)
+    site.insert(30, name="other")
+    monkeypatch.setattr(served, "MOST_BUILT_ROWS", 40)
+    first, second = (site.tables.surrogate(name) for name in ("rig", "other"))
+    before = first.surrogate().answer((2.5, 0, 0, 0, 0, 0.5))
+    second.surrogate()
+    served.drop_built(site.tables.present().values())
+    assert (first.built, second.built is None) == (None, False)
+    assert first.surrogate().answer((2.5, 0, 0, 0, 0, 0.5)) == before
 
 
 def test_a_full_disk_leaves_answers_from_memory_and_the_file_is_written_later(site, monkeypatch):
