@@ -7,6 +7,7 @@ import pytest
 
 from service.ledger import Ledger, NewRow
 from service.library.library import Library
+from service.tables import live
 from service.tables.behind import TableBehindError
 from service.tables.coordinator_state import CoordinatorState, Status
 from service.tables.live import Tables
@@ -85,6 +86,45 @@ def test_a_version_replaces_the_one_before_and_its_file(both, tmp_path):
     assert reader.tables.catch_up("new", 20)
     assert len(reader.tables.surrogate("new").rows) == 6
     assert len(list((tmp_path / "tables").glob("new-*.wbt"))) == 1
+
+
+def test_a_table_that_was_replaced_still_gives_its_bytes_to_a_request_that_has_it(both):
+    _, reader = both
+    reader.add("new", 4)
+    assert reader.tables.catch_up("new", 20)
+    old = reader.tables.surrogate("new")
+    content, checksum = old.packed.content, old.packed.checksum
+    reader.ledger.insert_rows("new", "", new_rows(2, 4))
+    assert reader.tables.catch_up("new", 20)
+    assert (old.packed.content, old.packed.checksum) == (content, checksum)
+    assert len(old.rows) == 4
+    assert old.surrogate().version == old.version
+
+
+def test_a_stale_file_is_gone_once_the_builder_has_started(tmp_path, monkeypatch):
+    """Its table takes long to build; no process may answer from the old one meanwhile."""
+    with part(tmp_path, Tables) as builder:
+        builder.add("new", 4)
+        assert builder.tables.catch_up("new", 20)
+        builder.ledger.withdraw("new", builder.ledger.rows("new")[0].seq)
+        assert builder.tables.catch_up("new", 20)
+        builder.tables.stop()
+        builder.ledger.restore("new", 1)
+    may_build, build = threading.Event(), live.make
+
+    def slow(*given):
+        assert may_build.wait(20)
+        return build(*given)
+
+    monkeypatch.setattr(live, "make", slow)
+    monkeypatch.setattr(live, "LARGE", 0)
+    with part(tmp_path, Tables) as builder:
+        assert not list((tmp_path / "tables").glob("new-*.wbt"))
+        with pytest.raises(TableBehindError, match="has rows and cannot answer yet"):
+            builder.tables.surrogate("new")
+        may_build.set()
+        assert builder.tables.catch_up("new", 20)
+        assert len(builder.tables.surrogate("new").rows) == 4
 
 
 def test_a_component_without_rows_answers_at_once(both):
