@@ -7,10 +7,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
+from service.files.cores import usable_cores
 from service.ledger import Ledger, LedgerUnavailableError
 from service.library.component import Component
 from service.library.library import Library
@@ -93,9 +95,10 @@ class Tables:
         """Start loading every table and following the ledger; return once the small ones answer."""
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_S))
         self._packed.remove_drafts()
-        small = []
-        for name in self._library.names():
-            self._guarded(name, self._take_up, self._faults)
+        small, names = [], self._library.names()
+        with ThreadPoolExecutor(usable_cores()) as threads:  # checksums let the others run
+            list(threads.map(lambda name: self._guarded(name, self._take_up, self._faults), names))
+        for name in names:
             rows = self._size(name)
             if rows <= LARGE:
                 small.append(name)

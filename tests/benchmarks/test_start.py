@@ -55,7 +55,10 @@ def filled(folder: Path) -> None:
 
 @contextmanager
 def started(folder: Path, processes: int) -> Iterator[tuple[Client, psutil.Process, float]]:
-    """Serve a folder; give a client, the process and the seconds until all tables answer."""
+    """Serve a folder; give a client, the process and the seconds until all tables answer.
+
+    With several processes the first one that answers tells that.
+    """
     command = child_command("service.cli.main", "serve", "--data", str(folder), "--port", "0")
     words = ["--solvers", "0", "--log-level", "warning", "--processes", str(processes)]
     began = time.perf_counter()
@@ -83,6 +86,7 @@ def test_a_second_start_maps_what_the_first_has_built(tmp_path: Path) -> None:
     for name, processes in (("first", 1), ("second", 1), ("of two processes", 2)):
         with started(folder, processes) as (client, server, seconds):
             family = [server, *server.children(recursive=True)]
+            used = sum(sum(one.cpu_times()[:2]) for one in family)
             memory = [one.memory_info() for one in family]
             private = [one.memory_full_info().uss for one in family]
             found = [
@@ -96,7 +100,8 @@ def test_a_second_start_maps_what_the_first_has_built(tmp_path: Path) -> None:
                 f"{one.rss / 1e6:.0f} MB resident ({own / 1e6:.0f} MB its own)"
                 for one, own in zip(memory, private, strict=True)
             )
-            print(f"\n{name} start: {seconds:.1f} s; {sizes}", end="")
+            print(f"\n{name} start: {seconds:.1f} s, {used:.1f} s of processor time", end="")
+            print(f"; {sizes}", end="")
     size = sum(path.stat().st_size for path in (folder / "tables").glob("*.wbt"))
     print(f"\n{COMPONENTS} components of {ROWS} rows, packed {size / 1e6:.0f} MB")
     assert answers[0] == answers[1] == answers[2]
