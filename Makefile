@@ -93,6 +93,9 @@ bench-kernel: $(VENV)/.installed-dev  ## single answers and batches of the kerne
 bench-live: $(VENV)/.installed-dev  ## imports and new rows of a real server: seconds and memory
 	$(BIN)/python -m pytest tests/benchmarks/test_live_tables.py -s -p no:cacheprovider --timeout 1800
 
+bench-start: $(VENV)/.installed-dev  ## a server's start on built tables: seconds and memory
+	$(BIN)/python -m pytest tests/benchmarks/test_start.py -s -p no:cacheprovider --timeout 1800
+
 bench-import: $(VENV)/.installed-dev  ## 100,000 rows until they answer, a million until acknowledged: seconds, memory, waits
 	$(BIN)/python -m pytest tests/benchmarks/test_import_rate.py -s -p no:cacheprovider --timeout 1800
 

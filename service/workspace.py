@@ -31,14 +31,14 @@ from service.ordering import Orders
 from service.report.queue import Reports
 from service.settings import Settings
 from service.tables.behind import TableBehindError
+from service.tables.coordinator_state import FOLDER, CoordinatorState
 from service.tables.live import Tables
 from service.tables.mapped import MappedTables
 from service.tables.past import PastTables
-from service.tables.shelf import FOLDER, Shelf
+from service.tables.served import ServedTable
 from service.tables.solver_errors import SolverErrors
 from service.upkeep.disk import is_full
 from service.upkeep.housekeeping import Housekeeping
-from surrogate.build import AnyTable
 from surrogate.design.adaptive import Design, next_wrenches
 from surrogate.scene.need import Need
 from surrogate.scene.plan import design_of, plan_of
@@ -121,16 +121,16 @@ class Workspace:
         self.demand.stop()
         self.ledger.close()
 
-    def surrogate(self, name: str) -> AnyTable:
-        """Return the newest surrogate of a component that somebody asks for an answer.
+    def surrogate(self, name: str) -> ServedTable:
+        """Return the newest table of a component that somebody asks for an answer.
 
         A linear component whose 6x6 compliance is not known has the solves that tell it queued,
         once a version of its table.
         """
-        surrogate = self.tables.surrogate(name)
-        if surrogate.linear and not surrogate.fit.complete:
-            self._ask_compliance(name, surrogate)
-        return surrogate
+        table = self.tables.surrogate(name)
+        if table.needs_compliance:
+            self._ask_compliance(name, table)
+        return table
 
     def solver_error(self, name: str) -> SolverError | None:
         """Return what a component's solver may be wrong by, as a row that came just now needs it.
@@ -148,8 +148,8 @@ class Workspace:
             return None  # an estimate needs no ledger
         return found[0] if found else None
 
-    async def newest(self, name: str, seconds: float) -> AnyTable:
-        """Return the surrogate once it holds all rows there are now, or after `seconds` as it is.
+    async def newest(self, name: str, seconds: float) -> ServedTable:
+        """Return the table once it holds all rows there are now, or after `seconds` as it is.
 
         It waits on threads of asyncio's own, few: on those that queue a loop's wrenches, forty
         such readers would hold the loop up for as long as a table is built.
@@ -176,14 +176,15 @@ class Workspace:
             the load range.
         """
         table = self.surrogate(name)
-        held = table.kriging.hyperparameters if table.kriging else None
         component, solver = self.library[name], self.solver_error(name)
         asked = wrench.tolist()
         found = table.packed.answer(asked)
         shares = {} if table.solver_error is None else {"mesh": found.discretisation}
         if table.solver_error is not None and "linearity" in table.solver_error.told:
             shares["linearity"] = found.linearity
-        return self.shapes.answer(component, table.rows, wrench, held, solver, shares)
+        return self.shapes.answer(
+            component, table.rows, wrench, table.hyperparameters, solver, shares
+        )
 
     def fill(
         self,
@@ -213,7 +214,7 @@ class Workspace:
         # First what is open, then what is known: a solve that ends between the two is in both.
         # The other way round it would be in neither, and be asked for again.
         asked = self.orders.asked_wrenches(name)
-        surrogate = self.tables.caught_up(name, CATCH_UP_S)
+        surrogate = self.tables.caught_up(name, CATCH_UP_S).surrogate()
         if need is None:
             span = self.library[name].acting_range
             design = next_wrenches(surrogate, budget, pending=asked, tolerance=tolerance, span=span)
@@ -279,12 +280,10 @@ class Workspace:
         return {**damaged, **self.tables.faults(), **self.library.broken()}
 
     def _open_tables(self, folder: Path) -> Tables | MappedTables:
-        if self.settings.part == "all":
-            return Tables(self.ledger, self.library, folder, self.errors)
-        shelf = Shelf(self.settings.folder / FOLDER)
         if self.settings.part == "answering":
-            return MappedTables(self.ledger, self.library, folder, shelf)
-        return Tables(self.ledger, self.library, folder, self.errors, shelf)
+            state = CoordinatorState(self.settings.folder / FOLDER)
+            return MappedTables(self.ledger, self.library, folder, state)
+        return Tables(self.ledger, self.library, folder, self.errors)
 
     def _on_added(self, component: Component) -> None:
         told = solver_error_of(component.folder, component.fingerprint)
@@ -302,16 +301,16 @@ class Workspace:
         """Carry the solver's error along, before rows of the copy can be answered without it."""
         self.errors.copy(component.name, component.fingerprint, name)
 
-    def _ask_compliance(self, name: str, surrogate: AnyTable) -> None:
+    def _ask_compliance(self, name: str, table: ServedTable) -> None:
         """Queue what tells a linear component's compliance, once a version of its table."""
         component = self.library[name]
-        asked_for = component.fingerprint, surrogate.version
+        asked_for = component.fingerprint, table.version
         if not component.has_fea or self._unit_solves_asked.get(name) == asked_for:
             return
         self._unit_solves_asked[name] = asked_for
         try:
             asked = self.orders.asked_wrenches(name)
-            design = next_wrenches(surrogate, 6, pending=asked)
+            design = next_wrenches(table.surrogate(), 6, pending=asked)
             self.orders.fill(name, design.wrenches, urgent=True)
         except LedgerUnavailableError:
             del self._unit_solves_asked[name]  # asked again by the next question

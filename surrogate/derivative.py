@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from .build import AnyTable
-from .kernel.packing import packed_of
-from .table.rows import Floats
+from .surrogate import Surrogate
+from .table.rows import Floats, without_locked
 
 
 def tangent_at_zero(table: AnyTable) -> tuple[Floats, str]:
@@ -22,14 +22,29 @@ def tangent_at_zero(table: AnyTable) -> tuple[Floats, str]:
     origin : str
         ``row``, a method, or ``none``.
     """
-    zero = np.zeros(6)
-    found, row = packed_of(table).derivatives(zero[None])[0], np.full((6, 6), np.nan)
-    for outputs, part in table.groups:
-        row[list(outputs)] = part.exact.tangent(zero.tolist())[list(outputs)]
-        unknown = ~part.fit.known
-        unknown[list(part.locked)] = False  # no output depends on them: zero
-        found[np.ix_(list(outputs), np.flatnonzero(unknown).tolist())] = np.nan
-    told = np.isfinite(row)
-    if told.any():
-        return np.where(told, row, found), "row"
+    found, row = np.full((6, 6), np.nan), np.full((6, 6), np.nan)
+    for outputs, group in table.groups:
+        own = list(outputs)
+        row[own] = group.exact.tangent([0.0] * 6)[own]
+        found[own] = _slopes_at_zero(group)[own]
+    known = np.isfinite(row)
+    if known.any():
+        return np.where(known, row, found), "row"
     return found, table.default if np.isfinite(found).any() else "none"
+
+
+def _slopes_at_zero(group: Surrogate) -> Floats:
+    """Return du/dw (6, 6), SI, of a group's default method; NaN by loads that no row tells."""
+    if not len(group.used):
+        return np.full((6, 6), np.nan)
+    zero, name = np.zeros((1, 6)), group.default
+    if name == "linear":
+        found = group.fit.matrix[None]
+    elif group.by_kriging and group.kriging is not None:
+        found = group.kriging.derivatives(zero)
+    else:
+        found = group.composition.derivatives(zero, "tangent" if name == "kriging" else name)
+    found = without_locked(found, group.locked)[0]
+    unknown = ~group.fit.known
+    unknown[list(group.locked)] = False  # no output depends on them: zero
+    return np.where(unknown, np.nan, found)

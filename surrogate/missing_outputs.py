@@ -40,16 +40,11 @@ class MissingOutputs:
         The same table packed; None until it is made.
     solver_error : SolverError or None
         What the solver may be wrong by: in no bar here; `bars_are_whole` says if it is known.
-    other_rows, other_wrenches : int
-        Rows of another setup of the component, which are no part of the table, and how many
-        wrenches of theirs no row of the table has.
     """
 
     packed: Any = None
     solver_error: SolverError | None = None
     bars_are_whole: bool = True
-    other_rows: int = 0
-    other_wrenches: int = 0
 
     def __init__(
         self,

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.build import AnyTable
+from service.tables.served import ServedTable
 from surrogate.table.axes import Axis
 from surrogate.table.rows import LoadRange
 
@@ -64,7 +64,7 @@ def sweep_of(load_range: LoadRange, load: int, at: Floats, points: int) -> Float
     return wrenches
 
 
-def shares_of(table: AnyTable, wrenches: Floats) -> list[float]:
+def shares_of(table: ServedTable, wrenches: Floats) -> list[float]:
     """Return what parts of wrenches, (n, 6), N and N·m, are covered, thin and outside."""
     found = table.packed.batch(wrenches)
     return (np.bincount(found.coverage, minlength=3) / len(wrenches)).tolist()

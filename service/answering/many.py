@@ -14,9 +14,9 @@ from service.answering.refusals import BeyondRangeError, NotCoveredError
 from service.answering.solved import read_row, state_of
 from service.library.component import Component
 from service.ordering import Placed
+from service.tables.served import ServedTable
 from service.workspace import Workspace
 from surrogate.answer import COVERED, six
-from surrogate.build import AnyTable
 from surrogate.table.rows import why_beyond
 
 Places = NDArray[np.intp]
@@ -64,19 +64,19 @@ def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcom
     return outcome
 
 
-def answered_many(name: str, surrogate: AnyTable, batch: BatchQuery) -> BatchOutcome:
+def answered_many(name: str, table: ServedTable, batch: BatchQuery) -> BatchOutcome:
     """Answer by a table as it is."""
     started = perf_counter_ns()
     how = six(batch.tolerance), batch.method
-    answers = surrogate.packed.batch(batch.wrenches, *how)
+    answers = table.packed.batch(batch.wrenches, *how)
     elapsed_us = (perf_counter_ns() - started) / 1e3
-    method = surrogate.packed.answers_by(batch.method)
+    method = table.packed.answers_by(batch.method)
     found = answers.outputs, answers.errors, answers.coverage
-    outcome = BatchOutcome(name, *found, surrogate.version, elapsed_us, [], method)
-    if surrogate.bars_are_whole:
-        outcome.tolerance = batch.tolerance or surrogate.tolerance
+    outcome = BatchOutcome(name, *found, table.version, elapsed_us, [], method)
+    if table.bars_are_whole:
+        outcome.tolerance = batch.tolerance or table.tolerance
     if batch.derivatives:
-        outcome.derivatives = surrogate.packed.derivatives(batch.wrenches, *how)
+        outcome.derivatives = table.packed.derivatives(batch.wrenches, *how)
     return outcome
 
 

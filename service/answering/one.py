@@ -9,7 +9,6 @@ import numpy as np
 from starlette.concurrency import run_in_threadpool
 
 from service.answering.error_parts import error_parts
-from service.answering.method_detail import detail_of
 from service.answering.queries import Outcome, Query, also
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
 from service.answering.solved import read_row, state_of
@@ -18,9 +17,9 @@ from service.ledger import Job
 from service.library.component import Component
 from service.ordering import Placed
 from service.tables.other_setup import others_in_words
+from service.tables.served import ROW_DETAIL, ServedTable
 from service.workspace import Workspace
 from surrogate.answer import six, within_tolerance
-from surrogate.build import AnyTable
 from surrogate.kernel.explain import explain
 from surrogate.table.rows import acting_one, why_beyond
 
@@ -36,10 +35,10 @@ def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | N
     UnknownComponentError
         If there is no such component.
     """
-    surrogate = workspace.surrogate(name)
-    outcome = _from_table(name, surrogate, query)
+    table = workspace.surrogate(name)
+    outcome = _from_table(name, table, query)
     if outcome.coverage != "covered":
-        if query.on_thin != "estimate" or (surrogate.linear and not surrogate.fit.complete):
+        if query.on_thin != "estimate" or table.needs_compliance:
             return None
         _note(workspace, query, outcome)
     return outcome
@@ -61,16 +60,16 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
     SolveFailedError
         If the solve of this wrench failed.
     """
-    surrogate = workspace.surrogate(name)
+    table = workspace.surrogate(name)
     if query.on_thin == "solve":
-        outcome = _unanswered(name, surrogate)
+        outcome = _unanswered(name, table)
     else:
-        outcome = await answered(name, surrogate, query)
+        outcome = await answered(name, table, query)
         if query.detail:
-            tell_parts(workspace, surrogate, query, outcome)
+            tell_parts(workspace, table, query, outcome)
         if outcome.coverage != "covered":
             _note(workspace, query, outcome)
-            if surrogate.linear and not surrogate.fit.complete:
+            if table.needs_compliance:
                 await _name_awaited(workspace, query, outcome)
         if outcome.coverage == "covered" or query.on_thin == "estimate":
             return outcome
@@ -106,22 +105,22 @@ def _acting(component: Component, query: Query) -> Query:
     return query._replace(wrench=tuple(acting_one(query.wrench, component.idle)))
 
 
-async def answered(name: str, surrogate: AnyTable, query: Query) -> Outcome:
+async def answered(name: str, table: ServedTable, query: Query) -> Outcome:
     """Answer here by the component's own method; others may have to be built first, elsewhere."""
     if query.method is None:
-        outcome = _from_table(name, surrogate, query)
+        outcome = _from_table(name, table, query)
     else:
-        outcome = await run_in_threadpool(_from_table, name, surrogate, query)
+        outcome = await run_in_threadpool(_from_table, name, table, query)
     asked = query.wrench, six(query.tolerance), query.method
     if query.derivatives:
-        outcome.derivative = surrogate.packed.derivative(*asked)
+        outcome.derivative = table.packed.derivative(*asked)
     if query.detail:
-        outcome.axes = await run_in_threadpool(explain, surrogate.packed, *asked)
-        outcome.method_detail = detail_of(surrogate, outcome.method or surrogate.default)
+        outcome.axes = await run_in_threadpool(explain, table.packed, *asked)
+        outcome.method_detail = table.method_detail(outcome.method or table.default)
     return outcome
 
 
-def tell_parts(workspace: Workspace, table: AnyTable, query: Query, outcome: Outcome) -> None:
+def tell_parts(workspace: Workspace, table: ServedTable, query: Query, outcome: Outcome) -> None:
     """Add the parts whose sum an answer's error bar is."""
     found = table.packed.answer(query.wrench, six(query.tolerance), query.method)
     solver, shares = table.solver_error, {}
@@ -133,10 +132,10 @@ def tell_parts(workspace: Workspace, table: AnyTable, query: Query, outcome: Out
     outcome.error_parts = error_parts(found.interpolation, solver, shares, has_fea=has_fea)
 
 
-def _from_table(name: str, surrogate: AnyTable, query: Query) -> Outcome:
+def _from_table(name: str, table: ServedTable, query: Query) -> Outcome:
     """Answer by the table as it is."""
     started = perf_counter_ns()
-    found = surrogate.packed.answer(query.wrench, six(query.tolerance), query.method)
+    found = table.packed.answer(query.wrench, six(query.tolerance), query.method)
     elapsed_us = (perf_counter_ns() - started) / 1e3
     source, reason = "table" if found.outputs else None, found.reason
     if found.row is not None:
@@ -149,19 +148,19 @@ def _from_table(name: str, surrogate: AnyTable, query: Query) -> Outcome:
         found.coverage,
         source,
         found.method,
-        surrogate.version,
+        table.version,
         elapsed_us,
         reason,
     )
     outcome.missing = found.missing
-    if found.coverage != "covered" and surrogate.other_wrenches:
-        outcome.reason = also(reason, others_in_words(name, surrogate))
+    if found.coverage != "covered" and table.other_wrenches:
+        outcome.reason = also(reason, others_in_words(name, table))
     outcome.within_tolerance = found.within_tolerance
     return outcome
 
 
-def _unanswered(name: str, surrogate: AnyTable) -> Outcome:
-    return Outcome(name, None, None, "thin", None, None, surrogate.version, 0.0)
+def _unanswered(name: str, table: ServedTable) -> Outcome:
+    return Outcome(name, None, None, "thin", None, None, table.version, 0.0)
 
 
 async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
@@ -238,7 +237,7 @@ def _take_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) ->
         outcome.error_parts = error_parts(own, solver, shares, has_fea=True)
     outcome.coverage, outcome.method, outcome.source = "covered", "row", row.source
     outcome.reason = EXACT if row.wrench == query.wrench else ROUNDED
-    outcome.method_detail = detail_of(None, "row") if query.detail else None
+    outcome.method_detail = ROW_DETAIL if query.detail else None
     outcome.row, outcome.unsolved = seq, False
 
 

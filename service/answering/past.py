@@ -12,8 +12,8 @@ from starlette.concurrency import run_in_threadpool
 from service.answering.many import answered_many, refuse_thin
 from service.answering.one import answered, refuse_uncovered, tell_parts
 from service.answering.queries import BatchOutcome, BatchQuery, Outcome, Query, WrenchJob, also
+from service.tables.served import ServedTable
 from service.workspace import Workspace
-from surrogate.build import AnyTable
 
 NOT_QUEUED = "no solve is queued: the question is to an earlier version of the table"
 
@@ -56,7 +56,7 @@ async def answer_many_at(
     return outcome
 
 
-async def table_at(workspace: Workspace, name: str, version: int) -> AnyTable:
+async def table_at(workspace: Workspace, name: str, version: int) -> ServedTable:
     """Return a component's table as it was at a version; errors as `answer_at`."""
     held = workspace.past.held(name, version)
     if held is not None:

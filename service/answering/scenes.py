@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from service.library.component import Component
+from service.tables.served import ServedTable
 from service.workspace import Workspace
-from surrogate.build import AnyTable
-from surrogate.packed.format import Packed
 from surrogate.scene.cut import cut
 from surrogate.scene.need import Need
 from surrogate.scene.plan import Plan, plan_of
@@ -20,20 +19,21 @@ SOLVES_TIMED = 32  # the last done ones, whose median is what a solve takes
 
 
 def scene_reply(
-    workspace: Workspace, component: Component, table: AnyTable, need: Need
+    workspace: Workspace, component: Component, table: ServedTable, need: Need
 ) -> dict[str, Any]:
     """Return a scene's plan of one component, JSON-able."""
-    plan = plan_of(table, need, solved=component.has_fea)
-    return _told(workspace, component, plan, measured(table, plan), table.version)
+    built = table.surrogate()
+    plan = plan_of(built, need, solved=component.has_fea)
+    return _told(workspace, component, plan, measured(built, plan), table.version)
 
 
-def scene_file(workspace: Workspace, component: Component, table: AnyTable, need: Need) -> bytes:
+def scene_file(workspace: Workspace, component: Component, table: ServedTable, need: Need) -> bytes:
     """Return a component's packed table cut to a scene, with the scene plan in it.
 
     A component that is rigid or linear in the scene has one too.
     """
     plan = scene_reply(workspace, component, table, need)
-    return b"".join(cut(Packed(table.packed.arrays, table.packed.words), need, plan))
+    return b"".join(cut(table.packed, need, plan))
 
 
 def _told(

@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from service.ledger import LedgerRow
 from service.tables.news import table_rows
-from surrogate.build import AnyTable
+from service.tables.served import ServedTable
 from surrogate.exact_rows import beside
 
 Floats = NDArray[np.float64]
 
 
-def read_row(row: LedgerRow, wrench: Floats, table: AnyTable) -> tuple[Floats, Floats]:
+def read_row(row: LedgerRow, wrench: Floats, table: ServedTable) -> tuple[Floats, Floats]:
     """Return the displacement and the error bar of a row for the wrench it was rounded from.
 
     They are those that the table answers with once it holds the row (`surrogate.exact_rows`).
@@ -22,7 +22,7 @@ def read_row(row: LedgerRow, wrench: Floats, table: AnyTable) -> tuple[Floats, F
     ----------
     row : LedgerRow
     wrench : ndarray, shape (6,), N and N·m
-    table : AnyTable
+    table : ServedTable
         The component's newest.
 
     Returns

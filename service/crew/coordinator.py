@@ -12,7 +12,7 @@ import threading
 from service.crew.pulse import Pulse
 from service.crew.supervisor import REFUSED, follow_supervisor
 from service.settings import Settings, settings_of_options
-from service.tables.shelf import FOLDER, Shelf, Told
+from service.tables.coordinator_state import FOLDER, CoordinatorState, Status
 from service.telemetry.logs import set_up
 from service.workspace import Workspace
 
@@ -23,8 +23,8 @@ TELL_S = 0.25  # between looks at what has changed that the others cannot see th
 
 def coordinate(settings: Settings, pulse: Pulse, stop: threading.Event) -> None:
     """Tend a data directory until told to stop, and beat once it is tended."""
-    shelf = Shelf(settings.folder / FOLDER)
-    if not shelf.take():
+    state = CoordinatorState(settings.folder / FOLDER)
+    if not state.take():
         log.error(
             "another server of several processes is at work on %s; stop it first, or serve "
             "another directory with --data",
@@ -34,19 +34,19 @@ def coordinate(settings: Settings, pulse: Pulse, stop: threading.Event) -> None:
     workspace = Workspace(settings)
     try:
         workspace.start()
-        _tell(shelf, workspace)
+        _write(state, workspace)
         pulse.beat()
         while not stop.wait(TELL_S):
-            _tell(shelf, workspace)
+            _write(state, workspace)
             pulse.beat()
     finally:
         workspace.close()
-        shelf.leave()
+        state.release()
 
 
-def _tell(shelf: Shelf, workspace: Workspace) -> None:
+def _write(state: CoordinatorState, workspace: Workspace) -> None:
     try:
-        shelf.tell(Told(workspace.trouble(), workspace.tables.faults()))
+        state.write(Status(workspace.trouble(), workspace.tables.faults()))
     except OSError as error:
         log.warning("what is wrong cannot be told to the others: %s", error)
 

@@ -186,7 +186,7 @@ def _of_tables(workspace: Workspace, before: Seen, now: Seen) -> list[Told]:
     told: list[Told] = []
     for name, version in now.versions.items():
         if version != before.versions.get(name):
-            rows = len(workspace.tables.surrogate(name).rows)
+            rows = workspace.tables.surrogate(name).row_count
             body = {"component": name, "table_version": version, "rows": rows}
             told.append(("table", name, body))
     return told

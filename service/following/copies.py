@@ -24,7 +24,8 @@ from service.client import Client, ProblemError, ServerTimeout, ServerUnreachabl
 from service.demand.demand import Demand
 from service.files.durable import write_whole_bytes
 from service.library.component import Component
-from service.tables.making import ask_once, put_packed
+from service.tables.making import in_memory, packed_bytes
+from service.tables.served import ServedTable
 from surrogate.build import AnyTable, build
 from surrogate.kriging.threads import one_thread
 from surrogate.solver_error import SolverError
@@ -53,13 +54,13 @@ class Built:
         The HDF5 file that it is built from.
     etag : str or None
         The other server's name of this version.
-    surrogate : surrogate.build.AnyTable
+    table : ServedTable
     component : str
     """
 
     content: bytes
     etag: str | None
-    surrogate: AnyTable
+    table: ServedTable
     component: str
 
 
@@ -117,9 +118,9 @@ class Copies:
             self._thread.join()
         self.demand.stop()
 
-    def surrogate(self, name: str) -> AnyTable:
+    def surrogate(self, name: str) -> ServedTable:
         """Return what answers for a component; raises `NotHereError` without a copy."""
-        return self._of(name).built.surrogate
+        return self._of(name).built.table
 
     def as_read(self, name: str) -> Component:
         """Return a component; raises `NotHereError` without a copy."""
@@ -144,7 +145,7 @@ class Copies:
         found = {}
         for name in sorted({*self._copies, *self._faults}):
             copy = self._copies.get(name)
-            version = copy.built.surrogate.version if copy else None
+            version = copy.built.table.version if copy else None
             found[name] = {"table_version": version, "age_s": self.age(name)}
             if name in self._faults:
                 found[name]["fault"] = self._faults[name]
@@ -215,13 +216,12 @@ class Copies:
     def _put(
         self, name: str, told: dict[str, Any], content: bytes, etag: str | None, before: Copy | None
     ) -> None:
-        built = _built(content, etag, before.built.surrogate if before else None)
+        built = _built(content, etag, before.built.table.built if before else None)
         others = told.get("another_setup", {})  # an older server does not tell
-        built.surrogate.other_rows = others.get("rows", 0)
-        built.surrogate.other_wrenches = others.get("wrenches", 0)
+        built.table.other_rows = others.get("rows", 0)
+        built.table.other_wrenches = others.get("wrenches", 0)
         if built.component != name:
             raise TableFileError(f"it is the table of {built.component!r}")
-        ask_once(built.surrogate)
         self._copies[name] = Copy(_component(told), built)
 
     def _take_up(self, path: Path) -> None:
@@ -265,13 +265,13 @@ def _built(content: bytes, etag: str | None, before: AnyTable | None) -> Built:
             solver_error=SolverError.read(meta.solver_error),
             locked=meta.locked,
         )
-        put_packed(table, meta.component, meta.fingerprint)
-    return Built(content, etag, table, meta.component)
+        packed = packed_bytes(table, meta.component, meta.fingerprint)
+    return Built(content, etag, in_memory(table, packed), meta.component)
 
 
 def _is_current(copy: Copy, listed: dict[str, Any]) -> bool:
     """Tell whether a copy is of what the list says: rows, range, tolerance, setup."""
-    return copy.built.surrogate.version == listed["table_version"] and _said(listed) == _said_of(
+    return copy.built.table.version == listed["table_version"] and _said(listed) == _said_of(
         copy.component
     )
 

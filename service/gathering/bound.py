@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gathering.gathering import Envelope
+from service.tables.served import ServedTable
 from surrogate.answer import COVERED, NAMES, OUTSIDE
-from surrogate.build import AnyTable
-from surrogate.kernel.packing import packed_of
 from surrogate.table.rows import Tolerance
 
 Floats = NDArray[np.float64]
@@ -54,19 +53,19 @@ class Bound:
     reason: str
 
 
-def bound_of(surrogate: AnyTable, envelope: Envelope, tolerance: Tolerance | None) -> Bound:
+def bound_of(table: ServedTable, envelope: Envelope, tolerance: Tolerance | None) -> Bound:
     """Return how far a table says an envelope's wrenches move the component."""
     low, high = envelope.box
     unknown = np.full(6, np.nan)
     if np.isnan(low).any():
         return Bound(unknown, "unknown", "", "outside", None, "no wrench has come yet")
-    exact = surrogate.linear and surrogate.fit.complete
+    exact = table.linear and table.fit.complete
     points = np.concatenate([_corners(low, high), envelope.lowest, envelope.highest])
-    answers = packed_of(surrogate).batch(points)
+    answers = table.packed.batch(points)
     coverage = int(answers.coverage.max(initial=COVERED))
     if exact:
-        most = _over_box(surrogate.fit.matrix, low, high) + answers.errors.max(axis=0)
-        at_rest = packed_of(surrogate).batch(np.zeros((1, 6)))
+        most = _over_box(table.fit.matrix, low, high) + answers.errors.max(axis=0)
+        at_rest = table.packed.batch(np.zeros((1, 6)))
         most = most + np.abs(at_rest.outputs[0])
     else:
         # NaN stays: what is not known at one point is no estimate of the largest.

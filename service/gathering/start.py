@@ -69,18 +69,19 @@ def start_recording(
         return _start_linear(workspace, component, wrenches, beyond_range)
     # First what is queued, then what is known: see `Workspace.fill`.
     asked = workspace.orders.asked_wrenches(name)
-    surrogate = workspace.tables.caught_up(name, CATCH_UP_S)
+    table = workspace.tables.caught_up(name, CATCH_UP_S)
+    known = table.rows.wrench
     inside, beyond = _within(component, wrenches, beyond_range)
-    rows = set(packed(surrogate.rows.wrench))
+    rows = set(packed(known))
     solved = np.array([key in rows for key in packed(inside)], dtype=bool)
     covered = np.zeros(len(inside), dtype=bool)
     if len(inside):
-        covered = (surrogate.packed.batch(inside).coverage == COVERED) & ~solved
+        covered = (table.packed.batch(inside).coverage == COVERED) & ~solved
     return _ordered(
         workspace,
         component,
         inside[~solved & ~covered],
-        np.concatenate([surrogate.rows.wrench, asked]),
+        np.concatenate([known, asked]),
         budget,
         Started([], int(solved.sum()), int(covered.sum()), beyond_range=beyond),
         "recording",
@@ -100,12 +101,12 @@ def start_envelope(
     wrenches = np.unique(both, axis=0) if len(both) else both
     if component.linear:
         return _start_linear(workspace, component, wrenches, beyond_range)
-    surrogate = workspace.tables.caught_up(name, CATCH_UP_S)
+    table = workspace.tables.caught_up(name, CATCH_UP_S)
+    known = table.rows.wrench
     inside, beyond = _within(component, wrenches, beyond_range)
-    rows = set(packed(surrogate.rows.wrench))
+    rows = set(packed(known))
     solved = np.array([key in rows for key in packed(inside)], dtype=bool)
     counted = Started([], int(solved.sum()), beyond_range=beyond)
-    known = surrogate.rows.wrench
     return _ordered(workspace, component, inside[~solved], known, len(inside), counted, "envelope")
 
 
@@ -128,11 +129,10 @@ def start_resolving(workspace: Workspace, name: str, budget: int, *, beyond_rang
         return Started([], reason=f"no row of {name!r} belongs to another setup")
     if component.linear:
         return _start_linear(workspace, component, wrenches, beyond_range)
-    surrogate = workspace.tables.caught_up(name, CATCH_UP_S)
-    left = unsolved(component, others, surrogate.rows.wrench)
+    known = workspace.tables.caught_up(name, CATCH_UP_S).rows.wrench
+    left = unsolved(component, others, known)
     inside, beyond = _within(component, left, beyond_range)
     counted = Started([], len(wrenches) - len(left), beyond_range=beyond)
-    known = surrogate.rows.wrench
     return _ordered(workspace, component, inside, known, budget, counted, "resolve")
 
 
@@ -208,7 +208,7 @@ def _start_linear(
     if not len(wrenches):
         return Started([], reason="nothing was gathered yet")
     inside, beyond = _within(component, wrenches, beyond_range)
-    if workspace.tables.caught_up(component.name, CATCH_UP_S).fit.complete:
+    if not workspace.tables.caught_up(component.name, CATCH_UP_S).needs_compliance:
         reason = "the component is linear and its compliance known: it answers every wrench"
         return Started([], covered=len(inside), beyond_range=beyond, reason=reason)
     workspace.fill(component.name, UNIT_SOLVES, None)

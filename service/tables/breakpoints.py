@@ -17,8 +17,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.io import savemat
 
 from service.contract import CONTRACT
-from surrogate.build import AnyTable
-from surrogate.kernel.packing import packed_of
+from service.tables.served import ServedTable
 from surrogate.table.rows import OUTPUT_UNITS, OUTPUTS
 
 AXES = {"x": (0, 4, 5), "y": (1, 5, 3), "z": (2, 3, 4)}
@@ -39,7 +38,7 @@ class NoTableError(ValueError):
     """The table has no rows, or lacks an output: there is nothing to resample."""
 
 
-def write_breakpoints(table: AnyTable, name: str, path: Path) -> None:
+def write_breakpoints(table: ServedTable, name: str, path: Path) -> None:
     """Write a table's resampled axes as a MATLAB 5 file.
 
     Raises
@@ -49,7 +48,7 @@ def write_breakpoints(table: AnyTable, name: str, path: Path) -> None:
     """
     low, high = table.load_range.low, table.load_range.high
     wrenches = _between(low, high)
-    exact = packed_of(table).batch(wrenches)
+    exact = table.packed.batch(wrenches)
     if not np.isfinite(exact.outputs).all():
         raise NoTableError(
             f"the table of {name!r} does not tell all six outputs within its load range; add rows, "
@@ -68,7 +67,7 @@ def write_breakpoints(table: AnyTable, name: str, path: Path) -> None:
     savemat(path, {**content, "about": _about(table, name, count, bar, single, whole)})
 
 
-def _about(table: AnyTable, name: str, count: int, bar: Any, single: Any, whole: Any) -> dict:
+def _about(table: ServedTable, name: str, count: int, bar: Any, single: Any, whole: Any) -> dict:
     return {
         "component": name,
         "table_version": float(table.version),
@@ -86,16 +85,16 @@ def _about(table: AnyTable, name: str, count: int, bar: Any, single: Any, whole:
     }
 
 
-def _resampled(table: AnyTable, low: np.ndarray, high: np.ndarray, count: int) -> dict[str, Any]:
+def _resampled(table: ServedTable, low: np.ndarray, high: np.ndarray, count: int) -> dict[str, Any]:
     """Return the axes, the answers to moments alone, and the one to no load."""
-    found: dict[str, Any] = {"zero": packed_of(table).batch(np.zeros((1, 6))).outputs[0]}
+    found: dict[str, Any] = {"zero": table.packed.batch(np.zeros((1, 6))).outputs[0]}
     points = [_points(*ends, count) for ends in zip(low, high, strict=True)]
     for axis, loads in AXES.items():
         grid = np.meshgrid(*(points[load] for load in loads), indexing="ij")
         wrenches = np.zeros((grid[0].size, 6))
         for load, values in zip(loads, grid, strict=True):
             wrenches[:, load] = values.ravel()
-        answers = packed_of(table).batch(wrenches)
+        answers = table.packed.batch(wrenches)
         entry: dict[str, Any] = {f"bp{n + 1}": points[load] for n, load in enumerate(loads)}
         entry["loads"] = " ".join(_LOADS[load] for load in loads)
         entry["u"] = answers.outputs[:, "xyz".index(axis)].reshape(grid[0].shape)
@@ -106,7 +105,7 @@ def _resampled(table: AnyTable, low: np.ndarray, high: np.ndarray, count: int) -
     for load in _ROTATIONS:
         wrenches = np.zeros((count, 6))
         wrenches[:, load] = points[load]
-        moved = packed_of(table).batch(wrenches).outputs
+        moved = table.packed.batch(wrenches).outputs
         entry = {"bp1": points[load]} | {OUTPUTS[output]: moved[:, output] for output in _ROTATIONS}
         found[f"moment_{_LOADS[load][1]}"] = entry
     return found
@@ -132,10 +131,10 @@ def composed(content: dict[str, Any], wrenches: np.ndarray) -> np.ndarray:
 
 
 def _errors(
-    table: AnyTable, content: dict[str, Any], wrenches: np.ndarray
+    table: ServedTable, content: dict[str, Any], wrenches: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest and the RMS error of each output, m and rad, against the table."""
-    off = composed(content, wrenches) - packed_of(table).batch(wrenches).outputs
+    off = composed(content, wrenches) - table.packed.batch(wrenches).outputs
     return np.abs(off).max(axis=0), np.sqrt((off**2).mean(axis=0))
 
 

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from service.contract import CONTRACT
-from service.ledger import Ledger, LedgerUnavailableError, NewRow, RowEdit
+from service.ledger import Ledger, LedgerUnavailableError, NewRow, News, RowEdit
 from service.library.component import Component
-from surrogate.table.hdf5 import TableFileError, read_table, write_table
+from service.tables.news import usable
+from surrogate.table.hdf5 import TableFileError, read_meta, read_table, write_table
 from surrogate.table.meta import TableMeta
-from surrogate.table.rows import Rows
+from surrogate.table.rows import Rows, joined
+
+T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
@@ -58,18 +62,72 @@ class TableFiles:
 
     def read(self, component: Component) -> tuple[Rows, TableMeta] | None:
         """Return what a component's file holds; None if it is missing, damaged or another's."""
+        return self._sound(component, read_table)
+
+    def saved(self, component: Component, version: int, digest: str) -> int | None:
+        """Return up to which seq a component's file has its rows; 0 without a usable file.
+
+        None if it has rows that the ledger lacks: `load` puts these back.
+
+        Parameters
+        ----------
+        version, digest
+            The ledger's newest change of the component, and its digest up to there.
+
+        Raises
+        ------
+        LedgerUnavailableError
+            If the ledger cannot be read.
+        """
+        found = self._sound(component, lambda path: (None, read_meta(path)))
+        if found is None:
+            return 0
+        meta = found[1]
+        newest = (meta.last_seq, meta.ledger) == (version, digest)
+        if not newest and not self._is_of_ledger(meta):
+            return None
+        return meta.last_seq if meta.fingerprint == component.fingerprint else 0
+
+    def rows(self, component: Component, version: int) -> Rows:
+        """Return the rows of a version of a component's table, from its file or the ledger.
+
+        Raises
+        ------
+        LedgerUnavailableError
+            If only the ledger has them and cannot be read.
+        """
+        found = self.read(component)
+        if found is not None:
+            rows, meta = found
+            if (meta.last_seq, meta.fingerprint) == (version, component.fingerprint):
+                return rows
+        with self._ledger.table_at(component.name, version) as table:
+            parts = [usable(component, News(lot, frozenset(), version)) for lot in table.lots]
+            return joined([Rows.empty(), *parts])
+
+    def _sound(
+        self, component: Component, read: Callable[[Path], tuple[T, TableMeta]]
+    ) -> tuple[T, TableMeta] | None:
+        """Return what is read of a component's file; None with a warning if it is of no use."""
         instead = "table %s is built from the ledger instead: %s"
         try:
-            rows, meta = read_table(self._path(component.name))
+            found = read(self._path(component.name))
         except FileNotFoundError:
             return None
         except (TableFileError, OSError) as error:
             log.warning(instead, component.name, error)
             return None
-        if meta.component != component.name:  # tables without a setup share one fingerprint
-            log.warning(instead, component.name, f"the file is the table of {meta.component!r}")
+        named = found[1].component
+        if named != component.name:  # tables without a setup share one fingerprint
+            log.warning(instead, component.name, f"the file is the table of {named!r}")
             return None
-        return rows, meta
+        return found
+
+    def _is_of_ledger(self, meta: TableMeta) -> bool:
+        """Return whether a file's rows are those of the ledger up to the file's newest."""
+        return bool(meta.ledger) and meta.ledger == self._ledger.digest(
+            meta.component, meta.last_seq
+        )
 
     def load(self, component: Component) -> tuple[Rows, int]:
         """Return the rows of a component's file and the seq they go up to.
@@ -87,7 +145,7 @@ class TableFiles:
         if found is None:
             return Rows.empty(), 0
         rows, meta = found
-        if meta.ledger and meta.ledger == self._ledger.digest(component.name, meta.last_seq):
+        if self._is_of_ledger(meta):
             if meta.fingerprint == component.fingerprint:
                 return rows, meta.last_seq
             log.info("table %s is of another setup; reading the ledger", component.name)

@@ -1,4 +1,4 @@
-"""The live tables: one surrogate a component, rebuilt off the request path as rows arrive."""
+"""The live tables: one packed table a component, rebuilt off the request path as rows arrive."""
 
 from __future__ import annotations
 
@@ -7,22 +7,27 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
+from service.files.cores import usable_cores
 from service.ledger import Ledger, LedgerUnavailableError
 from service.library.component import Component
 from service.library.library import Library
 from service.tables.behind import TableBehindError
 from service.tables.builders import LARGE, Builders
 from service.tables.files import TableFiles
-from service.tables.making import ask_once, make
+from service.tables.making import empty_table, make, packed_bytes
 from service.tables.memory import give_back
 from service.tables.news import usable, without
 from service.tables.other_setup import count_others
-from service.tables.shelf import Shelf
+from service.tables.packed_files import PackedFiles, origin_of
+from service.tables.served import ServedTable, drop_built
 from service.tables.solver_errors import SolverErrors
 from surrogate.build import AnyTable
+from surrogate.kernel.binding import PackedTable
 from surrogate.table.rows import Rows, joined
 
 log = logging.getLogger(__name__)
@@ -37,13 +42,14 @@ SWITCH_S = 0.0005
 
 
 class Tables:
-    """Surrogates by component name, following the ledger.
+    """Tables by component name, following the ledger.
 
-    A request takes the surrogate there is (`surrogate`, a dictionary look-up). One thread watches
+    A request takes the table there is (`surrogate`, a dictionary look-up). A start maps the packed
+    files of the last one that are what it would build, and builds the others. One thread watches
     the ledger for rows committed, withdrawn or restored by this or any other process on the
-    machine, `Builders` build the next version of a table beside all others and swap it in, and
-    a third writes a table's HDF5 file once it has been quiet for a second. What goes wrong with
-    one component is told by `faults` and stays its own.
+    machine, `Builders` build the next version of a table beside all others, write its packed file
+    and swap it in, and a third writes a table's HDF5 file once it has been quiet for a second. What
+    goes wrong with one component is told by `faults` and stays its own.
 
     Parameters
     ----------
@@ -53,8 +59,6 @@ class Tables:
         Folder of the HDF5 tables, one ``<name>.h5`` each.
     errors:
         What is known of the solver's own error.
-    shelf:
-        Where each version is put for other processes, if there are any.
     """
 
     def __init__(
@@ -63,18 +67,18 @@ class Tables:
         library: Library,
         folder: Path,
         errors: SolverErrors | None = None,
-        shelf: Shelf | None = None,
     ) -> None:
-        self._errors, self._shelf = errors, shelf
+        self._errors = errors
         self._ledger, self._library = ledger, library
-        self._files = TableFiles(folder, ledger)
-        self._surrogates: dict[str, AnyTable] = {}
+        self._files, self._packed = TableFiles(folder, ledger), PackedFiles(folder)
+        self._tables: dict[str, ServedTable] = {}
         self._seen: dict[str, int] = {}
         self._asked: dict[str, tuple[int, Component]] = {}
         self._built_for: dict[str, Component] = {}
         self._unsaved: dict[str, float] = {}
         self._faults: dict[str, str] = {}
         self._unwritten: dict[str, str] = {}
+        self._unpacked: set[str] = set()
         self._failures = 0
         self._grown = threading.Condition()
         self._wake = threading.Event()
@@ -88,12 +92,16 @@ class Tables:
     def start(self) -> None:
         """Start loading every table and following the ledger; return once the small ones answer."""
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_S))
-        small = []
-        for name in self._library.names():
+        self._packed.remove_drafts()
+        small, names = [], self._library.names()
+        with ThreadPoolExecutor(usable_cores()) as threads:  # checksums let the others run
+            list(threads.map(lambda name: self._guarded(name, self._take_up, self._faults), names))
+        for name in names:
             rows = self._size(name)
             if rows <= LARGE:
                 small.append(name)
-            self._builders.ask(name, rows)
+            if name not in self._seen:
+                self._builders.ask(name, rows)
         self._builders.start()
         for thread in self._threads:
             thread.start()
@@ -112,8 +120,8 @@ class Tables:
                 thread.join()
         self._save(quiet_s=0.0)
 
-    def surrogate(self, name: str) -> AnyTable:
-        """Return the newest surrogate of a component.
+    def surrogate(self, name: str) -> ServedTable:
+        """Return the newest table of a component.
 
         Raises
         ------
@@ -122,31 +130,31 @@ class Tables:
         TableBehindError
             If it has rows and is built for the first time since the start.
         """
-        found = self._surrogates.get(name)
+        found = self._tables.get(name)
         return found if found is not None else self._first(name)
 
     def faults(self) -> dict[str, str]:
         """Return why a component's table is not what the ledger says, by its name."""
         return {**self._files.doubts, **self._unwritten, **self._faults}
 
-    def present(self) -> dict[str, AnyTable]:
-        """Return the surrogates that answer now, by component."""
-        return self._surrogates.copy()
+    def present(self) -> dict[str, ServedTable]:
+        """Return the tables that answer now, by component."""
+        return self._tables.copy()
 
     def written(self, name: str) -> float | None:
         """Return when a component's file was written, seconds since the epoch; None without."""
         return self._files.written(name)
 
     def building(self) -> list[str]:
-        """Return the components that have no surrogate yet since the start: they answer 503."""
-        return [name for name in self._builders.busy() if name not in self._surrogates]
+        """Return the components that have no table yet since the start: they answer 503."""
+        return [name for name in self._builders.busy() if name not in self._tables]
 
     def notify(self) -> None:
         """Look at the ledger now rather than at the next poll."""
         self._wake.set()
 
     def catch_up(self, name: str, timeout: float) -> bool:
-        """Wait until all that is committed when this is called is in the component's surrogate.
+        """Wait until all that is committed when this is called is in the component's table.
 
         Returns False if time ran out, or if the table cannot be built: see `faults`.
         """
@@ -165,8 +173,8 @@ class Tables:
             self._grown.wait_for(settled, timeout)
             return self._holds(name, goal)
 
-    def caught_up(self, name: str, timeout: float) -> AnyTable:
-        """Return a surrogate that holds all rows committed when this is called.
+    def caught_up(self, name: str, timeout: float) -> ServedTable:
+        """Return a table that holds all rows committed when this is called.
 
         Raises
         ------
@@ -178,20 +186,18 @@ class Tables:
         raise TableBehindError.late(name, self._faults.get(name), timeout)
 
     def _holds(self, name: str, goal: int) -> bool:
-        """Tell whether a surrogate is of the component as it is now and has all rows up to goal."""
+        """Tell whether a table is of the component as it is now and has all rows up to goal."""
         present = self._built_for.get(name) is self._library[name]
         return self._seen.get(name, 0) >= goal and present
 
-    def _first(self, name: str) -> AnyTable:
-        """Make the empty surrogate of a component without rows that was added after the start."""
+    def _first(self, name: str) -> ServedTable:
+        """Make the empty table of a component without rows that was added after the start."""
         component = self._library[name]
         if self._size(name):
             self._look(name)
             raise TableBehindError.unbuilt(name, self._faults.get(name))
         with self._grown:
-            found = self._surrogates.setdefault(
-                name, make(component, Rows.empty(), 0, errors=self._errors)
-            )
+            found = self._tables.setdefault(name, empty_table(component, self._errors))
         self._look(name)
         return found
 
@@ -213,8 +219,8 @@ class Tables:
             if self._seen.get(name) == goal and self._built_for.get(name) is component:
                 return
             self._asked[name] = goal, component
-        known = self._surrogates.get(name)
-        self._builders.ask(name, len(known.rows) if known is not None else self._size(name))
+        known = self._tables.get(name)
+        self._builders.ask(name, known.row_count if known is not None else self._size(name))
 
     def _follow(self) -> None:
         seen = None
@@ -237,6 +243,7 @@ class Tables:
     def _keep_files(self) -> None:
         while not self._stopping.wait(SAVE_AFTER_QUIET_S / 4):
             self._save(SAVE_AFTER_QUIET_S)
+            drop_built(self.present().values())
 
     def _guarded(self, name: str, step: Callable[[str], None], faults: dict[str, str]) -> None:
         """Do something for one component, whose failure is no other's."""
@@ -265,7 +272,7 @@ class Tables:
             if seen is None:
                 rows, after = self._files.load(component)
             else:
-                rows, after = self._surrogates[name].rows, seen
+                rows, after = self._tables[name].rows, seen
             rows, version = self._followed(component, rows, after)
         except LedgerUnavailableError:
             if self._built_for.get(name) is not component:
@@ -300,20 +307,48 @@ class Tables:
             return Rows.empty(), 0
         return found[0], found[1].last_seq
 
+    def _take_up(self, name: str) -> None:
+        """Map the packed file of an earlier start if it is what would be built now."""
+        component = self._library[name]
+        with suppress(LedgerUnavailableError):
+            version = self._ledger.last_seq(name)
+            origin = origin_of(self._ledger, component, version, self._errors)
+            packed = self._packed.open(name, version, origin)
+            ledger = origin.get("ledger", "")
+            saved = packed and self._files.saved(component, version, ledger)
+            if packed is None or saved is None:
+                self._packed.remove(name)  # no other process may answer from it
+                return
+            self._put(component, packed, None)
+            if saved != version:
+                self._unsaved[name] = time.monotonic()
+            self._seen[name] = version
+
     def _build(self, component: Component, rows: Rows, version: int) -> None:
         started = time.monotonic()
-        before = self._surrogates.get(component.name)
-        surrogate = make(component, rows, version, before, self._errors)
+        name, before = component.name, self._tables.get(component.name)
+        origin = origin_of(self._ledger, component, version, self._errors)
+        built = make(component, rows, version, before and before.built, self._errors)
+        content = packed_bytes(built, name, component.fingerprint, origin)
+        try:
+            packed = self._packed.write(name, version, content)
+        except OSError as error:  # answers need no file; `_write` tries again
+            log.warning("the packed table of %s is in memory alone: %s", name, error)
+            packed = PackedTable.from_bytes(content)
+            self._unpacked.add(name)
+            self._unsaved[name] = time.monotonic()
+        self._put(component, packed, built)
+        log.debug("%s: version %d, %.3f s", name, version, time.monotonic() - started)
+
+    def _put(self, component: Component, packed: PackedTable, built: AnyTable | None) -> None:
+        """Answer from a packed table from now on."""
+        version: int = packed.words["provenance"]["version"]
+        table = ServedTable(packed, partial(self._files.rows, component, version), built)
         with suppress(LedgerUnavailableError):
-            count_others(self._ledger, component, surrogate)
-        ask_once(surrogate)
-        if self._shelf is not None:
-            surrogate = self._shelf.put(component, surrogate)
+            count_others(self._ledger, component, table)
         with self._grown:
-            self._surrogates[component.name] = surrogate
+            self._tables[component.name] = table
             self._built_for[component.name] = component
-        seconds = time.monotonic() - started
-        log.debug("%s: version %d, %.3f s", component.name, surrogate.version, seconds)
 
     def _save(self, quiet_s: float) -> None:
         now = time.monotonic()
@@ -323,6 +358,9 @@ class Tables:
 
     def _write(self, name: str) -> None:
         self._unsaved[name] = time.monotonic() + TROUBLE_S  # when it is tried again if it fails
-        surrogate = self._surrogates[name]
-        self._files.save(self._library[name], surrogate.rows, surrogate.version)
+        table = self._tables[name]
+        self._files.save(self._library[name], table.rows, table.version)
+        if name in self._unpacked:
+            self._packed.write(name, table.version, table.packed.content)
+            self._unpacked.discard(name)
         del self._unsaved[name]

@@ -1,9 +1,12 @@
-"""From rows to what answers, and its first answer."""
+"""From rows to the table that answers, and to its packed bytes."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from service.contract import CONTRACT
 from service.library.component import Component
+from service.tables.served import ServedTable
 from service.tables.solver_errors import SolverErrors
 from surrogate.build import AnyTable, build
 from surrogate.kernel.binding import PackedTable
@@ -26,7 +29,7 @@ def make(
     stands beside it.
     """
     own = errors if component.has_fea else None
-    table = build(
+    return build(
         rows,
         component.load_range,
         tolerance=component.tolerance,
@@ -36,16 +39,22 @@ def make(
         solver_error=own and own.read(component.name, component.fingerprint),
         locked=component.idle,
     )
-    put_packed(table, component.name, component.fingerprint)
-    return table
 
 
-def put_packed(table: AnyTable, name: str, fingerprint: str) -> None:
-    """Pack a component's table: the kernel answers from that."""
-    content = pack(table, component=name, fingerprint=fingerprint, contract=CONTRACT)
-    table.packed = PackedTable.from_bytes(b"".join(content))
+def packed_bytes(
+    table: AnyTable, name: str, fingerprint: str, origin: Mapping[str, str] | None = None
+) -> bytes:
+    """Return the packed file of a component's table; `origin` is that of `packed_files`."""
+    pieces = pack(table, component=name, fingerprint=fingerprint, contract=CONTRACT, origin=origin)
+    return b"".join(pieces)
 
 
-def ask_once(surrogate: AnyTable) -> None:
-    """Ask for one answer, so that what is made at the first one is made here, by no request."""
-    surrogate.packed.answer((0.01 * surrogate.load_range.scale).tolist())
+def in_memory(table: AnyTable, content: bytes) -> ServedTable:
+    """Return a table that answers from its packed bytes, without a file."""
+    return ServedTable(PackedTable.from_bytes(content), built=table)
+
+
+def empty_table(component: Component, errors: SolverErrors | None = None) -> ServedTable:
+    """Return the table of a component without rows."""
+    table = make(component, Rows.empty(), 0, errors=errors)
+    return in_memory(table, packed_bytes(table, component.name, component.fingerprint))

@@ -12,12 +12,12 @@ import numpy as np
 
 from service.ledger import Ledger, packed, unpacked
 from service.library.component import Component
-from surrogate.build import AnyTable
+from service.tables.served import ServedTable
 from surrogate.table.rows import Floats
 
 
-def count_others(ledger: Ledger, component: Component, table: AnyTable) -> None:
-    """Note at a built table how many rows of other setups the ledger has.
+def count_others(ledger: Ledger, component: Component, table: ServedTable) -> None:
+    """Note at a table how many rows of other setups the ledger has.
 
     Raises
     ------
@@ -26,8 +26,9 @@ def count_others(ledger: Ledger, component: Component, table: AnyTable) -> None:
     """
     found = ledger.of_other_setups(component.name, component.fingerprint)
     table.other_rows = sum(found.values())
-    settled = not component.has_fea or (table.linear and table.fit.complete)
-    table.other_wrenches = 0 if settled else len(unsolved(component, found, table.rows.wrench))
+    settled = not component.has_fea or (table.linear and not table.needs_compliance)
+    if found and not settled:
+        table.other_wrenches = len(unsolved(component, found, table.rows.wrench))
 
 
 def unsolved(component: Component, others: Iterable[bytes], known: Floats) -> Floats:
@@ -52,7 +53,7 @@ def unsolved(component: Component, others: Iterable[bytes], known: Floats) -> Fl
     return unpacked(wrench for wrench in wanted if wrench not in has)
 
 
-def others_in_words(name: str, table: AnyTable) -> str:
+def others_in_words(name: str, table: ServedTable) -> str:
     """Return how many rows belong to another setup and what to do; empty if nothing is to do."""
     if not table.other_wrenches:
         return ""
@@ -63,7 +64,7 @@ def others_in_words(name: str, table: AnyTable) -> str:
     )
 
 
-def warning_of(component: Component, table: AnyTable) -> str:
+def warning_of(component: Component, table: ServedTable) -> str:
     """Return `others_in_words`; also of a component that nothing can be solved for."""
     if component.has_fea or not table.other_rows:
         return others_in_words(component.name, table)

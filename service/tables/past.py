@@ -11,11 +11,12 @@ from service.ledger import Ledger, News
 from service.library.component import Component
 from service.library.library import Library
 from service.tables.live import Tables
-from service.tables.making import ask_once, make
+from service.tables.making import in_memory, make, packed_bytes
 from service.tables.mapped import MappedTables
 from service.tables.news import usable
+from service.tables.packed_files import origin_of
+from service.tables.served import ServedTable
 from service.tables.solver_errors import SolverErrors
-from surrogate.build import AnyTable
 from surrogate.table.rows import Rows, joined
 
 # A study asks one version, or compares a few.
@@ -34,9 +35,9 @@ class PastDamagedError(Exception):
 
 
 class PastTables:
-    """Surrogates of earlier versions; the last few asked are kept.
+    """Tables of earlier versions; the last few asked are kept.
 
-    A surrogate is a function of its rows alone, so that an earlier version answers with the digits
+    A table is a function of its rows alone, so that an earlier version answers with the digits
     that it answered with then.
 
     Parameters
@@ -58,12 +59,12 @@ class PastTables:
         self, ledger: Ledger, library: Library, now: Tables | MappedTables, errors: SolverErrors
     ) -> None:
         self._ledger, self._library, self._now, self._errors = ledger, library, now, errors
-        self._kept: OrderedDict[tuple[str, int], tuple[Component, AnyTable]] = OrderedDict()
+        self._kept: OrderedDict[tuple[str, int], tuple[Component, ServedTable]] = OrderedDict()
         self._lock = threading.Lock()
         self.turns = CapacityLimiter(1)
 
-    def held(self, name: str, version: int) -> AnyTable | None:
-        """Return a version's surrogate if it is there already; it takes microseconds.
+    def held(self, name: str, version: int) -> ServedTable | None:
+        """Return a version's table if it is there already; it takes microseconds.
 
         Raises
         ------
@@ -77,8 +78,8 @@ class PastTables:
         found = self._kept.get((name, version))
         return found[1] if found is not None and found[0] is component else None
 
-    def surrogate(self, name: str, version: int) -> AnyTable:
-        """Return a component's surrogate as it was at a version; one is built at a time.
+    def surrogate(self, name: str, version: int) -> ServedTable:
+        """Return a component's table as it was at a version; one is built at a time.
 
         Raises
         ------
@@ -99,7 +100,7 @@ class PastTables:
                 self._keep((name, version), component, found)
             return found
 
-    def _built(self, component: Component, version: int) -> AnyTable:
+    def _built(self, component: Component, version: int) -> ServedTable:
         pieces, count = [Rows.empty()], 0
         with self._ledger.table_at(component.name, version) as table:
             for lot in table.lots:
@@ -112,9 +113,10 @@ class PastTables:
                     )
                 pieces.append(usable(component, News(lot, frozenset(), version)))
         self._check_whole(component.name, version)
-        surrogate = make(component, joined(pieces), version, errors=self._errors)
-        ask_once(surrogate)
-        return surrogate
+        origin = origin_of(self._ledger, component, version, self._errors)
+        table = make(component, joined(pieces), version, errors=self._errors)
+        name, fingerprint = component.name, component.fingerprint
+        return in_memory(table, packed_bytes(table, name, fingerprint, origin))
 
     def _check_whole(self, name: str, version: int) -> None:
         lost = [seq for seq, of in self._ledger.damaged.items() if of == name and seq <= version]
@@ -125,10 +127,10 @@ class PastTables:
                 "wrenchbook doctor"
             )
 
-    def _keep(self, key: tuple[str, int], component: Component, surrogate: AnyTable) -> None:
-        self._kept[key] = component, surrogate
+    def _keep(self, key: tuple[str, int], component: Component, table: ServedTable) -> None:
+        self._kept[key] = component, table
         while len(self._kept) > MOST_TABLES or self._rows() > MOST_ROWS:
             self._kept.popitem(last=False)
 
     def _rows(self) -> int:
-        return sum(len(table.rows) for _, table in self._kept.values())
+        return sum(table.row_count for _, table in self._kept.values())

@@ -19,7 +19,7 @@ from prometheus_client.registry import Collector
 
 from service.ledger import LedgerUnavailableError
 from service.ledger.statistics import SOLVE_EDGES, Statistics
-from service.tables.shelf import FOLDER as SHARED
+from service.tables.coordinator_state import FOLDER as SHARED
 from service.telemetry.counts import Counts, cumulative
 from service.telemetry.together import FOLDER as COUNTS
 from service.telemetry.together import SharedCounts
@@ -151,7 +151,7 @@ class _Tables(Collector):
         for name in names[:MOST_COMPONENTS]:
             if (table := known.get(name)) is not None:
                 versions.add_metric((name,), table.version)
-                rows.add_metric((name,), len(table.rows))
+                rows.add_metric((name,), table.row_count)
             if (written := self._workspace.tables.written(name)) is not None:
                 ages.add_metric((name,), max(0.0, time.time() - written))
         count = GaugeMetricFamily("wrenchbook_components", "in the library")

@@ -12,7 +12,7 @@ from typing import BinaryIO
 from service.files.durable import sync, sync_folder
 from service.ledger import Ledger, LedgerError
 from service.ledger.versions import SCRIPTS
-from service.tables.shelf import FOLDER as SHARED
+from service.tables.coordinator_state import FOLDER as SHARED
 from service.upkeep.archive import (
     LEDGER,
     BackupError,
@@ -22,10 +22,11 @@ from service.upkeep.archive import (
     read_manifest,
     write,
 )
+from surrogate.packed.format import SUFFIX
 
 TABLES = "tables"
 # Attempts' folders are work in progress and logs: what is accepted and solved is in the ledger.
-# Built tables are made anew from it.
+# Packed tables (`SUFFIX`) are made anew from it.
 _LEFT_OUT = ("jobs", TABLES, SHARED)
 
 
@@ -85,7 +86,8 @@ def _nowhere(_: str) -> BinaryIO:
 
 def _files(folder: Path, copy: Path, own: set[Path]) -> Iterator[tuple[str, Path]]:
     """Give the files of a data directory, each when its turn comes, with the ledger's copy."""
-    yield from _in(folder / TABLES, folder, own)
+    tables = _in(folder / TABLES, folder, own)
+    yield from (found for found in tables if found[1].suffix != SUFFIX)
     ledger = Ledger(folder / LEDGER)
     try:
         ledger.copy(copy)

@@ -9,8 +9,8 @@ from pathlib import Path
 from service.files import lock
 from service.files.durable import sync_folder, sync_tree
 from service.ledger import Ledger, LedgerError
-from service.tables.shelf import FOLDER as SHARED
-from service.tables.shelf import LOCK
+from service.tables.coordinator_state import FOLDER as SHARED
+from service.tables.coordinator_state import LOCK
 from service.upkeep.archive import LEDGER, BackupError, Manifest, copies, opened, read_manifest
 from service.upkeep.backup import verify
 

@@ -43,7 +43,7 @@ class PackedTable:
     def __init__(self, handle: int, packed: Packed, kept: Floats | Path, size: int) -> None:
         """Take an open handle, the file's views, and its words or path, and its bytes."""
         self._handle, self._packed, self._kept, self.size = handle, packed, kept, size
-        self.arrays, self.words = packed
+        self.arrays, self.words = packed.arrays, packed.words
         library = kernel().held
         self._answer, self._release = library.wb_answer, library.wb_close
         self.inputs, self.outputs = library.wb_inputs(handle), library.wb_outputs(handle)
@@ -98,18 +98,13 @@ class PackedTable:
 
     @property
     def content(self) -> bytes:
-        """The file's bytes."""
-        if isinstance(self._kept, np.ndarray):
-            return self._kept.tobytes()[: self.size]
-        return self._kept.read_bytes()
+        """The file's bytes, also of a mapped file that has been removed or replaced since."""
+        return bytes(self._packed.content)
 
     @property
     def checksum(self) -> int:
         """The CRC-32 of the file's content, from its header."""
-        if isinstance(self._kept, np.ndarray):
-            return checksum_in(self._kept[: CHECKED // 8].tobytes())
-        with self._kept.open("rb") as file:
-            return checksum_in(file.read(CHECKED))
+        return checksum_in(bytes(self._packed.content[:CHECKED]))
 
     def answer(
         self,

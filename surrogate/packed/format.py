@@ -69,10 +69,13 @@ class Packed(NamedTuple):
         Read-only views of the file's bytes; `packed.writer` has their shapes and units.
     words : dict
         The JSON block.
+    content : memoryview
+        The file's bytes.
     """
 
     arrays: dict[str, NDArray[Any]]
     words: dict[str, Any]
+    content: memoryview
 
 
 def pieces(arrays: Mapping[str, NDArray[Any]], words: Mapping[str, Any]) -> list[bytes]:
@@ -228,4 +231,4 @@ def _views(whole: memoryview) -> Packed:
     words = json.loads(whole[start : start + int(header["json_size"])].tobytes())
     for view in arrays.values():
         view.flags.writeable = False
-    return Packed(arrays, words)
+    return Packed(arrays, words, whole)

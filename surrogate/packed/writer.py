@@ -7,6 +7,7 @@ k are named ``gK/...``: `_group_arrays`, `axes_arrays` and `kriging_arrays` stat
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..build import AnyTable
+from ..derivative import tangent_at_zero
+from ..describe.gaps import axis_gaps
 from ..kriging import Kriging
 from ..limits import LONGEST, TRANSLATION_LIMIT
 from ..methods.selection import ENOUGH_FULL
@@ -39,6 +42,7 @@ def pack(
     fingerprint: str = "",
     contract: Mapping[str, Any] | None = None,
     interface: Mapping[str, Any] | None = None,
+    origin: Mapping[str, str] | None = None,
 ) -> list[bytes]:
     """Return the packed file of a table as pieces of bytes.
 
@@ -48,6 +52,8 @@ def pack(
         Where the rows come from.
     contract, interface
         What is said of loads and displacements, in words; kept as they are.
+    origin
+        Digests of what the table is built from; kept as they are.
     """
     groups = table.groups
     arrays = dict(_space_arrays(table, len(groups))) | dict(_solver_arrays(table))
@@ -63,16 +69,31 @@ def pack(
         "sources": sources.words,
         "solver_error": None if table.solver_error is None else table.solver_error.told,
         "summary": table.coverage_summary(),
+        "gaps": _gaps(table),
+        "tangent": dict(zip(("matrix", "origin"), tangent_at_zero(table), strict=True)),
         "provenance": {
             "component": component,
             "fingerprint": fingerprint,
-            "version": table.version,
-            "rows": len(table.rows),
-            "other_rows": table.other_rows,
-            "other_wrenches": table.other_wrenches,
+            "origin": dict(origin or {}),
+            **_rows_words(table),
         },
     }
     return pieces(arrays, _plain(words))
+
+
+def _rows_words(table: AnyTable) -> dict[str, Any]:
+    return {
+        "version": table.version,
+        "rows": len(table.rows),
+        "sources": dict(Counter(table.rows.source.tolist())),
+        "linear": table.linear,
+    }
+
+
+def _gaps(table: AnyTable) -> list[dict[str, Any]] | None:
+    """Return the gaps of each axis; None where the compliance answers, which needs no axes."""
+    exact = table.linear and table.fit.complete
+    return None if exact else axis_gaps(table.composition, table.load_range)
 
 
 def _plain(value: Any) -> Any:

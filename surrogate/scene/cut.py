@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..answer import allowed_by
+from ..kernel.binding import PackedTable
 from ..packed.buckets import buckets_of
 from ..packed.codes import METHODS
-from ..packed.format import Packed, pieces
+from ..packed.format import pieces
 from ..packed.numbering import DIMENSION, FIRST_CELL
 from ..table.axes import AXES
 from ..table.rows import OUTPUTS, Floats
@@ -25,7 +26,7 @@ _METHOD, _REFERENCE, _EXACT = 0, 1, 4
 _BY_KRIGING, _BY_MISSED = 4, 2  # bits of the reference
 
 
-def cut(whole: Packed, need: Need, plan: Mapping[str, Any] | None = None) -> list[bytes]:
+def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -> list[bytes]:
     """Return the packed file of a table cut to a scene, as pieces of bytes.
 
     It answers by the table's default method. Left out are groups whose outputs the scene does not
@@ -55,21 +56,21 @@ def cut(whole: Packed, need: Need, plan: Mapping[str, Any] | None = None) -> lis
     return pieces(arrays, words)
 
 
-def _named(whole: Packed, prefix: str) -> Arrays:
+def _named(whole: PackedTable, prefix: str) -> Arrays:
     size = len(prefix)
     return {name[size:]: one for name, one in whole.arrays.items() if name.startswith(prefix)}
 
 
-def _is_read(whole: Packed, group: int, need: Need) -> bool:
+def _is_read(whole: PackedTable, group: int, need: Need) -> bool:
     return bool(whole.arrays[f"g{group}/outputs"][list(need.outputs)].any())
 
 
-def _asks_tangent(whole: Packed) -> bool:
+def _asks_tangent(whole: PackedTable) -> bool:
     """Return whether the solver's error needs the derivative by all loads: all axes stay then."""
     return bool(whole.arrays["solver/flags"][0])
 
 
-def _scene_arrays(whole: Packed, need: Need, groups: int, slopes: Mask) -> Arrays:
+def _scene_arrays(whole: PackedTable, need: Need, groups: int, slopes: Mask) -> Arrays:
     ends = np.stack((need.span.low, need.span.high))
     sizes = whole.arrays["space/sizes"].copy()
     sizes[2] = groups

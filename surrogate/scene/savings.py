@@ -10,7 +10,6 @@ import numpy as np
 from ..build import AnyTable
 from ..kernel.binding import PackedTable
 from ..kernel.packing import packed_of
-from ..packed.format import Packed
 from ..table.rows import Floats
 from .cut import cut
 from .plan import Plan
@@ -55,7 +54,7 @@ def measured(table: AnyTable, plan: Plan) -> Savings:
     own = 0.0, 0, 0.0
     if plan.decision != "rigid":
         started = thread_time()
-        content = b"".join(cut(Packed(packed.arrays, packed.words), plan.need))
+        content = b"".join(cut(packed, plan.need))
         took = thread_time() - started
         own = took, len(content), _us(PackedTable.from_bytes(content), wrenches)
     origin = {

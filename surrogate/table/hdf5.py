@@ -13,9 +13,9 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 import h5py
 import numpy as np
@@ -33,6 +33,8 @@ from .rows import (
     Tolerance,
     unknown_column,
 )
+
+T = TypeVar("T")
 
 FORMAT = "wrenchbook table"
 # What an upload may unpack to. A row takes 450 bytes, so that this is two million rows; a
@@ -98,7 +100,16 @@ def read_table(path: str | os.PathLike[str]) -> tuple[Rows, TableMeta]:
     TableFileError
         If it is damaged, foreign, or of a newer schema.
     """
-    source = Path(path)
+    return _read(Path(path), lambda file: (_read_rows(file), _read_meta(file)))
+
+
+def read_meta(path: str | os.PathLike[str]) -> TableMeta:
+    """Read all of a table but its rows, whose bytes are checked; raises as `read_table` does."""
+    return _read(Path(path), _read_meta)
+
+
+def _read(source: Path, part: Callable[[h5py.File], T]) -> T:
+    """Return a part of a table whose bytes are those that were written."""
     if not source.exists():
         raise FileNotFoundError(source)
     try:
@@ -106,7 +117,7 @@ def read_table(path: str | os.PathLike[str]) -> tuple[Rows, TableMeta]:
             raise _unreadable(source, "its bytes are not those that were written")
         with h5py.File(source, "r") as file:
             _check_schema(file, source)
-            return _read_rows(file), _read_meta(file)
+            return part(file)
     except TableFileError:
         raise
     except Exception as error:  # h5py has no base of what it raises on a file that is not sound

@@ -17,7 +17,6 @@ import pytest
 
 from surrogate.build import build
 from surrogate.kernel.binding import PackedTable
-from surrogate.packed.format import Packed
 from surrogate.packed.writer import pack
 from surrogate.scene.cut import cut
 from surrogate.scene.need import Need, need_of
@@ -87,9 +86,8 @@ def test_what_a_planar_scene_saves() -> None:
     whole = build(rows, load_range)
     whole_s = seconds(lambda: build(rows, load_range))
     packed = PackedTable.from_bytes(b"".join(pack(whole)))
-    parts = Packed(packed.arrays, packed.words)
-    cut_s = seconds(lambda: cut(parts, scene))
-    content = b"".join(cut(parts, scene))
+    cut_s = seconds(lambda: cut(packed, scene))
+    content = b"".join(cut(packed, scene))
     read_s = seconds(lambda: PackedTable.from_bytes(content))
     own_table = PackedTable.from_bytes(content)
     asked = np.random.default_rng(1).uniform(scene.span.low, scene.span.high, (ASKED, 6))

@@ -48,7 +48,7 @@ def answers(folder):
     site.open()
     wrenches = np.random.default_rng(1).uniform(0, 2, (20, 6)) * [1, 0, 0, 0, 0, 1]
     table = site.tables.surrogate("rig")
-    found = [table.answer(wrench.tolist()) for wrench in wrenches]
+    found = [table.packed.answer(wrench.tolist()) for wrench in wrenches]
     jobs = site.ledger.jobs()
     site.close()
     return repr((table.version, found, jobs))
@@ -58,6 +58,15 @@ def test_a_restored_directory_gives_the_same_answers_and_jobs(folder, backup, tm
     restore(backup, tmp_path / "again")
     assert answers(tmp_path / "again") == answers(folder)
     assert (tmp_path / "again" / "surfaces" / "rig.bin").read_bytes() == b"surface"
+
+
+def test_packed_tables_are_in_no_backup_and_are_built_again(folder, backup, tmp_path):
+    assert list((folder / "tables").glob("rig-*.wbt"))
+    with zipfile.ZipFile(backup) as archive:
+        assert not [name for name in archive.namelist() if name.endswith(".wbt")]
+    restore(backup, tmp_path / "again")
+    answers(tmp_path / "again")
+    assert list((tmp_path / "again" / "tables").glob("rig-*.wbt"))
 
 
 def test_a_restored_directory_keeps_what_solvers_may_be_wrong_by(folder, tmp_path):

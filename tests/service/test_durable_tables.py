@@ -13,7 +13,7 @@ import pytest
 from service.ledger import Ledger, LedgerUnavailableError, NewRow
 from service.library.component import BrokenComponentError
 from service.library.library import Library
-from service.tables import live
+from service.tables import live, served
 from service.tables.behind import TableBehindError
 from service.tables.live import Tables
 from surrogate.table.hdf5 import read_table, write_table
@@ -312,3 +312,176 @@ def test_a_row_damaged_in_the_ledger_is_left_out_of_the_table(site, caplog):
     site.open()
     assert len(site.wrenches()) == 9
     assert site.ledger.damaged == {4: "rig"}
+
+
+def packed_files(site, name="rig"):
+    return sorted((site.folder / "tables").glob(f"{name}-*.wbt"))
+
+
+def no_build(monkeypatch):
+    def build(component, *_):
+        raise AssertionError(f"{component.name} was built")
+
+    monkeypatch.setattr(live, "make", build)
+
+
+def answer_of(site, name="rig"):
+    return site.tables.surrogate(name).packed.answer((2.5, 0, 0, 0, 0, 0.5))
+
+
+def test_a_start_maps_the_packed_file_and_builds_nothing(site, monkeypatch):
+    site.insert(30)
+    before, rows = answer_of(site), site.wrenches()
+    site.close()
+    no_build(monkeypatch)
+    site.open()
+    assert answer_of(site) == before
+    assert site.tables.faults() == {}
+    assert (site.tables.surrogate("rig").row_count, site.wrenches()) == (30, rows)
+    found = site.tables.surrogate("rig").surrogate().answer((2.5, 0, 0, 0, 0, 0.5))
+    assert found.displacement == pytest.approx(before.outputs, rel=1e-9)
+
+
+def test_a_row_after_a_mapped_start_is_in_the_next_version_and_its_only_file(site):
+    site.insert(30)
+    site.close()
+    site.open()
+    site.insert(1, first=30)
+    assert site.wrenches() == expected(31)
+    version = site.tables.surrogate("rig").version
+    assert [path.name for path in packed_files(site)] == [f"rig-{version}.wbt"]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.999])
+def test_a_damaged_packed_file_is_built_anew(site, share):
+    site.insert(30)
+    before = answer_of(site)
+    site.close()
+    path = packed_files(site)[0]
+    whole = path.read_bytes()
+    damaged = bytearray(whole)
+    damaged[int(share * len(whole))] ^= 1
+    path.write_bytes(damaged)
+    site.open()
+    assert answer_of(site) == before
+    assert path.read_bytes() == whole
+
+
+def test_a_packed_file_that_is_cut_off_or_gone_is_built_anew(site):
+    site.insert(30)
+    before, path = answer_of(site), packed_files(site)[0]
+    for change in (lambda: path.write_bytes(path.read_bytes()[:900]), path.unlink):
+        site.close()
+        change()
+        site.open()
+        assert answer_of(site) == before
+        assert path.exists()
+
+
+def test_the_packed_file_of_another_component_or_of_other_rows_is_not_answered_from(site):
+    site.library.add_table_only("other", "other", RANGE, RANGE, None)
+    site.insert(30)
+    before = answer_of(site)
+    site.ledger.insert_rows("other", "", [replace_displacement(row) for row in new_rows(30)])
+    assert site.tables.catch_up("other", 20)
+    foreign = packed_files(site, "other")[0].read_bytes()
+    site.close()
+    packed_files(site)[0].write_bytes(foreign)
+    site.open()
+    assert answer_of(site) == before
+    assert answer_of(site, "other") != before
+
+
+def replace_displacement(row):
+    return replace(row, displacement=tuple(2 * amount for amount in row.displacement))
+
+
+def test_a_packed_file_of_another_ledger_is_not_answered_from(site):
+    """Its version is the same, its rows are not."""
+    site.insert(30)
+    site.close()
+    (site.folder / "tables" / "rig.h5").unlink()
+    for path in site.folder.glob("ledger.sqlite*"):
+        path.unlink()
+    ledger = Ledger(site.folder / "ledger.sqlite")
+    ledger.insert_rows("rig", "", [replace_displacement(row) for row in new_rows(30)])
+    ledger.close()
+    site.open()
+    moved = site.tables.surrogate("rig").packed.answer((5.0, 0, 0, 0, 0, 0)).outputs
+    assert moved is not None
+    assert moved[0] == pytest.approx(2 * 5e-6)
+
+
+@pytest.mark.parametrize("edit", ["10.0", "tolerance"])
+def test_a_component_edited_while_nobody_served_is_not_answered_from_the_old_file(site, edit):
+    site.insert(30)
+    version = site.tables.surrogate("rig").version
+    site.close()
+    file = site.folder / "components" / "rig" / "component.toml"
+    text = file.read_text()
+    limit = "\n[tolerance]\ntranslation = 1e-3\nrotation = 1e-3\n"
+    file.write_text(text.replace("10.0", "20.0") if edit == "10.0" else text + limit)
+    site.open()
+    table = site.tables.surrogate("rig")
+    assert table.version == version
+    assert table.load_range.high[0] == (20.0 if edit == "10.0" else 10.0)
+    assert (table.tolerance is not None) == (edit == "tolerance")
+
+
+def test_a_table_whose_hdf5_file_was_not_written_before_a_kill_is_mapped_and_written(
+    site, monkeypatch
+):
+    site.insert(30)
+    site.close()
+    older = site.file().read_bytes()
+    site.open()
+    site.insert(5, first=30)
+    site.close()
+    site.file().write_bytes(older)  # as a kill leaves it within a second of the row
+    no_build(monkeypatch)
+    site.open()
+    assert site.wrenches() == expected(35)
+    site.close()
+    assert len(read_table(site.file())[0]) == 35
+    site.open()
+
+
+def test_what_a_killed_writer_of_a_packed_file_has_left_is_removed(site):
+    site.close()
+    draft = site.folder / "tables" / ".rig-3.wbt.4711.1"
+    draft.write_bytes(b"half")
+    site.open()
+    assert not draft.exists()
+
+
+def test_numpy_tables_used_longest_ago_are_dropped_and_built_again(site, monkeypatch):
+    site.library.add_table_only("other", "other", RANGE, RANGE, None)
+    site.insert(30)
+    site.insert(30, name="other")
+    monkeypatch.setattr(served, "MOST_BUILT_ROWS", 40)
+    first, second = (site.tables.surrogate(name) for name in ("rig", "other"))
+    before = first.surrogate().answer((2.5, 0, 0, 0, 0, 0.5))
+    second.surrogate()
+    served.drop_built(site.tables.present().values())
+    assert (first.built, second.built is None) == (None, False)
+    assert first.surrogate().answer((2.5, 0, 0, 0, 0, 0.5)) == before
+
+
+def test_a_full_disk_leaves_answers_from_memory_and_the_file_is_written_later(site, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("service.tables.packed_files.write_whole_bytes", full)
+    site.insert(30)
+    assert answer_of(site).outputs is not None
+    assert packed_files(site) == [] or packed_files(site)[0].name == "rig-0.wbt"
+    deadline = time.monotonic() + 10
+    while "No space" not in site.tables.faults().get("rig", ""):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    monkeypatch.undo()
+    while site.tables.faults():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    version = site.tables.surrogate("rig").version
+    assert [path.name for path in packed_files(site)] == [f"rig-{version}.wbt"]

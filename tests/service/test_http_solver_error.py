@@ -14,10 +14,10 @@ from service.jobs.attempt import Spec, prepare, read_outcome
 from service.library.component import LibraryUnavailableError
 from service.settings import Settings
 from service.tables import solver_errors
+from service.tables.making import in_memory
 from service.tables.solver_errors import SolverErrors
 from service.workspace import Workspace
 from surrogate.build import build
-from surrogate.kernel.binding import PackedTable
 from surrogate.packed.writer import pack
 from surrogate.solver_error import SolverError
 from surrogate.table.hdf5 import read_table
@@ -284,8 +284,8 @@ def test_nobody_is_told_that_a_bar_without_the_solvers_share_is_within_the_toler
     query = Query(tuple(WRENCH), "estimate", 0.0, Tolerance(1.0, 1.0))
     for lost in (None, SolverError(TOLD | {"mesh": None})):
         table = build(rows, meta.load_range, linear=True, solver_error=lost)
-        table.packed = PackedTable.from_bytes(b"".join(pack(table)))
-        found = asyncio.run(answered("bar", table, query))
+        served = in_memory(table, b"".join(pack(table)))
+        found = asyncio.run(answered("bar", served, query))
         assert found.error is not None
         assert found.within_tolerance is None
 

@@ -7,10 +7,11 @@ import pytest
 
 from service.ledger import Ledger, NewRow
 from service.library.library import Library
+from service.tables import live
 from service.tables.behind import TableBehindError
+from service.tables.coordinator_state import CoordinatorState, Status
 from service.tables.live import Tables
 from service.tables.mapped import MappedTables
-from service.tables.shelf import Shelf, Told
 
 RANGE = [[-10.0, 10.0]] * 3
 
@@ -28,11 +29,13 @@ class Part:
     def __init__(self, folder, kind):
         self.ledger = Ledger(folder / "ledger.sqlite")
         self.library = Library(folder / "components", folder / "none")
-        self.shelf = Shelf(folder / "shared")
-        if kind is Tables:
-            assert self.shelf.take()
+        self.state = CoordinatorState(folder / "shared")
         where = self.ledger, self.library, folder / "tables"
-        self.tables = kind(*where, shelf=self.shelf)
+        if kind is Tables:
+            assert self.state.take()
+            self.tables = Tables(*where)
+        else:
+            self.tables = MappedTables(*where, self.state)
 
     def add(self, name, count):
         self.library.add_table_only(name, name, RANGE, RANGE, None)
@@ -48,7 +51,7 @@ def part(folder, kind, *, leave=True):
     finally:
         one.tables.stop()
         if kind is Tables and leave:
-            one.shelf.leave()
+            one.state.release()
         one.ledger.close()
 
 
@@ -68,7 +71,9 @@ def test_a_component_and_rows_added_by_one_part_are_answered_by_all(both):
     reader.add("new", 4)
     assert reader.tables.catch_up("new", 20)
     assert builder.tables.catch_up("new", 20)
-    answers = [repr(one.tables.surrogate("new").answer((2.5, 0, 0, 0, 0, 1.5))) for one in both]
+    answers = [
+        repr(one.tables.surrogate("new").packed.answer((2.5, 0, 0, 0, 0, 1.5))) for one in both
+    ]
     assert answers[0] == answers[1]
     assert len(reader.tables.surrogate("new").rows) == 4
 
@@ -80,13 +85,52 @@ def test_a_version_replaces_the_one_before_and_its_file(both, tmp_path):
     reader.ledger.insert_rows("new", "", new_rows(2, 4))
     assert reader.tables.catch_up("new", 20)
     assert len(reader.tables.surrogate("new").rows) == 6
-    assert len(list((tmp_path / "shared").glob("new.*.table"))) == 1
+    assert len(list((tmp_path / "tables").glob("new-*.wbt"))) == 1
+
+
+def test_a_table_that_was_replaced_still_gives_its_bytes_to_a_request_that_has_it(both):
+    _, reader = both
+    reader.add("new", 4)
+    assert reader.tables.catch_up("new", 20)
+    old = reader.tables.surrogate("new")
+    content, checksum = old.packed.content, old.packed.checksum
+    reader.ledger.insert_rows("new", "", new_rows(2, 4))
+    assert reader.tables.catch_up("new", 20)
+    assert (old.packed.content, old.packed.checksum) == (content, checksum)
+    assert len(old.rows) == 4
+    assert old.surrogate().version == old.version
+
+
+def test_a_stale_file_is_gone_once_the_builder_has_started(tmp_path, monkeypatch):
+    """Its table takes long to build; no process may answer from the old one meanwhile."""
+    with part(tmp_path, Tables) as builder:
+        builder.add("new", 4)
+        assert builder.tables.catch_up("new", 20)
+        builder.ledger.withdraw("new", builder.ledger.rows("new")[0].seq)
+        assert builder.tables.catch_up("new", 20)
+        builder.tables.stop()
+        builder.ledger.restore("new", 1)
+    may_build, build = threading.Event(), live.make
+
+    def slow(*given):
+        assert may_build.wait(20)
+        return build(*given)
+
+    monkeypatch.setattr(live, "make", slow)
+    monkeypatch.setattr(live, "LARGE", 0)
+    with part(tmp_path, Tables) as builder:
+        assert not list((tmp_path / "tables").glob("new-*.wbt"))
+        with pytest.raises(TableBehindError, match="has rows and cannot answer yet"):
+            builder.tables.surrogate("new")
+        may_build.set()
+        assert builder.tables.catch_up("new", 20)
+        assert len(builder.tables.surrogate("new").rows) == 4
 
 
 def test_a_component_without_rows_answers_at_once(both):
     _, reader = both
     reader.library.add_table_only("bare", "bare", RANGE, RANGE, None)
-    assert reader.tables.surrogate("bare").answer((1.0, 0, 0, 0, 0, 0)).coverage == "outside"
+    assert reader.tables.surrogate("bare").packed.answer((1.0, 0, 0, 0, 0, 0)).coverage == "outside"
 
 
 def test_a_component_edited_on_the_disk_answers_by_its_new_range(both, tmp_path):
@@ -104,7 +148,7 @@ def test_without_a_builder_the_last_version_answers_and_newer_rows_are_told_miss
         with part(tmp_path, Tables, leave=False) as builder:
             builder.add("new", 4)
             assert reader.tables.catch_up("new", 20)
-            builder.shelf._lock = _dropped(builder.shelf._lock)
+            builder.state._lock = _dropped(builder.state._lock)
         reader.ledger.insert_rows("new", "", new_rows(2, 4))
         assert len(reader.tables.surrogate("new").rows) == 4
         with pytest.raises(TableBehindError, match="has ended and is started again"):
@@ -124,7 +168,7 @@ def test_the_next_builder_goes_on_where_the_one_before_was_killed(tmp_path):
         with part(tmp_path, Tables, leave=False) as builder:
             builder.add("new", 4)
             assert reader.tables.catch_up("new", 20)
-            builder.shelf._lock = _dropped(builder.shelf._lock)
+            builder.state._lock = _dropped(builder.state._lock)
         reader.ledger.insert_rows("new", "", new_rows(2, 4))
         with part(tmp_path, Tables):
             assert reader.tables.catch_up("new", 20)
@@ -133,14 +177,14 @@ def test_the_next_builder_goes_on_where_the_one_before_was_killed(tmp_path):
 
 
 def test_a_second_builder_is_refused(tmp_path):
-    one, other = Shelf(tmp_path), Shelf(tmp_path)
+    one, other = CoordinatorState(tmp_path), CoordinatorState(tmp_path)
     assert one.take()
     assert not other.take()
 
 
 def test_what_the_builder_says_is_wrong_is_known_to_all(both):
     builder, reader = both
-    builder.shelf.tell(Told("the disk is full", {"new": "damaged"}))
+    builder.state.write(Status("the disk is full", {"new": "damaged"}))
     known = threading.Event()
     for _ in range(500):
         if reader.tables.faults():
@@ -154,11 +198,11 @@ def test_a_damaged_file_is_told_and_the_version_before_goes_on(both, tmp_path):
     _, reader = both
     reader.add("new", 4)
     assert reader.tables.catch_up("new", 20)
-    (tmp_path / "shared" / f"new.999.99.{'0' * 16}.table").write_bytes(b"nonsense")
+    (tmp_path / "tables" / "new-999.wbt").write_bytes(b"nonsense")
     waiting = threading.Event()
     for _ in range(500):
         if reader.tables.faults():
             break
         waiting.wait(0.02)
-    assert "no table's image" in reader.tables.faults()["new"]
+    assert "packed table" in reader.tables.faults()["new"]
     assert len(reader.tables.surrogate("new").rows) == 4

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-import numpy as np
 import orjson
 from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
@@ -26,8 +25,8 @@ from service.library.bundle_zip import MAX_BUNDLE_BYTES
 from service.library.checked import interface_of, vibration_of, warnings_of
 from service.library.component import Component
 from service.tables.other_setup import warning_of
+from service.tables.served import ServedTable
 from service.workspace import Workspace
-from surrogate.build import AnyTable
 from surrogate.solver_error import UNKNOWN, SolverError
 from surrogate.table.rows import Tolerance
 
@@ -142,22 +141,21 @@ def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
 
 def component_body(workspace: Workspace, component: Component) -> dict[str, Any]:
     """Return all there is to say about a component."""
-    surrogate = workspace.tables.surrogate(component.name)
+    table = workspace.tables.surrogate(component.name)
     own_error = workspace.solver_error(component.name) if component.has_fea else None
-    sources, counts = np.unique(surrogate.rows.source, return_counts=True)
     return {
         **_summary(workspace, component),
         "fingerprint": component.fingerprint,
         "contract": CONTRACT,
         "interface": interface_of(component),
         "warnings": [
-            *_warnings(component, own_error, told=surrogate.bars_are_whole),
-            *({"where": "rows", "message": one} for one in _of_rows(component, surrogate)),
+            *_warnings(component, own_error, told=table.bars_are_whole),
+            *({"where": "rows", "message": one} for one in _of_rows(component, table)),
         ],
         "vibration": vibration_of(component.folder),
         "solver_error": _solver_error(component, own_error),
-        "sources": dict(zip(sources.tolist(), counts.tolist(), strict=True)),
-        "coverage": surrogate.coverage_summary(),
+        "sources": dict(sorted(table.sources.items())),
+        "coverage": table.summary,
         "jobs": workspace.ledger.counts(component.name),
     }
 
@@ -179,9 +177,9 @@ def _warnings(
     ]
 
 
-def _of_rows(component: Component, surrogate: AnyTable) -> list[str]:
+def _of_rows(component: Component, table: ServedTable) -> list[str]:
     """Return what there is to know of rows that are in the ledger and not in the table."""
-    return [told] if (told := warning_of(component, surrogate)) else []
+    return [told] if (told := warning_of(component, table)) else []
 
 
 def _solver_error(component: Component, error: SolverError | None) -> dict[str, Any] | None:
@@ -196,11 +194,11 @@ def _solver_error(component: Component, error: SolverError | None) -> dict[str, 
 
 
 def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
-    surrogate = workspace.tables.surrogate(component.name)
+    table = workspace.tables.surrogate(component.name)
     low, high = component.load_range.low.tolist(), component.load_range.high.tolist()
     limit = component.tolerance
     card = workspace.catalogue[component.name]
-    solved = int((surrogate.rows.source == "fea").sum())
+    solved = table.sources.get("fea", 0)
     return {
         "name": component.name,
         "title": component.title,
@@ -214,13 +212,13 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
         "tolerance": (
             {"translation": limit.translation, "rotation": limit.rotation} if limit else None
         ),
-        "rows": len(surrogate.rows),
+        "rows": table.row_count,
         "solved": solved,
-        "measured": len(surrogate.rows) - solved,
-        "another_setup": {"rows": surrogate.other_rows, "wrenches": surrogate.other_wrenches},
+        "measured": table.row_count - solved,
+        "another_setup": {"rows": table.other_rows, "wrenches": table.other_wrenches},
         "archived": card.archived,
         "notes": card.notes,
         "renamed_to": card.renamed_to,
         "copied_from": card.copied_from,
-        "table_version": surrogate.version,
+        "table_version": table.version,
     }

@@ -9,9 +9,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from service.http.replies import json_reply
+from service.tables.served import ServedTable
 from service.workspace import Workspace
-from surrogate.build import AnyTable
-from surrogate.derivative import tangent_at_zero
 from surrogate.describe.gaps import axis_gaps
 from surrogate.table.physics_checks import check_physics
 from surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
@@ -26,12 +25,11 @@ async def coverage(name: str, request: Request) -> Response:
     return await run_in_threadpool(_coverage, name, await workspace.newest(name, CATCH_UP_S))
 
 
-def _coverage(name: str, surrogate: AnyTable) -> Response:
-    body = {
-        "component": name,
-        **surrogate.coverage_summary(),
-        "gaps": axis_gaps(surrogate.composition, surrogate.load_range),
-    }
+def _coverage(name: str, table: ServedTable) -> Response:
+    gaps = table.packed.words["gaps"]
+    if gaps is None:
+        gaps = axis_gaps(table.surrogate().composition, table.load_range)
+    body = {"component": name, **table.summary, "gaps": gaps}
     return json_reply(body)
 
 
@@ -44,20 +42,19 @@ async def compliance(name: str, request: Request) -> Response:
     return await run_in_threadpool(_compliance, name, await workspace.newest(name, CATCH_UP_S))
 
 
-def _compliance(name: str, surrogate: AnyTable) -> Response:
-    fit = surrogate.fit
-    tangent, origin = tangent_at_zero(surrogate)
+def _compliance(name: str, table: ServedTable) -> Response:
+    fit, tangent = table.fit, table.packed.words["tangent"]
     body: dict[str, Any] = {
         "component": name,
-        "table_version": surrogate.version,
-        "tangent": tangent.tolist(),  # NaN is null
-        "tangent_origin": origin,
+        "table_version": table.version,
+        "tangent": tangent["matrix"],
+        "tangent_origin": tangent["origin"],
         "origin": fit.origin,
         "matrix": fit.matrix.tolist(),
         "known_loads": [load for load, known in zip(LOADS, fit.known, strict=True) if known],
         "error": fit.bar.tolist(),
         "rows": [f"{name} [{unit}]" for name, unit in zip(OUTPUTS, OUTPUT_UNITS, strict=True)],
         "columns": [f"{name} [{unit}]" for name, unit in zip(LOADS, LOAD_UNITS, strict=True)],
-        **check_physics(surrogate.rows, surrogate.load_range, fit),
+        **check_physics(table.rows, table.load_range, fit),
     }
     return json_reply(body)

@@ -12,10 +12,10 @@ from starlette.responses import Response
 
 from service.answering.drawn import grid_of, sample_of, shares_of, sweep_of
 from service.http.replies import COVERAGE, json_reply
+from service.tables.served import ServedTable
 from service.workspace import Workspace
-from surrogate.build import AnyTable
 from surrogate.table.axes import AXES
-from surrogate.table.rows import CLEAN, LOADS, OUTPUTS
+from surrogate.table.rows import CLEAN, LOADS, OUTPUTS, Rows
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"])
 CATCH_UP_S = 25.0
@@ -35,7 +35,7 @@ async def glance(name: str, request: Request) -> Response:
     return json_reply(await run_in_threadpool(_glance, name, table))
 
 
-def _glance(name: str, table: AnyTable) -> dict[str, Any]:
+def _glance(name: str, table: ServedTable) -> dict[str, Any]:
     axes = {axis.name: shares_of(table, grid_of(table.load_range, axis)) for axis in AXES}
     whole = shares_of(table, sample_of(table.load_range))
     about = {"component": name, "table_version": table.version, "shares": COVERAGE}
@@ -58,10 +58,10 @@ async def drawing(
 
 
 def _rows(
-    name: str, table: AnyTable, axis: str | None, along: str | None, most: int
+    name: str, table: ServedTable, axis: str | None, along: str | None, most: int
 ) -> dict[str, Any]:
     rows, drawn = table.rows, next((one for one in AXES if one.name == axis), None)
-    loaded = _loaded(table)
+    loaded = _loaded(rows, table)
     chosen = np.arange(len(rows))
     clean: NDArray[np.bool_] = np.zeros(len(rows), dtype=bool)
     if along is not None:
@@ -87,9 +87,9 @@ def _rows(
     return told | {"inputs": [LOADS[load] for load in drawn.inputs], "grid": covers}
 
 
-def _loaded(table: AnyTable) -> NDArray[np.bool_]:
+def _loaded(rows: Rows, table: ServedTable) -> NDArray[np.bool_]:
     """Return which loads each row has, shape (n, 6)."""
-    return np.asarray(np.abs(table.rows.wrench) > CLEAN * table.load_range.scale)
+    return np.asarray(np.abs(rows.wrench) > CLEAN * table.load_range.scale)
 
 
 def _spread(chosen: Places, first: NDArray[np.bool_], most: int) -> Places:
@@ -125,7 +125,7 @@ async def response(
     return json_reply(await run_in_threadpool(_sweep, name, table, load, at, points))
 
 
-def _sweep(name: str, table: AnyTable, load: str, at: Any, points: int) -> dict[str, Any]:
+def _sweep(name: str, table: ServedTable, load: str, at: Any, points: int) -> dict[str, Any]:
     wrenches = sweep_of(table.load_range, LOADS.index(load), at, points)
     found = table.packed.batch(wrenches)
     return {

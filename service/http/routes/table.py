@@ -33,9 +33,9 @@ from service.tablefile.xlsxwrite import SheetFullError
 from service.tables.breakpoints import NoTableError, write_breakpoints
 from service.tables.exporting import ENDINGS, ExportFormat, Wanted, check_units, export_table
 from service.tables.importing import import_files
-from service.tables.shelf import setup_of
+from service.tables.packed_files import setup_of
+from service.tables.served import ServedTable
 from service.workspace import CATCH_UP_S, Workspace
-from surrogate.build import AnyTable
 from surrogate.packed.format import SUFFIX
 
 router = APIRouter(prefix="/v1/components/{name}/table", tags=["table"])
@@ -190,11 +190,11 @@ def _file(component: Component, format_: str, write: Any) -> Response:
     return FileResponse(path, 200, headers, kind, done)
 
 
-def _table(workspace: Workspace, name: str, version: int | None) -> AnyTable:
+def _table(workspace: Workspace, name: str, version: int | None) -> ServedTable:
     return workspace.surrogate(name) if version is None else workspace.past.surrogate(name, version)
 
 
-def _write_mat(table: AnyTable, name: str, path: Path) -> int:
+def _write_mat(table: ServedTable, name: str, path: Path) -> int:
     write_breakpoints(table, name, path)
     return table.version
 

@@ -120,7 +120,7 @@ def _names(workspace: Workspace) -> list[str]:
 
 def _has_rows(workspace: Workspace, name: str) -> bool:
     try:
-        return len(workspace.tables.surrogate(name).rows) > 0
+        return workspace.tables.surrogate(name).row_count > 0
     except (TableBehindError, UnknownComponentError):  # still being built, or just removed
         return False
 

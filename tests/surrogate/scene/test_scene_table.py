@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from surrogate.answer import UnknownMethodError
 from surrogate.build import AnyTable, build
 from surrogate.kernel.binding import PackedTable
-from surrogate.packed.format import Packed
 from surrogate.packed.writer import pack
 from surrogate.scene.cut import cut
 from surrogate.scene.need import Need, need_of
@@ -63,7 +62,7 @@ def whole(kind: str) -> PackedTable:
 
 
 def scene_of(full: PackedTable, wanted: Need, plan: dict | None = None) -> PackedTable:
-    content = cut(Packed(full.arrays, full.words), wanted, plan)
+    content = cut(full, wanted, plan)
     return PackedTable.from_bytes(b"".join(content))
 
 

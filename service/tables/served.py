@@ -1,0 +1,162 @@
+"""One version of a component's table as the server answers from it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from surrogate.build import AnyTable, build
+from surrogate.kernel.binding import PackedTable
+from surrogate.kriging import Hyperparameters
+from surrogate.solver_error import SolverError
+from surrogate.table.compliance import ComplianceFit
+from surrogate.table.rows import Floats, LoadRange, Rows, Tolerance
+
+ROW_DETAIL = "the displacement that a row of the table has at this wrench"
+_WHOLE = 4  # the place in the solver's flags that says whether error bars have all their parts
+# Rows of the numpy tables that a process keeps: 13 kB each, so some 0.7 GB. The packed tables
+# answer; numpy tables serve fills, plans and the build of the next version.
+MOST_BUILT_ROWS = 50_000
+
+
+class ServedTable:
+    """A packed table and its facts; rows and numpy tables are read and built on first use.
+
+    Parameters
+    ----------
+    packed : PackedTable
+    rows_of : callable
+        Returns the rows of this version.
+    built : Surrogate or MissingOutputs, optional
+        The numpy table, if it is in memory.
+
+    Attributes
+    ----------
+    version, row_count : int
+    sources : dict of str to int
+        How many rows each source has.
+    default : str
+        The method that answers without a choice of the caller's.
+    linear, needs_compliance : bool
+        Whether the component is linear, and whether solves of its 6x6 compliance are missing.
+    bars_are_whole : bool
+        Whether error bars have all their parts.
+    load_range : LoadRange
+    tolerance : Tolerance or None, m and rad
+    solver_error : SolverError or None
+    other_rows, other_wrenches : int
+        Rows of another setup of the component, and how many of their wrenches no row here has.
+    """
+
+    other_rows: int = 0
+    other_wrenches: int = 0
+
+    def __init__(
+        self,
+        packed: PackedTable,
+        rows_of: Callable[[], Rows] | None = None,
+        built: AnyTable | None = None,
+    ) -> None:
+        self.packed, self._rows_of, self._built = packed, rows_of, built
+        self._rows = None if built is None else built.rows
+        self._used, self._lock = time.monotonic(), threading.Lock()
+        about, self.summary = packed.words["provenance"], packed.words["summary"]
+        self.version: int = about["version"]
+        self.row_count: int = about["rows"]
+        self.sources: dict[str, int] = about["sources"]
+        self.linear: bool = about["linear"]
+        self.default: str = packed.words["groups"][0]["method"]
+        self.needs_compliance = self.linear and not self.fit.complete
+        self.bars_are_whole = bool(packed.arrays["solver/flags"][_WHOLE])
+        self.load_range = LoadRange(*packed.arrays["space/range"])
+        self.locked = tuple(np.flatnonzero(packed.arrays["space/locked"]).tolist())
+        limit = packed.arrays["space/tolerance"][[0, 3]].tolist()
+        self.tolerance = Tolerance(*limit) if np.isfinite(limit).all() else None
+        self.solver_error = SolverError.read(packed.words["solver_error"])
+
+    @property
+    def rows(self) -> Rows:
+        """The rows of this version, read on first use: 0.05 s for 20,000."""
+        rows, self._used = self._rows, time.monotonic()
+        if rows is None:
+            assert self._rows_of is not None
+            rows = self._rows = self._rows_of()
+        return rows
+
+    @property
+    def built(self) -> AnyTable | None:
+        """The numpy table, if it is in memory."""
+        return self._built
+
+    def surrogate(self) -> AnyTable:
+        """Return the numpy table, built from the rows on first use: seconds for 20,000."""
+        with self._lock:
+            built, self._used = self._built, time.monotonic()
+            if built is None:
+                built = self._built = build(
+                    self.rows,
+                    self.load_range,
+                    tolerance=self.tolerance,
+                    linear=self.linear,
+                    version=self.version,
+                    solver_error=self.solver_error,
+                    locked=self.locked,
+                )
+            built.packed = self.packed
+            return built
+
+    @property
+    def fit(self) -> ComplianceFit:
+        """The compliance of the outputs that the fewest rows hold."""
+        matrix, bar, known = (
+            self.packed.arrays[f"g0/fit/{name}"] for name in ("matrix", "bar", "known")
+        )
+        return ComplianceFit(matrix, known.astype(bool), bar, self.summary["compliance"]["origin"])
+
+    @property
+    def steepest(self) -> Floats:
+        """What each output moves over half the load range at most, (6,), m and rad."""
+        found, arrays = np.zeros(6), self.packed.arrays
+        for group in range(len(self.packed.words["groups"])):
+            own = arrays[f"g{group}/outputs"].astype(bool)
+            found[own] = arrays[f"g{group}/row/steepest"][own]
+        return found
+
+    @property
+    def hyperparameters(self) -> Hyperparameters | None:
+        """Those of the first outputs that have a kriging, None without one."""
+        arrays = self.packed.arrays
+        for group in range(len(self.packed.words["groups"])):
+            if f"g{group}/kriging/rates" in arrays:
+                weight = float(arrays[f"g{group}/kriging/terms"][-1, -1])
+                return Hyperparameters(arrays[f"g{group}/kriging/rates"], weight)
+        return None
+
+    def method_detail(self, method: str) -> str:
+        """Return in words how a method answers, or why it is the one that does.
+
+        Of several groups of outputs, that of the fewest rows is described.
+        """
+        one = self.packed.words["groups"][0]
+        if method == "row":
+            return ROW_DETAIL
+        if method == "kriging" and one["kriging"]:
+            return one["kriging"]
+        return one["method_reason"] if method == one["method"] else "asked for"
+
+
+def drop_built(tables: Iterable[ServedTable]) -> None:
+    """Drop the rows and numpy tables used longest ago, so that `MOST_BUILT_ROWS` rows stay.
+
+    Those used last stay whatever their size, and so do those that nothing could be read from again.
+    """
+    kept = 0
+    for table in sorted(tables, key=lambda one: -one._used):
+        if table._rows is not None and table._rows_of is not None:
+            if kept and kept + table.row_count > MOST_BUILT_ROWS:
+                table._built = table._rows = None
+            else:
+                kept += table.row_count
