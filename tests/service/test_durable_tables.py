@@ -17,6 +17,7 @@ from service.tables import live, served
 from service.tables.behind import TableBehindError
 from service.tables.live import Tables
 from surrogate.table.hdf5 import read_table, write_table
+from tests.surrogate.law import Law
 
 RANGE = [[-10.0, 10.0]] * 3
 
@@ -338,7 +339,7 @@ def test_a_start_maps_the_packed_file_and_builds_nothing(site, monkeypatch):
     assert answer_of(site) == before
     assert site.tables.faults() == {}
     assert (site.tables.surrogate("rig").row_count, site.wrenches()) == (30, rows)
-    found = site.tables.surrogate("rig").surrogate().answer((2.5, 0, 0, 0, 0, 0.5))
+    found = Law(site.tables.surrogate("rig").surrogate()).answer((2.5, 0, 0, 0, 0, 0.5))
     assert found.displacement == pytest.approx(before.outputs, rel=1e-9)
 
 
@@ -460,11 +461,11 @@ def test_numpy_tables_used_longest_ago_are_dropped_and_built_again(site, monkeyp
     site.insert(30, name="other")
     monkeypatch.setattr(served, "MOST_BUILT_ROWS", 40)
     first, second = (site.tables.surrogate(name) for name in ("rig", "other"))
-    before = first.surrogate().answer((2.5, 0, 0, 0, 0, 0.5))
+    before = Law(first.surrogate()).answer((2.5, 0, 0, 0, 0, 0.5))
     second.surrogate()
     served.drop_built(site.tables.present().values())
     assert (first.built, second.built is None) == (None, False)
-    assert first.surrogate().answer((2.5, 0, 0, 0, 0, 0.5)) == before
+    assert Law(first.surrogate()).answer((2.5, 0, 0, 0, 0, 0.5)) == before
 
 
 def test_a_full_disk_leaves_answers_from_memory_and_the_file_is_written_later(site, monkeypatch):

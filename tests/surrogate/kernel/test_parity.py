@@ -25,6 +25,7 @@ from tests.surrogate.kernel.kinds import (
     KINDS,
     RANGE,
     SAME,
+    SIGMA_AT_ROWS,
     asked_of,
     assert_law,
     by_numpy,
@@ -86,7 +87,7 @@ def test_wrenches_of_few_loads_and_of_rows_have_the_numbers_of_numpy(kind):
     same = found.coverage == coverage
     assert same.mean() > 0.95
     assert (np.nan_to_num(np.abs(found.outputs - outputs))[same] <= near[same]).all()
-    loose = near + 1e-5 * np.nan_to_num(errors)  # sigma at a row is the root of a difference
+    loose = near + SIGMA_AT_ROWS * np.nan_to_num(errors)
     assert (np.nan_to_num(np.abs(found.errors - errors))[same] <= loose[same]).all()
 
 
