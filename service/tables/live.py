@@ -28,6 +28,7 @@ from service.tables.served import ServedTable, drop_built
 from service.tables.solver_errors import SolverErrors
 from surrogate.build import AnyTable
 from surrogate.kernel.binding import PackedTable
+from surrogate.packed.format import PackedTableError
 from surrogate.table.rows import Rows, joined
 
 log = logging.getLogger(__name__)
@@ -332,7 +333,7 @@ class Tables:
         content = packed_bytes(built, name, component.fingerprint, origin)
         try:
             packed = self._packed.write(name, version, content)
-        except OSError as error:  # answers need no file; `_write` tries again
+        except (OSError, PackedTableError) as error:  # answers need no file; `_write` tries again
             log.warning("the packed table of %s is in memory alone: %s", name, error)
             packed = PackedTable.from_bytes(content)
             self._unpacked.add(name)

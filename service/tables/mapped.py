@@ -53,7 +53,6 @@ class MappedTables:
         self._files, self._packed = TableFiles(folder, ledger), PackedFiles(folder)
         self._tables: dict[str, ServedTable] = {}
         self._mapped: dict[str, PackedFile] = {}
-        self._setups: dict[str, tuple[Component, str]] = {}
         self._unread: dict[str, str] = {}
         self._status = Status()
         self._grown = threading.Condition()
@@ -144,12 +143,9 @@ class MappedTables:
     def _holds(self, component: Component, goal: int) -> bool:
         """Tell whether a table is of the component as it is now and has all rows up to goal."""
         table = self._tables.get(component.name)
-        if component.name not in self._mapped or table is None or table.version < goal:
+        if table is None or table.version < goal:
             return False
-        known = self._setups.get(component.name)
-        if known is None or known[0] is not component:
-            known = self._setups[component.name] = component, setup_of(component)
-        return table.packed.words["provenance"]["origin"]["setup"] == known[1]
+        return table.packed.words["provenance"]["origin"].get("setup") == setup_of(component)
 
     def _first(self, name: str) -> ServedTable:
         """Make the empty table of a component without rows that was added a moment ago."""

@@ -63,6 +63,8 @@ class PackedFiles:
         ------
         OSError
             If it cannot be written; the version before stays.
+        PackedTableError
+            If another process has removed it at once.
         """
         self._folder.mkdir(parents=True, exist_ok=True)
         path = self._folder / f"{name}-{version}{SUFFIX}"
@@ -76,8 +78,8 @@ class PackedFiles:
             found = PackedTable.open(self._folder / f"{name}-{version}{SUFFIX}")
         except (PackedTableError, OSError):
             return None
-        about = found.words["provenance"]
-        same = about["component"] == name and about.get("origin") == origin
+        about = found.words.get("provenance", {})
+        same = about.get("component") == name and about.get("origin") == origin
         return found if same and "ledger" in origin else None
 
     def remove(self, name: str, but: Path | None = None) -> None:

@@ -35,6 +35,8 @@ class ServedTable:
 
     Attributes
     ----------
+    built : Surrogate or MissingOutputs or None
+        The numpy table while it is in memory.
     version, row_count : int
     sources : dict of str to int
         How many rows each source has.
@@ -60,7 +62,7 @@ class ServedTable:
         rows_of: Callable[[], Rows] | None = None,
         built: AnyTable | None = None,
     ) -> None:
-        self.packed, self._rows_of, self._built = packed, rows_of, built
+        self.packed, self._rows_of, self.built = packed, rows_of, built
         self._rows = None if built is None else built.rows
         self._used, self._lock = time.monotonic(), threading.Lock()
         about, self.summary = packed.words["provenance"], packed.words["summary"]
@@ -86,17 +88,12 @@ class ServedTable:
             rows = self._rows = self._rows_of()
         return rows
 
-    @property
-    def built(self) -> AnyTable | None:
-        """The numpy table, if it is in memory."""
-        return self._built
-
     def surrogate(self) -> AnyTable:
         """Return the numpy table, built from the rows on first use: seconds for 20,000."""
         with self._lock:
-            built, self._used = self._built, time.monotonic()
+            built, self._used = self.built, time.monotonic()
             if built is None:
-                built = self._built = build(
+                built = self.built = build(
                     self.rows,
                     self.load_range,
                     tolerance=self.tolerance,
@@ -157,6 +154,6 @@ def drop_built(tables: Iterable[ServedTable]) -> None:
     for table in sorted(tables, key=lambda one: -one._used):
         if table._rows is not None and table._rows_of is not None:
             if kept and kept + table.row_count > MOST_BUILT_ROWS:
-                table._built = table._rows = None
+                table.built = table._rows = None
             else:
                 kept += table.row_count
