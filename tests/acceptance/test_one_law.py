@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.client import Client, Table
+from service.client import Client, Scene, Table
 from service.fmu.export import NotExportableError, find_compiler, make_fmu
 from service.upkeep.backup import back_up
 from service.upkeep.restore import restore
@@ -143,11 +143,7 @@ class House(NamedTuple):
     program: Program
 
     def told(self, kind: str, asked: Question) -> dict[str, dict[str, Said]]:
-        """What each caller was told, by each of its calls.
-
-        A table that is cut to a scene would be a kind whose answers in this process alone are
-        compared: servers know no scene.
-        """
+        """What each caller was told, by each of its calls."""
         one = self.kinds[kind]
         told = {
             "download": told_by_table(one.table, asked),
@@ -261,6 +257,30 @@ def test_the_numpy_law_of_a_servers_rows_says_what_its_table_does_to_rounding(
 ):
     one = house.kinds[kind]
     assert_numpy(one.law, one.packed, asked_of(one.law, 10, seed, span), tolerance, method)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=3)
+@given(
+    part=st.floats(0.1, 1.0),
+    loads=st.sets(st.integers(0, 5), min_size=1),
+    places=st.lists(st.tuples(*[st.floats(-1, 1)] * 6), min_size=1, max_size=4),
+)
+def test_a_table_cut_to_a_scene_says_the_same_at_its_wrenches(house, kind, part, loads, places):
+    one = house.kinds[kind]
+    ends = one.packed.arrays["space/range"] * part * np.isin(np.arange(6), list(loads))
+    spans = np.stack((np.minimum(ends[0], 0.0), np.maximum(ends[1], 0.0)), axis=1).tolist()
+    scene = Scene({kind: {"force": spans[:3], "moment": spans[3:]}})
+    cut = house.servers["server"].download(kind, scene=scene)
+    path = one.folder / "scene.wbt"
+    cut.save(path)
+    opened = Table.open(path)
+    for place in places:
+        wrench = np.where(np.array(place) < 0, -ends[0], ends[1]) * place
+        expected = one.table.answer(wrench).raw | {"elapsed_us": None}
+        for found in (cut.answer(wrench), opened.answer(wrench)):
+            # repr tells a negative zero, and all digits
+            assert repr(found.raw | {"elapsed_us": None}) == repr(expected)
 
 
 class Made(NamedTuple):
