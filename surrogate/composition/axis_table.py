@@ -234,6 +234,17 @@ class AxisTable:
             at=x,
         )
 
+    def in_middles(self) -> tuple[Floats, Floats]:
+        """Return the middles of the simplices and the error bars there, but not the outputs.
+
+        Shapes (s, 3), dimensionless, and (s, 6), m and rad.
+        """
+        shape = self.triangulation
+        corners = shape.points[shape.simplices]
+        middle = corners.mean(axis=1)
+        unit = 0.5 * ((middle[:, None] - corners) ** 2).sum(axis=2).mean(axis=1)
+        return middle, self.law.bars(unit) + self.uncertainty[shape.simplices].mean(axis=1)
+
     def _slopes(self) -> Floats:
         """Return the rows' own tangents, else slopes recovered from what is around."""
         stored = np.isfinite(self.rows.tangent)

@@ -69,10 +69,8 @@ def _worst(axis: Axis, table: AxisTable) -> list[dict[str, Any]]:
 
     Of the largest simplices, where errors are unknown.
     """
-    shape = table.triangulation
-    middle = shape.points[shape.simplices].mean(axis=1)
-    reading = table.read_in(np.arange(len(middle)), middle)
-    bars = reading.rest[:, list(axis.outputs)]
+    middle, bars = table.in_middles()
+    bars = bars[:, list(axis.outputs)]
     size = np.maximum(np.abs(table.values[:, list(axis.outputs)]).max(axis=0), np.finfo(float).tiny)
     fractions, thin = table.fractions(), table.state != SOUND
     spots = []

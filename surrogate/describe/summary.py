@@ -62,9 +62,8 @@ def _axis(name: str, inputs: list[str], table: AxisTable | None) -> dict[str, An
         }
     shape, points = table.triangulation, table.rows.points * table.scale
     fractions, weak = table.fractions(), table.state != SOUND
-    middle = shape.points[shape.simplices].mean(axis=1)
-    reading = table.read_in(np.arange(len(middle)), middle)
-    typical = np.average(reading.rest, axis=0, weights=np.maximum(fractions, np.finfo(float).tiny))
+    _, bars = table.in_middles()
+    typical = np.average(bars, axis=0, weights=np.maximum(fractions, np.finfo(float).tiny))
     return {
         "axis": name,
         "inputs": inputs,
