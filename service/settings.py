@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from service.files.cores import usable_cores
 from service.ordering import QUEUE_LIMIT
+from service.tables.served import TABLE_MEMORY
 from service.upkeep.housekeeping import KEEP, Keep
 
 # What a process does of the work on a data directory: all of it; or, of several, the one that
@@ -35,6 +36,8 @@ class Settings:
         Whether an uploaded bundle may have a deck: it names a command, which solvers then run.
     queue_limit:
         Open jobs of a component that queries may have; those of fills and solves do not count.
+    table_memory:
+        MB of rows and numpy tables that a process keeps; packed tables are mapped.
     keep:
         Which folders of ended attempts are kept.
     part:
@@ -49,6 +52,7 @@ class Settings:
     allow_decks: bool = False
     queue_limit: int = QUEUE_LIMIT
     scheduler: str | None = None
+    table_memory: int = TABLE_MEMORY
     keep: Keep = KEEP
     part: Part = "all"
     number: int = 0
@@ -71,6 +75,7 @@ def settings_of_options(said: Mapping[str, Any], part: Part = "all", number: int
         engine=said["engine"],
         allow_decks=said["allow_decks"],
         queue_limit=said["queue_limit"],
+        table_memory=said["table_memory"],
         scheduler=said["scheduler"],
         keep=keep,
         part=part,

@@ -282,8 +282,10 @@ class Workspace:
     def _open_tables(self, folder: Path) -> Tables | MappedTables:
         if self.settings.part == "answering":
             state = CoordinatorState(self.settings.folder / FOLDER)
-            return MappedTables(self.ledger, self.library, folder, state)
-        return Tables(self.ledger, self.library, folder, self.errors)
+            return MappedTables(
+                self.ledger, self.library, folder, state, self.settings.table_memory
+            )
+        return Tables(self.ledger, self.library, folder, self.errors, self.settings.table_memory)
 
     def _on_added(self, component: Component) -> None:
         told = solver_error_of(component.folder, component.fingerprint)

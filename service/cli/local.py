@@ -52,6 +52,9 @@ AllowDecks = Annotated[
 QueueLimit = Annotated[int, typer.Option(min=0, help="open jobs of a component from queries")]
 _DONE, _FAILED = "folders of done attempts are kept", "folders of failed and cancelled ones"
 KeepDays = Annotated[float, typer.Option(min=0, help=f"days that {_DONE}")]
+TableMemory = Annotated[
+    int, typer.Option(min=0, help="MB of rows and numpy tables kept; packed tables are mapped")
+]
 KeepCount = Annotated[int, typer.Option(min=0, help=f"most {_DONE}, 27 kB each")]
 KeepFailedDays = Annotated[float, typer.Option(min=0, help=f"days that {_FAILED} are kept")]
 KeepFailedCount = Annotated[int, typer.Option(min=0, help=f"most {_FAILED} that are kept")]
@@ -78,6 +81,7 @@ def serve(
     scheduler: Scheduler = None,
     allow_decks: AllowDecks = False,
     queue_limit: QueueLimit = 64,
+    table_memory: TableMemory = 700,
     keep_days: KeepDays = 30.0,
     keep_count: KeepCount = 2000,
     keep_failed_days: KeepFailedDays = 180.0,

@@ -24,7 +24,7 @@ from service.tables.memory import give_back
 from service.tables.news import usable, without
 from service.tables.other_setup import count_others
 from service.tables.packed_files import PackedFiles, origin_of
-from service.tables.served import ServedTable, drop_built
+from service.tables.served import TABLE_MEMORY, ServedTable, drop_built
 from service.tables.solver_errors import SolverErrors
 from surrogate.build import AnyTable
 from surrogate.kernel.binding import PackedTable
@@ -60,6 +60,8 @@ class Tables:
         Folder of the HDF5 tables, one ``<name>.h5`` each.
     errors:
         What is known of the solver's own error.
+    memory:
+        MB of rows and numpy tables that stay in memory.
     """
 
     def __init__(
@@ -68,8 +70,9 @@ class Tables:
         library: Library,
         folder: Path,
         errors: SolverErrors | None = None,
+        memory: float = TABLE_MEMORY,
     ) -> None:
-        self._errors = errors
+        self._errors, self._memory = errors, memory
         self._ledger, self._library = ledger, library
         self._files, self._packed = TableFiles(folder, ledger), PackedFiles(folder)
         self._tables: dict[str, ServedTable] = {}
@@ -244,7 +247,7 @@ class Tables:
     def _keep_files(self) -> None:
         while not self._stopping.wait(SAVE_AFTER_QUIET_S / 4):
             self._save(SAVE_AFTER_QUIET_S)
-            drop_built(self.present().values())
+            drop_built(self.present().values(), self._memory)
 
     def _guarded(self, name: str, step: Callable[[str], None], faults: dict[str, str]) -> None:
         """Do something for one component, whose failure is no other's."""

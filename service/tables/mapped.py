@@ -20,7 +20,7 @@ from service.tables.live import START_S, SWITCH_S
 from service.tables.making import empty_table
 from service.tables.other_setup import count_others
 from service.tables.packed_files import PackedFile, PackedFiles, setup_of
-from service.tables.served import ServedTable, drop_built
+from service.tables.served import TABLE_MEMORY, ServedTable, drop_built
 from surrogate.kernel.binding import PackedTable
 from surrogate.packed.format import PackedTableError
 
@@ -44,11 +44,19 @@ class MappedTables:
         As of `Tables`.
     state : CoordinatorState
         Of the building process.
+    memory : float
+        As of `Tables`.
     """
 
     def __init__(
-        self, ledger: Ledger, library: Library, folder: Path, state: CoordinatorState
+        self,
+        ledger: Ledger,
+        library: Library,
+        folder: Path,
+        state: CoordinatorState,
+        memory: float = TABLE_MEMORY,
     ) -> None:
+        self._memory = memory
         self._ledger, self._library, self._state = ledger, library, state
         self._files, self._packed = TableFiles(folder, ledger), PackedFiles(folder)
         self._tables: dict[str, ServedTable] = {}
@@ -163,7 +171,7 @@ class MappedTables:
         seen, changed = None, 0.0
         while not self._stopping.wait(LOOK_S):
             try:
-                drop_built(self.present().values())
+                drop_built(self.present().values(), self._memory)
                 # The library's version takes up what another process has added.
                 now = self._library.version(), self._packed.stamp(), self._state.read()
                 if now != seen:

@@ -17,9 +17,10 @@ from surrogate.table.rows import Floats, LoadRange, Rows, Tolerance
 
 ROW_DETAIL = "the displacement that a row of the table has at this wrench"
 _WHOLE = 4  # the place in the solver's flags that says whether error bars have all their parts
-# Rows of the numpy tables that a process keeps: 13 kB each, so some 0.7 GB. The packed tables
-# answer; numpy tables serve fills, plans and the build of the next version.
-MOST_BUILT_ROWS = 50_000
+# MB of rows and numpy tables that a process keeps. The packed tables answer; numpy tables serve
+# fills, plans and the build of the next version.
+TABLE_MEMORY = 700
+ROW_MB = 0.013  # of a numpy table, a row: measured with 20,000 clean and full rows
 
 
 class ServedTable:
@@ -145,15 +146,16 @@ class ServedTable:
         return one["method_reason"] if method == one["method"] else "asked for"
 
 
-def drop_built(tables: Iterable[ServedTable]) -> None:
-    """Drop the rows and numpy tables used longest ago, so that `MOST_BUILT_ROWS` rows stay.
+def drop_built(tables: Iterable[ServedTable], most: float) -> None:
+    """Drop the rows and numpy tables used longest ago, so that at most so many MB stay.
 
     Those used last stay whatever their size, and so do those that nothing could be read from again.
     """
-    kept = 0
+    kept = 0.0
     for table in sorted(tables, key=lambda one: -one._used):
         if table._rows is not None and table._rows_of is not None:
-            if kept and kept + table.row_count > MOST_BUILT_ROWS:
+            size = ROW_MB * table.row_count
+            if kept and kept + size > most:
                 table.built = table._rows = None
             else:
-                kept += table.row_count
+                kept += size

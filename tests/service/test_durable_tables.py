@@ -13,9 +13,10 @@ import pytest
 from service.ledger import Ledger, LedgerUnavailableError, NewRow
 from service.library.component import BrokenComponentError
 from service.library.library import Library
-from service.tables import live, served
+from service.tables import live
 from service.tables.behind import TableBehindError
 from service.tables.live import Tables
+from service.tables.served import drop_built
 from surrogate.table.hdf5 import read_table, write_table
 from tests.surrogate.law import Law
 
@@ -455,15 +456,14 @@ def test_what_a_killed_writer_of_a_packed_file_has_left_is_removed(site):
     assert not draft.exists()
 
 
-def test_numpy_tables_used_longest_ago_are_dropped_and_built_again(site, monkeypatch):
+def test_numpy_tables_used_longest_ago_are_dropped_and_built_again(site):
     site.library.add_table_only("other", "other", RANGE, RANGE, None)
     site.insert(30)
     site.insert(30, name="other")
-    monkeypatch.setattr(served, "MOST_BUILT_ROWS", 40)
     first, second = (site.tables.surrogate(name) for name in ("rig", "other"))
     before = Law(first.surrogate()).answer((2.5, 0, 0, 0, 0, 0.5))
     second.surrogate()
-    served.drop_built(site.tables.present().values())
+    drop_built(site.tables.present().values(), 0.5)
     assert (first.built, second.built is None) == (None, False)
     assert Law(first.surrogate()).answer((2.5, 0, 0, 0, 0, 0.5)) == before
 

@@ -165,13 +165,13 @@ def test_many_waiting_jobs_are_cancelled_by_one_call_that_says_how_many(folder, 
         assert http.delete("/v1/jobs", params={"component": "nope"}).status_code == 404
 
 
-def test_serve_takes_the_queue_limit(monkeypatch, tmp_path):
+def test_serve_takes_the_queue_limit_and_the_memory_of_tables(monkeypatch, tmp_path):
     served = []
     monkeypatch.setattr("service.http.server.serve", lambda settings, *_: served.append(settings))
-    words = ["serve", "--data", str(tmp_path), "--queue-limit", "7"]
+    words = ["serve", "--data", str(tmp_path), "--queue-limit", "7", "--table-memory", "50"]
     reply = CliRunner().invoke(app, words)
     assert reply.exit_code == 0, reply.output
-    assert served[0].queue_limit == 7
+    assert (served[0].queue_limit, served[0].table_memory) == (7, 50)
 
 
 def test_many_who_look_at_a_table_that_is_being_built_do_not_hold_up_the_loop(
