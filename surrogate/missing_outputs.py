@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .composition.composition import Composition
-from .kriging import Kriging
 from .solver_error import SolverError
 from .surrogate import Surrogate
 from .table.axes import OffAxis
 from .table.compliance import ComplianceFit
 from .table.conflicts import row_conflicts
-from .table.rows import OUTPUTS, Floats, LoadRange, Rows, Tolerance
+from .table.rows import OUTPUTS, LoadRange, Rows, Tolerance
 
 
 class MissingOutputs:
@@ -84,11 +83,6 @@ class MissingOutputs:
         self.unmeasured = tuple(name for k, name in enumerate(OUTPUTS) if k not in held)
 
     @property
-    def kriging(self) -> Kriging | None:
-        """That of the first outputs that have one, None without: what whole fields are told by."""
-        return next((own.kriging for _, own in self.groups if own.kriging is not None), None)
-
-    @property
     def thinnest(self) -> Surrogate:
         """The surrogate of the outputs that the fewest rows hold."""
         return self.groups[0][1]
@@ -109,11 +103,6 @@ class MissingOutputs:
         return self.thinnest.used
 
     @property
-    def full_wrenches(self) -> int:
-        """How many of those load more than one axis."""
-        return self.thinnest.doubt.full_wrenches
-
-    @property
     def tolerance(self) -> Tolerance | None:
         """The tolerance of all its surrogates, m and rad."""
         return self.thinnest.tolerance
@@ -132,14 +121,6 @@ class MissingOutputs:
     def locked(self) -> tuple[int, ...]:
         """The places of the loads on locked freedoms, which change no answer."""
         return self.thinnest.locked
-
-    @property
-    def steepest(self) -> Floats:
-        """What each output moves over half the load range at most, (6,), m and rad: `ExactRows`."""
-        found = np.zeros(6)
-        for outputs, part in self.groups:
-            found[list(outputs)] = part.steepest[list(outputs)]
-        return found
 
     @property
     def version(self) -> int:

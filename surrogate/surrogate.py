@@ -192,11 +192,6 @@ class Surrogate:
         return allowed_of(self.used, self.tolerance)
 
     @property
-    def steepest(self) -> Floats:
-        """What each output moves over half the load range at most, (6,), m and rad: `ExactRows`."""
-        return self.exact.steepest
-
-    @property
     def ranges(self) -> Floats:
         """What each output varies by over the rows and from zero, shape (6,), m and rad."""
         return self.allowed.ranges
