@@ -7,9 +7,12 @@ import pytest
 
 from service.answering.solved import read_row
 from service.ledger import LedgerRow
+from service.tables.making import in_memory, packed_bytes
 from service.tables.news import table_rows
+from service.tables.served import ServedTable
 from surrogate.build import build
 from surrogate.table.rows import LoadRange, Rows, joined
+from tests.surrogate.law.exact_rows import RowLaw
 
 SCALE = np.array([100.0, 100, 500, 20, 20, 5])
 RANGE = LoadRange(-SCALE, SCALE)
@@ -26,6 +29,11 @@ def row(wrench: np.ndarray, *, tangent: bool) -> LedgerRow:
     )
 
 
+def served(rows: Rows) -> ServedTable:
+    table = build(rows, RANGE)
+    return in_memory(table, packed_bytes(table, "plate", "f0"))
+
+
 @pytest.mark.parametrize("tangent", [True, False])
 @pytest.mark.parametrize("others", [Rows.empty(), OTHERS])
 def test_a_solves_reply_and_its_row_in_the_table_tell_the_same_bar(
@@ -33,10 +41,10 @@ def test_a_solves_reply_and_its_row_in_the_table_tell_the_same_bar(
 ) -> None:
     """Without a tangent the reply's bar knew nothing of what other rows vary by."""
     solved = row(0.3 * SCALE * [1, 0, -1, 0, 0.5, 0], tangent=tangent)
-    before = build(others, RANGE)
+    before = served(others)
     after = build(joined([table_rows([solved]), others]), RANGE)
     asked = np.array(solved.wrench) + 4e-7 * SCALE
-    found = after.exact.at(asked.tolist(), [np.inf] * 6)
+    found = RowLaw(after.exact, RANGE, ()).at(asked.tolist(), [np.inf] * 6)
     assert found is not None
     displacement, error = read_row(solved, asked, before)
     np.testing.assert_array_equal(displacement, found.displacement)
@@ -46,4 +54,4 @@ def test_a_solves_reply_and_its_row_in_the_table_tell_the_same_bar(
 
 def test_a_row_at_rest_alone_tells_no_bar_of_a_load_beside_it() -> None:
     solved = row(np.zeros(6), tangent=False)
-    assert np.isnan(read_row(solved, 4e-7 * SCALE, build(Rows.empty(), RANGE))[1]).all()
+    assert np.isnan(read_row(solved, 4e-7 * SCALE, served(Rows.empty()))[1]).all()
