@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import pdist
 from scipy.special import gammaincinv
 
 from ..table.rows import Floats
@@ -84,7 +85,7 @@ class Level(NamedTuple):
 def groupings(places: Floats, settings: KrigingSettings = DEFAULTS) -> Iterator[Labels]:
     """Yield groups of places (n, 6), scaled by length scales: each alone, then fewer and larger."""
     count = len(places)
-    tree = linkage(places, "complete") if count > 1 else np.empty((0, 4))
+    tree = linkage(pdist(places), "complete") if count > 1 else np.empty((0, 4))
     wanted, before = count, count + 1
     while wanted >= settings.least_groups:
         labels = fcluster(tree, wanted, "maxclust") if len(tree) else np.ones(count, dtype=int)
