@@ -283,7 +283,7 @@ class Workspace:
         if self.settings.part == "answering":
             state = CoordinatorState(self.settings.folder / FOLDER)
             return MappedTables(
-                self.ledger, self.library, folder, state, self.settings.table_memory
+                self.ledger, self.library, folder, state, self.errors, self.settings.table_memory
             )
         return Tables(self.ledger, self.library, folder, self.errors, self.settings.table_memory)
 

@@ -73,12 +73,17 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
                 await _name_awaited(workspace, query, outcome)
         if outcome.coverage == "covered" or query.on_thin == "estimate":
             return outcome
-        refuse_uncovered(query, outcome)
+        refuse_uncovered(query, outcome, solved=workspace.library.as_read(name).has_fea)
     return await _submitted(workspace, query, outcome)
 
 
-def refuse_uncovered(query: Query, outcome: Outcome) -> None:
-    """Refuse what is not covered to who wants nothing else.
+def refuse_uncovered(query: Query, outcome: Outcome, *, solved: bool = False) -> None:
+    """Refuse an answer that is not covered if the request takes no other.
+
+    Parameters
+    ----------
+    solved
+        Whether the component can be solved.
 
     Raises
     ------
@@ -86,9 +91,9 @@ def refuse_uncovered(query: Query, outcome: Outcome) -> None:
         If ``on_thin`` is ``reject``.
     """
     if query.on_thin == "reject":
+        solve = "'queue' or 'wait' to have it solved, or " if solved else ""
         raise NotCoveredError(
-            f"{outcome.reason}. Ask with on_thin 'queue' or 'wait' to have it solved, or "
-            "'estimate' for the best guess.",
+            f"{outcome.reason}. Ask with on_thin {solve}'estimate' for the best guess.",
             coverage=outcome.coverage,
         )
 

@@ -107,6 +107,8 @@ class Library:
         if time.monotonic() >= self._next_look:
             self._next_look = time.monotonic() + LOOK_SECONDS
             self.names()
+            for name in list(self._broken):  # repaired, or readable again
+                self._look_for(name)
         return self._version
 
     def broken(self) -> dict[str, str]:

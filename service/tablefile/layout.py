@@ -53,7 +53,8 @@ class NumberColumn:
 
     def values(self, rows: TableRows) -> np.ndarray:
         """Return the column in SI, shape (n,), NaN where not known."""
-        return getattr(rows, self.block).reshape(len(rows.wrench), -1)[:, self.place]
+        block = getattr(rows, self.block)
+        return block.reshape(len(block), int(np.prod(block.shape[1:])))[:, self.place]
 
     def digits(self, rows: TableRows) -> list[str]:
         """Return the column in its unit, with the digits that come back; empty where not known."""

@@ -96,8 +96,9 @@ class Tables:
     def start(self) -> None:
         """Start loading every table and following the ledger; return once the small ones answer."""
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_S))
-        self._packed.remove_drafts()
         small, names = [], self._library.names()
+        self._packed.remove_drafts()
+        self._packed.remove_orphans({*names, *self._library.broken()})
         with ThreadPoolExecutor(usable_cores()) as threads:  # checksums let the others run
             list(threads.map(lambda name: self._guarded(name, self._take_up, self._faults), names))
         for name in names:
@@ -323,6 +324,7 @@ class Tables:
             if packed is None or saved is None:
                 self._packed.remove(name)  # no other process may answer from it
                 return
+            self._packed.remove_others(name, version)
             self._put(component, packed, None)
             if saved != version:
                 self._unsaved[name] = time.monotonic()

@@ -19,8 +19,9 @@ from service.tables.files import TableFiles
 from service.tables.live import START_S, SWITCH_S
 from service.tables.making import empty_table
 from service.tables.other_setup import count_others
-from service.tables.packed_files import PackedFile, PackedFiles, setup_of
+from service.tables.packed_files import PackedFile, PackedFiles, is_of, origin_of, setup_of
 from service.tables.served import TABLE_MEMORY, ServedTable, drop_built
+from service.tables.solver_errors import SolverErrors
 from surrogate.kernel.binding import PackedTable
 from surrogate.packed.format import PackedTableError
 
@@ -44,7 +45,7 @@ class MappedTables:
         As of `Tables`.
     state : CoordinatorState
         Of the building process.
-    memory : float
+    errors, memory
         As of `Tables`.
     """
 
@@ -54,13 +55,15 @@ class MappedTables:
         library: Library,
         folder: Path,
         state: CoordinatorState,
+        errors: SolverErrors | None = None,
         memory: float = TABLE_MEMORY,
     ) -> None:
-        self._memory = memory
+        self._errors, self._memory = errors, memory
         self._ledger, self._library, self._state = ledger, library, state
         self._files, self._packed = TableFiles(folder, ledger), PackedFiles(folder)
         self._tables: dict[str, ServedTable] = {}
-        self._mapped: dict[str, PackedFile] = {}
+        self._mapped: dict[str, tuple[PackedFile, Component]] = {}
+        self._refused: dict[Path, tuple[PackedFile, Component]] = {}
         self._unread: dict[str, str] = {}
         self._status = Status()
         self._grown = threading.Condition()
@@ -185,28 +188,37 @@ class MappedTables:
                 self._stopping.wait(1.0)
 
     def _look(self, status: Status) -> None:
-        for name, file in self._packed.newest().items():
-            if self._mapped.get(name) != file and name in self._library:
-                self._map(self._library[name], file)
+        for name, files in self._packed.found().items():
+            if name in self._library:
+                component = self._library[name]
+                next((file for file in files if self._map(component, file)), None)
+                if not any(self._refused.get(file.path) == (file, component) for file in files):
+                    self._unread.pop(name, None)
         with self._grown:
             self._status = status
             self._grown.notify_all()
 
-    def _map(self, component: Component, file: PackedFile) -> None:
-        """Take a version up; one that goes away meanwhile makes room for a newer one."""
-        name = component.name
+    def _map(self, component: Component, file: PackedFile) -> bool:
+        """Take a file up unless it is of anything else; return whether it is taken up."""
+        name, seen = component.name, (file, component)
+        if seen in (self._mapped.get(name), self._refused.get(file.path)):
+            return seen == self._mapped.get(name)
         try:
             packed = PackedTable.open(file.path)
-            rows_of = partial(self._files.rows, component, packed.words["provenance"]["version"])
+            origin = origin_of(self._ledger, component, file.version, self._errors)
+            if not is_of(packed, name, origin):
+                raise PackedTableError(f"{file.path} is not of version {file.version} of {name}")
+            rows_of = partial(self._files.rows, component, file.version)
             table = ServedTable(packed, rows_of)
         except (PackedTableError, KeyError) as error:
-            if file.path.exists() and self._unread.get(name) != str(error):
+            if file.path.exists():
                 log.error("the table of %s stays as it is: %s", name, error)
-                self._unread[name] = str(error)
-            return
+                self._unread[name], self._refused[file.path] = str(error), seen
+            return False
         with suppress(LedgerUnavailableError):
             count_others(self._ledger, component, table)
         with self._grown:
             self._unread.pop(name, None)
-            self._tables[name], self._mapped[name] = table, file
+            self._tables[name], self._mapped[name] = table, seen
             self._grown.notify_all()
+        return True

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Container
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -31,12 +32,14 @@ class PackedFile(NamedTuple):
 
     Attributes
     ----------
+    version : int
     changed : int, ns since the epoch
     number : int
         The file system's own: another file of the same name has another one.
     path : Path
     """
 
+    version: int
     changed: int
     number: int
     path: Path
@@ -69,7 +72,7 @@ class PackedFiles:
         self._folder.mkdir(parents=True, exist_ok=True)
         path = self._folder / f"{name}-{version}{SUFFIX}"
         write_whole_bytes(path, content, durable=False)
-        self.remove(name, but=path)
+        self.remove_others(name, version)
         return PackedTable.open(path)
 
     def open(self, name: str, version: int, origin: dict[str, str]) -> PackedTable | None:
@@ -78,9 +81,7 @@ class PackedFiles:
             found = PackedTable.open(self._folder / f"{name}-{version}{SUFFIX}")
         except (PackedTableError, OSError):
             return None
-        about = found.words.get("provenance", {})
-        same = about.get("component") == name and about.get("origin") == origin
-        return found if same and "ledger" in origin else None
+        return found if is_of(found, name, origin) and "ledger" in origin else None
 
     def remove(self, name: str, but: Path | None = None) -> None:
         """Remove a component's files but one; mapped ones live on in whoever maps them."""
@@ -89,20 +90,31 @@ class PackedFiles:
                 with suppress(OSError):  # another process has removed it, or it is in use
                     path.unlink()
 
+    def remove_others(self, name: str, version: int) -> None:
+        """Remove a component's files but that of a version."""
+        self.remove(name, but=self._folder / f"{name}-{version}{SUFFIX}")
+
     def remove_drafts(self) -> None:
         """Remove what writers that were killed have left."""
         for path in self._folder.glob(f".*{SUFFIX}.*"):
             path.unlink(missing_ok=True)
 
-    def newest(self) -> dict[str, PackedFile]:
-        """Return the file of each component that was written last."""
-        newest: dict[str, PackedFile] = {}
+    def found(self) -> dict[str, list[PackedFile]]:
+        """Return the files of each component, the highest version first."""
+        found: dict[str, list[PackedFile]] = {}
         for name, path in self._files():
             with suppress(OSError):  # a newer one has taken its place
                 about = path.stat()
-                found = PackedFile(about.st_mtime_ns, about.st_ino, path)
-                newest[name] = max(found, newest.get(name, found))
-        return newest
+                version = int(path.stem.rpartition("-")[2])
+                file = PackedFile(version, about.st_mtime_ns, about.st_ino, path)
+                found.setdefault(name, []).append(file)
+        return {name: sorted(files, reverse=True) for name, files in found.items()}
+
+    def remove_orphans(self, names: Container[str]) -> None:
+        """Remove the files of components that there are not."""
+        for name, path in self._files():
+            if name not in names:
+                path.unlink(missing_ok=True)
 
     def stamp(self) -> int:
         """Return a number that differs once a file has come or gone; takes microseconds."""
@@ -119,6 +131,13 @@ class PackedFiles:
             for (name, _, version), path in found
             if version.isdecimal() and name and not name.startswith(".")
         ]
+
+
+def is_of(packed: PackedTable, name: str, origin: dict[str, str]) -> bool:
+    """Return whether a packed table is of a component and of what `origin_of` says."""
+    about = packed.words.get("provenance", {})
+    built = about.get("origin") or {"setup": None}
+    return about.get("component") == name and built.items() <= origin.items()
 
 
 def origin_of(

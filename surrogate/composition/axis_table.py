@@ -200,10 +200,15 @@ class AxisTable:
         # Slopes blended from the vertices are continuous along the hull; those of simplices jump.
         shares = self.triangulation.barycentric(found[~inside], at[~inside])
         corners = self.slopes[self.triangulation.simplices[found[~inside]]]
-        slopes = np.einsum("kv,kvqi->kqi", shares, corners)
+        slopes = self.along_span(np.einsum("kv,kvqi->kqi", shares, corners))
         reading.slopes[~inside], reading.bend_slopes[~inside] = slopes, 0.0
         reading.outputs[~inside] += np.einsum("kqi,ki->kq", slopes, (x - at)[~inside])
         return replace(reading, inside=inside)
+
+    def along_span(self, slopes: Floats) -> Floats:
+        """Return what of slopes (k, 6, 3) by the scaled loads lies along the span of the points."""
+        basis = self.triangulation.basis
+        return slopes if len(basis) == 3 else slopes @ basis.T @ basis
 
     def read_in(self, simplices: Indices, x: Floats) -> AxisReading:
         """Return the same at points of the simplices that they lie in.

@@ -213,13 +213,29 @@ class Composition:
             return self._guess(wrenches[:, inputs], inputs)
         x = wrenches[:, inputs] / table.scale
         reading = table.read(x)
-        ways = reading.slopes / table.scale, reading.bend_slopes / table.scale
+        bend_slopes = table.along_span(reading.bend_slopes)
+        ways = reading.slopes / table.scale, bend_slopes / table.scale
         state = np.where(reading.inside, table.state[reading.simplices], OFF_HULL)
         part = _Part(reading.outputs, reading.bends, reading.rest, *ways, state)
         outside = np.flatnonzero(~reading.inside)
         if len(outside):
             self._step_off(part, outside, table, (x - reading.at)[outside])
+        part.slopes += self._off_span(table)
         return part
+
+    def _off_span(self, table: AxisTable) -> Floats:
+        """Return the slopes (6, 3), SI, off the span of an axis' points.
+
+        Those of the fitted compliance; NaN by loads whose influence no row tells.
+        """
+        basis, inputs = table.triangulation.basis, list(table.axis.inputs)
+        if len(basis) == 3:
+            return np.zeros((6, 3))
+        off = np.eye(3) - basis.T @ basis
+        off[np.abs(off) <= CLEAN] = 0.0
+        slopes = (self.fit.matrix[:, inputs] * table.scale) @ off / table.scale
+        unknown = (off != 0.0)[~self.fit.known[inputs]].any(axis=0)
+        return np.where(unknown, np.nan, slopes)
 
     def _step_off(self, part: _Part, rows: Indices, table: AxisTable, step: Floats) -> None:
         """Account for steps (k, 3), scaled, from the hull's nearest point to the point asked.
@@ -256,6 +272,9 @@ class Composition:
         """
         part = self._guess(amounts[:, None], [moment + 3])
         for cut in self.cuts[moment]:
+            if not len(cut.state):  # the axis has rows, but none with this moment alone
+                part.state = np.minimum(part.state, OFF_HULL)
+                continue
             reading = cut.read(amounts)
             better = np.flatnonzero((part.state >= OFF_HULL) & (reading.state < part.state))
             outputs, bends, rest, slopes, bent = (column[better] for column in reading[:5])

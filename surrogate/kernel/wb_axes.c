@@ -88,6 +88,38 @@ static void read_slopes(const wb_composition *c, int axis, int simplex, const do
     }
 }
 
+/* Keep of slopes by the scaled loads what lies along the span of the points. */
+static void keep_along(const wb_composition *c, int axis, double slopes[6][3]) {
+    const double *basis = c->floats[axis].basis;
+    int dimension = c->ints[axis].dimension;
+    for (int q = 0; dimension < 3 && q < 6; q++) {
+        double along[3] = {0.0, 0.0, 0.0};
+        for (int j = 0; j < dimension; j++)
+            for (int i = 0; i < 3; i++) along[j] += slopes[q][i] * basis[3 * j + i];
+        for (int i = 0; i < 3; i++) {
+            slopes[q][i] = 0.0;
+            for (int j = 0; j < dimension; j++) slopes[q][i] += along[j] * basis[3 * j + i];
+        }
+    }
+}
+
+/* Add the slopes off the span of the points: the fitted compliance, NaN by loads that it lacks. */
+static void add_off_span(const wb_composition *c, int axis, wb_part *part) {
+    const wb_axis_floats *f = &c->floats[axis];
+    int dimension = c->ints[axis].dimension, inputs[3];
+    inputs_of(axis, inputs);
+    for (int i = 0; dimension < 3 && i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            double off = i == j ? 1.0 : 0.0;
+            for (int k = 0; k < dimension; k++) off -= f->basis[3 * k + i] * f->basis[3 * k + j];
+            if (!(fabs(off) > CLEAN)) continue;
+            for (int q = 0; q < 6; q++) {
+                double slope = f->scale[j] * c->fit->matrix[6 * q + inputs[j]];
+                part->slopes[q][i] += c->fit->known[inputs[j]] ? off * slope : NAN;
+            }
+        }
+}
+
 /* Slopes blended from the vertices: those along the hull's outside. */
 static void blend_slopes(const wb_composition *c, int axis, int simplex, const double shares[4],
                          wb_part *part) {
@@ -100,6 +132,7 @@ static void blend_slopes(const wb_composition *c, int axis, int simplex, const d
             for (int i = 0; i < 3; i++)
                 part->slopes[q][i] += shares[share_at(corner, dimension)] * slope[3 * q + i];
     }
+    keep_along(c, axis, part->slopes);
 }
 
 /* The step off what the points span, by the fitted compliance: `Composition._step_off`. */
@@ -198,6 +231,10 @@ void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], con
         step_off(c, axis, step, part);
     } else if (with_slopes) {
         read_slopes(c, axis, found, place->shares, rises, part);
+    }
+    if (with_slopes) {
+        keep_along(c, axis, part->bend_slopes);
+        add_off_span(c, axis, part);
     }
     const double *scale = c->floats[axis].scale;
     for (int q = 0; with_slopes && q < 6; q++)

@@ -83,14 +83,16 @@ static void read_alone(const wb_composition *c, int moment, double amount, int w
     for (int k = 0; k < 2 && out->state >= WB_OFF_HULL; k++) {
         const wb_cut *cut = &c->cuts[moment][k];
         if (!cut->present) continue;
+        if (!cut->stretches) { /* the axis has rows, but none with this moment alone */
+            if (WB_OFF_HULL < out->state) out->state = WB_OFF_HULL;
+            continue;
+        }
         double own = amount / cut->scale;
-        int stretch = cut->stretches ? stretch_of(cut, own) : 0;
-        int state = cut->stretches ? state_at(cut, own, stretch) : WB_OFF_HULL;
+        int stretch = stretch_of(cut, own), state = state_at(cut, own, stretch);
         if (state < out->state) out->state = state, best = cut, along = own, found = stretch;
     }
     if (!best) guess(c, moment + 3, amount, out);
-    else if (best->stretches) read_cut(best, along, found, with_slopes, with_bends, out);
-    else memset(out, 0, offsetof(alone_part, state));
+    else read_cut(best, along, found, with_slopes, with_bends, out);
 }
 
 static int worse(int a, int b) { return a > b ? a : b; }

@@ -40,7 +40,7 @@ enum {
 enum { WB_COVERED = 0, WB_THIN = 1, WB_OUTSIDE = 2 };
 
 /* WB_ROW: a row of the table answers; WB_ESTIMATE: there are no rows to answer from. */
-enum {
+enum { /* WB_TANGENT answers for WB_KRIGING where the rows allow no kriging */
     WB_DEFAULT = -1,
     WB_GRIDDATA = 0,
     WB_ADDITIVE = 1,

@@ -101,6 +101,76 @@ def test_a_table_that_was_replaced_still_gives_its_bytes_to_a_request_that_has_i
     assert old.surrogate().version == old.version
 
 
+def answer_of(one, name="new"):
+    return one.tables.surrogate(name).packed.answer((2.5, 0, 0, 0, 0, 0.5))
+
+
+def wait_for(one, condition):
+    """Wait until a part that maps tables has looked, and something holds."""
+    with one.tables._grown:
+        assert one.tables._grown.wait_for(condition, 20)
+
+
+def test_a_file_of_another_component_or_of_other_rows_answers_nothing(both, tmp_path):
+    """A copy of another component's file answered for it as soon as it was there."""
+    _, reader = both
+    for name, count in (("new", 4), ("other", 9)):
+        reader.add(name, count)
+        assert reader.tables.catch_up(name, 20)
+    before, folder = answer_of(reader), tmp_path / "tables"
+    other = next(folder.glob("other-*.wbt")).read_bytes()
+    stray = folder / "new-999.wbt"
+    stray.write_bytes(other)
+    wait_for(reader, lambda: "new" in reader.tables.faults())
+    assert answer_of(reader) == before
+    stray.unlink()
+    wait_for(reader, lambda: "new" not in reader.tables.faults())
+    assert answer_of(reader) == before
+
+
+def test_an_older_version_that_is_written_last_answers_nothing(both, tmp_path):
+    _, reader = both
+    reader.add("new", 4)
+    assert reader.tables.catch_up("new", 20)
+    old = next((tmp_path / "tables").glob("new-*.wbt"))
+    content = old.read_bytes()
+    reader.ledger.insert_rows("new", "", new_rows(2, 4))
+    assert reader.tables.catch_up("new", 20)
+    newest = reader.tables.surrogate("new").version
+    old.write_bytes(content)
+    reader.add("other", 3)
+    assert reader.tables.catch_up("other", 20)  # which looks at the folder after that
+    assert reader.tables.surrogate("new").version == newest
+
+
+def test_files_of_no_component_and_of_other_versions_go_at_a_start(tmp_path):
+    with part(tmp_path, Tables) as builder:
+        builder.add("new", 4)
+        assert builder.tables.catch_up("new", 20)
+    folder = tmp_path / "tables"
+    own = next(folder.glob("new-*.wbt"))
+    for name in ("new-999.wbt", "gone-4.wbt"):
+        (folder / name).write_bytes(own.read_bytes())
+    with part(tmp_path, Tables):
+        assert [path.name for path in folder.glob("*.wbt")] == [own.name]
+
+
+def test_a_component_that_was_unreadable_for_a_moment_is_built_again(both, tmp_path, monkeypatch):
+    """Only what answers looked at it again; the building process never did."""
+    monkeypatch.setattr("service.library.library.LOOK_SECONDS", 0.0)
+    _, reader = both
+    reader.add("new", 4)
+    assert reader.tables.catch_up("new", 20)
+    setup, away = tmp_path / "components" / "new" / "component.toml", tmp_path / "away"
+    setup.rename(away)
+    for one in both:
+        assert "new" not in one.library.names()
+    away.rename(setup)
+    reader.ledger.insert_rows("new", "", new_rows(2, 4))
+    assert reader.tables.catch_up("new", 20)
+    assert len(reader.tables.surrogate("new").rows) == 6
+
+
 def test_a_stale_file_is_gone_once_the_builder_has_started(tmp_path, monkeypatch):
     """Its table takes long to build; no process may answer from the old one meanwhile."""
     with part(tmp_path, Tables) as builder:

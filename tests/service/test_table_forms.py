@@ -334,3 +334,10 @@ def test_a_file_of_empty_lines_is_refused_as_soon_as_there_are_too_many(begin, l
     monkeypatch.setattr(csvlines, "MOST_BLANK", 1000)
     _, told = read((begin + 2000 * line).encode(), ZERO)
     assert any("1,000 lines without a row" in one.message for one in told.mistakes.listed())
+
+
+@pytest.mark.parametrize("write", [write_xlsx, write_parquet, None])
+def test_a_table_without_rows_is_written(write):
+    none = _ROWS.take(np.array([], dtype=int))
+    content = write_csv(none).encode() if write is None else written(write, none)
+    assert len(read(content)[0]) == 0

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from surrogate.composition.composition import OFF_HULL
+from surrogate.kernel.packing import packed_of
 from surrogate.table.rows import Rows
-from tests.surrogate.law import build
+from tests.surrogate.law import Law, build
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, smooth
 
 
@@ -27,3 +28,44 @@ def test_a_step_of_unknown_length_makes_the_error_bar_unknown(method: str) -> No
     assert unknown.any()
     assert np.isnan(found.error[unknown]).all()
     assert all(singles[place] is None for place in np.flatnonzero(unknown))
+
+
+def proportional(wrenches: list[list[float]]) -> Law:
+    """Rows of a response in proportion, with tangents."""
+    loads = np.array(wrenches, dtype=float)
+    compliance = np.diag([1e-6] * 6)
+    slopes = np.tile(compliance, (len(loads), 1, 1))
+    return build(Rows.of(loads, loads @ compliance, compliance=slopes), RANGE)
+
+
+@pytest.mark.parametrize("method", ["griddata", "additive", "tangent"])
+@pytest.mark.parametrize("rows", [[[0, 0, 500, 0, 0, 0]], [[0, 0, z, 0, 0, 0] for z in (-9, 0, 9)]])
+def test_steps_off_what_the_rows_span_are_counted_once(rows, method) -> None:
+    """By the tangent of the row and by the compliance, 700 N after 500 N moved it by 900 um."""
+    table = proportional(rows)
+    asked = [0.0, 0.0, 700.0, 300.0, 0.0, 0.0]
+    expected = 1e-6 * np.array(asked)
+    for moved in (
+        table.answer(asked, None, method).displacement,
+        packed_of(table).answer(asked, None, method).outputs,
+    ):
+        np.testing.assert_allclose(moved, expected, rtol=1e-12, atol=1e-18)
+
+
+@pytest.mark.parametrize("method", ["griddata", "additive", "tangent"])
+@pytest.mark.parametrize("asked", [[0, 0, 700.0, 0, 0, 0], [0, 0, 4.0, 3.0, 0, 0]])
+def test_the_derivative_off_what_the_rows_span_is_that_of_the_answer(asked, method) -> None:
+    """It was 0 by the only row's own load, and twice as much by a moment of two axes."""
+    for rows in ([[0, 0, 500, 0, 0, 0]], [[0, 0, z, 0, 0, 0] for z in (-9, 0, 9)]):
+        table = packed_of(proportional(rows))
+        found = table.derivative(asked, None, method)[:, [2, 3]]
+        np.testing.assert_allclose(found, np.diag([1e-6] * 6)[:, [2, 3]], rtol=1e-12, atol=1e-18)
+
+
+def test_the_derivative_by_a_load_that_no_row_tells_is_unknown() -> None:
+    """It was 0 in a covered answer."""
+    loads = np.linspace(-1, 1, 9)[:, None] * np.array([0, 0, 1000.0, 0, 0, 0])
+    table = packed_of(build(Rows.of(loads, 1e-6 * loads), RANGE))
+    found = table.derivative([0, 0, 150.0, 0, 0, 0])
+    assert found[2, 2] == pytest.approx(1e-6)
+    assert np.isnan(found[2, [3, 4]]).all()

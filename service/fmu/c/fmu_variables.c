@@ -153,7 +153,8 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
         out[i] = 0.0;
         if (k >= VR_OUTPUT && k < VR_ERROR) {
             const double *row = fmu_derived(m) + 6 * (k - VR_OUTPUT);
-            for (int load = 0; load < 6; load++) out[i] += row[load] * along[load];
+            for (int load = 0; load < 6; load++) /* unknown by a load that does not change: 0 */
+                if (along[load] != 0.0) out[i] += row[load] * along[load];
         } else if (k >= VR_ERROR && k < VR_COVERAGE) {
             if (!barred) bar_slopes(m, along, bars), barred = 1;
             out[i] = bars[k - VR_ERROR];
