@@ -54,7 +54,8 @@ def write_breakpoints(table: ServedTable, name: str, path: Path) -> None:
             f"the table of {name!r} does not tell all six outputs within its load range; add rows, "
             "or export them as they are: csv, xlsx, parquet, hdf5, json"
         )
-    bar = np.nanmedian(exact.errors, axis=0)
+    known = [column[np.isfinite(column)] for column in exact.errors.T]
+    bar = np.array([np.median(column) if len(column) else np.nan for column in known])
     alone = _single(wrenches)
     for count in GRIDS:
         content = _resampled(table, low, high, count)

@@ -9,11 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bars.error_law import ErrorLaw, error_law
+from ..bars.error_law import FEWEST, ErrorLaw, error_law
 from ..interpolation.delaunay import Indices, Triangulation
 from ..interpolation.slope_recovery import recovered_slopes
 from ..table.axes import AxisRows
-from ..table.rows import Floats, LoadRange
+from ..table.levels import has_levels
+from ..table.rows import CLEAN, Floats, LoadRange
 from .left_out import MOST, LeftOut, folds, joined
 
 # The largest fraction of the load range, by dimension, that one simplex may take before it is
@@ -118,8 +119,28 @@ class AxisTable:
         return joined(found)
 
     @cached_property
+    def together(self) -> int:
+        """How many points have several loads at once."""
+        return int(((np.abs(self.rows.points) > CLEAN).sum(axis=1) > 1).sum())
+
+    @property
+    def shows_together(self) -> bool:
+        """Whether rows show what several loads do at once."""
+        return self.together >= FEWEST
+
+    @property
+    def errors_shown(self) -> int:
+        """How many left-out points show errors between the points."""
+        return len(self.left_out.told.size) if has_levels(self.rows.points) else 0
+
+    @cached_property
     def law(self) -> ErrorLaw:
-        """How error bars grow with the simplices; unknown where too few points can be left out."""
+        """How error bars grow with the simplices; unknown where too few points can be left out.
+
+        And where rows have few levels of a load: they do not show what is between these.
+        """
+        if not has_levels(self.rows.points):
+            return ErrorLaw.unknown()
         least = np.maximum(ROUNDING * np.abs(self.values).max(axis=0), SMALLEST)
         return error_law(self.left_out.told, least)
 

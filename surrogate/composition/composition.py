@@ -32,7 +32,7 @@ from ..interpolation.delaunay import Indices
 from ..table.axes import AXES, CLEAN, Axis
 from ..table.compliance import ComplianceFit
 from ..table.rows import Floats
-from .axis_table import AxisTable
+from .axis_table import WEAK, AxisTable
 from .pure_moment import HOLE, PureMomentCut
 
 # What an axis' part of an answer rests on, from the best to the worst: see `axis_table`; then a
@@ -216,6 +216,9 @@ class Composition:
         bend_slopes = table.along_span(reading.bend_slopes)
         ways = reading.slopes / table.scale, bend_slopes / table.scale
         state = np.where(reading.inside, table.state[reading.simplices], OFF_HULL)
+        if not table.shows_together:
+            several = (np.abs(x) > CLEAN).sum(axis=1) > 1
+            state = np.where(several, np.maximum(state, WEAK), state)
         part = _Part(reading.outputs, reading.bends, reading.rest, *ways, state)
         outside = np.flatnonzero(~reading.inside)
         if len(outside):

@@ -210,6 +210,12 @@ void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], w
         place->simplex = wb_nearest_on_hull(c, axis, place->x, place->at, place->shares);
 }
 
+/* Whether several loads act where no rows show what several do at once. */
+static int is_untold_together(const wb_composition *c, int axis, const double x[3]) {
+    int loads = (fabs(x[0]) > CLEAN) + (fabs(x[1]) > CLEAN) + (fabs(x[2]) > CLEAN);
+    return loads > 1 && c->together[axis] < c->left_out[3];
+}
+
 /* `Composition._read`: all six outputs; slopes by the axis' loads, N and N·m. */
 void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_place *place,
                   int with_slopes, int with_bends, wb_part *part) {
@@ -222,6 +228,7 @@ void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], con
         return;
     }
     part->state = place->inside ? c->state[found] : WB_OFF_HULL, part->simplex = found;
+    if (part->state < WB_WEAK && is_untold_together(c, axis, place->x)) part->state = WB_WEAK;
     read_values(c, axis, found, place->at, place->shares, part);
     if (with_slopes || with_bends)
         read_bends(c, axis, found, place->at, place->shares, rises, part);

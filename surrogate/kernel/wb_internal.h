@@ -59,7 +59,7 @@ typedef struct {
     const wb_axis_ints *ints;
     const wb_axis_floats *floats;
     const int32_t *grid, *facets, *facet_first, *simplex_first, *point_first, *fewest,
-        *left_out;
+        *left_out, *together;
     const double *largest;
     wb_cut cuts[3][2];
     const wb_fit *fit;

@@ -234,6 +234,7 @@ static void read_composition(reader *r, wb_composition *c, const wb_fit *fit) {
     c->point_first = ints(r, "axes/point_first", 4);
     c->fewest = ints(r, "axes/fewest", 3);
     c->left_out = ints(r, "axes/left_out", 4);
+    c->together = ints(r, "axes/together", 3);
     c->largest = doubles(r, "axes/largest", 1, (int64_t)4);
     c->rest_point = doubles(r, "axes/rest_point", 2, (int64_t)2, (int64_t)6);
     c->error = doubles(r, "axes/error", 3, (int64_t)3, (int64_t)2, (int64_t)6);

@@ -59,7 +59,10 @@ static void why_weak(const wb_composition *c, int axis, int simplex, wb_reason *
     int points = c->point_first[axis + 1] - c->point_first[axis];
     double part = volume_part(c, axis, simplex), most = c->largest[c->ints[axis].dimension];
     reason->axis = axis;
-    if (points < c->fewest[axis]) {
+    if (c->state[simplex] == WB_SOUND) {
+        reason->code = WB_REASON_AXIS_TOGETHER;
+        reason->value = c->together[axis], reason->limit = c->left_out[3];
+    } else if (points < c->fewest[axis]) {
         reason->code = WB_REASON_AXIS_FEW_ROWS;
         reason->value = points, reason->limit = c->fewest[axis];
     } else if (c->state[simplex] != WB_DEGENERATE && !(part > most)) {

@@ -51,6 +51,11 @@ class Calibration:
     factors: Floats
     reach: float
 
+    @classmethod
+    def unknown(cls, outputs: int, settings: KrigingSettings = DEFAULTS) -> Calibration:
+        """Return the calibration of rows that do not show how large errors are."""
+        return cls(np.ones(1), np.full((1, outputs), settings.half_width), 0.0)
+
     @property
     def known(self) -> bool:
         """Whether left-out rows show how large errors are."""
@@ -136,7 +141,7 @@ def calibrate(
         if reach >= enough and resembles:
             break
     if not sigma or sigma[-1] < settings.barely_resembling * typical:
-        return Calibration(np.ones(1), np.full((1, outputs), settings.half_width), 0.0)
+        return Calibration.unknown(outputs, settings)
     return Calibration(np.array(sigma), np.array(factors), reach)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..table.axes import AXES, CLEAN
+from ..table.levels import has_levels
 from ..table.rows import Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .calibration import Calibration, Level, calibrate, groupings
@@ -246,7 +247,9 @@ def _calibrated(
     settings: KrigingSettings,
 ) -> Calibration:
     """Return by how much a share's deviations are multiplied for its error bars."""
-    own = equations.take(spread.factor.rows)
+    own, outputs = equations.take(spread.factor.rows), len(spread.factor.outputs)
+    if not own.known[:, 1:].any() and not has_levels(own.x[:, scaling.active]):
+        return Calibration.unknown(outputs, settings)
     at_rest = scaling.loads(np.zeros((1, LOADS)))
     loaded = np.abs(own.x - at_rest) > CLEAN
     full = ~np.any([~loaded[:, axis.others].any(axis=1) for axis in AXES], axis=0)
@@ -264,7 +267,7 @@ def _calibrated(
     sigma = deviations(asked, across.reshape(len(asked), -1), held, spread)
     # The mean's coefficients, which all rows settle: these in proportion.
     coefficients = (1 + scaling.active.sum()) * len(rows) / len(own)
-    return calibrate(levels, len(spread.factor.outputs), sigma, coefficients, settings)
+    return calibrate(levels, outputs, sigma, coefficients, settings)
 
 
 def _level(

@@ -36,7 +36,8 @@ def axes_arrays(
     it is; ``vertex`` (p, 16): place, nothing, outputs, uncertainty; ``slopes`` (p, 6, 3) by the
     scaled loads; ``grid``, where walks start; ``ints`` (3, 5) and ``floats`` (3, 22), the frames,
     see `numbering`; ``facets`` (f, 4): vertices and the simplex behind; ``simplex_first``,
-    ``point_first``, ``facet_first`` (4); ``fewest`` (3), points that an axis needs; ``largest``
+    ``point_first``, ``facet_first`` (4); ``fewest`` (3), points that an axis needs; ``together``
+    (3), points of an axis with several loads at once; ``largest``
     (4), the largest part of the range of a simplex by dimension; ``span`` (3, 3, 2), N and N·m;
     ``rest_point`` (2, 6), the answer at no load and its error; ``error`` (3, 2, 6), A and C of the
     error of interpolation; ``left_out`` (4), points left out an axis, and how many are needed;
@@ -48,8 +49,10 @@ def axes_arrays(
     first_simplex = _first([0 if table is None else len(table.state) for table in tables])
     yield from _shapes(tables, first_simplex)
     yield from _frames(tables, first_simplex)
+    together = [0 if table is None else table.together for table in tables]
+    yield "together", np.array(together, dtype=np.int32)
     yield "fewest", np.array([0 if table is None else table.fewest for table in tables], np.int32)
-    left_out = [0 if table is None else len(table.left_out.told.size) for table in tables]
+    left_out = [0 if table is None else table.errors_shown for table in tables]
     yield "left_out", np.array([*left_out, FEWEST], dtype=np.int32)
     yield "largest", np.array([LARGEST[dimension] for dimension in range(4)])
     yield "span", np.array([_span(table) for table in tables])

@@ -145,8 +145,17 @@ def _left_out(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     first = packed.arrays[f"g{reason.group}/axes/point_first"]
     points = int(first[reason.axis + 1] - first[reason.axis])
     return (
-        f"axis {'xyz'[reason.axis]}: {int(reason.value)} of its {points} rows can be left out and "
-        f"lie between the others, at least {int(reason.limit)} are needed to tell the error"
+        f"axis {'xyz'[reason.axis]}: {int(reason.value)} of its {points} rows show errors between "
+        "rows (left out, within the others, with four values of each load or more), at least "
+        f"{int(reason.limit)} are needed"
+    )
+
+
+def _several_at_once(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    loads = ", ".join(_name(packed, load)[0] for load in _axis_inputs(reason.axis))
+    return (
+        f"axis {'xyz'[reason.axis]}: {int(reason.value)} of its rows have several of {loads} at "
+        f"once, at least {int(reason.limit)} are needed to tell what they do together"
     )
 
 
@@ -205,6 +214,7 @@ _WORDS: dict[int, Maker] = {
     18: _left_out,
     19: _fixed(TOO_FAR),
     20: _not_in_scene,
+    21: _several_at_once,
 }
 """By code: WB_REASON_... of surrogate/kernel/wrenchbook.h."""
 

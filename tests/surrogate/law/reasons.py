@@ -43,6 +43,12 @@ def why_axis(composition: Composition, index: int, wrench: Floats) -> str:
 def why_weak(table: AxisTable, simplex: int) -> str:
     """Return why an axis is thin in a simplex."""
     name, points = table.axis.name, len(table.values)
+    if table.state[simplex] == SOUND:
+        loads = ", ".join(LOADS[load] for load in table.axis.inputs)
+        return (
+            f"axis {name}: {table.together} of its rows have several of {loads} at once, at least "
+            f"{FEWEST} are needed to tell what they do together"
+        )
     if not table.enough:
         return (
             f"axis {name}: {points} row{'s' if points > 1 else ''}, "
@@ -50,8 +56,9 @@ def why_weak(table: AxisTable, simplex: int) -> str:
         )
     if table.shape_state[simplex] == SOUND:
         return (
-            f"axis {name}: {len(table.left_out.told.size)} of its {points} rows can be left out "
-            f"and lie between the others, at least {FEWEST} are needed to tell the error"
+            f"axis {name}: {table.errors_shown} of its {points} rows show errors between rows "
+            "(left out, within the others, with four values of each load or more), at least "
+            f"{FEWEST} are needed"
         )
     if table.state[simplex] == DEGENERATE:
         return f"axis {name}: the rows around this wrench lie almost in one plane or line"
