@@ -84,7 +84,7 @@ bench-check: $(VENV)/.installed-dev  ## time and memory as the check tells them,
 bench-stability: $(VENV)/.installed-dev  ## extreme parts and loads: each right or refused by name
 	$(BIN)/python -m pytest tests/benchmarks/test_stability.py -s -p no:cacheprovider
 
-bench-surrogate: $(VENV)/.installed-dev  ## single answers, batches and builds beside scipy's own calls
+bench-surrogate: $(VENV)/.installed-dev  ## builds of tables beside scipy's bare triangulations
 	$(BIN)/python -m pytest tests/benchmarks/test_surrogate_speed.py -s -p no:cacheprovider
 
 bench-kernel: $(VENV)/.installed-dev  ## single answers and batches of the kernel beside scipy's own calls

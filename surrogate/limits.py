@@ -37,9 +37,3 @@ def rotation_angles(displacements: Floats) -> Floats:
 def is_too_far(angles: Floats) -> NDArray[np.bool_]:
     """Return which rotations, shape (n,), rad, are beyond the limit."""
     return np.asarray(angles > LONGEST)
-
-
-def beyond_limits(displacements: Floats) -> NDArray[np.bool_]:
-    """Return which displacements, (n, 6), m and rad, no table may hold; NaN exceeds nothing."""
-    moved = np.abs(displacements[:, :3]) > TRANSLATION_LIMIT
-    return np.asarray(moved.any(axis=1) | is_too_far(rotation_angles(displacements)))

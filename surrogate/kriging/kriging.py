@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..table.rows import LOAD_UNITS, Floats, LoadRange, Rows
-from ..table.rows import LOADS as LOAD_NAMES
+from ..table.rows import Floats, LoadRange, Rows
 from .correlation import LOADS, Hyperparameters
 from .dense import Dense, dense
 from .equations import (
@@ -28,16 +27,6 @@ from .settings import DEFAULTS, KrigingSettings
 from .shares import Share, shares_of
 from .size import fits_one_factor
 from .threads import one_thread
-
-UNKNOWN_ERRORS = (
-    "how large errors are is not known: rows left out show nothing of wrenches as far from the "
-    "rows as those of the load range are (rows along one motion or near each other, or few rows "
-    "that make nearly all of the error); solve or import rows spread over the range"
-)
-TOO_FAR = (
-    "how large the error is is not known: no row is as far from the others as this wrench is from "
-    "the rows; solve or import rows around it"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,22 +145,6 @@ class Kriging:
     def knows_errors(self) -> bool:
         """Whether left-out rows show how large errors are, of all outputs."""
         return all(one.known for one in self.inside.calibrations)
-
-    def why_unknown(self, wrench: Floats) -> str:
-        """Return why the error at a wrench (6,), N and N·m, is not known; empty if it is."""
-        if not self.knows_errors:
-            return UNKNOWN_ERRORS
-        x = self.scaling.loads(np.asarray(wrench, dtype=float).reshape(1, LOADS))
-        if self.inside.answers(x)[2].all():
-            return ""
-        low, high = self.scaling.wrenches(self.inside.span)
-        found = [
-            f"{LOAD_NAMES[load]} = {wrench[load]:.6g} {LOAD_UNITS[load]} is further from the rows, "
-            f"which tell errors from {low[load]:.6g} to {high[load]:.6g} {LOAD_UNITS[load]}"
-            for load in range(LOADS)
-            if not low[load] <= wrench[load] <= high[load]
-        ]
-        return "; ".join(found) or TOO_FAR
 
     def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""

@@ -82,15 +82,6 @@ class AxisRows:
         )
 
 
-def axis_box(load_range: LoadRange, axis: Axis) -> tuple[Floats, Floats]:
-    """Return the low and high ends of an axis' loads, stretched to hold zero.
-
-    Shape (3,) each, N and N·m.
-    """
-    inputs = list(axis.inputs)
-    return np.minimum(load_range.low[inputs], 0.0), np.maximum(load_range.high[inputs], 0.0)
-
-
 # Which loads (6) are not an axis' own (3): a product with it tells whether any of them is there.
 _FOREIGN = np.array([[load in axis.others for axis in AXES] for load in range(6)])
 

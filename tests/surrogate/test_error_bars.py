@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrogate.bars.conformal import conformal_factor
-from surrogate.kriging.kriging import UNKNOWN_ERRORS
+from surrogate.packed.reasons import ERRORS_UNKNOWN
 from surrogate.table.rows import Rows, Tolerance
 from tests.surrogate.calibrating import (
     INSIDE,
@@ -195,4 +195,4 @@ def test_a_table_whose_left_out_rows_tell_no_size_covers_nothing_and_says_why() 
     asked = full_wrenches(20, 1) * HIGH
     assert (surrogate.batch(asked).coverage == 1).all()
     told = surrogate.answer(asked[0].tolist())
-    assert (told.coverage, told.reason) == ("thin", UNKNOWN_ERRORS)
+    assert (told.coverage, told.reason) == ("thin", ERRORS_UNKNOWN)

@@ -11,19 +11,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surrogate import build as product
-from surrogate.answer import (
-    COVERED,
-    NAMES,
-    OUTSIDE,
-    THIN,
-    Answer,
-    Batch,
-    no_answers,
-    over_tolerance,
-    within,
+from surrogate.answer import COVERED, NAMES, OUTSIDE, THIN, over_tolerance
+from surrogate.packed.reasons import (
+    EMPTY,
+    ERRORS_UNKNOWN,
+    ONLY_BEYOND,
+    TOO_FAR,
+    UNKNOWN_ERROR,
 )  # fmt: skip
 from surrogate.surrogate import Surrogate
 from surrogate.table.rows import (
+    LOAD_UNITS,
+    LOADS,
     OUTPUTS,
     Floats,
     Tolerance,
@@ -32,15 +31,12 @@ from surrogate.table.rows import (
     without_locked,
 )  # fmt: skip
 
+from .answer import Answer, Batch, no_answers, within
 from .doubt import UNKNOWN_AT_REST, DoubtLaw
 from .exact_rows import RowLaw, sources_at
 from .explain import explain_axes, explain_linear
 from .limits import within_limits, within_limits_many
 from .methods import Method, Reference, check, method_of, reference_of
-
-EMPTY = "the table has no rows"
-ONLY_BEYOND = "all rows of the table are outside its load range"
-UNKNOWN_ERROR = "no row tells how far this answer may be wrong"
 
 
 def build(*arguments: Any, before: Any = None, **more: Any) -> Any:
@@ -327,5 +323,19 @@ class GroupLaw:
 
     def _why_unknown(self, wrench: Sequence[float]) -> str:
         """Return why the error of an answer to a wrench (6,), N and N·m, is not known."""
-        found = self.kriging.why_unknown(np.array(wrench)) if self.by_kriging else ""
-        return found or UNKNOWN_ERROR
+        if not self.by_kriging:
+            return UNKNOWN_ERROR
+        kriging = self.kriging
+        if not kriging.knows_errors:
+            return ERRORS_UNKNOWN
+        x = kriging.scaling.loads(np.asarray(wrench, dtype=float).reshape(1, 6))
+        if kriging.inside.answers(x)[2].all():
+            return UNKNOWN_ERROR
+        low, high = kriging.scaling.wrenches(kriging.inside.span)
+        found = [
+            f"{LOADS[load]} = {wrench[load]:.6g} {LOAD_UNITS[load]} is further from the rows, "
+            f"which tell errors from {low[load]:.6g} to {high[load]:.6g} {LOAD_UNITS[load]}"
+            for load in range(6)
+            if not low[load] <= wrench[load] <= high[load]
+        ]
+        return "; ".join(found) or TOO_FAR

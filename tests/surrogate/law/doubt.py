@@ -9,19 +9,11 @@ import numpy as np
 
 from surrogate.doubt import Doubt
 from surrogate.methods.selection import ENOUGH_FULL
+from surrogate.packed.reasons import UNKNOWN_AT_REST, UNKNOWN_TOGETHER
 from surrogate.table.axes import AXES, clean_wrenches
 from surrogate.table.rows import CLEAN, Floats, LoadRange
 
 Mask = np.ndarray
-
-UNKNOWN_AT_REST = (
-    "no row is at zero load and the rows of no axis surround it: what the component does without "
-    "load is not known"
-)
-UNKNOWN_TOGETHER = (
-    "{full} full wrenches{tangents}: at least {needed} full wrenches are needed to tell what loads "
-    "of several axes do together"
-)
 
 
 class DoubtLaw:

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.answer import COVERED, Answer, Batch, within
+from surrogate.answer import COVERED
 from surrogate.exact_rows import Beside, ExactRows, beside
 from surrogate.table.rows import Floats, LoadRange, Rows, acting, acting_one
+from tests.surrogate.law.answer import Answer, Batch, within
 
 
 class RowLaw:

@@ -7,13 +7,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from surrogate.answer import COVERED, Answer, Batch
-from surrogate.limits import LONGEST, ROTATION_LIMIT, TRANSLATION_LIMIT, beyond_limits
+from surrogate.answer import COVERED
+from surrogate.limits import LONGEST, ROTATION_LIMIT, TRANSLATION_LIMIT, is_too_far, rotation_angles
+from surrogate.table.rows import Floats
+from tests.surrogate.law.answer import Answer, Batch
 
 BEYOND_LIMITS = (
     f"the estimate leaves what tables may hold, {math.degrees(ROTATION_LIMIT):g} degrees and "
     f"{TRANSLATION_LIMIT:g} m, and is not given"
 )
+
+
+def beyond_limits(displacements: Floats) -> np.ndarray:
+    """Return which displacements, (n, 6), m and rad, no table may hold; NaN exceeds nothing."""
+    moved = np.abs(displacements[:, :3]) > TRANSLATION_LIMIT
+    return np.asarray(moved.any(axis=1) | is_too_far(rotation_angles(displacements)))
 
 
 def within_limits(answer: Answer) -> Answer:
