@@ -33,7 +33,9 @@ from service.settings import Settings
 from service.tables.behind import TableBehindError
 from service.tables.coordinator_state import FOLDER, CoordinatorState
 from service.tables.live import Tables
+from service.tables.making import row_table
 from service.tables.mapped import MappedTables
+from service.tables.news import table_rows
 from service.tables.past import PastTables
 from service.tables.served import ServedTable
 from service.tables.solver_errors import SolverErrors
@@ -139,6 +141,11 @@ class Workspace:
         """
         known = self.tables.surrogate(name).solver_error
         return known or self.errors.read(name, self.library[name].fingerprint)
+
+    def row_table(self, name: str, seq: int) -> ServedTable:
+        """Return a table of the row that a solve has just given, which answers its wrench."""
+        rows, newest = table_rows((self.ledger.row(seq),)), self.tables.surrogate(name)
+        return row_table(self.library[name], rows, self.solver_error(name), newest)
 
     def first_open_job(self, name: str) -> OpenJob | None:
         """Return the oldest job of a component that waits or runs; None if there is none."""

@@ -68,16 +68,10 @@ class SolverError:
         self._matrix = np.where(small, 0.0, matrix)
         self._square = self.growth + (0.0 if self.linearity is None else self.linearity)
         self._loads = np.where(loads > 0, loads, np.inf)
-        # Plain floats and only those that count: one answer takes a microsecond more.
-        self._terms = [
-            (int(output), int(load), float(self._matrix[output, load]))
-            for output, load in np.argwhere(self._matrix)
-        ]
         self.asks_tangent = self.stiffness is not None and bool(
             (self.growth > _MOST_BY_SQUARE * (self._matrix @ loads)).any()
         )
-        self._one_over = (1.0 / self._loads).tolist()
-        self._bends = self._square.tolist() if self._square.any() else None
+        self._one_over = 1.0 / self._loads
 
     @property
     def can_grow(self) -> bool:
@@ -89,7 +83,7 @@ class SolverError:
 
     @property
     def packed(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        """The arrays that `widened` is made of, for a program that has only those.
+        """The arrays that the kernel computes the share of an answer from.
 
         Shape (6, 6), SI; (6,), m and rad; one over the largest loads (6,), 1/N and 1/(N·m); what
         the mesh adds to the stiffness (6, 6), N/m and so on; whether answers' tangents are asked
@@ -97,7 +91,7 @@ class SolverError:
         """
         asks = 0.0 if self.stiffness is None else 1.0 + self.asks_tangent
         stiffness = np.zeros((6, 6)) if self.stiffness is None else self.stiffness
-        return self._matrix, self._square, np.array(self._one_over), stiffness, np.array([asks])
+        return self._matrix, self._square, self._one_over, stiffness, np.array([asks])
 
     @classmethod
     def read(cls, told: Mapping[str, Any] | None) -> SolverError | None:
@@ -124,7 +118,7 @@ class SolverError:
         if self.mesh is None or self.linearity is not None or "mesh_stiffness" not in self.told:
             return self
         wrench, moved, tangent = _that_tell(rows)
-        one_over = np.array(self._one_over)
+        one_over = self._one_over
         size = np.abs(wrench)
         part = (size * one_over).max(axis=1, initial=0.0)
         inside = (part > 0.0) & (part <= 1.0 + _NEGLIGIBLE)
@@ -140,84 +134,16 @@ class SolverError:
         growth = np.maximum(growth, self.growth)
         return SolverError({**self.told, "mesh_growth": growth.tolist()})
 
-    def widened(
-        self,
-        error: tuple[float, ...] | None,
-        wrench: Sequence[float],
-        moved: Floats | None = None,
-        tangent: Floats | None = None,
-    ) -> tuple[float, ...] | None:
-        """Return bars (6,), m and rad, with the solver's share at a wrench (6,), N and N·m.
+    def share(self, wrench: Floats) -> Floats:
+        """Return the whole share of an error bar at a wrench (6,), N and N·m: (6,), m and rad."""
+        return np.sum(self._shares(wrench), axis=0)
 
-        None stays, as a whole and in one place: nothing is known there.
-
-        Parameters
-        ----------
-        moved, tangent : ndarray, shapes (6,), m and rad, and (6, 6), SI, optional
-            The displacement there and its tangent, NaN where unknown: they tell the mesh's share
-            where it has grown, for which the square of the load stands without them.
-        """
-        if error is None:
-            return None
-        if moved is not None and tangent is not None:
-            bars = np.array([error], dtype=float)
-            told = self.widened_many(bars, np.array([wrench]), moved[None], tangent[None])[0]
-            return tuple(None if np.isnan(bar) else bar for bar in told.tolist())  # pyright: ignore[reportReturnType]
-        sizes, found, terms = list(map(abs, wrench)), list(error), self._terms
-        if None in found:
-            terms = [term for term in terms if found[term[0]] is not None]
-        for output, load, slope in terms:
-            found[output] += slope * sizes[load]
-        if self._bends is None:
-            return tuple(found)
-        most = max(size * one for size, one in zip(sizes, self._one_over, strict=True))
-        square = most * most
-        pairs = zip(found, self._bends, strict=True)
-        return tuple(None if bar is None else bar + bend * square for bar, bend in pairs)  # pyright: ignore[reportReturnType]
-
-    def widened_many(
-        self,
-        errors: Floats,
-        wrenches: Floats,
-        moved: Floats | None = None,
-        tangents: Floats | None = None,
-    ) -> Floats:
-        """Return bars (n, 6), m and rad, to the same digits as `widened` at each of (n, 6).
-
-        Displacements (n, 6), m and rad, and tangents (n, 6, 6), SI, are as there.
-        """
-        sizes = np.abs(wrenches)
-        found = np.array(errors, dtype=float)
-        for load in range(6):
-            found += self._matrix[:, load] * sizes[:, load, None]
-        return found + self._beyond_small_loads(sizes, moved, tangents)
-
-    def _beyond_small_loads(
-        self, sizes: Floats, moved: Floats | None, tangents: Floats | None
-    ) -> Floats:
-        """Return what loads of a size (n, 6) add to the share at small ones, (n, 6), m and rad."""
-        most = (sizes * np.array(self._one_over)).max(axis=1, initial=0.0)
-        by_square = self._square * (most * most)[:, None]
-        if self.stiffness is None or moved is None or tangents is None:
-            return by_square
-        lacking = np.abs(_product(tangents, _product(self.stiffness[None], moved)))
-        share = _product(self._matrix[None], sizes)
-        # A tangent of zeros is that of a method that has none.
-        known = np.isfinite(lacking).all(axis=1) & (tangents != 0.0).any(axis=(1, 2))
-        return np.where(known[:, None], np.maximum(lacking - share, 0.0), by_square)
-
-    def parts(
-        self, wrench: Sequence[float], moved: Floats | None = None, tangent: Floats | None = None
-    ) -> dict[str, list[float] | None]:
+    def parts(self, wrench: Sequence[float]) -> dict[str, list[float] | None]:
         """Return each cause's share of a bar, (6,), m and rad, at a wrench (6,), N and N·m.
 
-        Of ``mesh``, and of a linear component ``linearity``; None where it is not known. Shape (6,)
-        and (6, 6), the displacement and the tangent are as in `widened`.
+        Of ``mesh``, and of a linear component ``linearity``; None where it is not known.
         """
-        sizes = np.abs(np.array([wrench], dtype=float))
-        states = (None if one is None else one[None] for one in (moved, tangent))
-        more = self._beyond_small_loads(sizes, *states)[0]
-        small = _product(self._matrix[None], sizes)[0]
+        small, more = self._shares(np.array(wrench, dtype=float))
         if "linearity" not in self.told:
             return {"mesh": None if self.mesh is None else (small + more).tolist()}
         return {
@@ -225,17 +151,15 @@ class SolverError:
             "linearity": None if self.linearity is None else more.tolist(),
         }
 
+    def _shares(self, wrench: Floats) -> tuple[Floats, Floats]:
+        """Return what grows with the loads, and with the square of the largest of them."""
+        sizes = np.abs(wrench)
+        most = (sizes * self._one_over).max(initial=0.0)
+        return self._matrix @ sizes, self._square * (most * most)
+
     def at_full_range(self) -> dict[str, list[float] | None]:
         """Return `parts` at the largest loads of the range, all at once."""
         return self.parts(np.where(np.isfinite(self._loads), self._loads, 0.0).tolist())
-
-
-def _product(matrices: Floats, vectors: Floats) -> Floats:
-    """Return matrices (n or 1, 6, 6) times vectors (n, 6), summed in one order for any n."""
-    found = np.zeros((max(len(matrices), len(vectors)), 6))
-    for column in range(6):
-        found += matrices[:, :, column] * vectors[:, column, None]
-    return found
 
 
 def _that_tell(rows: Rows) -> tuple[Floats, Floats, Floats]:

@@ -11,12 +11,11 @@ from starlette.concurrency import run_in_threadpool
 
 from service.answering.queries import BatchOutcome, BatchQuery, WrenchJob
 from service.answering.refusals import BeyondRangeError, NotCoveredError
-from service.answering.solved import read_row, state_of
 from service.library.component import Component
 from service.ordering import Placed
 from service.tables.served import ServedTable
 from service.workspace import Workspace
-from surrogate.answer import COVERED, six
+from surrogate.answer import six
 from surrogate.table.rows import why_beyond
 
 Places = NDArray[np.intp]
@@ -139,20 +138,14 @@ def _look_again(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) 
 
 def _take_rows(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) -> None:
     """Put the rows of the jobs that are done in the place of the table's estimates."""
-    batch = _acting(workspace.library[outcome.component], batch)
-    table = workspace.tables.surrogate(outcome.component)
-    told = workspace.solver_error(outcome.component)
+    batch, name = _acting(workspace.library[outcome.component], batch), outcome.component
     for one in outcome.jobs:
         if one.job is None or one.job.row is None or not one.own:
             continue
-        row = workspace.ledger.row(one.job.row)
-        asked = batch.wrenches[one.index]
-        outcome.displacements[one.index], error = read_row(row, asked, table)
-        if told is not None:
-            state = (None if one is None else one[None] for one in state_of(row))
-            error = told.widened_many(error[None], asked[None], *state)[0]
-        outcome.errors[one.index] = error
-        outcome.coverage[one.index] = COVERED
+        table, wrench = workspace.row_table(name, one.job.row), batch.wrenches[one.index, None]
+        found = table.packed.batch(wrench, six(batch.tolerance))
+        outcome.displacements[one.index] = found.outputs[0]
+        outcome.errors[one.index], outcome.coverage[one.index] = found.errors[0], found.coverage[0]
         if outcome.derivatives is not None:
-            known = row.compliance is not None
-            outcome.derivatives[one.index] = row.compliance if known else np.nan
+            tangents = table.packed.derivatives(wrench, six(batch.tolerance))
+            outcome.derivatives[one.index] = tangents[0]

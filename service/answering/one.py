@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from time import perf_counter_ns
-from typing import Any
 
 import numpy as np
 from starlette.concurrency import run_in_threadpool
@@ -11,7 +10,6 @@ from starlette.concurrency import run_in_threadpool
 from service.answering.error_parts import error_parts
 from service.answering.queries import Outcome, Query, also
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
-from service.answering.solved import read_row, state_of
 from service.client.replies import EXACT, ROUNDED
 from service.ledger import Job
 from service.library.component import Component
@@ -19,7 +17,7 @@ from service.ordering import Placed
 from service.tables.other_setup import others_in_words
 from service.tables.served import ROW_DETAIL, ServedTable
 from service.workspace import Workspace
-from surrogate.answer import six, within_tolerance
+from surrogate.answer import six
 from surrogate.kernel.explain import explain
 from surrogate.table.rows import acting_one, why_beyond
 
@@ -184,8 +182,7 @@ async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Ou
     if placed.job.status == "failed":
         raise SolveFailedError(placed.job)
     if placed.job.row is not None:
-        await run_in_threadpool(_take_row, workspace, query, outcome, placed.job.row)
-        outcome.notes = await run_in_threadpool(workspace.notes, placed.job)
+        return await run_in_threadpool(_by_row, workspace, query, outcome, placed.job.row)
     return outcome
 
 
@@ -222,28 +219,18 @@ def _own_job(workspace: Workspace, query: Query, name: str) -> Job:
     return workspace.orders.own(name, query.wrench, urgent=query.wait_s > 0, asked_by=query.on_thin)
 
 
-def _take_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) -> None:
+def _by_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) -> Outcome:
     """Answer with the row of a solve in the place of the table's estimate."""
-    row = workspace.ledger.row(seq)
-    table = workspace.tables.surrogate(outcome.component)
-    displacement, error = read_row(row, np.array(query.wrench), table)
+    table, query = workspace.row_table(outcome.component, seq), query._replace(method=None)
+    found = _from_table(outcome.component, table, query)
     if query.derivatives:
-        outcome.derivative = None if row.compliance is None else np.array(row.compliance)
-    own: tuple[Any, ...] = tuple(None if np.isnan(bar) else bar for bar in error.tolist())
-    solver = workspace.solver_error(outcome.component)
-    outcome.displacement, outcome.error = tuple(displacement.tolist()), own
-    if solver is not None:
-        outcome.error = solver.widened(own, query.wrench, *state_of(row))
-    limit = query.tolerance or workspace.library[outcome.component].tolerance
-    whole = solver is not None and solver.mesh is not None
-    outcome.within_tolerance = within_tolerance(outcome.error, limit) if whole else None
+        found.derivative = table.packed.derivative(query.wrench, six(query.tolerance))
     if query.detail:
-        shares = {} if solver is None else solver.parts(query.wrench, *state_of(row))
-        outcome.error_parts = error_parts(own, solver, shares, has_fea=True)
-    outcome.coverage, outcome.method, outcome.source = "covered", "row", row.source
-    outcome.reason = EXACT if row.wrench == query.wrench else ROUNDED
-    outcome.method_detail = ROW_DETAIL if query.detail else None
-    outcome.row, outcome.unsolved = seq, False
+        tell_parts(workspace, table, query, found)
+        found.axes, found.method_detail = outcome.axes, ROW_DETAIL
+    found.job, found.row, found.elapsed_us = outcome.job, seq, outcome.elapsed_us
+    found.notes = workspace.notes(outcome.job) if outcome.job else []
+    return found
 
 
 async def _name_awaited(workspace: Workspace, query: Query, outcome: Outcome) -> None:

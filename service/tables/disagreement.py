@@ -9,6 +9,7 @@ import numpy as np
 
 from surrogate.build import AnyTable, build
 from surrogate.kernel.packing import packed_of
+from surrogate.solver_error import SolverError
 from surrogate.table.rows import LOADS, OUTPUTS, LoadRange, Rows, Tolerance
 
 MOST_ROWS = 5000  # measured ones that are compared; more are thinned evenly
@@ -22,6 +23,7 @@ def disagreement(
     tolerance: Tolerance | None,
     linear: bool,
     locked: Sequence[int] = (),
+    error: SolverError | None = None,
 ) -> dict[str, Any]:
     """Compare each measured row with a table of the solved rows alone.
 
@@ -35,6 +37,8 @@ def disagreement(
         Whether the component is linear.
     locked : sequence of int
         The places of the loads on locked freedoms.
+    error : SolverError or None
+        What the solver of the rows may be wrong by; nothing where that is not known.
 
     Returns
     -------
@@ -51,7 +55,10 @@ def disagreement(
         reason = "there is no solved row" if not told["solved"] else "there is no measured row"
         return told | {"compared": 0, "outside": 0, "outputs": {}, "rows": [], "reason": reason}
     of_solves = rows.take(solved)
-    table = build(of_solves, span, tolerance=tolerance, linear=linear, locked=locked)
+    loads = np.abs(span.ends).max(axis=0)
+    known = error or SolverError({"mesh": np.zeros((6, 6)).tolist(), "loads": loads.tolist()})
+    how: dict[str, Any] = {"tolerance": tolerance, "linear": linear, "locked": locked}
+    table = build(of_solves, span, solver_error=known, **how)
     places = np.flatnonzero(within)
     places = places[:: max(1, -(-len(places) // MOST_ROWS))]
     return told | _compared(table, rows.take(places))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from service.contract import CONTRACT
 from service.library.component import Component
 from service.tables.served import ServedTable
@@ -11,6 +13,7 @@ from service.tables.solver_errors import SolverErrors
 from surrogate.build import AnyTable, build
 from surrogate.kernel.binding import PackedTable
 from surrogate.packed.writer import pack
+from surrogate.solver_error import SolverError
 from surrogate.table.rows import Rows
 
 
@@ -39,6 +42,34 @@ def make(
         solver_error=own and own.read(component.name, component.fingerprint),
         locked=component.idle,
     )
+
+
+def row_table(
+    component: Component, row: Rows, error: SolverError | None, near: ServedTable
+) -> ServedTable:
+    """Return a table of one row, which answers its wrench until the component's table holds it.
+
+    Parameters
+    ----------
+    row : Rows
+        Of one row.
+    error : SolverError or None
+        What the solver of the row may be wrong by.
+    near : ServedTable
+        The component's newest: a row without a tangent takes the steepest slopes of its rows.
+    """
+    built = build(
+        row,
+        component.load_range,
+        tolerance=component.tolerance,
+        linear=False,  # the row answers, and no compliance through it
+        version=near.version,
+        solver_error=error,
+        locked=component.idle,
+    )
+    for _, group in built.groups:
+        group.exact.steepest = np.fmax(group.exact.steepest, near.steepest)
+    return in_memory(built, packed_bytes(built, component.name, component.fingerprint))
 
 
 def packed_bytes(

@@ -22,7 +22,7 @@ MOST, MOST_REASONS = 64, 32  # WB_MOST and WB_MOST_REASONS of wrenchbook.h
 FIELDS = 6  # of MOST doubles each: inputs, outputs, total error and its three parts
 HEAD, REASON = struct.Struct("=8i2qQ"), struct.Struct("=4i2d")
 REASONS_AT = HEAD.size + FIELDS * MOST * 8
-REPLY_SIZE = REASONS_AT + MOST_REASONS * REASON.size
+REPLY_SIZE = REASONS_AT + MOST_REASONS * REASON.size + 8  # `solved`
 AXIS = struct.Struct("=8i12d" + REASON.format.lstrip("="))
 WITHIN = {1: True, 0: False, -1: None}
 VALUES = 11  # numbers of a reply before its outputs

@@ -111,13 +111,15 @@ static void by_linear(const wb_table *t, const wb_group *g, wb_work *work, const
         if (!g->fit.known[k] && fabs(w[k]) > t->small[k]) unknown = k;
     for (int q = 0; q < m; q++) {
         const double *row = g->fit.matrix + n * q;
-        double size = 0.0;
+        double size = 0.0, most = 0.0;
         a->outputs[q] = 0.0;
         for (int k = 0; k < n; k++) {
             a->outputs[q] += w[k] * row[k];
             size += fabs(w[k]) * fabs(row[k]);
+            most += t->scale[k] * fabs(row[k]);
         }
         a->error[q] = g->fit.bar[q] + ROUNDING * size;
+        a->solved |= (uint64_t)(g->exact_fit && g->fit.bar[q] <= ROUNDING * most) << q;
     }
     if (!g->exact_fit) {
         refer(t, g, work, w, c, best, bars);
@@ -231,7 +233,7 @@ void wb_finish(const wb_table *t, const wb_group *g, const wb_options *o, wb_wor
 void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
                      const double *w, int with_reasons, wb_found *a) {
     wb_composed c;
-    a->method = wb_method_of(g, o), a->reasons = 0;
+    a->method = wb_method_of(g, o), a->reasons = 0, a->solved = 0;
     if (!g->used) {
         wb_add_reason(a, g->rows.count ? WB_REASON_ONLY_BEYOND : WB_REASON_EMPTY);
         for (int q = 0; q < t->outputs; q++) a->outputs[q] = a->error[q] = NAN;

@@ -133,6 +133,7 @@ typedef struct {
     double outputs[WB_MOST], error[WB_MOST];
     int coverage, method, exact, reasons, by_row;
     int64_t row; /* place among the group's rows, or -1 */
+    uint64_t solved; /* as in wb_reply */
     wb_reason reason[WB_MOST_REASONS];
 } wb_found;
 

@@ -174,7 +174,7 @@ static void answer_block(const task *own, size_t start, size_t count, bench *b) 
         int worst = -1;
         wb_begin(t, own->inputs + (start + place) * (size_t)t->inputs, &reply);
         if (axes) {
-            found.method = method, found.reasons = 0;
+            found.method = method, found.reasons = 0, found.solved = 0;
             wb_found_by_axes(t, g, &b->work, reply.inputs, method, &b->composed[place], &found);
             wb_finish(t, g, own->o, &b->work, reply.inputs, 0, &found);
         } else {

@@ -11,7 +11,8 @@ static const wb_options OWN = {WB_DEFAULT, NULL};
 void wb_begin(const wb_table *t, const double *inputs, wb_reply *reply) {
     reply->coverage = WB_COVERED, reply->within = -1, reply->method = WB_ESTIMATE;
     reply->exact = reply->reasons = reply->group = 0;
-    reply->row = reply->place = -1, reply->missing = 0, reply->unknown = reply->unused = 0;
+    reply->row = reply->place = -1, reply->missing = 0, reply->solved = 0;
+    reply->unknown = reply->unused = 0;
     for (int k = 0; k < t->inputs; k++) /* no negative zeros; no loads on locked freedoms */
         reply->inputs[k] = t->locked[k] ? 0.0 : inputs[k] + 0.0;
     for (int q = 0; q < t->outputs; q++) {
@@ -45,6 +46,7 @@ void wb_merge(const wb_table *t, const wb_group *g, const wb_found *found, wb_re
         if (!g->outputs[q]) continue;
         reply->outputs[q] = found->outputs[q], reply->interpolation[q] = found->error[q];
         reply->missing &= ~((uint64_t)1 << q);
+        reply->solved |= found->solved & (uint64_t)1 << q;
     }
     for (int i = 0; i < found->reasons; i++) {
         if (reply->reasons == WB_MOST_REASONS || is_reason_of(reply, &found->reason[i], number))
@@ -192,6 +194,8 @@ void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply
     if (t->scene_ends) judge_scene(t, reply);
     if (t->solver.none) keep(t, reply);
     else widen(t, o, work, reply);
+    for (int q = 0; !t->solver.whole && q < t->outputs; q++) /* the solver's error is all there is */
+        if (reply->solved >> q & 1) reply->error[q] = NAN;
     if (reply->coverage != WB_COVERED && beyond_limits(t, reply->outputs)) {
         for (int q = 0; q < t->outputs; q++) {
             reply->outputs[q] = reply->error[q] = reply->interpolation[q] = NAN;

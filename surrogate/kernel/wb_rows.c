@@ -105,6 +105,8 @@ int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, 
     }
     memcpy(a->outputs, outputs, (size_t)m * sizeof(double));
     memcpy(a->error, error, (size_t)m * sizeof(double));
-    a->row = row;
+    a->row = row, a->solved = 0;
+    for (int q = 0; q < m; q++)
+        a->solved |= (uint64_t)(g->rows.bar[m * row + q] == 0) << q;
     return 1;
 }

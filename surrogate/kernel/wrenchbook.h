@@ -90,7 +90,8 @@ typedef struct {
     double value, limit;
 } wb_reason;
 
-/* NaN where unknown. The total error is the sum of the three parts. */
+/* NaN where unknown. The total error is the sum of the three parts; where the discretisation error
+ * is not known it is the interpolation error alone, and NaN for outputs in `solved`. */
 typedef struct {
     int32_t coverage; /* WB_COVERED, WB_THIN or WB_OUTSIDE */
     int32_t within;   /* 1: the total error is within the tolerance, 0: it is not, -1: not known */
@@ -108,6 +109,7 @@ typedef struct {
     double error[WB_MOST];
     double interpolation[WB_MOST], discretisation[WB_MOST], linearity[WB_MOST];
     wb_reason reason[WB_MOST_REASONS];
+    uint64_t solved; /* bit q: output q is that of a row or an exact fit, not an interpolated one */
 } wb_reply;
 
 /* What one of the three axes contributes (default space only). */

@@ -130,7 +130,7 @@ def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
     full = np.maximum(np.abs(need.span.low), np.abs(need.span.high))
     solver = np.zeros(6)
     if table.solver_error is not None:  # it is largest where the loads are
-        solver = table.solver_error.widened_many(np.zeros((1, 6)), full[None])[0]
+        solver = table.solver_error.share(full)
     found = packed_of(table).batch(_sample(need))
     for outputs, surrogate in table.groups:
         own, fit = list(outputs), surrogate.fit

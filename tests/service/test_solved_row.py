@@ -2,56 +2,80 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from service.answering.solved import read_row
-from service.ledger import LedgerRow
-from service.tables.making import in_memory, packed_bytes
-from service.tables.news import table_rows
+from service.tables.making import in_memory, make, packed_bytes, row_table
 from service.tables.served import ServedTable
-from surrogate.build import build
+from surrogate.solver_error import SolverError
 from surrogate.table.rows import LoadRange, Rows, joined
-from tests.surrogate.law.exact_rows import RowLaw
 
 SCALE = np.array([100.0, 100, 500, 20, 20, 5])
 RANGE = LoadRange(-SCALE, SCALE)
 OTHERS = Rows.of(0.5 * np.eye(6) * SCALE, np.diag([3e-4] * 6), seq=np.arange(2, 8))
+MESH = SolverError({"mesh": (1e-9 * np.eye(6)).tolist(), "loads": SCALE.tolist()})
+COMPONENT: Any = SimpleNamespace(
+    name="plate",
+    fingerprint="f0",
+    load_range=RANGE,
+    tolerance=None,
+    idle=(),
+    linear=False,
+    has_fea=True,
+)
+LINEAR: Any = SimpleNamespace(**{**vars(COMPONENT), "linear": True})
 
 
-def row(wrench: np.ndarray, *, tangent: bool) -> LedgerRow:
+def row(wrench: np.ndarray, *, tangent: bool, bar: float = 1e-9) -> Rows:
     """A row that moves by a millionth of its wrench, as a deck's solve (no tangent) or another."""
-    slopes = tuple(map(tuple, (1e-6 * np.eye(6)).tolist())) if tangent else None
-    bar = (1e-9,) * 6
-    moved = tuple((1e-6 * wrench).tolist())
-    return LedgerRow(
-        1, "plate", "f0", "fea", tuple(wrench.tolist()), moved, slopes, bar, 1, 0.0, ""
+    one = Rows.of(wrench[None], 1e-6 * wrench[None], seq=np.array([1]))
+    slopes = 1e-6 * np.eye(6) if tangent else np.full((6, 6), np.nan)
+    return replace(
+        one,
+        compliance=slopes[None],
+        uncertainty=np.full((1, 6), bar),
+        source=np.array(["fea"]),
     )
 
 
-def served(rows: Rows) -> ServedTable:
-    table = build(rows, RANGE)
+def served(rows: Rows, component: Any = COMPONENT) -> ServedTable:
+    table = make(component, rows, 1)
     return in_memory(table, packed_bytes(table, "plate", "f0"))
 
 
 @pytest.mark.parametrize("tangent", [True, False])
 @pytest.mark.parametrize("others", [Rows.empty(), OTHERS])
-def test_a_solves_reply_and_its_row_in_the_table_tell_the_same_bar(
+def test_a_solves_reply_and_its_row_in_the_table_tell_the_same_error_bar(
     tangent: bool, others: Rows
 ) -> None:
-    """Without a tangent the reply's bar knew nothing of what other rows vary by."""
+    """Without a tangent the reply's error knew nothing of what other rows vary by."""
     solved = row(0.3 * SCALE * [1, 0, -1, 0, 0.5, 0], tangent=tangent)
-    before = served(others)
-    after = build(joined([table_rows([solved]), others]), RANGE)
-    asked = np.array(solved.wrench) + 4e-7 * SCALE
-    found = RowLaw(after.exact, RANGE, ()).at(asked.tolist(), [np.inf] * 6)
-    assert found is not None
-    displacement, error = read_row(solved, asked, before)
-    np.testing.assert_array_equal(displacement, found.displacement)
-    np.testing.assert_array_equal(error, found.error)
-    assert (error > 1e-9).all() or tangent
+    asked = (solved.wrench[0] + 4e-7 * SCALE).tolist()
+    found = row_table(COMPONENT, solved, None, served(others)).packed.answer(asked)
+    after = served(joined([solved, others])).packed.answer(asked)
+    assert found == after
+    assert found.method == "row"
+    assert min(found.error) > 1e-9 or tangent
 
 
-def test_a_row_at_rest_alone_tells_no_bar_of_a_load_beside_it() -> None:
-    solved = row(np.zeros(6), tangent=False)
-    assert np.isnan(read_row(solved, 4e-7 * SCALE, served(Rows.empty()))[1]).all()
+def test_a_row_at_rest_alone_tells_no_error_of_a_load_near_it() -> None:
+    alone = row_table(COMPONENT, row(np.zeros(6), tangent=False), None, served(Rows.empty()))
+    assert alone.packed.answer((4e-7 * SCALE).tolist()).error is None
+
+
+@pytest.mark.parametrize("component", [COMPONENT, LINEAR])
+def test_the_row_of_a_first_solve_has_no_error_before_its_meshs_is_known(component: Any) -> None:
+    """It was exactly 0, and 1.4 mm after the second solve."""
+    solved = row(0.3 * SCALE, tangent=True, bar=np.nan)
+    asked = solved.wrench[0].tolist()
+    empty = served(Rows.empty(), component)
+    found = row_table(component, solved, None, empty).packed.answer(asked)
+    assert (found.coverage, found.error, found.within_tolerance) == ("covered", None, None)
+    assert found.interpolation == (0.0,) * 6
+    assert served(solved, component).packed.answer(asked).error is None
+    known = row_table(component, solved, MESH, empty).packed.answer(asked)
+    np.testing.assert_allclose(known.error, 0.3e-9 * SCALE)

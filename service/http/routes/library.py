@@ -88,7 +88,7 @@ def disagree(name: str, request: Request) -> dict[str, Any]:
     component = workspace.library[name]
     table = workspace.tables.caught_up(name, CATCH_UP_S)
     how = component.load_range, component.tolerance, component.linear, table.locked
-    found = disagreement(table.rows, *how)
+    found = disagreement(table.rows, *how, table.solver_error)
     return {"component": name, "table_version": table.version, **found}
 
 

@@ -19,6 +19,7 @@ from surrogate.table.rows import Rows
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.geometry import draw_bracket
+from tests.surrogate.law.solver_share import widened, widened_many
 
 BRACKET = """name = "bracket"
 title = "B"
@@ -103,9 +104,9 @@ def test_rows_near_buckling_tell_that_the_mesh_counts_for_more(tmp_path):
     known = SolverError(accuracy_of(own))
     grown = known.grown(rows)
     assert grown.asks_tangent
-    before = known.widened_many(np.zeros((2, 6)), wrenches)
+    before = widened_many(known, np.zeros((2, 6)), wrenches)
     state = rows.displacement, rows.compliance
-    after = grown.widened_many(np.zeros((2, 6)), wrenches, *state)
+    after = widened_many(grown, np.zeros((2, 6)), wrenches, *state)
     moved = np.abs(rows.displacement) > 1e-6 * np.abs(rows.displacement).max()
     assert (before[0, 1:3] < 0.2 * true[0, 1:3]).all()
     assert (after[moved] >= true[moved]).all()
@@ -119,7 +120,7 @@ def test_a_load_that_the_guide_takes_widens_no_bar(tmp_path):
     assert told["loads"] == [3000, 0, 10, 1, 1, 0]
     error = SolverError(told | {"mesh_growth": [1e-6] * 6})
     alone, taken = [-100.0, 0, 1, 0, 0, 0], [-100.0, 10, 1, 0, 0, 1]
-    assert error.widened((0.0,) * 6, alone) == error.widened((0.0,) * 6, taken)
+    assert widened(error, (0.0,) * 6, alone) == widened(error, (0.0,) * 6, taken)
 
 
 def test_the_bar_of_a_bracket_at_12_mm_holds_what_its_mesh_is_off(bracket):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surrogate import build as product
-from surrogate.answer import COVERED, NAMES, OUTSIDE, THIN, over_tolerance
+from surrogate.answer import COVERED, NAMES, OUTSIDE, THIN
 from surrogate.packed.reasons import (
     EMPTY,
     ERRORS_UNKNOWN,
@@ -31,7 +31,7 @@ from surrogate.table.rows import (
     without_locked,
 )  # fmt: skip
 
-from .answer import Answer, Batch, no_answers, within
+from .answer import Answer, Batch, no_answers, over_tolerance, within
 from .doubt import UNKNOWN_AT_REST, DoubtLaw
 from .exact_rows import RowLaw, sources_at
 from .explain import explain_axes, explain_linear

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrogate.answer import OUTSIDE
-from surrogate.table.rows import Floats
+from surrogate.table.rows import OUTPUT_UNITS, OUTPUTS, Floats
 
 
 class Answer(NamedTuple):
@@ -54,6 +54,20 @@ class Batch(NamedTuple):
     displacement: Floats
     error: Floats
     coverage: NDArray[np.uint8]
+
+
+def over_tolerance(error: Sequence[float], allowed: Sequence[float]) -> str:
+    """Return why error bars (6,), m and rad, are over what is allowed (6,), or an empty text."""
+    worst, name = 1.0, ""
+    for output in range(6):
+        if error[output] > worst * allowed[output]:
+            worst = error[output] / allowed[output]
+            unit = OUTPUT_UNITS[output]
+            name = (
+                f"the error bar of {OUTPUTS[output]}, {error[output]:.2g} {unit}, "
+                f"is over the tolerance, {allowed[output]:.2g} {unit}"
+            )
+    return name
 
 
 def within(error: Sequence[float], allowed: Sequence[float]) -> bool:

@@ -3,14 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrogate.answer import COVERED
-from surrogate.exact_rows import Beside, ExactRows, beside
+from surrogate.exact_rows import STEEPER, ExactRows
 from surrogate.table.rows import Floats, LoadRange, Rows, acting, acting_one
 from tests.surrogate.law.answer import Answer, Batch, within
+
+
+class Beside(NamedTuple):
+    """What a row says of a wrench near its own: (6,) each, m and rad.
+
+    Attributes
+    ----------
+    displacement, error : ndarray
+    growth : ndarray
+        The part of the error that the distance from the row brings; 0 at the row.
+    """
+
+    displacement: Floats
+    error: Floats
+    growth: Floats
 
 
 class RowLaw:
@@ -88,6 +104,39 @@ class RowLaw:
         """Return what a row, or the one that it became, says of a wrench (6,), N and N·m."""
         own, owner = self.wrenches[place], int(self.owner[place])
         return beside(self.told, owner, own, wrench, self._range.scale, self.steepest)
+
+
+def beside(
+    rows: Rows, place: int, own: Floats, wrench: Floats, scale: Floats, steepest: Floats
+) -> Beside:
+    """Return what the row at a place says of a wrench that is its own or within 1e-6 of it.
+
+    Parameters
+    ----------
+    own, wrench : ndarray, shape (6,), N and N·m
+        The row's wrench and the asked one.
+    scale : ndarray, shape (6,), N and N·m
+        Of the load range.
+    steepest : ndarray, shape (6,), m and rad
+        See `ExactRows`.
+    """
+    displacement = rows.displacement[place]
+    unread = np.isnan(displacement)  # of a table cut to a scene
+    error = np.where(unread, np.nan, np.nan_to_num(rows.uncertainty[place]))
+    step = wrench - own
+    if not step.any():
+        return Beside(displacement, error, np.zeros(6))
+    moved = rows.compliance[place] @ step
+    reach, far = np.abs(np.stack((step, own)) / scale).max(axis=1)
+    slope = steepest
+    if far > 0.0:
+        most = np.fmax.reduce(np.abs(displacement).reshape(2, 3), axis=1)
+        slope = np.fmax(slope, STEEPER / far * np.repeat(most, 3))
+    if not slope.any():  # one row at rest: nothing tells what a load does
+        slope = np.full(6, np.nan)
+    known = np.isfinite(moved)
+    growth = np.where(unread, 0.0, np.where(known, np.abs(moved), slope * reach))
+    return Beside(displacement + np.where(known, moved, 0.0), error + growth, growth)
 
 
 def sources_at(rows: Rows, wrenches: Sequence[Floats | None]) -> str | None:

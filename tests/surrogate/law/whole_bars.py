@@ -15,6 +15,8 @@ from surrogate.table.rows import Floats, Tolerance, acting, acting_one
 from tests.surrogate.law.answer import Answer, Batch
 
 from .derivative import derivative_at, derivatives_at, row_tangents
+from .methods import ROUNDING
+from .solver_share import parts, widened, widened_many
 
 
 def whole_bar(
@@ -27,11 +29,37 @@ def whole_bar(
     method : str or None
         What was asked for.
     """
-    error = table.solver_error
-    if error is None or answer.error is None:
-        return answer.error
+    error, bars = table.solver_error, answer.error
     wrench = acting_one(wrench, table.locked)
-    return error.widened(answer.error, wrench, *_state(table, wrench, answer, method))
+    if error is not None:
+        bars = widened(error, bars, wrench, *_state(table, wrench, answer, method))
+    if bars is None or table.bars_are_whole:
+        return bars
+    unknown = solved(table, wrench, None, method)
+    found = tuple(None if own else bar for bar, own in zip(bars, unknown, strict=True))
+    return None if all(bar is None for bar in found) else found  # pyright: ignore[reportReturnType]
+
+
+def solved(
+    table: Any, wrench: Sequence[float], tolerance: Tolerance | None, method: str | None
+) -> list[bool]:
+    """Return which outputs of an answer are those of a row or an exact fit, without interpolation.
+
+    Where the solver's own error is not known, their error is not either.
+    """
+    found = [False] * 6
+    for outputs, part in table.parts:
+        told = part.estimate(wrench, tolerance, method).method
+        bars = np.full(6, np.nan)
+        if told == "row":
+            place = part.by_row.index.place(acting_one(wrench, table.locked))
+            bars = np.nan_to_num(part.exact.told.uncertainty[part.exact.owner[place]])
+        elif told == "linear" and table.linear and part.fit.complete:
+            most = np.abs(part.fit.matrix) @ table.load_range.scale
+            bars = np.where(part.fit.bar <= ROUNDING * most, 0.0, part.fit.bar)
+        for output in outputs:
+            found[output] = bool(bars[output] == 0.0)
+    return found
 
 
 def solver_parts(
@@ -42,7 +70,7 @@ def solver_parts(
     if error is None:
         return {}
     wrench = acting_one(wrench, table.locked)
-    return error.parts(wrench, *_state(table, wrench, answer, method))
+    return parts(error, wrench, *_state(table, wrench, answer, method))
 
 
 def whole_bars(
@@ -56,6 +84,17 @@ def whole_bars(
 
     They are those of `whole_bar` to the last digit.
     """
+    bars = _widened(table, wrenches, found, tolerance, method)
+    if not table.bars_are_whole:
+        bars = bars.copy()
+        for place, wrench in enumerate(np.asarray(wrenches).tolist()):
+            bars[place, solved(table, wrench, tolerance, method)] = np.nan
+    return bars
+
+
+def _widened(
+    table: Any, wrenches: Floats, found: Batch, tolerance: Tolerance | None, method: str | None
+) -> Floats:
     error = table.solver_error
     if error is None:
         return found.error
@@ -70,7 +109,7 @@ def whole_bars(
         places = np.flatnonzero(beyond)
         for place, tangent in row_tangents(table, wrenches[places], tolerance, method):
             tangents[places[place]] = tangent
-    return error.widened_many(found.error, wrenches, found.displacement, tangents)
+    return widened_many(error, found.error, wrenches, found.displacement, tangents)
 
 
 def _state(
