@@ -38,10 +38,6 @@ Solvers = Annotated[int, typer.Option(min=0, help="solves at once; by default on
 Processes = Annotated[
     int, typer.Option(min=1, max=64, help="that answer; more than 1: one more builds and solves")
 ]
-Follow = Annotated[
-    str | None,
-    typer.Option(help="answer from copies of the tables of the server at URL", metavar="URL"),
-]
 EngineName = Annotated[str, typer.Option(help="where solves run: local or dask")]
 Scheduler = Annotated[
     str | None, typer.Option(help="with --engine dask: tcp://HOST:8786, or tls://")
@@ -76,7 +72,6 @@ def serve(
     port: Port = 8000,
     solvers: Solvers = CORES,
     processes: Processes = 1,
-    follow: Follow = None,
     engine: EngineName = "local",
     scheduler: Scheduler = None,
     allow_decks: AllowDecks = False,
@@ -116,17 +111,9 @@ def _serve(**said: Any) -> None:
     _make_folder(said["data"])
     if said["first_key"]:
         make_first_key(said["data"])
-    require_keys(said["host"], said["data"], following=said["follow"] is not None)
+    require_keys(said["host"], said["data"])
     how = said["host"], said["port"], said["log_level"], said["log_format"]
-    if said["follow"] is not None:
-        from service.following.serve import follow
-
-        if said["processes"] > 1:
-            raise typer.BadParameter(
-                "--follow runs as one process; start several, each with --data"
-            )
-        follow(said["follow"], said["data"], *how, opening_of_options(said))
-    elif said["processes"] > 1:
+    if said["processes"] > 1:
         from service.crew.supervisor import supervise
 
         supervise(said)

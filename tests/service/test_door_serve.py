@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 from service.cli.keys import make_first_key
 from service.cli.main import app
 from service.http import server
-from service.http.door.opening import KeysNeededError, require_keys
+from service.http.door.opening import KeysNeededError
 from service.http.server import serve
 from service.keys import Keyring
 from service.workspace import Settings
@@ -19,15 +19,6 @@ def test_a_server_that_others_reach_does_not_start_without_keys_and_says_how(
     monkeypatch.setattr(server, "bind_to", lambda *_: pytest.fail("it listens"))
     with pytest.raises(KeysNeededError, match=r"wrenchbook keys add .* or start with --first-key"):
         serve(Settings(tmp_path, solvers=0), host, 0)
-
-
-def test_a_server_that_follows_another_is_reached_by_its_own_machine_alone(
-    tmp_path,
-):
-    make_first_key(tmp_path)
-    with pytest.raises(KeysNeededError, match="answers this machine alone"):
-        require_keys("0.0.0.0", tmp_path, following=True)
-    require_keys("127.0.0.1", tmp_path, following=True)
 
 
 def test_the_first_key_is_for_admin_printed_once_and_made_once(tmp_path, capsys):

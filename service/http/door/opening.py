@@ -18,10 +18,6 @@ _WITHOUT_KEYS = (
     "{folder}; or start with --first-key, which makes one and prints it once. To serve this "
     "machine alone, leave --host out."
 )
-_FOLLOWING = (
-    "{host} is reached from other machines, and a server that follows another asks nobody for a "
-    "key: it answers this machine alone. Leave --host out, and start one on each machine that asks."
-)
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
@@ -88,19 +84,16 @@ def opening_of_options(said: Mapping[str, Any]) -> Opening:
     return opening_for(said["host"], said["allow_host"], said["allow_origin"], own)
 
 
-def require_keys(host: str, folder: Path, *, following: bool = False) -> None:
+def require_keys(host: str, folder: Path) -> None:
     """Refuse to be reached from elsewhere without keys.
 
     Raises
     ------
     KeysNeededError
-        If others reach the address, and the data directory has no key or the server, which follows
-        another, asks for none.
+        If others reach the address, and the data directory has no key.
     """
     if is_loopback(host):
         return
-    if following:
-        raise KeysNeededError(_FOLLOWING.format(host=host))
     if not len(Keyring(folder)):
         raise KeysNeededError(_WITHOUT_KEYS.format(host=host, folder=folder))
 

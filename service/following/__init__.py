@@ -1,1 +1,0 @@
-"""A server elsewhere that answers from copies of another's tables, and hands on all else."""
