@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from .methods.selection import full_needed, knows_interaction
-from .table.axes import clean_rows
+from .table.axes import count_full
 from .table.rows import LoadRange, Rows
 
 
@@ -35,5 +35,5 @@ def doubt_of(rows: Rows, load_range: LoadRange, *, linear: bool, rest_unknown: b
     Loads of a linear component act by themselves.
     """
     knows = linear or knows_interaction(rows, load_range)
-    full = int((~clean_rows(rows, load_range).any(axis=1)).sum())
+    full = count_full(rows, load_range)
     return Doubt(knows, rest_unknown, full, full_needed(rows))

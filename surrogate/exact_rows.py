@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from .table.row_index import RowIndex
 from .table.rows import Floats, LoadRange, Rows, acting_one, without_locked
 
+SOLVED = "fea"  # the source of rows that a solver gave
 STEEPER = 2.0  # than in proportion: of a response that bends, at the rows there are
 
 
@@ -43,6 +44,8 @@ class ExactRows:
     ----------
     index : RowIndex
         Which row is at or beside a wrench.
+    uncertainty : ndarray, shape (k, 6), m and rad
+        Of the rows of `told`; NaN where it is not known.
     steepest : ndarray, shape (6,), m and rad
         What each output moves over half the load range, at most, by a row without a tangent.
     """
@@ -59,6 +62,9 @@ class ExactRows:
         self.index = RowIndex(wrenches, load_range.scale)
         self.steepest, self._locked = STEEPER * ranges, tuple(locked)
         self.wrenches, self.told, self.owner = wrenches, told, owner
+        # A solve repeats itself; how far a reading is off is not known where nobody stated it.
+        unstated = np.where(told.source == SOLVED, 0.0, np.nan)[:, None]
+        self.uncertainty = np.where(np.isnan(told.uncertainty), unstated, told.uncertainty)
 
     def tangent(self, wrench: Sequence[float]) -> Floats:
         """Return the tangent (6, 6), SI, of the row at or beside a wrench (6,); NaN if none has."""

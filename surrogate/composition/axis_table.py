@@ -13,8 +13,8 @@ from ..bars.error_law import FEWEST, ErrorLaw, error_law
 from ..interpolation.delaunay import Indices, Triangulation
 from ..interpolation.slope_recovery import recovered_slopes
 from ..table.axes import AxisRows
-from ..table.levels import has_levels
-from ..table.rows import CLEAN, Floats, LoadRange
+from ..table.levels import APART, has_levels
+from ..table.rows import Floats, LoadRange
 from .left_out import MOST, LeftOut, folds, joined
 
 # The largest fraction of the load range, by dimension, that one simplex may take before it is
@@ -22,6 +22,9 @@ from .left_out import MOST, LeftOut, folds, joined
 LARGEST = {0: 1.0, 1: 0.4, 2: 0.2, 3: 0.1}
 
 ROUNDING = 1e-12  # of an output's size: no error bar is smaller, since no number is righter
+# Largest over smallest unit error (80 % of them) below which left-out errors do not tell noise from
+# curvature, which grows by the square: rows of regular sweeps have one unit error.
+ALIKE = 4.0
 SMALLEST = 1e-30  # m and rad: where nothing moves at all; its square is still a number
 
 SOUND, WEAK, DEGENERATE = 0, 1, 2  # a simplex without volume is degenerate
@@ -121,7 +124,7 @@ class AxisTable:
     @cached_property
     def together(self) -> int:
         """How many points have several loads at once."""
-        return int(((np.abs(self.rows.points) > CLEAN).sum(axis=1) > 1).sum())
+        return int(((np.abs(self.rows.points) > APART).sum(axis=1) > 1).sum())
 
     @property
     def shows_together(self) -> bool:
@@ -142,7 +145,20 @@ class AxisTable:
         if not has_levels(self.rows.points):
             return ErrorLaw.unknown()
         least = np.maximum(ROUNDING * np.abs(self.values).max(axis=0), SMALLEST)
-        return error_law(self.left_out.told, least)
+        told = self.left_out.told
+        if len(told.size) >= FEWEST and _are_alike(told.unit_errors):
+            told = joined([self.left_out, *self._one_by_one()]).told
+        return error_law(told, least)
+
+    def _one_by_one(self) -> list[LeftOut]:
+        """Errors at left-out points whose neighbours stay: those show noise."""
+        every = np.ones(len(self.rows.points), dtype=bool)
+        found = []
+        for left, _ in folds(self.triangulation) if self.others is None else ():
+            stay = every.copy()
+            stay[left] = False
+            found.append(_errors_at(self._without(stay), self.rows, left))
+        return found
 
     @property
     def typical_error(self) -> Floats:
@@ -317,3 +333,9 @@ def axis_table(
     if before is None or not usable or not rows.equals(before.rows):
         before = AxisTable(rows, load_range)
     return before.of(rows, others)
+
+
+def _are_alike(unit_errors: Floats) -> bool:
+    """Return whether unit errors (k,), dimensionless, hardly differ."""
+    low, high = np.quantile(unit_errors, (0.1, 0.9))
+    return bool(high <= ALIKE * low)

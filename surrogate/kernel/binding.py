@@ -60,12 +60,12 @@ class PackedTable:
         PackedTableError
             If it cannot be opened, is no packed table, damaged, or of another format.
         """
-        why = ctypes.create_string_buffer(_WHY)
-        handle = kernel().free.wb_open(os.fsencode(Path(path)), why, _WHY)
-        if not handle:
-            raise PackedTableError(f"{path}: {why.value.decode(errors='replace')}")
-        whole = Path(path).resolve()
-        return cls(handle, map_file(path, checked=True), whole, whole.stat().st_size)
+        try:
+            packed = map_file(path)
+            address = np.frombuffer(packed.content, dtype=np.uint8).ctypes.data
+            return cls._opened(packed, address, Path(path).resolve())
+        except (OSError, PackedTableError) as error:
+            raise PackedTableError(f"{path}: {error}") from error
 
     @classmethod
     def from_bytes(cls, content: bytes) -> PackedTable:
@@ -84,11 +84,20 @@ class PackedTable:
     def _from_words(cls, kept: Floats, size: int) -> PackedTable:
         """Open a packed table of `size` bytes that lies in words of eight bytes."""
         packed = read(kept.data.cast("B")[:size])
+        return cls._opened(packed, kept.ctypes.data, kept)
+
+    @classmethod
+    def _opened(cls, packed: Packed, address: int, kept: Floats | Path) -> PackedTable:
+        """Open the bytes at an address, whose checksum has been checked."""
         why = ctypes.create_string_buffer(_WHY)
-        handle = kernel().free.wb_open_bytes(kept.ctypes.data, size, why, _WHY)
+        size = len(packed.content)
+        handle = kernel().free.wb_open_checked(address, size, why, _WHY)
         if not handle:
             raise PackedTableError(why.value.decode(errors="replace"))
-        return cls(handle, packed, kept, size)
+        try:
+            return cls(handle, packed, kept, size)
+        except (LookupError, TypeError, ValueError) as error:
+            raise PackedTableError(f"the table's description is damaged: {error!r}") from error
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what is pickled: the file's bytes, as one array."""

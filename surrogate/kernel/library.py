@@ -32,8 +32,7 @@ def kernel() -> Kernel:
     found = Kernel(ctypes.PyDLL(path), ctypes.CDLL(path))
     address, size, whole = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
     forms = {
-        "wb_open": (address, [ctypes.c_char_p, address, size]),
-        "wb_open_bytes": (address, [address, size, address, size]),
+        "wb_open_checked": (address, [address, size, address, size]),
         "wb_close": (None, [address]),
         "wb_inputs": (whole, [address]),
         "wb_outputs": (whole, [address]),

@@ -164,8 +164,8 @@ static double factor_of(const wb_share *share, double sigma, int q, int outputs)
     const double *f = share->factors + q, *s = share->sigma;
     if (!(sigma <= *share->reach) || last < 0) return NAN;
     if (sigma >= s[last]) return f[outputs * last];
-    if (sigma <= s[0]) return f[0];
-    while (s[n + 1] <= sigma) n++;
+    if (sigma <= s[0] || last < 1) return f[0];
+    while (n < last - 1 && s[n + 1] <= sigma) n++;
     double low = f[outputs * n], high = f[outputs * (n + 1)];
     return (high - low) / (s[n + 1] - s[n]) * (sigma - s[n]) + low;
 }

@@ -197,7 +197,9 @@ static void check_axis(reader *r, const wb_composition *c, int axis) {
     within(r, "axes/ints", &own->dimension, 1, -1, 4);
     if (*r->bad || own->dimension < 0) return;
     if (c->simplex_first[axis + 1] <= c->simplex_first[axis]) fail(r, "axes/simplex_first");
-    if (own->first_cell < 0 || (own->dimension && facets < 1)) fail(r, "axes/ints");
+    if (c->point_first[axis + 1] - c->point_first[axis] <= own->dimension)
+        fail(r, "axes/point_first");
+    if (own->first_cell < 0 || (own->dimension ? facets < 1 : facets > 0)) fail(r, "axes/ints");
     for (int k = 0; k < 3; k++) {
         if (own->cells[k] < 1 || own->cells[k] > c->cells) fail(r, "axes/ints");
         size *= *r->bad ? 1 : own->cells[k];
@@ -341,9 +343,11 @@ static void read_group(reader *r, wb_group *g, wb_share **share) {
     if ((g->has_missed = exists(r, "missed/x"))) read_kriging(r, "missed", &g->missed, share);
     within(r, "flags", flags, 1, 0, WB_METHODS);
     if (g->used && !g->has_composition && !g->has_kriging && !g->exact_fit) fail(r, "flags");
-    if ((g->reference & WB_REF_KRIGING && !g->has_kriging)
-        || (g->reference & WB_REF_ADDITIVE && !g->has_composition)
-        || (g->reference & WB_REF_MISSED && !g->has_missed))
+    /* The reference of errors: none, the kriging, or the axes with or without what they miss. */
+    int mode = g->reference, missed = mode == (WB_REF_ADDITIVE | WB_REF_MISSED);
+    if (mode && mode != WB_REF_KRIGING && mode != WB_REF_ADDITIVE && !missed) fail(r, "flags");
+    if ((mode == WB_REF_KRIGING && !g->has_kriging) || (missed && !g->has_missed)
+        || (mode & WB_REF_ADDITIVE && !g->has_composition))
         fail(r, "flags");
 }
 
@@ -402,6 +406,10 @@ wb_table *wb_open_bytes(const void *bytes, size_t count, char *why, size_t most)
     if ((uintptr_t)bytes % 8)
         return snprintf(why, most, "the bytes of the table are not aligned to 8 bytes"), NULL;
     return wb_check_bytes(bytes, count, why, most) ? make(bytes, count, 0, why, most) : NULL;
+}
+
+wb_table *wb_open_checked(const void *bytes, size_t count, char *why, size_t most) {
+    return make(bytes, count, 0, why, most);
 }
 
 void wb_close(wb_table *t) {

@@ -125,6 +125,8 @@ typedef struct {
 WB_API wb_table *wb_open(const char *path, char *why, size_t size);
 /* The same of a file's bytes, aligned to 8 bytes; they must outlive the table. */
 WB_API wb_table *wb_open_bytes(const void *bytes, size_t count, char *why, size_t size);
+/* The same of aligned bytes of at least 64 bytes whose header and checksum the caller has checked. */
+WB_API wb_table *wb_open_checked(const void *bytes, size_t count, char *why, size_t size);
 WB_API void wb_close(wb_table *table);
 
 WB_API int wb_inputs(const wb_table *table);

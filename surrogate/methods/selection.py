@@ -9,7 +9,7 @@ import numpy as np
 
 from ..composition.composition import Composition
 from ..kriging import Kriging
-from ..table.axes import AXES, Axis, clean_rows
+from ..table.axes import AXES, Axis, clean_rows, count_full
 from ..table.compliance import ComplianceFit
 from ..table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
 from .left_out import AxesErrors, axes_errors
@@ -60,8 +60,7 @@ def full_needed(rows: Rows) -> int:
 
 def knows_interaction(rows: Rows, load_range: LoadRange) -> bool:
     """Return whether enough rows are full wrenches to show what loads of several axes do."""
-    full = int((~clean_rows(rows, load_range).any(axis=1)).sum())
-    return full >= full_needed(rows)
+    return count_full(rows, load_range) >= full_needed(rows)
 
 
 def linear_choice(

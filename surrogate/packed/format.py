@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import mmap
 import os
+import stat
 import tempfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -157,13 +158,10 @@ def read(content: bytes | bytearray | memoryview | mmap.mmap) -> Packed:
     return _views(whole)
 
 
-def map_file(path: str | os.PathLike[str], *, checked: bool = False) -> Packed:
+def map_file(path: str | os.PathLike[str]) -> Packed:
     """Return what the file of a packed table holds, mapped: pages are read as they are used.
 
-    Parameters
-    ----------
-    checked
-        Whether the file has been checked already; else its checksum is computed from blocks.
+    Its checksum is computed from blocks of the very file that is mapped.
 
     Raises
     ------
@@ -172,18 +170,24 @@ def map_file(path: str | os.PathLike[str], *, checked: bool = False) -> Packed:
     PackedTableError
         As `read`.
     """
-    with open(path, "rb") as file:  # noqa: PTH123  # mmap takes its number
+    with open(path, "rb", opener=_without_waiting) as file:  # mmap takes its number
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise PackedTableError("this is not a file")
         size = file.seek(0, os.SEEK_END)
         file.seek(0)
         head = file.read(_HEADER.itemsize)
-        if not checked:
-            _check(head, size, iter(lambda: file.read(BLOCK), b""))
+        _check(head, size, iter(lambda: file.read(BLOCK), b""))
         return _views(memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)))
 
 
 def checksum_in(head: bytes) -> int:
     """Return the checksum that the first `CHECKED` bytes of a file have."""
     return int.from_bytes(head[CHECKED - 8 : CHECKED], "little")
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """Open a path; a pipe that nobody writes to is opened too, and refused after that."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def _aligned(size: int) -> int:
@@ -218,6 +222,13 @@ def _check(head: bytes, size: int, rest: Iterator[bytes | memoryview]) -> None:
 
 
 def _views(whole: memoryview) -> Packed:
+    try:
+        return _read_views(whole)
+    except (LookupError, TypeError, ValueError) as error:
+        raise PackedTableError("the table's directory is damaged") from error
+
+
+def _read_views(whole: memoryview) -> Packed:
     header = np.frombuffer(whole, dtype=_HEADER, count=1)[0]
     at, count = int(header["directory"]), int(header["arrays"])
     arrays = {}

@@ -275,9 +275,9 @@ def _row_arrays(group: Surrogate, sources: _Sources) -> Iterator[tuple[str, Arra
 
     ``row/key`` (r), ``row/rates`` (n), 1/N and 1/(N·m); ``row/steepest`` (m), the most that an
     output moves over half the range, m and rad; ``row/wrench`` (r, n), N and N·m; ``row/moved`` and
-    ``row/bar`` (r, m), m and rad; ``row/tangent`` (t, m, n), SI, by ``row/tangent_of`` (r), -1
-    without; ``row/seq`` and ``row/number`` (r), the row's number in the ledger and its place;
-    ``row/source`` (r), see `_Sources`.
+    ``row/bar`` (r, m), m and rad, NaN of a reading whose uncertainty is not known; ``row/tangent``
+    (t, m, n), SI, by ``row/tangent_of`` (r), -1 without; ``row/seq`` and ``row/number`` (r), the
+    row's number in the ledger and its place; ``row/source`` (r), see `_Sources`.
     """
     exact, rows = group.exact, group.rows
     order = exact.index.order
@@ -295,7 +295,7 @@ def _row_arrays(group: Surrogate, sources: _Sources) -> Iterator[tuple[str, Arra
     yield "row/seq", rows.seq[order]
     yield "row/wrench", wrenches
     yield "row/moved", exact.told.displacement[owner]
-    yield "row/bar", np.nan_to_num(exact.told.uncertainty[owner])
+    yield "row/bar", exact.uncertainty[owner]
     places = np.where(has_one, np.cumsum(has_one) - 1, -1)
     yield "row/tangent_of", places.astype(np.int32)
     yield "row/tangent", tangents[has_one]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .compliance import ComplianceFit
+from .levels import APART
 from .merging import close_groups
 from .rows import CLEAN, Floats, LoadRange, Rows
 
@@ -86,10 +87,23 @@ class AxisRows:
 _FOREIGN = np.array([[load in axis.others for axis in AXES] for load in range(6)])
 
 
-def clean_wrenches(wrenches: Floats, load_range: LoadRange) -> NDArray[np.bool_]:
-    """Return, shape (n, 3), which wrenches (n, 6), N and N·m, load no axis but which one."""
-    loaded = np.abs(wrenches) > CLEAN * load_range.scale
+def clean_wrenches(
+    wrenches: Floats, load_range: LoadRange, least: float = CLEAN
+) -> NDArray[np.bool_]:
+    """Return, shape (n, 3), which wrenches (n, 6), N and N·m, load no axis but which one.
+
+    Parameters
+    ----------
+    least
+        Of the range: smaller loads are none.
+    """
+    loaded = np.abs(wrenches) > least * load_range.scale
     return ~(loaded @ _FOREIGN)
+
+
+def count_full(rows: Rows, load_range: LoadRange) -> int:
+    """Return how many rows load more than one axis, by more than a load cell scatters."""
+    return int((~clean_wrenches(rows.wrench, load_range, APART).any(axis=1)).sum())
 
 
 def clean_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:

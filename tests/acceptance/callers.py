@@ -191,7 +191,7 @@ class Program:
         each = REPLY_SIZE + 36 * 8
         replies = [ran.stdout[at : at + REPLY_SIZE] for at in range(0, n * each, each)]
         tangents = [ran.stdout[at + REPLY_SIZE : at + each] for at in range(0, n * each, each)]
-        read = Reader(map_file(path, checked=True), 6, 6).read
+        read = Reader(map_file(path), 6, 6).read
         found: Any = replies
         derivatives = np.frombuffer(b"".join(tangents)).reshape(n, 6, 6)
         single = by_replies([read(reply) for reply in found], derivatives)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from surrogate.build import AnyTable
+from surrogate.kernel.packing import packed_of
 from surrogate.table.row_index import RowIndex
 from surrogate.table.rows import Rows, Tolerance
 from tests.surrogate.kriging.responses import RESPONSES, solved
@@ -25,7 +27,18 @@ def few(*, tangents: bool = True) -> AnyTable:
     rows = solved(SMOOTH, 0.9 * full_wrenches(6, 3))
     if not tangents:
         rows = Rows.of(rows.wrench, rows.displacement)
-    return build(rows, RANGE)
+    return build(replace(rows, source=np.full(len(rows), "fea")), RANGE)
+
+
+def test_a_reading_whose_uncertainty_nobody_stated_has_no_error() -> None:
+    """It was covered with an error of 0, at 3 % noise."""
+    rows = Rows.of(0.9 * full_wrenches(6, 3) * RANGE.scale, np.full((6, 6), 1e-4))
+    stated = replace(rows, uncertainty=np.full((6, 6), 2e-6))
+    found = [packed_of(build(one, RANGE)).batch(rows.wrench) for one in (rows, stated)]
+    assert (found[0].coverage == found[1].coverage).all()
+    assert not found[0].coverage.any()
+    assert np.isnan(found[0].errors).all()
+    assert (found[1].errors == 2e-6).all()
 
 
 def steps(count: int) -> np.ndarray:

@@ -162,7 +162,8 @@ def test_inputs_over_twelve_orders_of_magnitude_answer_finite_numbers() -> None:
     # Most rows lie about zero: none is as far from the others as wrenches of the range are.
     unknown = np.isnan(batch.error).any(axis=1)
     assert not np.isinf(batch.error).any()
-    assert (batch.coverage[unknown] != 0).all()
+    # A reading answers its own wrench; nobody states how far it is off.
+    assert (batch.coverage[unknown & ~surrogate.near_rows(asked * HIGH)] != 0).all()
 
 
 def test_a_linear_answer_is_explained_by_what_each_axis_contributes():

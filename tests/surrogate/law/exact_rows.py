@@ -43,6 +43,7 @@ class RowLaw:
     def __init__(self, exact: ExactRows, load_range: LoadRange, locked: Sequence[int]) -> None:
         self.index, self.steepest, self._locked = exact.index, exact.steepest, tuple(locked)
         self.wrenches, self.told, self.owner = exact.wrenches, exact.told, exact.owner
+        self.uncertainty = exact.uncertainty
         self._range, self.tangent = load_range, exact.tangent
 
     def instead_of(
@@ -103,11 +104,19 @@ class RowLaw:
     def _beside(self, place: int, wrench: Floats) -> Beside:
         """Return what a row, or the one that it became, says of a wrench (6,), N and N·m."""
         own, owner = self.wrenches[place], int(self.owner[place])
-        return beside(self.told, owner, own, wrench, self._range.scale, self.steepest)
+        return beside(
+            self.told, owner, self.uncertainty[owner], own, wrench, self._range.scale, self.steepest
+        )
 
 
 def beside(
-    rows: Rows, place: int, own: Floats, wrench: Floats, scale: Floats, steepest: Floats
+    rows: Rows,
+    place: int,
+    uncertainty: Floats,
+    own: Floats,
+    wrench: Floats,
+    scale: Floats,
+    steepest: Floats,
 ) -> Beside:
     """Return what the row at a place says of a wrench that is its own or within 1e-6 of it.
 
@@ -122,7 +131,7 @@ def beside(
     """
     displacement = rows.displacement[place]
     unread = np.isnan(displacement)  # of a table cut to a scene
-    error = np.where(unread, np.nan, np.nan_to_num(rows.uncertainty[place]))
+    error = np.where(unread, np.nan, uncertainty)
     step = wrench - own
     if not step.any():
         return Beside(displacement, error, np.zeros(6))

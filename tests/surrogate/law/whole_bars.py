@@ -53,7 +53,7 @@ def solved(
         bars = np.full(6, np.nan)
         if told == "row":
             place = part.by_row.index.place(acting_one(wrench, table.locked))
-            bars = np.nan_to_num(part.exact.told.uncertainty[part.exact.owner[place]])
+            bars = part.exact.uncertainty[part.exact.owner[place]]
         elif told == "linear" and table.linear and part.fit.complete:
             most = np.abs(part.fit.matrix) @ table.load_range.scale
             bars = np.where(part.fit.bar <= ROUNDING * most, 0.0, part.fit.bar)

@@ -1,5 +1,6 @@
 """The file of a packed table: the same bytes for the same table, and nothing damaged answers."""
 
+import os
 import re
 
 import numpy as np
@@ -174,6 +175,83 @@ def test_indices_that_lead_out_of_a_table_lead_no_answer_out_of_it():
                 packed.batch(asked, None, method)
             packed.derivatives(asked[:50], None, "tangent")
             packed.axis(0, 0, asked[0].tolist())
+
+
+def a_point_with_facets(arrays: dict[str, np.ndarray]) -> None:
+    arrays["g0/axes/ints"][:, 0] = 0
+    arrays["g0/axes/floats"][:, 15] = -1.0
+
+
+def axes_without_points(arrays: dict[str, np.ndarray]) -> None:
+    a_point_with_facets(arrays)
+    arrays["g0/axes/facets"] = arrays["g0/axes/facets"][:0]
+    arrays["g0/axes/facet_first"][:] = 0
+    arrays["g0/axes/point_first"][:3] = 0
+
+
+def an_unknown_reference(arrays: dict[str, np.ndarray]) -> None:
+    for name in [name for name in arrays if name.startswith("g0/axes/")]:
+        del arrays[name]
+    arrays["g0/flags"][1] = 8
+
+
+def misses_without_axes(arrays: dict[str, np.ndarray]) -> None:
+    an_unknown_reference(arrays)
+    arrays["g0/flags"][1] = 2
+
+
+@pytest.mark.parametrize(
+    "change", [a_point_with_facets, axes_without_points, an_unknown_reference, misses_without_axes]
+)
+def test_parts_that_do_not_fit_together_are_refused(change):
+    """Such files, whole by their checksums, ended the process that answered from them."""
+    found = read(bytes(content_of("clean and full")))
+    arrays = {name: np.array(array) for name, array in found.arrays.items()}
+    change(arrays)
+    with pytest.raises(PackedTableError, match="of another shape"):
+        PackedTable.from_bytes(b"".join(pieces(arrays, found.words)))
+
+
+def test_a_calibration_that_is_no_number_leads_no_answer_out_of_it():
+    found = read(bytes(content_of("solved")))
+    arrays = {name: np.array(array) for name, array in found.arrays.items()}
+    factors = arrays["g0/kriging/share0/factors"]
+    for levels in {1, len(factors)}:
+        arrays["g0/kriging/share0/sigma"] = np.full(levels, np.nan)
+        arrays["g0/kriging/share0/factors"] = factors[:levels]
+        packed = PackedTable.from_bytes(b"".join(pieces(arrays, found.words)))
+        assert len(packed.batch(asked_of(table_of("solved"), 50)).coverage) == 50
+
+
+def test_a_whole_table_with_another_description_is_refused():
+    found = read(bytes(content_of("linear")))
+    with pytest.raises(PackedTableError, match="description"):
+        PackedTable.from_bytes(b"".join(pieces(found.arrays, {"x": 1})))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes by name")
+def test_a_pipe_in_the_place_of_a_table_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "plate.wbt")
+    with pytest.raises(PackedTableError, match="not a file"):
+        PackedTable.open(tmp_path / "plate.wbt")
+
+
+def test_a_table_replaced_while_it_is_opened_is_one_table_or_the_other(tmp_path, monkeypatch):
+    """The kernel and Python each opened the path: 4 % of the opened tables were mixtures."""
+    path = tmp_path / "plate.wbt"
+    path.write_bytes(content_of("solved"))
+    opened, other = packed_format._read_views, content_of("linear")
+
+    def replaced(whole):
+        (tmp_path / "new").write_bytes(other)
+        (tmp_path / "new").replace(path)
+        return opened(whole)
+
+    monkeypatch.setattr(packed_format, "_read_views", replaced)
+    packed = PackedTable.open(path)
+    wrench = asked_of(table_of("solved"), 1)[0].tolist()
+    assert packed.content == content_of("solved")
+    assert packed.answer(wrench) == PackedTable.from_bytes(content_of("solved")).answer(wrench)
 
 
 def test_arrays_of_other_types_are_not_written():
