@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -35,7 +36,7 @@ from service.tables.coordinator_state import FOLDER, CoordinatorState
 from service.tables.live import Tables
 from service.tables.making import row_table
 from service.tables.mapped import MappedTables
-from service.tables.news import table_rows
+from service.tables.news import table_rows, usable
 from service.tables.past import PastTables
 from service.tables.served import ServedTable
 from service.tables.solver_errors import SolverErrors
@@ -45,10 +46,12 @@ from surrogate.design.adaptive import Design, next_wrenches
 from surrogate.scene.need import Need
 from surrogate.scene.plan import design_of, plan_of
 from surrogate.solver_error import SolverError
+from surrogate.table.merging import NEAR
 from surrogate.table.rows import Tolerance
 
 log = logging.getLogger(__name__)
 
+MOST_UNBUILT = 500  # rows looked through for a wrench: a loop reads them at each uncovered query
 CATCH_UP_S = 25.0  # below the patience of clients and proxies, usually 30 s
 
 
@@ -146,6 +149,17 @@ class Workspace:
         """Return a table of the row that a solve has just given, which answers its wrench."""
         rows, newest = table_rows((self.ledger.row(seq),)), self.tables.surrogate(name)
         return row_table(self.library[name], rows, self.solver_error(name), newest)
+
+    def unbuilt_row(self, name: str, wrench: Sequence[float]) -> int | None:
+        """Return the number of the newest row at a wrench that the table does not hold yet.
+
+        The wrench has six loads, N and N·m; a row is at it within 1e-6 of the range in each.
+        """
+        component, after = self.library[name], self.tables.surrogate(name).version
+        found = usable(component, self.ledger.news(name, after, MOST_UNBUILT))
+        apart = np.abs(found.wrench - np.array(wrench)) / component.load_range.scale
+        near = np.flatnonzero((apart <= NEAR).all(axis=1))
+        return int(found.seq[near[-1]]) if len(near) else None
 
     def first_open_job(self, name: str) -> OpenJob | None:
         """Return the oldest job of a component that waits or runs; None if there is none."""

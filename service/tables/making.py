@@ -63,7 +63,7 @@ def row_table(
         component.load_range,
         tolerance=component.tolerance,
         linear=False,  # the row answers, and no compliance through it
-        version=near.version,
+        version=max(near.version, int(row.seq[0])),
         solver_error=error,
         locked=component.idle,
     )

@@ -191,3 +191,19 @@ def test_many_who_look_at_a_table_that_is_being_built_do_not_hold_up_the_loop(
             built.set()
             assert {look.result().status_code for look in looks} == {200}
             built.clear()
+
+
+def test_a_wrench_solved_a_moment_ago_is_answered_and_not_solved_again(http, stand_in, monkeypatch):
+    """Until the table held the row, the same query was `outside` and queued a second solve."""
+    stand_in("quick")
+    tables = http.app.state.workspace.tables
+    monkeypatch.setattr(tables, "_build", lambda *_: None)  # no row comes into use
+    wrench = [10.123456789, 0.0, -20.0, 0.0, 3.0, 0.0]
+    solved = ask(http, wrench, on_thin="wait", wait_s=20).json()
+    again = ask(http, wrench)
+    assert (solved["source"], solved["coverage"]) == ("fea", "covered")
+    assert again.status_code == 200
+    for name in ("translation", "rotation", "error", "coverage", "row", "table_version"):
+        assert again.json()[name] == solved[name]
+    assert len(http.get("/v1/jobs", params={"component": "plate_thin"}).json()["jobs"]) == 1
+    assert solved["table_version"] >= solved["row"]
