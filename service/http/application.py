@@ -17,8 +17,8 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from service.answering.one import answer_at_once
+from service.http.body import read_limited
 from service.http.door import Door
-from service.http.limited import read_limited
 from service.http.parsing import read_plain_query
 from service.http.problems import crash_of, problem_of
 from service.http.replies import plain_content

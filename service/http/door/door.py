@@ -11,11 +11,11 @@ from typing import Final
 from starlette.types import Receive, Send
 from starlette.types import Scope as Scope_
 
+from service.http.body import counted
 from service.http.door.fields import preflight, sending
 from service.http.door.grant import OPEN, Grant, grant_of, put
 from service.http.door.opening import Opening
 from service.http.door.sites import check_host, check_site, is_anybodys
-from service.http.limited import counted
 from service.http.problems import ProblemError
 from service.keys import Keyring, Scope, digest_of
 from service.keys.keyring import LOOK_S

@@ -14,14 +14,13 @@ from fea.accuracy.advice import WHERE, over_tolerance
 from service.contract import CONTRACT
 from service.files.discreet import discreet
 from service.http.bodies import FillBody, TableOnlyComponent
+from service.http.body import MOST_QUERY_BYTES, form_of, read_limited
 from service.http.door import grant_of
-from service.http.limited import MOST_QUERY_BYTES, counted, read_limited
 from service.http.links import job_link
 from service.http.needs import need_from
 from service.http.openapi import BYTES, answers, refused, takes
 from service.http.parsing import read_body
 from service.http.problems import ProblemError, bad_body
-from service.http.received import form_of
 from service.http.schemas import Queued
 from service.library.bundle_zip import MAX_BUNDLE_BYTES
 from service.library.checked import interface_of, vibration_of, warnings_of
@@ -108,9 +107,8 @@ async def add_component(request: Request) -> Response:
 
 
 async def _add_bundle(workspace: Workspace, request: Request) -> Component:
-    # Parsed as it comes, into a file; the archive may be as large as a bundle, and its form's head.
-    request = Request(request.scope, counted(request.receive, MAX_BUNDLE_BYTES + MOST_QUERY_BYTES))
-    async with form_of(request, most_files=1) as form:
+    # The archive may be as large as a bundle, and its form has a head.
+    async with form_of(request, MAX_BUNDLE_BYTES + MOST_QUERY_BYTES, most_files=1) as form:
         upload = form.get("bundle")
         if not isinstance(upload, UploadFile):
             raise bad_body([{"loc": "bundle", "msg": "send the zip as the form's file 'bundle'"}])

@@ -19,7 +19,7 @@ from service.http import binary
 from service.http import table_schemas as schemas
 from service.http.binary import is_binary, read_wrenches
 from service.http.bodies import MAX_BLOCK, BlockBody, BlockKey, EnvelopeStartBody, StartBody
-from service.http.limited import read_limited
+from service.http.body import read_limited
 from service.http.links import job_link
 from service.http.openapi import answers, refused, takes
 from service.http.parsing import read_block, read_body

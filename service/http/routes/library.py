@@ -9,8 +9,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from service.http.bodies import CopyBody, NotesBody, RenameBody
+from service.http.body import read_limited
 from service.http.door.grant import grant_of
-from service.http.limited import read_limited
 from service.http.openapi import answers, refused, takes
 from service.http.parsing import read_body
 from service.http.problems import ProblemError, bad_body

@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from service.answering.scenes import scene_file, scene_reply
 from service.http.bodies import SceneBody, SceneComponent
-from service.http.limited import read_limited
+from service.http.body import read_limited
 from service.http.needs import need_from
 from service.http.openapi import BYTES, refused, takes
 from service.http.parsing import read_body

@@ -14,11 +14,11 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
 from service.answering.past import table_at
+from service.http.body import received
 from service.http.door.grant import grant_of
 from service.http.import_query import ImportQuery
 from service.http.openapi import BYTES, answers, refused, takes
 from service.http.problems import ProblemError
-from service.http.received import received
 from service.http.table_schemas import Imported, Table
 from service.http.versions import holds, naming
 from service.ledger import About

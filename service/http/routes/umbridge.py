@@ -16,7 +16,7 @@ from typing_extensions import TypedDict
 from service.answering.one import answer_or_submit
 from service.http import umbridge
 from service.http.bodies import Body
-from service.http.limited import read_limited
+from service.http.body import read_limited
 from service.http.openapi import answers, takes
 from service.http.problems import problem_of
 from service.http.routes.displacement import DirectRoute
