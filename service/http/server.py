@@ -30,7 +30,7 @@ from service.http.application import Application
 from service.http.door import Opening
 from service.http.door.opening import OWN_KEY, opening_for, require_keys
 from service.http.listen import bind_to
-from service.http.straight import StraightProtocol
+from service.http.protocol import FastPathProtocol
 from service.settings import Settings
 from service.tables.memory import keep_few_heaps
 from service.telemetry.logs import LogFormat, set_up
@@ -87,10 +87,11 @@ def serve(
 
 
 def server_config(app: Any, log_level: str = "warning", **more: Any) -> uvicorn.Config:
-    """Return how the server speaks for an application: the main call goes straight."""
+    """Return uvicorn's settings for an application."""
     return uvicorn.Config(
         app,
-        http=StraightProtocol,
+        http=FastPathProtocol,
+        ws="none",
         log_level=log_level,
         access_log=False,
         server_header=False,

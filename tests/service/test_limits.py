@@ -13,7 +13,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from service.client import ProblemError as Refused
-from service.http import batch, patient
+from service.http import batch, protocol
 from service.http import body as bodies
 from service.http.app import create_app
 from service.http.batch import batch_parts
@@ -43,7 +43,7 @@ def live(tmp_path_factory):
     patch = pytest.MonkeyPatch()
     with patch.context() as patched:
         for name, seconds in {"LOOK_S": 0.05, "HEAD_S": 0.4, "BODY_S": 0.4, "SLOWEST": 1e9}.items():
-            patched.setattr(patient, name, seconds)
+            patched.setattr(protocol, name, seconds)
         with served(tmp_path_factory.mktemp("live")) as client:
             wrenches = np.concatenate([clean_wrenches(), full_wrenches(30)])
             add_table(client, "rig", as_rows(wrenches, moved(wrenches)))
@@ -212,7 +212,7 @@ def test_a_head_that_is_longer_than_any_is_refused(live, head):
             connection.sendall(head)
             while piece := connection.recv(1000):
                 told += piece
-        assert told in (b"", *(patient._TOO_LONG[:n] for n in range(1, 200)))
+        assert told in (b"", *(protocol.TOO_LONG[:n] for n in range(1, 200)))
     assert live.is_ready()
 
 
@@ -241,7 +241,7 @@ def test_who_leaves_before_the_request_is_whole_is_no_mistake_of_ours(asked, cal
 
 
 def test_no_more_connections_are_held_than_there_may_be(live, monkeypatch):
-    monkeypatch.setattr(patient, "MOST_CONNECTIONS", 3)
+    monkeypatch.setattr(protocol, "MOST_CONNECTIONS", 3)
     held = [opened(live) for _ in range(8)]
     closed = sum(connection.recv(1) == b"" for connection in held)  # all, in the end
     assert closed == 8
