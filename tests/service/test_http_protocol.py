@@ -1,4 +1,4 @@
-"""The straight way of the main call says what the usual way does, whatever is sent to it."""
+"""The fast path and the usual path of the main call give the same replies, whatever is sent."""
 
 import contextlib
 import re
