@@ -14,8 +14,8 @@ from service.crew.sharing import OpenCounts, Taker
 from service.crew.supervisor import follow_supervisor
 from service.http.app import create_app
 from service.http.door.opening import opening_of_options
+from service.http.protocol import FastPathProtocol
 from service.http.server import Server, server_config
-from service.http.straight import StraightProtocol
 from service.settings import settings_of_options
 from service.tables.coordinator_state import FOLDER
 from service.telemetry.logs import set_up
@@ -59,7 +59,7 @@ class AnsweringServer(Server):
         asyncio.get_running_loop().call_later(BEAT_S, self._beat)
 
     def _speak(self) -> asyncio.Protocol:
-        return StraightProtocol(
+        return FastPathProtocol(
             self.config, self.server_state, self.lifespan.state, asyncio.get_running_loop()
         )
 

@@ -47,6 +47,24 @@ _SUMMARY = (
     "finite-element results, with an error bar. Where the table is too thin, a solve is queued."
 )
 
+_PARTS = (
+    displacement,
+    components,
+    coverage,
+    deformed,
+    table,
+    rows,
+    library,
+    report,
+    gathering,
+    drawing,
+    scenes,
+    jobs,
+    job_log,
+    events,
+    keys,
+)
+
 
 def create_app(settings: Settings, opening: Opening | None = None) -> Application:
     """Return the application; its workspace is open while the server runs.
@@ -86,32 +104,23 @@ def create_app(settings: Settings, opening: Opening | None = None) -> Applicatio
         description=f"{_SUMMARY}\n\nThe wrench contract:\n\n{CONTRACT_TEXT}",
         lifespan=lifespan,
         redirect_slashes=False,
+        openapi_url=None,  # service/http/openapi.py serves it with an ETag
         docs_url=None,  # service/http/routes/page.py has it without a host of others
         redoc_url=None,
     )
     app.state.counts = counts
     app.state.door = Door(Keyring(settings.folder), opening or Opening())
-    _install(app)
-    return app
+    return _with_routes(app)
 
 
-def _install(app: Application) -> None:
-    """Put the routes, the errors and the document into the application."""
+def _with_routes(app: Application) -> Application:
+    """Add the routes, the errors and the document to the application, and return it."""
     problems.install(app)
-    of_components = (
-        displacement,
-        components,
-        coverage,
-        deformed,
-        table,
-        rows,
-        library,
-        report,
-        gathering,
-    )
-    for part in (*of_components, scenes, jobs, events, health, metrics, umbridge, keys):
-        app.include_router(part.router)
-    app.include_router(gathering.blocks)
-    for part in (drawing, job_log, page):
-        app.include_router(part.router)
+    app.include_router(umbridge.router)  # a protocol with errors of its own form
+    for part in (health, metrics):
+        app.include_router(part.router, responses=openapi.refused(403, 500))
+    for part in _PARTS:
+        app.include_router(part.router, responses=openapi.refused(403, 500, 503, 507))
+    app.include_router(page.router)
     openapi.install(app)
+    return app

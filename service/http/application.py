@@ -1,15 +1,17 @@
-"""FastAPI, with a straight way for the main call.
+"""FastAPI, with a shorter path for single displacement queries.
 
-A simulator asks it a thousand times a second. Middleware, routing and dependencies of the framework
-cost several times what an answer does, so the call is told by its path before any of them; its
-route is there all the same, for the OpenAPI document and for servers mounted below a path. Where
-`straight` is the server's protocol, a plain question that the table alone answers does not even
-come here as a request: `answer_at_once` is asked, which leaves all else to the ways above.
+A simulator sends thousands a second. Middleware, routing and dependencies of the framework cost
+several times what an answer does, so the call is recognised by its path before any of them; its
+route is there all the same, for the OpenAPI document and for servers mounted below a path. With
+`FastPathProtocol`, queries that the table alone answers do not become requests: the protocol calls
+`answer_at_once`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any
 
 from fastapi import FastAPI
 from starlette.requests import ClientDisconnect
@@ -17,18 +19,19 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from service.answering.one import answer_at_once
+from service.http.body import read_limited
 from service.http.door import Door
-from service.http.limited import read_limited
+from service.http.door.grant import GRANT
 from service.http.parsing import read_plain_query
 from service.http.problems import crash_of, problem_of
 from service.http.replies import plain_content
-from service.http.routes.displacement import reply_to
+from service.http.routes.displacement import QUERY, reply_to
 
 _BEFORE, _AFTER = "/v1/components/", "/displacement"
 
 
 class Application(FastAPI):
-    """The web application; the main call goes past the framework."""
+    """The web application; single displacement queries bypass the framework."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request that the door lets in, or run the lifespan."""
@@ -54,25 +57,27 @@ class Application(FastAPI):
 
     def answer_at_once(
         self, name: str, headers: Sequence[tuple[bytes, bytes]], body: bytes
-    ) -> bytes | None:
-        """Return the JSON of a 200 to the main call, or None: then it is to be called as an app.
+    ) -> bytes | dict[str, Any]:
+        """Return the JSON of a 200 to a query, or what its request's scope is to have besides.
 
-        None is also for all that is not in order, at the door or in the body: what it is is told
-        there. The headers are as those of a scope.
+        Any problem with the query is left to the request. The headers are as those of a scope.
         """
-        try:
-            if not self.state.door.admits(headers):
-                return None
+        found: dict[str, Any] = {}
+        with suppress(Exception):
+            grant = self.state.door.admit(headers)
+            if grant is None:
+                return found
+            found[GRANT] = grant
             query = read_plain_query(body)
             if query is None:
-                return None
+                return found
+            found[QUERY] = query
             outcome = answer_at_once(self.state.workspace, name, query)
-            if outcome is None:
-                return None
-            self.state.counts.add(outcome.coverage, outcome.method, outcome.elapsed_us)
-            return plain_content(outcome)
-        except Exception:
-            return None
+            if outcome is not None:
+                content = plain_content(outcome)
+                self.state.counts.add(outcome.coverage, outcome.method, outcome.elapsed_us)
+                return content
+        return found
 
     async def _answered(
         self, scope: Scope, receive: Receive, name: str

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 from pydantic import Field, ValidationError
 from starlette.datastructures import QueryParams
@@ -12,24 +12,24 @@ from service.http.bodies import Body
 from service.http.problems import bad_body, plain_errors
 
 NAME: Final = "table_version"
-PARAMETER: Final[dict[str, Any]] = {
-    "name": NAME,
-    "in": "query",
-    "required": False,
-    "schema": {"type": "integer", "minimum": 0, "maximum": 2**63 - 1},
-    "description": "the table as it was: the same answers again, whatever rows have come since. "
-    "Nothing is queued then; the newest version if left out",
-}
 _WAIT = (
     "a solve makes a new version of the table: with table_version ask with on_thin 'queue', "
     "'estimate' or 'reject'"
 )
 
 
-class _Asked(Body):
-    """What a question in JSON may say in its query; what is not named is refused."""
+class VersionQuery(Body):
+    """The query of a displacement call in JSON; other parameters are refused."""
 
-    table_version: Annotated[int, Field(ge=0, lt=2**63)] | None = None
+    table_version: Annotated[
+        int | None,
+        Field(
+            ge=0,
+            lt=2**63,
+            description="the table as it was: the same answers again, whatever rows have come "
+            "since. Nothing is queued then; the newest version if left out",
+        ),
+    ] = None
 
 
 def version_of(query: bytes) -> int | None:
@@ -53,7 +53,7 @@ def _read(pairs: list[tuple[str, str]]) -> int | None:
     if len(pairs) > 1 and all(name == NAME for name, _ in pairs):
         raise bad_body([{"loc": f"query.{NAME}", "msg": "stands more than once; keep one"}])
     try:
-        return _Asked.model_validate(dict(pairs)).table_version
+        return VersionQuery.model_validate(dict(pairs)).table_version
     except ValidationError as error:
         told = plain_errors(error)
         raise bad_body([{**one, "loc": f"query.{one['loc']}"} for one in told]) from None

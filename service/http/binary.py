@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import numpy as np
 from fastapi import Request
@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError
 
 from fea.bundle.tables import LARGEST_LOAD
 from service.answering.queries import BatchQuery
+from service.http.asked_version import VersionQuery
 from service.http.bodies import MAX_BATCH, Body, Derivatives, Flag, OnThin, Seconds
 from service.http.parsing import known_method
 from service.http.problems import bad_body, plain_errors
@@ -19,43 +20,46 @@ MEDIA_TYPE: Final = "application/octet-stream"
 ROW_BYTES: Final = 6 * 8
 _Bar = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
-PARAMETERS: Final[tuple[dict[str, Any], ...]] = tuple(
-    {"name": name, "in": "query", "required": False, "schema": schema, "description": text}
-    for name, schema, text in (
-        ("on_thin", {"enum": ["queue", "wait", "estimate", "reject"]}, "binary form: as in JSON"),
-        ("wait_s", {"type": "number"}, "binary form: seconds, with on_thin=wait"),
-        ("method", {"type": "string"}, "binary form: as in JSON"),
-        ("translation", {"type": "number"}, "binary form: tolerance, m"),
-        ("rotation", {"type": "number"}, "binary form: tolerance, rad"),
-        ("beyond_range", {"type": "boolean"}, "binary form: as in JSON"),
-        ("derivatives", {"type": "boolean"}, "binary form: add (n, 36) behind the (n, 13)"),
-    )
-)
-BODY: Final[dict[str, Any]] = {
-    "type": "string",
-    "format": "binary",
-    "description": "little-endian float64 (n, 6): force and moment, N and N·m",
+BODY: Final = {
+    MEDIA_TYPE: {
+        "schema": {
+            "type": "string",
+            "format": "binary",
+            "description": "little-endian float64 (n, 6): force and moment, N and N·m",
+        }
+    }
 }
-REPLY: Final[dict[str, Any]] = {
-    "type": "string",
-    "format": "binary",
-    "description": "little-endian float64 (n, 13): displacement and error bar, m and rad; coverage "
-    "0 covered, 1 thin, 2 outside; NaN where nothing can be said. With derivatives=true then "
-    "(n, 36): du/dw of each wrench, 6 x 6, an output a line. The header Wrenchbook-Tolerance says, "
-    "m and rad, what whole bars are to be held against",
+REPLY: Final = {
+    MEDIA_TYPE: {
+        "schema": {
+            "type": "string",
+            "format": "binary",
+            "description": "little-endian float64 (n, 13): displacement and error bar, m and rad; "
+            "coverage 0 covered, 1 thin, 2 outside; NaN where nothing is known. With "
+            "derivatives=true then (n, 36): du/dw of each wrench, 6 x 6, an output a line. The "
+            "header Wrenchbook-Tolerance has the tolerance for whole bars, m and rad",
+        }
+    }
 }
+_JSONS = Field(description="binary form: as in JSON")
 
 
 class BinaryOptions(Body):
     """The options of a binary batch, which are query parameters."""
 
-    on_thin: OnThin = "queue"
-    wait_s: Seconds = 30.0
-    method: str | None = None
-    translation: _Bar | None = None
-    rotation: _Bar | None = None
-    beyond_range: Flag = False
-    derivatives: Derivatives = False
+    on_thin: Annotated[OnThin, _JSONS] = "queue"
+    wait_s: Annotated[Seconds, Field(description="binary form: s, with on_thin=wait")] = 30.0
+    method: Annotated[str | None, _JSONS] = None
+    translation: Annotated[_Bar | None, Field(description="binary form: tolerance, m")] = None
+    rotation: Annotated[_Bar | None, Field(description="binary form: tolerance, rad")] = None
+    beyond_range: Annotated[Flag, _JSONS] = False
+    derivatives: Annotated[
+        Derivatives, Field(description="binary form: add (n, 36) behind the (n, 13)")
+    ] = False
+
+
+class BinaryQuery(BinaryOptions, VersionQuery):
+    """All query parameters of a batch, for the OpenAPI document."""
 
 
 def is_binary(request: Request) -> bool:

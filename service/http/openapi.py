@@ -1,101 +1,139 @@
-"""The OpenAPI document: what FastAPI knows of each call, and what `calls` adds."""
+"""What routes declare for the OpenAPI document, and the document itself at `/openapi.json`."""
 
 from __future__ import annotations
 
-import re
-from typing import Any
+import hashlib
+from collections.abc import Mapping
+from typing import Any, Final
 
+import orjson
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
+from pydantic import TypeAdapter
+from starlette.requests import Request
+from starlette.responses import Response
 
-from service.http.call import REFUSALS, Call
-from service.http.calls import CALLS
 from service.http.problems import MEDIA_TYPE
-from service.http.schemas import PROBLEM
+from service.http.schemas import Problem
+from service.http.versions import holds, naming
 
-_PROBLEM_CONTENT = {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}
-_METHODS = ("get", "post", "put", "patch", "delete")
+Schema = dict[str, Any]
+Responses = dict[int | str, dict[str, Any]]
+
+JSON: Final = "application/json"
+BYTES: Final[Schema] = {"schema": {"type": "string", "format": "binary"}}
+TEXT: Final[Schema] = {"schema": {"type": "string"}}
+_PROBLEM: Final = {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}
+_REFUSALS: Final[dict[int, str]] = {
+    401: "this server needs a key, and the request has none of its own",
+    403: "the key is not for this call, or a page of another site sends it",
+    404: "there is no such component, job or row",
+    409: "it cannot be done as things are; the detail says why",
+    410: "rows of that version are damaged on the disk",
+    413: "the body is too large",
+    415: "a content type that this call does not take",
+    422: "the request has mistakes; nothing was changed",
+    424: "the solve of this wrench failed",
+    429: "the key is used more often than it may be; Retry-After says when",
+    500: "the server made a mistake; its log has the traceback",
+    503: "the ledger cannot be read or written now; nothing was changed",
+    507: "the disk is full; nothing was changed",
+}
+_WITH_KEYS: Final = (401, 413, 429)
+_WITH_BODY: Final = (413, 415)
+_OWN_ERRORS: Final = "/umbridge/"  # a protocol with errors of its own form
+
+
+def answers(model: Any, description: str, status: int = 200, **more: Any) -> Responses:
+    """Return FastAPI's `responses` of one status with a JSON body."""
+    return {status: {"model": model, "description": description, **more}}
+
+
+def refused(*statuses: int, **texts: str) -> Responses:
+    """Return FastAPI's `responses` of problems; `s409="..."` replaces a status's description."""
+    found = {one: _REFUSALS[one] for one in statuses} | {int(k[1:]): v for k, v in texts.items()}
+    return {one: {"description": text, "content": _PROBLEM} for one, text in found.items()}
+
+
+def schema_of(kind: Any) -> Schema:
+    """Return the JSON schema of a type, with nested types in place of references to them."""
+    schema = TypeAdapter(kind).json_schema()
+    definitions = schema.pop("$defs", {})
+
+    def inlined(node: Any) -> Any:
+        if isinstance(node, list):
+            return [inlined(item) for item in node]
+        if not isinstance(node, dict):
+            return node
+        if "$ref" in node:
+            return inlined(definitions[node["$ref"].rsplit("/", 1)[-1]])
+        return {key: inlined(value) for key, value in node.items()}
+
+    return inlined(schema)
+
+
+def takes(body: Any, more: Mapping[str, Any] | None = None, query: Any = None) -> Schema:
+    """Return FastAPI's `openapi_extra` of a call that reads its own body.
+
+    Parameters
+    ----------
+    body : type
+        Of the JSON body.
+    more : mapping, optional
+        What OpenAPI says of further content types.
+    query : type, optional
+        Of the query parameters that the call reads itself.
+    """
+    content = {JSON: {"schema": schema_of(body)}, **(more or {})}
+    extra: Schema = {"requestBody": {"required": True, "content": content}}
+    if query is not None:
+        fields = schema_of(query)["properties"].items()
+        extra["parameters"] = [{"name": k, "in": "query", "schema": one} for k, one in fields]
+    return extra
 
 
 def install(app: FastAPI) -> None:
-    """Make ``/openapi.json`` say all that calls take and answer."""
-    made: dict[bool, dict[str, Any]] = {}
+    """Serve the document: made once for a server with keys, once for one without."""
+    made: dict[tuple[bool, str], tuple[bytes, str]] = {}
 
     def document() -> dict[str, Any]:
-        keys = app.state.door.keys_needed
-        if keys not in made:
-            made[keys] = _document(app, keys=keys)
-        return made[keys]
+        return _document(app, app.state.door.keys_needed, "")
+
+    def serve(request: Request) -> Response:
+        which = app.state.door.keys_needed, request.scope.get("root_path", "")
+        if which not in made:
+            content = orjson.dumps(_document(app, *which))
+            made[which] = content, f'"{hashlib.blake2b(content, digest_size=12).hexdigest()}"'
+        content, tag = made[which]
+        if holds(request.headers.get("if-none-match"), tag):
+            return Response(None, 304, naming(tag))
+        return Response(content, 200, naming(tag), JSON)
 
     app.openapi = document
+    app.add_route("/openapi.json", serve, include_in_schema=False)
 
 
-def _document(app: FastAPI, *, keys: bool) -> dict[str, Any]:
+def _document(app: FastAPI, keys: bool, below: str) -> dict[str, Any]:
+    """Return FastAPI's document with the refusals that depend on keys and on bodies."""
     found = get_openapi(
         title=app.title,
         version=app.version,
         summary=app.summary,
         description=app.description,
+        servers=[{"url": below}] if below else None,
         routes=app.routes,
     )
-    schemas = found.setdefault("components", {}).setdefault("schemas", {})
-    schemas["Problem"] = PROBLEM
+    parts = found["components"]
+    parts["schemas"]["Problem"] = schema_of(Problem)
     if keys:
-        found["components"]["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
+        parts["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
         found["security"] = [{"key": []}]
     for path, operations in found["paths"].items():
-        for method in operations.keys() & set(_METHODS):
-            call = CALLS.get((method, path)) or _usual(path, operations[method])
-            _complete(path, operations[method], call, keys)
-    for validation in ("HTTPValidationError", "ValidationError"):
-        schemas.pop(validation, None)  # mistakes are problems here
+        for operation in operations.values() if not path.startswith(_OWN_ERRORS) else ():
+            more = (
+                *(_WITH_KEYS if keys else ()),
+                *(_WITH_BODY if "requestBody" in operation else ()),
+            )
+            there = operation["responses"]
+            there |= {str(one): its for one, its in refused(*more).items() if str(one) not in there}
     return found
-
-
-def _usual(path: str, operation: dict[str, Any]) -> Call:
-    """Return what a call that `CALLS` does not name answers: what calls of its form do."""
-    told = [int(code) for code in operation["responses"] if code.isdigit()]
-    refusals = (404, 422) if "{" in path else (422,)
-    return Call({}, (*refusals, *(code for code in told if code in REFUSALS)))
-
-
-def _complete(path: str, operation: dict[str, Any], call: Call, keys: bool) -> None:
-    """Add to an operation what it does not say by itself."""
-    told = operation["responses"]
-    operation["responses"] = _answers(told, call) | {
-        str(status): _refusal(told.get(str(status), {}), status)
-        for status in call.all_refusals(keys=keys)
-    }
-    if call.bodies and "requestBody" not in operation:
-        content = {kind: {"schema": schema} for kind, schema in call.bodies.items()}
-        operation["requestBody"] = {"required": True, "content": content}
-    parameters = operation.get("parameters", []) + list(call.parameters)
-    named = {one["name"] for one in parameters}
-    parameters += [
-        {"name": name, "in": "path", "required": True, "schema": {"type": "string"}}
-        for name in re.findall(r"{(\w+)}", path)
-        if name not in named
-    ]
-    if parameters:
-        operation["parameters"] = parameters
-
-
-def _refusal(told: dict[str, Any], status: int) -> dict[str, Any]:
-    """Return a problem with what the route says of it, or what all calls mean by it."""
-    described = told.get("content", {}).keys() <= {MEDIA_TYPE} and told.get("description")
-    return {"description": described or REFUSALS[status], "content": _PROBLEM_CONTENT}
-
-
-def _answers(told: dict[str, Any], call: Call) -> dict[str, Any]:
-    """Return the answers that are not problems; FastAPI's own where the call says nothing."""
-    if not call.answers:
-        return {status: one for status, one in told.items() if status[0] in "23"}
-    content = {kind: {"schema": schema} for kind, schema in call.replies.items()}
-    plain: dict[str, Any] = {"application/json": {}}
-    return {
-        str(status): {
-            "description": text,
-            "content": content or told.get(str(status), {}).get("content", plain),
-        }
-        for status, text in call.answers.items()
-    }

@@ -10,18 +10,16 @@ import orjson
 from pydantic import ValidationError
 
 from fea.bundle.tables import LARGEST_LOAD
-from service.answering.queries import BatchQuery, Query
+from service.answering.queries import Query
 from service.http.bodies import (
-    MAX_BATCH,
     MAX_BLOCK,
-    BatchBody,
     BlockBody,
     Body,
     DisplacementBody,
     OnThin,
     SolveBody,
 )
-from service.http.problems import ProblemError, bad_body, plain_errors
+from service.http.problems import bad_body, plain_errors
 from surrogate.answer import METHODS
 from surrogate.table.rows import Tolerance
 
@@ -45,7 +43,7 @@ def read_query(body: bytes) -> Query:
     plain = _plain_query(fields)
     if plain is not None:
         return plain
-    full = _checked(DisplacementBody, fields)
+    full = checked(DisplacementBody, fields)
     return Query(
         full.wrench(),
         full.on_thin,
@@ -74,59 +72,8 @@ def read_solve(body: bytes) -> Query:
     ProblemError
         422, with every mistake's place.
     """
-    full = _checked(SolveBody, parsed_json(body))
+    full = checked(SolveBody, parsed_json(body))
     return Query(full.wrench(), "solve", full.wait_s, beyond_range=full.beyond_range)
-
-
-def batch_parts(body: bytes) -> tuple[dict[str, Any], np.ndarray]:
-    """Read the batch call's JSON body: its fields as checked, and its wrenches, N and N·m (n, 6).
-
-    Raises
-    ------
-    ProblemError
-        422, with mistakes' places.
-    """
-    _few_lists(body)
-    fields = parsed_json(body)
-    return checked_batch(fields, _plain_wrenches(fields))
-
-
-def checked_batch(fields: Any, wrenches: np.ndarray | None) -> tuple[dict[str, Any], np.ndarray]:
-    """Check a batch's fields, as `batch_parts` does.
-
-    Parameters
-    ----------
-    fields : object
-        As parsed from JSON.
-    wrenches : array or None
-        Those in it, shape (n, 6), N and N·m, if they have been found to be in order.
-    """
-    if wrenches is not None:
-        if len(wrenches) > MAX_BATCH:
-            raise _too_many()
-        fields = {**fields, "wrenches": []}
-    full = _checked(BatchBody, fields)
-    if wrenches is None:
-        wrenches = np.array(full.wrenches, dtype=float).reshape(-1, 6)
-    known_method(full.method)
-    return full.model_dump(exclude={"wrenches"}), wrenches + 0.0
-
-
-def batch_of(fields: dict[str, Any], wrenches: np.ndarray) -> BatchQuery:
-    """Return the query that a batch's parts are, see `batch_parts`; wrenches (n, 6), N and N·m."""
-    limit = fields["tolerance"]
-    told = {name: value for name, value in fields.items() if name != "tolerance"}
-    return BatchQuery(wrenches, tolerance=Tolerance(**limit) if limit else None, **told)
-
-
-def _few_lists(body: bytes) -> None:
-    """Refuse a batch of more lists than it may have, before a parser makes 64 bytes of each."""
-    if body.count(b"[") > MAX_BATCH + 64 or body.count(b"{") > 1024:
-        raise _too_many()
-
-
-def _too_many() -> ProblemError:
-    return bad_body([{"loc": "wrenches", "msg": f"at most {MAX_BATCH} wrenches a call"}])
 
 
 def read_block(body: bytes) -> tuple[np.ndarray, BlockBody]:
@@ -138,10 +85,10 @@ def read_block(body: bytes) -> tuple[np.ndarray, BlockBody]:
         422, with every mistake's place.
     """
     fields = parsed_json(body)
-    wrenches = _plain_wrenches(fields, np.inf)
+    wrenches = plain_wrenches(fields, np.inf)
     if wrenches is not None and len(wrenches) <= MAX_BLOCK:
-        return wrenches + 0.0, _checked(BlockBody, {**fields, "wrenches": []})
-    full = _checked(BlockBody, fields)
+        return wrenches + 0.0, checked(BlockBody, {**fields, "wrenches": []})
+    full = checked(BlockBody, fields)
     return np.array(full.wrenches, dtype=float).reshape(-1, 6) + 0.0, full
 
 
@@ -167,7 +114,7 @@ def read_body(kind: type[Body], body: bytes) -> Any:
     ProblemError
         422, with every mistake's place.
     """
-    return _checked(kind, parsed_json(body or b"{}"))
+    return checked(kind, parsed_json(body or b"{}"))
 
 
 def parsed_json(body: bytes) -> Any:
@@ -189,7 +136,8 @@ def parsed_json(body: bytes) -> Any:
         raise bad_body([{"loc": "body", "msg": message}]) from None
 
 
-def _checked(kind: type[Body], fields: Any) -> Any:
+def checked(kind: type[Body], fields: Any) -> Any:
+    """Return the body that parsed JSON is; 422 with every mistake's place."""
     try:
         return kind.model_validate(fields)
     except ValidationError as error:
@@ -213,7 +161,7 @@ def _plain_query(fields: Any) -> Query | None:
     return Query(tuple([number + 0.0 for number in numbers]), on_thin) if on_thin else None
 
 
-def _plain_wrenches(fields: Any, largest: float = LARGEST_LOAD) -> np.ndarray | None:
+def plain_wrenches(fields: Any, largest: float = LARGEST_LOAD) -> np.ndarray | None:
     """Return the batch as an array of shape (n, 6), or None if anything is unusual."""
     return plain_rows(fields.get("wrenches"), largest) if isinstance(fields, dict) else None
 

@@ -30,7 +30,7 @@ from service.http.application import Application
 from service.http.door import Opening
 from service.http.door.opening import OWN_KEY, opening_for, require_keys
 from service.http.listen import bind_to
-from service.http.straight import StraightProtocol
+from service.http.protocol import FastPathProtocol
 from service.settings import Settings
 from service.tables.memory import keep_few_heaps
 from service.telemetry.logs import LogFormat, set_up
@@ -82,15 +82,16 @@ def serve(
     server = Server(config)
     server.address = address
     if opening.own_key is None:  # a command's own server ends before that pays
-        warm_up("service.library.bundle_zip", "service.tablefile.parts", "service.http.large")
+        warm_up("service.library.bundle_zip", "service.tablefile.parts", "service.http.batch")
     server.run(sockets=[bound])
 
 
 def server_config(app: Any, log_level: str = "warning", **more: Any) -> uvicorn.Config:
-    """Return how the server speaks for an application: the main call goes straight."""
+    """Return uvicorn's settings for an application."""
     return uvicorn.Config(
         app,
-        http=StraightProtocol,
+        http=FastPathProtocol,
+        ws="none",
         log_level=log_level,
         access_log=False,
         server_header=False,

@@ -21,14 +21,14 @@ FULL = np.array([100.0] * 3 + [10.0] * 3)  # N and N·m: the load range of the m
 
 
 @contextmanager
-def served(folder: Path, solvers: int = 0) -> Iterator[Client]:
+def served(folder: Path, solvers: int = 0, key: str | None = None) -> Iterator[Client]:
     """Serve a data directory, without solvers if none are wanted, and give a client of it."""
     bound = socket.create_server(("127.0.0.1", 0))
     app = create_app(Settings(folder, solvers=solvers))
     server = uvicorn.Server(server_config(app))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, daemon=True)
     thread.start()
-    with Client(f"http://127.0.0.1:{bound.getsockname()[1]}", timeout=60) as client:
+    with Client(f"http://127.0.0.1:{bound.getsockname()[1]}", timeout=60, key=key) as client:
         deadline = time.monotonic() + 30
         while not client.is_ready() and time.monotonic() < deadline:
             time.sleep(0.02)

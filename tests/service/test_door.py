@@ -10,9 +10,9 @@ from starlette.testclient import TestClient
 
 from service.client import Client
 from service.http.app import create_app
+from service.http.body import counted as counted_
 from service.http.door import Opening
 from service.http.door.opening import is_loopback, opening_for
-from service.http.limited import counted as counted_
 from service.http.problems import ProblemError
 from service.keys import Keyring
 from service.workspace import Settings

@@ -9,6 +9,7 @@ from fea.bundle.shipped import SHIPPED
 from service.http.app import create_app
 from service.library.library import Library
 from service.workspace import Settings
+from tests.service.document import document
 
 TABLE_ONLY = {"name": "rig", "title": "rig", "range": {"force": [1, 2, 3], "moment": [1, 1, 1]}}
 
@@ -247,7 +248,7 @@ def test_a_job_id_that_can_never_be_is_422_by_place(http, method):
 def test_health_and_openapi_answer(http):
     assert http.get("/health/live").json() == {"status": "live"}
     assert http.get("/health/ready").json()["status"] == "ready"
-    calls = http.get("/openapi.json").json()["paths"]
+    calls = document(http)["paths"]
     assert "/v1/components/{name}/displacement" in calls
     reply = calls["/v1/components/{name}/displacement"]["post"]["responses"]["200"]
     assert "acting ON the deformable component" in str(reply)

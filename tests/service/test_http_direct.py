@@ -5,6 +5,7 @@ import socket
 
 import pytest
 
+from tests.service.document import document
 from tests.service.live import served
 
 CALL = "/v1/components/plate/displacement"
@@ -52,8 +53,7 @@ def test_a_name_with_signs_in_it_is_read_as_the_framework_reads_it(http):
 
 
 def test_the_call_is_in_the_openapi_document_all_the_same(http):
-    document = http.get("/openapi.json").json()
-    call = document["paths"]["/v1/components/{name}/displacement"]["post"]
+    call = document(http)["paths"]["/v1/components/{name}/displacement"]["post"]
     schema = call["requestBody"]["content"]["application/json"]["schema"]
     assert "derivatives" in schema["properties"]
     assert {"200", "202", "404", "409", "413", "422", "424"} <= call["responses"].keys()

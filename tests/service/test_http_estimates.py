@@ -5,6 +5,8 @@ import time
 import numpy as np
 import pytest
 
+from tests.service.document import document
+
 CALL = "/v1/components/bar/displacement"
 
 
@@ -65,7 +67,7 @@ def test_a_linear_component_just_added_names_the_job_that_will_tell_it(http, sta
 
 
 def test_the_schema_says_whose_version_a_solves_reply_carries(http):
-    paths = http.get("/openapi.json").json()["paths"]
+    paths = document(http)["paths"]
     call = paths["/v1/components/{name}/displacement"]["post"]
     fields = call["responses"]["200"]["content"]["application/json"]["schema"]["properties"]
     assert "the version of the table that was asked" in fields["table_version"]["description"]

@@ -368,7 +368,7 @@ def test_an_import_is_answered_before_its_table_is_built(rig, monkeypatch):
 
 
 def test_a_table_that_is_too_large_is_413_without_a_declared_length(rig, monkeypatch):
-    monkeypatch.setattr("service.http.received.MOST_TABLE_BYTES", 1 << 20)
+    monkeypatch.setattr("service.http.body.MOST_TABLE_BYTES", 1 << 20)
     pieces = (b"#" * 65536 for _ in range(17))
     reply = rig.post(CALL, content=pieces, headers={"content-type": "text/csv"})
     assert reply.status_code == 413

@@ -13,9 +13,10 @@ import pytest
 from starlette.testclient import TestClient
 
 from service.client import ProblemError as Refused
-from service.http import large, patient, spooled
+from service.http import batch, protocol
+from service.http import body as bodies
 from service.http.app import create_app
-from service.http.parsing import batch_parts
+from service.http.batch import batch_parts
 from service.http.problems import ProblemError
 from service.jobs import polls
 from service.jobs.attempt_zip import zipped
@@ -42,7 +43,7 @@ def live(tmp_path_factory):
     patch = pytest.MonkeyPatch()
     with patch.context() as patched:
         for name, seconds in {"LOOK_S": 0.05, "HEAD_S": 0.4, "BODY_S": 0.4, "SLOWEST": 1e9}.items():
-            patched.setattr(patient, name, seconds)
+            patched.setattr(protocol, name, seconds)
         with served(tmp_path_factory.mktemp("live")) as client:
             wrenches = np.concatenate([clean_wrenches(), full_wrenches(30)])
             add_table(client, "rig", as_rows(wrenches, moved(wrenches)))
@@ -113,7 +114,7 @@ def test_a_table_full_of_mistakes_has_at_most_a_thousand_and_one_listed(asked):
 
 
 def test_a_json_batch_has_as_many_wrenches_as_a_binary_one(monkeypatch):
-    monkeypatch.setattr("service.http.parsing.MAX_BATCH", 10)
+    monkeypatch.setattr("service.http.batch.MAX_BATCH", 10)
     assert len(batch_parts(orjson.dumps({"wrenches": [[0.0] * 6] * 10}))[1]) == 10
     with pytest.raises(ProblemError, match="at most 10 wrenches"):
         batch_parts(orjson.dumps({"wrenches": [[0.0] * 6] * 11}))
@@ -124,33 +125,32 @@ def test_a_json_batch_has_as_many_wrenches_as_a_binary_one(monkeypatch):
 def test_a_large_batch_is_read_in_a_file_and_answered_as_a_small_one_is(live, monkeypatch):
     wrenches = full_wrenches(7)
     small = live.displacements("rig", wrenches, on_thin="estimate")
-    monkeypatch.setattr(spooled, "SMALL", 64)
-    monkeypatch.setattr(spooled, "_PIECE", 64)
+    monkeypatch.setattr(bodies, "PIECE", 64)
     monkeypatch.setattr("service.http.replies.PIECE", 3)
     asked = {"wrenches": wrenches.tolist(), "on_thin": "estimate", "derivatives": True}
     reply = live.call_json("POST", f"{RIG}/displacements", asked)
     np.testing.assert_array_equal(np.array(reply["displacements"]), small.displacements)
     assert len(reply["errors"]) == len(reply["coverage"]) == len(reply["derivatives"]) == 7
-    assert spooled.Spooled.kept == 0
+    assert bodies.Spooled.kept == 0
 
 
 def test_a_mistake_in_a_large_batch_is_told_as_in_a_small_one(tmp_path):
-    body = spooled.Spooled(tmp_path / "body")
+    body = bodies.Spooled(tmp_path / "body")
     body.path.write_bytes(b'{"wrenches":[[0,0,0,0,0,"x"]]}')
     with pytest.raises(ProblemError) as caught:
-        large.read_batch_body(body)
+        batch.read_batch_body(body)
     assert caught.value.status == 422
     assert caught.value.body["errors"][0]["loc"] == "wrenches.0.5"
 
 
 @pytest.mark.parametrize("piece", [1, 20, 200])
 def test_a_batch_read_in_pieces_is_the_batch_read_whole_or_left_to_that(monkeypatch, piece):
-    monkeypatch.setattr(large, "PIECE", 1000)
+    monkeypatch.setattr(batch, "PIECE", 1000)
     wrenches = full_wrenches(9)
     body = orjson.dumps({"on_thin": "reject", "wrenches": wrenches.tolist(), "wait_s": 3})
     whole = batch_parts(body)
-    monkeypatch.setattr(large, "PIECE", max(piece, 60))
-    fields, found = large.in_pieces(body)
+    monkeypatch.setattr(batch, "PIECE", max(piece, 60))
+    fields, found = batch.in_pieces(body)
     assert fields == whole[0]
     np.testing.assert_array_equal(found, whole[1])
     rows = b"[1,2,3,4,5,6]"
@@ -163,16 +163,16 @@ def test_a_batch_read_in_pieces_is_the_batch_read_whole_or_left_to_that(monkeypa
         b"[]]",
     ):
         with pytest.raises(ProblemError):
-            _ = large.in_pieces(text) or batch_parts(text)
+            _ = batch.in_pieces(text) or batch_parts(text)
 
 
 def test_files_of_bodies_are_gone_once_they_are_read_or_refused(live, monkeypatch, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr(spooled, "_PIECE", 1000)
+    monkeypatch.setattr(bodies, "PIECE", 1000)
     live.import_table("rig", "fz [N],uz [m]\n" + "1,1e-6\n" * 2000, dry_run=True)
     with pytest.raises(Refused):
         live.import_table("rig", "nonsense\n" * 2000)
-    assert spooled.Spooled.kept == 0
+    assert bodies.Spooled.kept == 0
     assert list(tmp_path.iterdir()) == []
 
 
@@ -212,7 +212,7 @@ def test_a_head_that_is_longer_than_any_is_refused(live, head):
             connection.sendall(head)
             while piece := connection.recv(1000):
                 told += piece
-        assert told in (b"", *(patient._TOO_LONG[:n] for n in range(1, 200)))
+        assert told in (b"", *(protocol.TOO_LONG[:n] for n in range(1, 200)))
     assert live.is_ready()
 
 
@@ -241,7 +241,7 @@ def test_who_leaves_before_the_request_is_whole_is_no_mistake_of_ours(asked, cal
 
 
 def test_no_more_connections_are_held_than_there_may_be(live, monkeypatch):
-    monkeypatch.setattr(patient, "MOST_CONNECTIONS", 3)
+    monkeypatch.setattr(protocol, "MOST_CONNECTIONS", 3)
     held = [opened(live) for _ in range(8)]
     closed = sum(connection.recv(1) == b"" for connection in held)  # all, in the end
     assert closed == 8

@@ -12,6 +12,7 @@ from starlette.testclient import TestClient
 
 from service.http.app import create_app
 from service.workspace import Settings
+from tests.service.document import document
 from tests.service.following import wait_for_version
 from tests.service.live import FULL, as_rows, full_wrenches, moved, served, tangents
 
@@ -319,7 +320,7 @@ def test_a_huge_wrench_never_answers_null(rig):
 
 
 def test_the_calls_are_in_the_openapi_document_with_their_errors(http):
-    paths = http.get("/openapi.json").json()["paths"]
+    paths = document(http)["paths"]
     found = paths["/umbridge/Evaluate"]["post"]
     assert "requestBody" in found
     assert {"200", "400", "500"} == found["responses"].keys()

@@ -11,11 +11,11 @@ from typing import Final
 from starlette.types import Receive, Send
 from starlette.types import Scope as Scope_
 
+from service.http.body import counted
 from service.http.door.fields import preflight, sending
-from service.http.door.grant import OPEN, Grant, grant_of, put
+from service.http.door.grant import GRANT, OPEN, Grant, grant_of
 from service.http.door.opening import Opening
 from service.http.door.sites import check_host, check_site, is_anybodys
-from service.http.limited import counted
 from service.http.problems import ProblemError
 from service.keys import Keyring, Scope, digest_of
 from service.keys.keyring import LOOK_S
@@ -60,8 +60,8 @@ class Door:
         """Whether nobody is let in without a key."""
         return self.opening.keys_needed or len(self.keyring) > 0
 
-    def admits(self, headers: Headers) -> bool:
-        """Tell whether a plain question with this head may be answered, and count it.
+    def admit(self, headers: Headers) -> Grant | None:
+        """Count a query of the fast path; return its grant, or None where `check` has to decide.
 
         A head that was let in is known by its fields until a key changes.
         """
@@ -70,9 +70,9 @@ class Door:
         else:
             known = self._admitted(tuple(headers))
             if known is None:
-                return False
+                return None
             self._last, self._last_grant = headers, known
-        return known.key is None or known.wait() == 0.0
+        return known if known.key is None or known.wait() == 0.0 else None
 
     def _admitted(self, headers: Headers) -> Grant | None:
         """Return the grant of a plain question; None where there is anything to be told."""
@@ -109,7 +109,8 @@ class Door:
             await send({"type": "http.response.body", "body": b""})
             return None
         try:
-            self.check(scope)
+            if GRANT not in scope:  # the fast path has admitted and counted it already
+                self.check(scope)
         except ProblemError as refused:
             await refused.response()(scope, receive, send)
             return None
@@ -132,7 +133,7 @@ class Door:
             return
         check_site(self.opening, head)
         grant = self._grant(head)
-        put(scope, grant)
+        scope[GRANT] = grant
         needed = _needed(method, path)
         if not grant.allows(needed):
             raise beyond_scope(grant, needed)

@@ -24,7 +24,7 @@ _ALWAYS = (
 )
 _MAIN = "/displacement"
 PLAIN = b"x-content-type-options: nosniff\r\n"
-"""What an answer of the straight way carries: JSON that no browser asks for by itself."""
+"""Header fields of an answer of the fast path: JSON that no browser requests by itself."""
 
 _EXPOSED = b"location, link, etag, retry-after"
 

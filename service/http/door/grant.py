@@ -8,7 +8,7 @@ from typing import Any
 from service.keys import Key, Scope
 
 _AT_ONCE_S = 2.0  # a burst is what this many seconds allow
-_IN_SCOPE = "wrenchbook.grant"
+GRANT = "wrenchbook.grant"  # its key in a request's scope
 
 
 class Grant:
@@ -56,9 +56,4 @@ OPEN = Grant()
 
 def grant_of(scope: Any) -> Grant:
     """Return what whoever sent a request may do."""
-    return scope.get(_IN_SCOPE, OPEN)
-
-
-def put(scope: Any, grant: Grant) -> None:
-    """Keep what whoever sent a request may do beside it."""
-    scope[_IN_SCOPE] = grant
+    return scope.get(GRANT, OPEN)

@@ -14,13 +14,14 @@ from fea.accuracy.advice import WHERE, over_tolerance
 from service.contract import CONTRACT
 from service.files.discreet import discreet
 from service.http.bodies import FillBody, TableOnlyComponent
+from service.http.body import MOST_QUERY_BYTES, form_of, read_limited
 from service.http.door import grant_of
-from service.http.limited import MOST_QUERY_BYTES, counted, read_limited
 from service.http.links import job_link
 from service.http.needs import need_from
+from service.http.openapi import BYTES, answers, refused, takes
 from service.http.parsing import read_body
 from service.http.problems import ProblemError, bad_body
-from service.http.received import form_of
+from service.http.schemas import Queued
 from service.library.bundle_zip import MAX_BUNDLE_BYTES
 from service.library.checked import interface_of, vibration_of, warnings_of
 from service.library.component import Component
@@ -32,13 +33,14 @@ from surrogate.table.rows import Tolerance
 
 router = APIRouter(prefix="/v1/components", tags=["components"])
 CATCH_UP_S = 25.0
+_BUNDLE = {
+    "type": "object",
+    "required": ["bundle"],
+    "properties": {"bundle": {**BYTES["schema"], "description": "a zip of the bundle's folder"}},
+}
 
 
-@router.get(
-    "",
-    summary="The library",
-    responses={422: {"description": "A search that is too long, or a word that is none"}},
-)
+@router.get("", summary="The library", response_description="the library", responses=refused(422))
 def list_components(
     request: Request,
     q: Annotated[str, Query(max_length=200, description="in name, title or notes")] = "",
@@ -64,14 +66,25 @@ def _is_about(summary: dict[str, Any], asked: str) -> bool:
     return all(word in said for word in asked.casefold().split())
 
 
-@router.get("/{name}", summary="One component: contract, range, rows, coverage")
+@router.get(
+    "/{name}",
+    summary="One component: contract, range, rows, coverage",
+    response_description="the component",
+    responses=refused(404, 422),
+)
 async def one_component(name: str, request: Request) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
     await workspace.newest(name, CATCH_UP_S)
     return await run_in_threadpool(component_body, workspace, workspace.library[name])
 
 
-@router.post("", status_code=201, summary="Add a component: a zip bundle, or JSON for a table only")
+@router.post(
+    "",
+    status_code=201,
+    summary="Add a component: a zip bundle, or JSON for a table only",
+    responses=answers(dict[str, Any], "added", 201) | refused(409, 422),
+    openapi_extra=takes(TableOnlyComponent, {"multipart/form-data": {"schema": _BUNDLE}}),
+)
 async def add_component(request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     kind = request.headers.get("content-type", "").partition(";")[0].strip()
@@ -94,9 +107,8 @@ async def add_component(request: Request) -> Response:
 
 
 async def _add_bundle(workspace: Workspace, request: Request) -> Component:
-    # Parsed as it comes, into a file; the archive may be as large as a bundle, and its form's head.
-    request = Request(request.scope, counted(request.receive, MAX_BUNDLE_BYTES + MOST_QUERY_BYTES))
-    async with form_of(request, most_files=1) as form:
+    # The archive may be as large as a bundle, and its form has a head.
+    async with form_of(request, MAX_BUNDLE_BYTES + MOST_QUERY_BYTES, most_files=1) as form:
         upload = form.get("bundle")
         if not isinstance(upload, UploadFile):
             raise bad_body([{"loc": "bundle", "msg": "send the zip as the form's file 'bundle'"}])
@@ -115,6 +127,10 @@ def _add_table_only(workspace: Workspace, body: TableOnlyComponent) -> Component
 @router.post(
     "/{name}/fill",
     summary="Queue the solves that lower the table's error most",
+    responses=answers(Queued, "the table is within the tolerance")
+    | answers(Queued, "solves are queued", 202)
+    | refused(404, 409, 422),
+    openapi_extra=takes(FillBody),
 )
 async def fill(name: str, request: Request) -> Response:
     order = read_body(FillBody, await read_limited(request.receive))

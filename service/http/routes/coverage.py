@@ -8,18 +8,24 @@ from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
+from service.http.openapi import answers, refused
 from service.http.replies import json_reply
+from service.http.schemas import Compliance
 from service.tables.served import ServedTable
 from service.workspace import Workspace
 from surrogate.describe.gaps import axis_gaps
 from surrogate.table.physics_checks import check_physics
 from surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
 
-router = APIRouter(prefix="/v1/components/{name}", tags=["components"])
+router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
 CATCH_UP_S = 30.0
 
 
-@router.get("/coverage", summary="Hull and gaps per axis, and rows that contradict each other")
+@router.get(
+    "/coverage",
+    summary="Hull and gaps per axis, and rows that contradict each other",
+    responses=answers(dict[str, Any], "hull and gaps"),
+)
 async def coverage(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     return await run_in_threadpool(_coverage, name, await workspace.newest(name, CATCH_UP_S))
@@ -36,6 +42,7 @@ def _coverage(name: str, table: ServedTable) -> Response:
 @router.get(
     "/compliance",
     summary="The 6x6 at zero load, its mean over the load range, and what breaks physics",
+    response_model=Compliance,
 )
 async def compliance(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace

@@ -12,12 +12,15 @@ from starlette.responses import Response
 
 from service.fields import gltf, vtu
 from service.fields.shape import Deformed
+from service.http.openapi import BYTES, answers, refused
 from service.http.problems import bad_body
 from service.http.replies import json_reply
 from service.library.checked import interface_of
 from service.workspace import Workspace
 
-router = APIRouter(prefix="/v1/components/{name}", tags=["components"])
+router = APIRouter(
+    prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 409, 422)
+)
 CATCH_UP_S = 25.0
 
 _NAMES = ("fx", "fy", "fz", "mx", "my", "mz", "format")
@@ -25,7 +28,15 @@ _FORCE = Query(allow_inf_nan=False, description="N, in the undeformed interface 
 _MOMENT = Query(allow_inf_nan=False, description="N·m, about the undeformed interface point")
 
 
-@router.get("/deformed", summary="The deformed surface, and the largest stress, under a wrench")
+@router.get(
+    "/deformed",
+    summary="The deformed surface, and the largest stress, under a wrench",
+    responses=answers(
+        dict[str, Any],
+        "the surface; flagged outside the load range, or with too few rows",
+        content={gltf.MEDIA_TYPE: BYTES, vtu.MEDIA_TYPE: BYTES},
+    ),
+)
 async def deformed(
     name: str,
     request: Request,

@@ -17,16 +17,19 @@ from service.answering.one import answer_or_submit
 from service.answering.past import answer_at, answer_many_at
 from service.answering.queries import BatchOutcome, BatchQuery, Query
 from service.contract import CONTRACT_TEXT
-from service.http.asked_version import check_version, split_version, version_of
+from service.http import binary
+from service.http.asked_version import VersionQuery, check_version, split_version, version_of
+from service.http.batch import few_large, read_batch_body
 from service.http.binary import is_binary, read_binary
+from service.http.bodies import BatchBody, DisplacementBody, SolveBody
+from service.http.body import MOST_BATCH_BYTES, Spooled, read_limited, spooled
 from service.http.door import Grant, grant_of
 from service.http.door.door import beyond_scope
-from service.http.large import read_batch_body
-from service.http.limited import MOST_BATCH_BYTES, read_limited
+from service.http.openapi import answers, refused, takes
 from service.http.parsing import read_query, read_solve
 from service.http.problems import ProblemError
 from service.http.replies import write_batch, write_binary, write_outcome
-from service.http.spooled import Spooled, few_large, spooled
+from service.http.schemas import Displacement, Displacements
 from service.telemetry.counts import Counts
 from service.workspace import Workspace
 
@@ -34,15 +37,34 @@ Body = TypeVar("Body", bytes, Spooled)
 Asked = TypeVar("Asked", Query, BatchQuery)
 
 
+QUERY = "wrenchbook.query"  # key in a scope: what the fast path has read of the body
+
+
 class DirectRoute(APIRoute):
     """A call that takes the bare request: nothing of it is parsed before its endpoint runs."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """Return the endpoint itself."""
-        return self.endpoint
+        """Return the endpoint, called with the request and the path's parameters."""
+
+        async def handle(request: Request) -> Response:
+            return await self.endpoint(request=request, **request.path_params)
+
+        return handle
 
 
-router = APIRouter(prefix="/v1/components/{name}", tags=["displacement"], route_class=DirectRoute)
+router = APIRouter(
+    prefix="/v1/components/{name}",
+    tags=["displacement"],
+    route_class=DirectRoute,
+    responses=refused(404, 409, 422),
+)
+
+
+_SOLVED, _UNSOLVED = "covered, solved or estimated", "not solved yet: see job, or reason"
+_ONE = answers(Displacement, _SOLVED) | answers(Displacement, _UNSOLVED, 202) | refused(424)
+_MANY = answers(Displacements, _SOLVED, content=binary.REPLY) | answers(
+    Displacements, _UNSOLVED, 202, content=binary.REPLY
+)
 
 
 async def reply_to(
@@ -50,7 +72,9 @@ async def reply_to(
 ) -> Response:
     """Answer the main call of a component from the call's body, and count it."""
     grant, version = grant_of(scope), version_of(scope["query_string"])
-    query = read_query(body) if grant.allows("write") else _asking(grant, read_query, body)
+    query = scope.get(QUERY)
+    if query is None:
+        query = read_query(body) if grant.allows("write") else _asking(grant, read_query, body)
     if version is None:
         outcome = await answer_or_submit(workspace, name, query)
     else:
@@ -78,18 +102,26 @@ def _asking(grant: Grant, read: Callable[[Body], Asked], body: Body) -> Asked:
 
 
 @router.post(
-    "/displacement", summary="The displacement under one wrench", description=CONTRACT_TEXT
+    "/displacement",
+    summary="The displacement under one wrench",
+    description=CONTRACT_TEXT,
+    responses=_ONE | refused(410),
+    openapi_extra=takes(DisplacementBody, query=VersionQuery),
 )
-async def displacement(request: Request) -> Response:
+async def displacement(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     body, counts = await read_limited(request.receive), request.app.state.counts
-    return await reply_to(workspace, request.path_params["name"], body, counts, request.scope)
+    return await reply_to(workspace, name, body, counts, request.scope)
 
 
 @router.post(
-    "/displacements", summary="The displacements under many wrenches", description=CONTRACT_TEXT
+    "/displacements",
+    summary="The displacements under many wrenches",
+    description=CONTRACT_TEXT,
+    responses=_MANY | refused(410),
+    openapi_extra=takes(BatchBody, binary.BODY, binary.BinaryQuery),
 )
-async def displacements(request: Request) -> Response:
+async def displacements(name: str, request: Request) -> Response:
     binary, grant = is_binary(request), grant_of(request.scope)
     workspace: Workspace = request.app.state.workspace
     read: Callable[[Spooled], BatchQuery] = read_batch_body
@@ -102,7 +134,7 @@ async def displacements(request: Request) -> Response:
         asking = read if grant.allows("write") else partial(_asking, grant, read)
         batch = await run_in_threadpool(asking, body)
         async with few_large(len(batch.wrenches)):
-            outcome = await _answered(workspace, request.path_params["name"], batch, version)
+            outcome = await _answered(workspace, name, batch, version)
     request.app.state.counts.add_batch(outcome.coverage, outcome.method, outcome.elapsed_us)
     return await run_in_threadpool(write_binary if binary else write_batch, outcome)
 
@@ -124,8 +156,10 @@ def _read_binary(body: Spooled, options: dict[str, str]) -> BatchQuery:
     "/solve",
     summary="DirectFEA: solve this wrench, whatever the table says",
     description=CONTRACT_TEXT,
+    responses=_ONE,
+    openapi_extra=takes(SolveBody),
 )
-async def solve(request: Request) -> Response:
+async def solve(name: str, request: Request) -> Response:
     query = read_solve(await read_limited(request.receive))
     workspace: Workspace = request.app.state.workspace
-    return write_outcome(await answer_or_submit(workspace, request.path_params["name"], query))
+    return write_outcome(await answer_or_submit(workspace, name, query))

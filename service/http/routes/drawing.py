@@ -11,13 +11,14 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from service.answering.drawn import grid_of, sample_of, shares_of, sweep_of
+from service.http.openapi import refused
 from service.http.replies import COVERAGE, json_reply
 from service.tables.served import ServedTable
 from service.workspace import Workspace
 from surrogate.table.axes import AXES
 from surrogate.table.rows import CLEAN, LOADS, OUTPUTS, Rows
 
-router = APIRouter(prefix="/v1/components/{name}", tags=["components"])
+router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
 CATCH_UP_S = 25.0
 # What a browser turns in 3-D without delay; the reply is then some 1 MB.
 MOST = 5_000

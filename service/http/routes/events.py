@@ -12,12 +12,24 @@ from starlette.types import Receive, Scope, Send
 
 from service.events.feed import Feed, Listener, TooManyListenersError
 from service.events.watch import Watch
+from service.http.openapi import refused
 from service.http.problems import ProblemError
 from service.workspace import Workspace
 
-router = APIRouter(prefix="/v1/events", tags=["events"])
+router = APIRouter(prefix="/v1/events", tags=["events"], responses=refused(404, 422))
 
 HEARTBEAT_S = 15.0  # below the idle limits of proxies, usually 60 s
+_STREAM = {
+    "type": "string",
+    "description": "server-sent events (WHATWG HTML, section 9.2), each with id, event and data, "
+    "which is JSON. hello: the first event, data has each table's version. job: a job has changed, "
+    "data as a job's link with component, attempt and, while it runs, progress. jobs: more jobs "
+    "have changed than are listed one by one, data {component, count, url}. table: a new version "
+    "of a component's table answers, data {component, table_version, rows}. missed: events since "
+    "Last-Event-ID are not there any more, data {reason}: read jobs and components again. "
+    "dropped: the listener read too slowly and is disconnected, data {reason}. Comments between "
+    "are heartbeats",
+}
 SEND_S = 20.0  # how long a listener may leave unread what the sockets have no room for
 HEADERS: Mapping[str, str] = {
     "Content-Type": "text/event-stream; charset=utf-8",
@@ -26,7 +38,17 @@ HEADERS: Mapping[str, str] = {
 }
 
 
-@router.get("", summary="Server-sent events", response_class=Response)
+@router.get(
+    "",
+    summary="Server-sent events",
+    response_class=Response,
+    responses={
+        200: {
+            "description": "events for as long as the connection lives",
+            "content": {"text/event-stream": {"schema": _STREAM}},
+        }
+    },
+)
 async def events(
     request: Request,
     component: Annotated[str | None, Query(description="only about this component")] = None,

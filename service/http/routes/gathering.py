@@ -15,10 +15,13 @@ from service.contract import CONTRACT_TEXT
 from service.gathering.bound import bound_of
 from service.gathering.gathering import Envelope, Gathering, Took
 from service.gathering.start import Started, start_envelope, start_recording, start_resolving
+from service.http import binary
+from service.http import table_schemas as schemas
 from service.http.binary import is_binary, read_wrenches
-from service.http.bodies import MAX_BLOCK, BlockKey, EnvelopeStartBody, StartBody
-from service.http.limited import read_limited
+from service.http.bodies import MAX_BLOCK, BlockBody, BlockKey, EnvelopeStartBody, StartBody
+from service.http.body import read_limited
 from service.http.links import job_link
+from service.http.openapi import answers, refused, takes
 from service.http.parsing import read_block, read_body
 from service.http.problems import bad_body, plain_errors
 from service.http.replies import json_reply
@@ -34,37 +37,52 @@ Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
 # Each wrench six numbers of 17 digits and a comma, and some blanks.
 MOST_BLOCK_BYTES = MAX_BLOCK * 6 * 40
 
-blocks = APIRouter(prefix="/v1/components/{name}", tags=["gathering"], route_class=DirectRoute)
-router = APIRouter(prefix="/v1/components/{name}", tags=["gathering"])
+router = APIRouter(prefix="/v1/components/{name}", tags=["gathering"], responses=refused(404, 422))
+blocks = APIRouter(route_class=DirectRoute, responses=refused(409))  # read their own bodies
+_BLOCK = takes(BlockBody, binary.BODY, BlockKey)
+_QUEUED = answers(schemas.Started, "solves are queued", 202)
 
 
-@blocks.post("/recording", summary="LM_direct: save wrenches for later", description=CONTRACT_TEXT)
-async def record(request: Request) -> Response:
+@blocks.post(
+    "/recording",
+    status_code=201,
+    summary="LM_direct: save wrenches for later",
+    description=CONTRACT_TEXT,
+    response_model=schemas.Recorded,
+    responses=answers(schemas.Recorded, "the block was recorded before"),
+    openapi_extra=_BLOCK,
+)
+async def record(name: str, request: Request) -> Response:
     wrenches, block = await _block(request)
     gathering: Gathering = request.app.state.gathering
-    name = request.path_params["name"]
     took = await run_in_threadpool(gathering.record, name, wrenches, block)
     body = {**_took(name, len(wrenches), took), **_standing(took.tally)}
     return json_reply(body, 200 if took.known else 201)
 
 
-@router.get("/recording", summary="What is recorded")
+@router.get("/recording", summary="What is recorded", response_model=schemas.Recording)
 def recording(name: str, request: Request) -> Response:
     found = _gathering(request).recording(name)
     stands = {"component": name, "outside": found.tally.outside, **_standing(found.tally)}
     return json_reply({**stands, "reason": _thinning(found.tally), "wrenches": found.wrenches})
 
 
-@router.delete("/recording", summary="Forget what is recorded")
+@router.delete("/recording", summary="Forget what is recorded", response_model=schemas.Cleared)
 def clear_recording(name: str, request: Request) -> Response:
     before = _gathering(request).clear(name, "recording")
     return json_reply({"component": name, "cleared": before.offered})
 
 
-@blocks.post("/recording/start", summary="LM_start: solve what is recorded and not covered")
-async def start_of_recording(request: Request) -> Response:
+@blocks.post(
+    "/recording/start",
+    summary="LM_start: solve what is recorded and not covered",
+    response_model=schemas.Started,
+    responses=_QUEUED,
+    openapi_extra=takes(StartBody),
+)
+async def start_of_recording(name: str, request: Request) -> Response:
     order = read_body(StartBody, await read_limited(request.receive))
-    name, workspace = request.path_params["name"], request.app.state.workspace
+    workspace: Workspace = request.app.state.workspace
     started = await run_in_threadpool(
         start_recording,
         workspace,
@@ -77,18 +95,25 @@ async def start_of_recording(request: Request) -> Response:
 
 
 @blocks.post(
-    "/envelope", summary="LM_max: widen the extremes by wrenches", description=CONTRACT_TEXT
+    "/envelope",
+    summary="LM_max: widen the extremes by wrenches",
+    description=CONTRACT_TEXT,
+    response_model=schemas.Widened,
+    openapi_extra=_BLOCK,
 )
-async def widen(request: Request) -> Response:
+async def widen(name: str, request: Request) -> Response:
     wrenches, block = await _block(request)
     gathering: Gathering = request.app.state.gathering
-    name = request.path_params["name"]
     took = await run_in_threadpool(gathering.widen, name, wrenches, block)
     envelope = await run_in_threadpool(gathering.envelope, name)
     return json_reply({**_took(name, len(wrenches), took), **_box(envelope)})
 
 
-@router.get("/envelope", summary="The extremes, and how far they can move the component")
+@router.get(
+    "/envelope",
+    summary="The extremes, and how far they can move the component",
+    response_model=schemas.Envelope,
+)
 def envelope(
     name: str,
     request: Request,
@@ -116,16 +141,22 @@ def envelope(
     return json_reply(body)
 
 
-@router.delete("/envelope", summary="Forget the extremes")
+@router.delete("/envelope", summary="Forget the extremes", response_model=schemas.Cleared)
 def clear_envelope(name: str, request: Request) -> Response:
     before = _gathering(request).clear(name, "envelope")
     return json_reply({"component": name, "cleared": before.offered})
 
 
-@blocks.post("/envelope/start", summary="LM_start: solve the wrenches at the extremes")
-async def start_of_envelope(request: Request) -> Response:
+@blocks.post(
+    "/envelope/start",
+    summary="LM_start: solve the wrenches at the extremes",
+    response_model=schemas.Started,
+    responses=_QUEUED,
+    openapi_extra=takes(EnvelopeStartBody),
+)
+async def start_of_envelope(name: str, request: Request) -> Response:
     order = read_body(EnvelopeStartBody, await read_limited(request.receive))
-    name, workspace = request.path_params["name"], request.app.state.workspace
+    workspace: Workspace = request.app.state.workspace
     started = await run_in_threadpool(
         start_envelope,
         workspace,
@@ -137,11 +168,15 @@ async def start_of_envelope(request: Request) -> Response:
 
 
 @blocks.post(
-    "/table/resolve", summary="Solve the wrenches of rows of another setup of the component again"
+    "/table/resolve",
+    summary="Solve the wrenches of rows of another setup of the component again",
+    response_model=schemas.Started,
+    responses=_QUEUED,
+    openapi_extra=takes(StartBody),
 )
-async def resolve(request: Request) -> Response:
+async def resolve(name: str, request: Request) -> Response:
     order = read_body(StartBody, await read_limited(request.receive))
-    name, workspace = request.path_params["name"], request.app.state.workspace
+    workspace: Workspace = request.app.state.workspace
     how = workspace, name, order.budget
     started = await run_in_threadpool(start_resolving, *how, beyond_range=order.beyond_range)
     return _started(name, started)
@@ -235,3 +270,6 @@ def _started(name: str, started: Started) -> Response:
         "reason": started.reason,
     }
     return json_reply(body, 202 if started.jobs else 200)
+
+
+router.include_router(blocks)

@@ -8,12 +8,13 @@ from fastapi import APIRouter, Request
 from starlette.responses import JSONResponse
 
 from service.files.discreet import discreetly
+from service.http.openapi import answers
 from service.workspace import Workspace
 
 router = APIRouter(prefix="/health", tags=["health"])
 
 
-@router.get("/live", summary="The process answers")
+@router.get("/live", summary="The process answers", response_description="the process answers")
 async def live() -> dict[str, str]:
     return {"status": "live"}
 
@@ -21,6 +22,8 @@ async def live() -> dict[str, str]:
 @router.get(
     "/ready",
     summary="Whether jobs are accepted and solved; which components are broken or still built",
+    responses=answers(dict[str, Any], "ready")
+    | answers(dict[str, Any], "not ready; see faults", 503),
 )
 def ready(request: Request) -> JSONResponse:
     workspace: Workspace = request.app.state.workspace

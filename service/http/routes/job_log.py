@@ -6,14 +6,15 @@ import pathlib
 import sys
 
 from fastapi import APIRouter, Request
-from starlette.responses import Response
+from starlette.responses import PlainTextResponse, Response
 
+from service.http.openapi import refused
 from service.http.problems import ProblemError
 from service.http.routes.jobs import JobId
 from service.jobs.attempt import LOG
 from service.workspace import Workspace
 
-router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"], responses=refused(404, 422))
 
 # The end, where the reason stands; all of it is in the attempt's files.
 MOST_LOG_BYTES = 64 * 1024
@@ -21,7 +22,10 @@ CODE = pathlib.Path(__file__).parents[3]
 
 
 @router.get(
-    "/{job_id}/log", summary="What the last attempt printed, its end", response_class=Response
+    "/{job_id}/log",
+    summary="What the last attempt printed, its end",
+    response_class=PlainTextResponse,
+    response_description="its end",
 )
 def attempt_log(job_id: JobId, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace

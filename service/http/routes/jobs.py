@@ -16,12 +16,13 @@ from starlette.responses import Response, StreamingResponse
 
 from service.files.discreet import discreetly
 from service.http.links import job_link
+from service.http.openapi import BYTES, refused
 from service.http.problems import ProblemError
 from service.jobs.attempt_zip import pieces_of, zipped
 from service.ledger import Job, LedgerRow, Status, UnknownJobError
 from service.workspace import Workspace
 
-router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"], responses=refused(404, 422))
 
 
 def _within(job_id: int) -> int:
@@ -106,7 +107,11 @@ def _whole_body(workspace: Workspace, job: Job) -> dict[str, Any]:
     return body | {"waiting": discreetly(asdict(waiting)) if waiting else None}
 
 
-@router.delete("", summary="Cancel all jobs that wait, or that run")
+@router.delete(
+    "",
+    summary="Cancel all jobs that wait, or that run",
+    responses={200: {"model": dict[Literal["cancelled"], int], "description": "how many"}},
+)
 def cancel_many(
     request: Request,
     component: Annotated[str | None, Query(description="only those of this component")] = None,
@@ -117,19 +122,26 @@ def cancel_many(
     return {"cancelled": workspace.ledger.cancel_many(component, status)}
 
 
-@router.delete("/{job_id}", summary="Cancel a job that has not ended")
+@router.delete("/{job_id}", summary="Cancel a job that has not ended", responses=refused(409))
 def cancel(job_id: JobId, request: Request) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
     return job_body(workspace, workspace.ledger.cancel(job_id))
 
 
-@router.post("/{job_id}/retry", summary="Queue a failed or cancelled job again")
+@router.post(
+    "/{job_id}/retry", summary="Queue a failed or cancelled job again", responses=refused(409)
+)
 def retry(job_id: JobId, request: Request) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
     return job_body(workspace, workspace.ledger.retry(job_id))
 
 
-@router.get("/{job_id}/files", summary="Everything the last attempt left, as a zip")
+@router.get(
+    "/{job_id}/files",
+    summary="Everything the last attempt left, as a zip",
+    response_class=Response,
+    responses={200: {"description": "the attempt's folder", "content": {"application/zip": BYTES}}},
+)
 def attempt_files(job_id: JobId, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     job = workspace.ledger.job(job_id)

@@ -11,13 +11,16 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from service.http.bodies import Body
-from service.http.limited import read_limited
+from service.http.body import read_limited
+from service.http.openapi import answers, refused, takes
 from service.http.parsing import read_body
 from service.http.problems import ProblemError, bad_body
 from service.keys import Keyring, KeysError
 from service.keys.record import MEGABYTES, RATE
 
-router = APIRouter(prefix="/v1/keys", tags=["keys"])
+router = APIRouter(
+    prefix="/v1/keys", tags=["keys"], responses=refused(s409="this server has no keys")
+)
 
 
 class KeyBody(Body):
@@ -36,7 +39,14 @@ def list_keys(request: Request) -> dict[str, Any]:
     return {"keys": [key.told() for key in _keyring(request).listed()]}
 
 
-@router.post("", status_code=201, summary="Make a key; its secret is told this once")
+@router.post(
+    "",
+    status_code=201,
+    summary="Make a key; its secret is told this once",
+    responses=answers(dict[str, Any], "made; `key` is its secret, sent this once", 201)
+    | refused(422),
+    openapi_extra=takes(KeyBody),
+)
 async def add_key(request: Request) -> Response:
     keyring = _keyring(request)
     body: KeyBody = read_body(KeyBody, await read_limited(request.receive))
@@ -45,9 +55,7 @@ async def add_key(request: Request) -> Response:
     return Response(orjson.dumps(told), 201, None, "application/json")
 
 
-@router.delete(
-    "/{name}", summary="Revoke a key", responses={409: {"description": "This server has no keys"}}
-)
+@router.delete("/{name}", summary="Revoke a key", responses=refused(404, 422))
 def revoke_key(name: str, request: Request) -> dict[str, Any]:
     keyring = _keyring(request)
     try:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
-import orjson
 from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from service.http.bodies import CopyBody, NotesBody, RenameBody
+from service.http.body import read_limited
 from service.http.door.grant import grant_of
-from service.http.limited import read_limited
+from service.http.openapi import answers, refused, takes
 from service.http.parsing import read_body
 from service.http.problems import ProblemError, bad_body
+from service.http.replies import json_reply
 from service.http.routes.components import component_body
+from service.http.table_schemas import Card, Demand, Disagreement, Imports
 from service.ledger import About
 from service.tablefile.parsed import text_problem
 from service.tables.copying import copy_rows
@@ -22,81 +24,103 @@ from service.tables.disagreement import disagreement
 from service.tables.rows import told_time
 from service.workspace import Workspace
 
-router = APIRouter(prefix="/v1/components/{name}", tags=["library"])
+router = APIRouter(prefix="/v1/components/{name}", tags=["library"], responses=refused(404, 422))
 CATCH_UP_S = 25.0
 MOST_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
 
 
-@router.post("/copy", status_code=201, summary="Copy a component, with its rows if wanted")
+@router.post(
+    "/copy",
+    status_code=201,
+    summary="Copy a component, with its rows if wanted",
+    responses=answers(dict[str, Any], "copied", 201) | refused(409),
+    openapi_extra=takes(CopyBody),
+)
 async def copy(name: str, request: Request) -> Response:
     body = read_body(CopyBody, await read_limited(request.receive))
     return await run_in_threadpool(_copied, request, name, body)
 
 
 @router.post(
-    "/rename", status_code=201, summary="Copy under another name, and put the old one away"
+    "/rename",
+    status_code=201,
+    summary="Copy under another name, and put the old one away",
+    responses=answers(dict[str, Any], "copied, and the old one archived", 201) | refused(409),
+    openapi_extra=takes(RenameBody),
 )
 async def rename(name: str, request: Request) -> Response:
     body = read_body(RenameBody, await read_limited(request.receive))
     return await run_in_threadpool(_copied, request, name, CopyBody(name=body.name), True)
 
 
-@router.post("/archive", summary="Put away: left out of the list, answers all the same")
-def archive(name: str, request: Request) -> dict[str, Any]:
+@router.post(
+    "/archive", summary="Put away: left out of the list, answers all the same", response_model=Card
+)
+def archive(name: str, request: Request) -> Response:
     return _put(request, name, archived=True)
 
 
-@router.post("/unarchive", summary="Back into the list")
-def unarchive(name: str, request: Request) -> dict[str, Any]:
+@router.post("/unarchive", summary="Back into the list", response_model=Card)
+def unarchive(name: str, request: Request) -> Response:
     return _put(request, name, archived=False)
 
 
-@router.put("/notes", summary="What people want to remember about it")
-async def write_notes(name: str, request: Request) -> dict[str, Any]:
+@router.put(
+    "/notes",
+    summary="What people want to remember about it",
+    response_model=Card,
+    openapi_extra=takes(NotesBody),
+)
+async def write_notes(name: str, request: Request) -> Response:
     text = read_body(NotesBody, await read_limited(request.receive, MOST_NOTES_BYTES)).text
     if problem := text_problem(text):
         raise bad_body([{"loc": "text", "msg": problem}])
     return await run_in_threadpool(_put, request, name, notes=text)
 
 
-@router.get("/imports", summary="Who loaded which rows from what, newest first")
-def imports(name: str, request: Request) -> dict[str, Any]:
+@router.get(
+    "/imports", summary="Who loaded which rows from what, newest first", response_model=Imports
+)
+def imports(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     found = workspace.ledger.imports(workspace.library[name].name)
     versions = {one.id: last for _, last, one in workspace.ledger.import_spans(name)}
-    return {
-        "imports": [
-            {
-                "id": one.id,
-                "when": told_time(one.created),
-                "who": one.who,
-                "filename": one.filename,
-                "format": one.format,
-                "sha256": one.digest,
-                "note": one.note,
-                "rows": one.rows,
-                "table_version": versions.get(one.id),
-            }
-            for one in found
-        ]
-    }
+    told = [
+        {
+            "id": one.id,
+            "when": told_time(one.created),
+            "who": one.who,
+            "filename": one.filename,
+            "format": one.format,
+            "sha256": one.digest,
+            "note": one.note,
+            "rows": one.rows,
+            "table_version": versions.get(one.id),
+        }
+        for one in found
+    ]
+    return json_reply({"imports": told})
 
 
-@router.get("/disagreement", summary="Measured rows beside what the solved ones say")
-def disagree(name: str, request: Request) -> dict[str, Any]:
+@router.get(
+    "/disagreement",
+    summary="Measured rows beside what the solved ones say",
+    response_model=Disagreement,
+)
+def disagree(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     component = workspace.library[name]
     table = workspace.tables.caught_up(name, CATCH_UP_S)
     how = component.load_range, component.tolerance, component.linear, table.locked
     found = disagreement(table.rows, *how, table.solver_error)
-    return {"component": name, "table_version": table.version, **found}
+    return json_reply({"component": name, "table_version": table.version, **found})
 
 
-@router.get("/demand", summary="What was asked and not covered")
-def demand(name: str, request: Request) -> dict[str, Any]:
+@router.get("/demand", summary="What was asked and not covered", response_model=Demand)
+def demand(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     component = workspace.library[name]
-    return {"component": name, **workspace.demand.told(name, component.load_range)}
+    return json_reply({"component": name, **workspace.demand.told(name, component.load_range)})
 
 
 @router.delete("/demand", summary="Begin the demand map anew")
@@ -106,10 +130,10 @@ def forget_demand(name: str, request: Request) -> dict[str, Any]:
     return {"component": name, "asked": 0}
 
 
-def _put(request: Request, name: str, **fields: Any) -> dict[str, Any]:
+def _put(request: Request, name: str, **fields: Any) -> Response:
     workspace: Workspace = request.app.state.workspace
     card = workspace.catalogue.change(workspace.library[name].name, **fields)
-    return {"component": name, "archived": card.archived, "notes": card.notes}
+    return json_reply({"component": name, "archived": card.archived, "notes": card.notes})
 
 
 def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) -> Response:
@@ -140,6 +164,5 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
     if renamed:
         workspace.catalogue.change(name, archived=True, renamed_to=made.name)
     workspace.tables.catch_up(made.name, CATCH_UP_S)
-    content = orjson.dumps(component_body(workspace, made))
-    headers = {"Location": f"/v1/components/{made.name}"}
-    return Response(content, 201, headers, "application/json")
+    where = {"Location": f"/v1/components/{made.name}"}
+    return json_reply(component_body(workspace, made), 201, where)

@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import orjson
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
+from service.http.openapi import JSON, TEXT, answers, refused
 from service.http.problems import ProblemError
 from service.ordering import NoSetupError
 from service.workspace import Workspace
 
-router = APIRouter(prefix="/v1/components/{name}/report", tags=["report"])
+router = APIRouter(
+    prefix="/v1/components/{name}/report", tags=["report"], responses=refused(404, 422)
+)
 
 _MEDIA_TYPES = {
-    "json": "application/json",
+    "json": JSON,
     "md": "text/markdown; charset=utf-8",
     "html": "text/html; charset=utf-8",
 }
 
+_MAKING = answers(dict[str, Any], "being made", 202)
 
-@router.post("", status_code=202, summary="Make the report anew; it takes minutes of solving")
+
+@router.post(
+    "",
+    status_code=202,
+    summary="Make the report anew; it takes minutes of solving",
+    responses=answers(dict[str, Any], "made already") | _MAKING | refused(409),
+)
 def make_report(
     name: str,
     request: Request,
@@ -43,7 +53,16 @@ def make_report(
     return _state(workspace, name)
 
 
-@router.get("", summary="The latest report; 202 while the first one is being made")
+@router.get(
+    "",
+    summary="The latest report; 202 while the first one is being made",
+    responses=answers(
+        dict[str, Any],
+        "the latest report",
+        content={"text/markdown": TEXT, "text/html": TEXT},
+    )
+    | _MAKING,
+)
 def get_report(
     name: str,
     request: Request,

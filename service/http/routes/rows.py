@@ -7,38 +7,37 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request
 
+from service.http.openapi import refused
 from service.http.problems import ProblemError
 from service.http.provenance import row_told
 from service.ledger import RowStatusError
 from service.workspace import Workspace
 
-router = APIRouter(prefix="/v1/components/{name}/table/{row}", tags=["table"])
+router = APIRouter(
+    prefix="/v1/components/{name}/table/{row}",
+    tags=["table"],
+    responses=refused(404, 422),
+)
 
 CATCH_UP_S = 10.0
 # The ledger's numbers are SQLite's: 64 bits with a sign.
 RowId = Annotated[int, Path(ge=1, lt=2**63, description="the row's id, its `seq`")]
-RESPONSES: dict[int | str, dict[str, Any]] = {
-    404: {"description": "No such component, or no such row in its table"},
-    409: {"description": "The row is withdrawn already, or is in the table already"},
-    503: {"description": "The ledger cannot be written; nothing was changed"},
-}
+_EDITS = refused(s409="the row is withdrawn already, or is in the table already")
 
 
-@router.get("", summary="A row, and where it comes from", responses={404: RESPONSES[404]})
+@router.get("", summary="A row, and where it comes from")
 def one_row(name: str, row: RowId, request: Request) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
     return row_told(workspace, workspace.library[name], row)
 
 
-@router.delete(
-    "", summary="Withdraw a row: it leaves the table and its exports", responses=RESPONSES
-)
+@router.delete("", summary="Withdraw a row: it leaves the table and its exports", responses=_EDITS)
 def withdraw(name: str, row: RowId, request: Request) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
     return _edited(workspace, name, row, workspace.ledger.withdraw, "withdrawn")
 
 
-@router.post("/restore", summary="Bring a withdrawn row back into the table", responses=RESPONSES)
+@router.post("/restore", summary="Bring a withdrawn row back into the table", responses=_EDITS)
 def restore(name: str, row: RowId, request: Request) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
     return _edited(workspace, name, row, workspace.ledger.restore, "restored")

@@ -12,20 +12,27 @@ from starlette.responses import Response
 
 from service.answering.scenes import scene_file, scene_reply
 from service.http.bodies import SceneBody, SceneComponent
-from service.http.limited import read_limited
+from service.http.body import read_limited
 from service.http.needs import need_from
+from service.http.openapi import BYTES, refused, takes
 from service.http.parsing import read_body
 from service.http.replies import json_reply
-from service.http.routes.table_schema import PACKED_TYPE
+from service.http.routes.table import PACKED_TYPE
+from service.http.schemas import Plans
 from service.http.versions import holds, naming
 from service.workspace import Workspace
 from surrogate.scene.need import Need
 
-router = APIRouter(prefix="/v1", tags=["scenes"])
+router = APIRouter(prefix="/v1", tags=["scenes"], responses=refused(404, 422))
 CATCH_UP_S = 25.0
 
 
-@router.post("/scenes/plan", summary="What a scene needs of its components, and what that saves")
+@router.post(
+    "/scenes/plan",
+    summary="What a scene needs of its components, and what that saves",
+    response_model=Plans,
+    openapi_extra=takes(SceneBody),
+)
 async def plan(request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     scene = read_body(SceneBody, await read_limited(request.receive))
@@ -37,7 +44,18 @@ async def plan(request: Request) -> Response:
     return json_reply({"components": told})
 
 
-@router.get("/components/{name}/scene", summary="The packed table cut to a scene")
+@router.get(
+    "/components/{name}/scene",
+    summary="The packed table cut to a scene",
+    response_class=Response,
+    responses={
+        200: {
+            "description": "what Client.download(name, scene=) reads",
+            "content": {PACKED_TYPE: BYTES},
+        },
+        304: {"description": "the caller has this version"},
+    },
+)
 async def scene_table(
     name: str,
     request: Request,

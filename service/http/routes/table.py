@@ -14,17 +14,12 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
 from service.answering.past import table_at
+from service.http.body import received
 from service.http.door.grant import grant_of
 from service.http.import_query import ImportQuery
+from service.http.openapi import BYTES, answers, refused, takes
 from service.http.problems import ProblemError
-from service.http.received import received
-from service.http.routes.table_schema import (
-    EXPORT_REPLIES,
-    IMPORT_BODY,
-    IMPORT_REPLIES,
-    MEDIA_TYPES,
-    PACKED_TYPE,
-)
+from service.http.table_schemas import Imported, Table
 from service.http.versions import holds, naming
 from service.ledger import About
 from service.library.component import Component
@@ -38,9 +33,46 @@ from service.tables.served import ServedTable
 from service.workspace import CATCH_UP_S, Workspace
 from surrogate.packed.format import SUFFIX
 
-router = APIRouter(prefix="/v1/components/{name}/table", tags=["table"])
+router = APIRouter(
+    prefix="/v1/components/{name}/table", tags=["table"], responses=refused(404, 422)
+)
 
 Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat", "packed"]
+MEDIA_TYPES = {
+    "csv": "text/csv",
+    "json": "application/json",
+    "hdf5": "application/x-hdf5",
+    "xlsx": "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
+    "parquet": "application/vnd.apache.parquet",
+    "mat": "application/x-matlab-data",
+}
+PACKED_TYPE = "application/octet-stream"
+_FILES = {MEDIA_TYPES[one]: BYTES for one in ("hdf5", "xlsx", "parquet")} | {
+    MEDIA_TYPES["csv"]: {"schema": {"type": "string", "description": "units in the header"}}
+}
+_LOGS = {
+    "type": "object",
+    "description": "one 'table', or two logs that are joined by their time columns",
+    "properties": dict.fromkeys(("table", "loads", "displacements"), BYTES["schema"]),
+}
+_SENT = {
+    **_FILES,
+    PACKED_TYPE: BYTES,
+    "application/gzip": BYTES,
+    "multipart/form-data": {"schema": _LOGS},
+}
+_PACKED = {
+    **BYTES["schema"],
+    "description": "packed: the table that answers, for `Table.open` and the kernel's `wb_open`",
+}
+_WRITTEN = {**_FILES, MEDIA_TYPES["mat"]: BYTES, PACKED_TYPE: {"schema": _PACKED}}
+_ETAG = {
+    "ETag": {
+        "schema": {"type": "string"},
+        "description": "names the table version and setup; of packed the content",
+    }
+}
+_CURRENT = "the version named by If-None-Match is the present one"
 # A file of any form may come as plain bytes: its content tells what it is.
 _TAKEN = frozenset(
     {
@@ -55,7 +87,14 @@ _TAKEN = frozenset(
 )
 
 
-@router.get("", summary="Export the table", response_class=Response, responses=EXPORT_REPLIES)
+@router.get(
+    "",
+    summary="Export the table",
+    response_class=Response,
+    responses=answers(Table, "the table", content=_WRITTEN, headers=_ETAG)
+    | {304: {"description": _CURRENT, "headers": _ETAG}}
+    | refused(s409="this form cannot hold this table"),
+)
 async def export(
     name: str,
     request: Request,
@@ -134,9 +173,13 @@ def _export(
 @router.post(
     "",
     summary="Bulk import: all rows or none, or the good ones with partial",
-    response_class=Response,
-    responses=IMPORT_REPLIES,
-    openapi_extra=IMPORT_BODY,
+    responses=answers(Imported, "the rows are in, or were counted")
+    | refused(
+        s413="the table is too large; send it in parts",
+        s415="the content type is no form of a table",
+        s422="the table has mistakes; nothing was loaded",
+    ),
+    openapi_extra=takes(Table, _SENT),
 )
 async def import_table(
     name: str, request: Request, query: Annotated[ImportQuery, Query()]

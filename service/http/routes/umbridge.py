@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import orjson
 from fastapi import APIRouter, Request
+from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 from starlette.responses import Response
+from typing_extensions import TypedDict
 
 from service.answering.one import answer_or_submit
 from service.http import umbridge
-from service.http.limited import read_limited
+from service.http.bodies import Body
+from service.http.body import read_limited
+from service.http.openapi import answers, takes
 from service.http.problems import problem_of
 from service.http.routes.displacement import DirectRoute
 from service.http.umbridge import Call, UmBridgeError
@@ -23,7 +27,38 @@ from service.workspace import Workspace
 
 log = logging.getLogger(__name__)
 
+_Vector = Annotated[list[float], Field(min_length=6)]
+
+
+class Failure(TypedDict):
+    """The protocol's own form of an error."""
+
+    type: Literal["ModelNotFound", "UnsupportedFeature", "InvalidInput", "InvalidOutput"]
+    message: str
+
+
+class Named(Body):
+    """The body of a call about one component."""
+
+    name: str
+
+
+_Product = dict[Literal["output"], _Vector]
+_Output = dict[Literal["output"], Annotated[list[_Vector], Field(min_length=1)]]
+_Sizes = dict[Literal["inputSizes", "outputSizes"], list[int]]
+_Error = dict[Literal["error"], Failure]
+_ERRORS = answers(_Error, "a mistake of the caller", 400) | answers(
+    _Error, "there is no output to give", 500
+)
+
+
 router = APIRouter(prefix="/umbridge", tags=["umbridge"], route_class=DirectRoute)
+
+
+def _post(path: str, summary: str, reply: Any, body: Any = Named) -> Any:
+    """Return the decorator of a call of the protocol."""
+    described = {"summary": f"UM-Bridge: {summary}", "openapi_extra": takes(body)}
+    return router.post(path, **described, response_model=reply, responses=_ERRORS)
 
 
 @router.get("/Info", summary="UM-Bridge: the protocol's version and the components")
@@ -33,37 +68,41 @@ async def info(request: Request) -> Response:
     return _reply({"protocolVersion": umbridge.PROTOCOL, "models": names})
 
 
-@router.post("/ModelInfo", summary="UM-Bridge: which calls a component supports")
+@_post("/ModelInfo", "which calls a component supports", dict[Literal["support"], dict[str, bool]])
 async def model_info(request: Request) -> Response:
     return await _told(request, {"support": umbridge.SUPPORT})
 
 
-@router.post("/InputSizes", summary="UM-Bridge: one vector in, the wrench, N and N·m")
+@_post("/InputSizes", "one vector in, the wrench, N and N·m", _Sizes)
 async def input_sizes(request: Request) -> Response:
     return await _told(request, {"inputSizes": umbridge.SIZES})
 
 
-@router.post("/OutputSizes", summary="UM-Bridge: one vector out, the displacement, m and rad")
+@_post(
+    "/OutputSizes",
+    "one vector out, the displacement, m and rad",
+    _Sizes,
+)
 async def output_sizes(request: Request) -> Response:
     return await _told(request, {"outputSizes": umbridge.SIZES})
 
 
-@router.post("/Evaluate", summary="UM-Bridge: the displacement under a wrench")
+@_post("/Evaluate", "the displacement under a wrench", _Output, umbridge.EvaluateBody)
 async def evaluate(request: Request) -> Response:
     return await _answered(request, "Evaluate")
 
 
-@router.post("/Gradient", summary="UM-Bridge: J^T sens, J being du/dw")
+@_post("/Gradient", "J^T sens, J being du/dw", _Product, umbridge.ProductBody)
 async def gradient(request: Request) -> Response:
     return await _answered(request, "Gradient")
 
 
-@router.post("/ApplyJacobian", summary="UM-Bridge: J vec, J being du/dw")
+@_post("/ApplyJacobian", "J vec, J being du/dw", _Product, umbridge.ProductBody)
 async def apply_jacobian(request: Request) -> Response:
     return await _answered(request, "ApplyJacobian")
 
 
-@router.post("/ApplyHessian", summary="UM-Bridge: not offered; answers UnsupportedFeature")
+@_post("/ApplyHessian", "not offered; answers UnsupportedFeature", _Error)
 async def apply_hessian(request: Request) -> Response:
     return await _told(request, None)
 

@@ -1,5 +1,6 @@
-"""The straight way of the main call says what the usual way does, whatever is sent to it."""
+"""The fast path and the usual path of the main call give the same replies, whatever is sent."""
 
+import contextlib
 import re
 import socket
 from contextlib import closing
@@ -9,7 +10,9 @@ import orjson
 import pytest
 
 from service.http.application import Application
-from service.http.straight import StraightProtocol
+from service.http.door import Grant
+from service.http.protocol import FastPathProtocol
+from service.keys import Keyring
 from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, served, tangents
 
 PATH = "/v1/components/solved/displacement"
@@ -34,7 +37,7 @@ def straight(monkeypatch):
 
     def counted(self, name, headers, body):
         content = ask(self, name, headers, body)
-        found.append(content is not None)
+        found.append(isinstance(content, bytes))
         return content
 
     monkeypatch.setattr(Application, "answer_at_once", counted)
@@ -359,6 +362,78 @@ def test_two_ways_to_tell_a_length_are_refused(wire):
     assert wire.socket.recv(1) == b""
 
 
+UPGRADE = ["Connection: Upgrade", "Upgrade: h2c"]
+SMUGGLED = b"GET /health/live HTTP/1.1\r\nHost: x\r\n\r\n"
+
+
+def rest(wire):
+    """Return what the server sends until it closes the connection."""
+    try:
+        while piece := wire.socket.recv(65536):
+            wire.left += piece
+    except ConnectionResetError:  # it was closed before it had read all
+        pass
+    return wire.left
+
+
+@pytest.mark.parametrize("path", [PATH, f"{PATH}s", "/v1/components/solved/notes", "/nothing"])
+@pytest.mark.parametrize("later", [True, False])
+@pytest.mark.parametrize(
+    "sized", [f"Content-Length: {len(SMUGGLED)}", "Transfer-Encoding: chunked"]
+)
+def test_a_body_behind_an_upgrade_header_is_not_answered_as_a_request(wire, path, later, sized):
+    assert wire.ask(request())[0] == 200
+    lines = [f"POST {path} HTTP/1.1", "Host: x", *UPGRADE, sized, "", ""]
+    head = "\r\n".join(lines).encode()
+    status, headers, body = wire.ask(head if later else head + SMUGGLED)
+    assert (status, headers["connection"]) == (400, "close")
+    assert "without the headers Connection" in orjson.loads(body)["detail"]
+    if later:
+        with contextlib.suppress(OSError):
+            wire.send(SMUGGLED)
+    assert rest(wire) == b""
+
+
+@pytest.mark.parametrize("protocol", ["h2c", "websocket"])
+def test_a_request_to_switch_protocols_is_answered_and_the_connection_closed(wire, protocol):
+    head = f"GET /health/live HTTP/1.1\r\nHost: x\r\nConnection: Upgrade\r\nUpgrade: {protocol}"
+    status, headers, body = wire.ask(f"{head}\r\n\r\n".encode() + SMUGGLED)
+    assert (status, headers["connection"]) == (200, "close")
+    assert orjson.loads(body) == {"status": "live"}
+    assert rest(wire) == b""
+
+
+def test_a_query_before_one_with_an_upgrade_header_is_answered_first(wire):
+    wire.send(SMUGGLED + request(fields=UPGRADE) + SMUGGLED)
+    assert [wire.reply()[0], wire.reply()[0]] == [200, 400]
+    assert rest(wire) == b""
+
+
+def test_an_uncovered_query_costs_its_key_one_request(tmp_path, monkeypatch):
+    counted = []
+    wait = Grant.wait
+
+    def count(self):
+        if self.key is not None and self.key.name == "loop":
+            counted.append(self)
+        return wait(self)
+
+    monkeypatch.setattr(Grant, "wait", count)
+    owner, loop = (Keyring(tmp_path).add(name, "write") for name in ("owner", "loop"))
+    wrenches = full_wrenches(40)
+    with served(tmp_path, key=owner) as client:
+        add_table(client, "solved", as_rows(wrenches, moved(wrenches)))
+        with closing(Wire(client._port)) as wire:
+            covered = orjson.dumps({**PLAIN, "on_thin": "estimate"})
+            uncovered = covered.replace(b"estimate", b"reject  ")
+            uncovered = uncovered.replace(b'reject  "', b'reject"  ')
+            bodies = [uncovered, covered, uncovered, covered, b"{", b"{"]
+            key = [f"Authorization: Bearer {loop}"]
+            found = [wire.ask(request(body, fields=key))[0] for body in bodies]
+    assert found == [409, 200, 409, 200, 422, 422]
+    assert len(counted) == len(bodies)
+
+
 def test_beyond_the_range_the_usual_way_refuses_to_queue(straight, wire):
     far = (10 * FULL).tolist()
     status, _, body = wire.ask(request(orjson.dumps({"force": far[:3], "moment": far[3:]})))
@@ -374,8 +449,8 @@ def test_an_application_without_the_straight_way_is_served_all_the_same():
     from uvicorn.config import Config
     from uvicorn.server import ServerState
 
-    config = Config(Bare(), http=StraightProtocol, log_config=None)
-    assert StraightProtocol(config, ServerState(), {}, _loop=_NoLoop())._ask is None
+    config = Config(Bare(), http=FastPathProtocol, log_config=None)
+    assert FastPathProtocol(config, ServerState(), {}, _loop=_NoLoop())._answer is None
 
 
 class _NoLoop:

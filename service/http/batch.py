@@ -1,11 +1,13 @@
-"""Large batches in JSON: read behind the fence, for as long as it takes, while others are answered.
+"""Batches of wrenches in JSON: small ones are parsed here, large ones in a sandboxed process.
 
 The parser holds Python's lock for seconds, and what it makes of a body may be forty times as large.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import asyncio
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,15 +17,20 @@ import orjson
 from service.answering.queries import BatchQuery
 from service.fence import Limits, Part, fenced
 from service.fence.limits import MIB
-from service.http.parsing import batch_of, batch_parts, checked_batch, parsed_json, plain_rows
-from service.http.problems import ProblemError
-from service.http.spooled import Spooled
+from service.http.bodies import MAX_BATCH, BatchBody
+from service.http.body import Spooled, busy
+from service.http.parsing import checked, known_method, parsed_json, plain_rows, plain_wrenches
+from service.http.problems import ProblemError, bad_body
+from surrogate.table.rows import Tolerance
 
 # A million wrenches as Python's lists and numbers are 400 MB, beside the text of 250 MB.
 LIMITS: Final = Limits(memory=1200 * MIB, seconds=60.0, output=256 * MIB)
 
 PIECE: Final = 1 << 20  # bytes that the parser sees at once
 _WRENCHES: Final = b'"wrenches"'
+LARGE: Final = 50_000  # wrenches: beyond it, an answer is tens of MB in several forms at once
+WAIT_S: Final = 60.0
+_places = asyncio.Semaphore(2)
 
 
 def read_batch_body(body: Spooled) -> BatchQuery:
@@ -36,12 +43,63 @@ def read_batch_body(body: Spooled) -> BatchQuery:
     FenceError, FenceBusyError
         If it takes too much to be read, or too many others are being read.
     """
-    if body.content is not None:
+    if body.path is None:
         return batch_of(*batch_parts(body.content))
-    (told,) = fenced("service.http.large:parsed", body.path, None, LIMITS)
+    (told,) = fenced("service.http.batch:parsed", body.path, None, LIMITS)
     if refused := told.fields["refused"]:
         raise refusal(refused)
     return batch_of(told.fields["batch"], np.array(told.arrays["wrenches"]))
+
+
+def batch_parts(body: bytes) -> tuple[dict[str, Any], np.ndarray]:
+    """Read the batch call's JSON body: its fields as checked, and its wrenches, N and N·m (n, 6).
+
+    Raises
+    ------
+    ProblemError
+        422, with mistakes' places.
+    """
+    _few_lists(body)
+    fields = parsed_json(body)
+    return checked_batch(fields, plain_wrenches(fields))
+
+
+def checked_batch(fields: Any, wrenches: np.ndarray | None) -> tuple[dict[str, Any], np.ndarray]:
+    """Check a batch's fields, as `batch_parts` does.
+
+    Parameters
+    ----------
+    fields : object
+        As parsed from JSON.
+    wrenches : array or None
+        Those in it, shape (n, 6), N and N·m, if they have been found to be in order.
+    """
+    if wrenches is not None:
+        if len(wrenches) > MAX_BATCH:
+            raise _too_many()
+        fields = {**fields, "wrenches": []}
+    full = checked(BatchBody, fields)
+    if wrenches is None:
+        wrenches = np.array(full.wrenches, dtype=float).reshape(-1, 6)
+    known_method(full.method)
+    return full.model_dump(exclude={"wrenches"}), wrenches + 0.0
+
+
+def batch_of(fields: dict[str, Any], wrenches: np.ndarray) -> BatchQuery:
+    """Return the query that a batch's parts are, see `batch_parts`; wrenches (n, 6), N and N·m."""
+    limit = fields["tolerance"]
+    told = {name: value for name, value in fields.items() if name != "tolerance"}
+    return BatchQuery(wrenches, tolerance=Tolerance(**limit) if limit else None, **told)
+
+
+def _few_lists(body: bytes) -> None:
+    """Refuse a batch of more lists than it may have, before a parser makes 64 bytes of each."""
+    if body.count(b"[") > MAX_BATCH + 64 or body.count(b"{") > 1024:
+        raise _too_many()
+
+
+def _too_many() -> ProblemError:
+    return bad_body([{"loc": "wrenches", "msg": f"at most {MAX_BATCH} wrenches a call"}])
 
 
 def parsed(path: Path) -> Iterator[Part]:
@@ -104,3 +162,25 @@ def refusal(told: dict[str, Any]) -> ProblemError:
     found = ProblemError(int(told["status"]), "", "", str(told["body"].get("detail", "")))
     found.body = dict(told["body"])
     return found
+
+
+@asynccontextmanager
+async def few_large(wrenches: int) -> AsyncIterator[None]:
+    """Wait, before a large batch is answered, until at most one other is being answered.
+
+    Raises
+    ------
+    ProblemError
+        503, after WAIT_S.
+    """
+    if wrenches < LARGE:
+        yield
+        return
+    try:
+        await asyncio.wait_for(_places.acquire(), WAIT_S)
+    except TimeoutError:
+        raise busy() from None
+    try:
+        yield
+    finally:
+        _places.release()

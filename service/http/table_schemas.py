@@ -1,0 +1,222 @@
+"""Types of the replies about tables, recordings and the library, for the OpenAPI document alone.
+
+Any key may be left out of a reply. All quantities are SI.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, NotRequired
+
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from service.http.schemas import JobLink, Six, text
+
+_Wrench = Annotated[list[float], Field(min_length=6, max_length=6, description="N and N·m")]
+_Moved = Annotated[Six, text("m and rad; null where not measured")]
+_Row = Annotated[list[float], Field(min_length=6, max_length=6)]
+
+
+class TableRow(TypedDict):
+    wrench: _Wrench
+    displacement: _Moved
+    uncertainty: NotRequired[Annotated[Six, text("m and rad; null where not known")]]
+    compliance: NotRequired[
+        Annotated[
+            list[_Row],
+            Field(min_length=6, max_length=6),
+            text("tangent d(displacement)/d(wrench), a line an output, m and rad over N and N·m"),
+        ]
+    ]
+    source: NotRequired[Annotated[str, text("fea, measured ...")]]
+    note: NotRequired[str]
+    fingerprint: NotRequired[Annotated[str, text("the setup that was solved")]]
+
+
+class Table(TypedDict):
+    rows: list[TableRow]
+    units: NotRequired[Literal["SI"]]
+    component: NotRequired[str]
+    table_version: NotRequired[int]
+
+
+class RowMistake(TypedDict, total=False):
+    row: Annotated[int, text("line or place, from 1; 0: the whole file")]
+    field: str
+    message: Annotated[str, text("what is wrong and what to write")]
+
+
+class PreviewRow(TypedDict, total=False):
+    row: int
+    wrench: _Wrench
+    displacement: _Moved
+
+
+Imported = TypedDict(
+    "Imported",
+    {
+        "inserted": int,
+        "existing": Annotated[int, text("rows that were there already")],
+        "errors": Annotated[list[RowMistake], text("1,000 at most")],
+        "dry_run": bool,
+        "partial": bool,
+        "format": Annotated[str, text("found from the content")],
+        "gzip": bool,
+        "import": Annotated[int | None, text("its number, in imports")],
+        "rows": Annotated[
+            dict[Literal["read", "loaded", "refused", "tare", "unmatched"], int],
+            text("read = loaded + refused + tare + unmatched, but of a dry run"),
+        ],
+        "columns": Annotated[
+            list[dict[Literal["column", "name", "unit"], str]],
+            text("what each column was taken for"),
+        ],
+        "ignored": list[str],
+        "above": Annotated[list[str], text("lines of title above the header, left out")],
+        "preview": list[PreviewRow],
+        "table_version": Annotated[int, text("the version that holds these rows")],
+        "in_use": Annotated[bool, text("whether the rows answer already")],
+    },
+    total=False,
+)
+
+
+class Card(TypedDict, total=False):
+    component: str
+    archived: bool
+    notes: str
+
+
+class Import(TypedDict, total=False):
+    id: int
+    rows: int
+    table_version: Annotated[
+        int | None, text("the first that has them all; null if it brought none")
+    ]
+    when: str
+    who: str
+    filename: str
+    format: str
+    sha256: str
+    note: str
+
+
+class Imports(TypedDict, total=False):
+    imports: list[Import]
+
+
+class DisagreeingRow(TypedDict, total=False):
+    row: int
+    wrench: dict[str, Any]
+    output: str
+    measured: float
+    expected: float
+    bar: float
+    ratio: float
+
+
+class Disagreement(TypedDict, total=False):
+    measured: int
+    solved: int
+    beyond_range: int
+    compared: int
+    outside: int
+    table_version: int
+    outputs: Annotated[dict[str, Any], text("of each: compared, outside, mean_difference")]
+    rows: list[DisagreeingRow]
+
+
+class DemandCell(TypedDict, total=False):
+    wrench: Annotated[Six, text("the middle of the cell, N and N·m")]
+    count: int
+    thin: int
+    outside: int
+    coverage: Literal["thin", "outside"]
+
+
+class Demand(TypedDict, total=False):
+    asked: Annotated[int, text("wrenches that were not covered")]
+    elsewhere: Annotated[int, text("of them those that are in none of the cells")]
+    since: Annotated[float | None, text("seconds since the epoch")]
+    cell_size: Annotated[Six, text("N and N·m")]
+    cells: list[DemandCell]
+    latest: list[dict[Literal["wrench", "coverage", "when"], Six | str | float]]
+
+
+class _Gathered(TypedDict, total=False):
+    component: str
+    outside: Annotated[int, text("of all taken in: outside the load range")]
+    reason: Annotated[str, text("remarks; empty if there are none")]
+
+
+class _Block(_Gathered, total=False):
+    recorded: int
+    duplicate: Annotated[bool, text("the block was recorded before; nothing has changed")]
+
+
+class _Counts(TypedDict, total=False):
+    total: Annotated[int, text("wrenches taken in since it was cleared, each once")]
+    kept: Annotated[int, text("wrenches kept; start solves these")]
+    merged: Annotated[int, text("of total: within 1e-6 of the range of one kept")]
+    thinned: Annotated[
+        int,
+        text("of total: left out by thinning, beyond 10,000 kept, or 1,000 outside the load range"),
+    ]
+    within: Annotated[
+        float,
+        text(
+            "every wrench taken in within the load range is as near as this to one kept: the "
+            "largest difference of a load by its scale"
+        ),
+    ]
+    within_outside: Annotated[
+        float, text("the same of those outside the range; there the difference is by the load")
+    ]
+
+
+class _Box(TypedDict, total=False):
+    count: Annotated[int, text("wrenches taken in since it was cleared, each once")]
+    min: Annotated[Six, text("least value of each load, N and N·m; null before the first")]
+    max: Annotated[Six, text("largest value of each load, N and N·m; null before the first")]
+
+
+class Recorded(_Block, _Counts, total=False):
+    """What a block of wrenches changed in a recording."""
+
+
+class Recording(_Gathered, _Counts, total=False):
+    wrenches: Annotated[list[Six], text("N and N·m")]
+
+
+class Widened(_Block, _Box, total=False):
+    """What a block of wrenches changed in an envelope."""
+
+
+class Envelope(_Gathered, _Box, total=False):
+    at_min: Annotated[list[Six], text("the whole wrench at each least value, N and N·m")]
+    at_max: Annotated[list[Six], text("the whole wrench at each largest value, N and N·m")]
+    displacement_bound: Annotated[Six, text("m and rad; null where nothing is known")]
+    bound: Annotated[
+        dict[Literal["kind", "formula", "coverage"], str | None],
+        text("what displacement_bound is; its kind is bound, estimate or unknown"),
+    ]
+    negligible: Annotated[
+        bool | None, text("whether displacement_bound is within the tolerance; null: see reason")
+    ]
+    tolerance: dict[Literal["translation", "rotation"], float] | None
+
+
+class Started(TypedDict, total=False):
+    component: str
+    jobs: Annotated[list[JobLink], text("waiting or running for these")]
+    solved: Annotated[int, text("wrenches that a row of the table has")]
+    covered: Annotated[int, text("wrenches that the table covers: not solved")]
+    failed: Annotated[int, text("wrenches whose solve has failed before")]
+    beyond_range: Annotated[int, text("wrenches outside the load range: not solved")]
+    left: Annotated[int, text("wrenches that the budget leaves")]
+    reason: Annotated[str, text("why not all; empty if all are queued")]
+
+
+class Cleared(TypedDict, total=False):
+    component: str
+    cleared: Annotated[int, text("wrenches deleted")]
