@@ -13,11 +13,11 @@ import numpy as np
 import orjson
 
 from service.answering.queries import BatchQuery
-from service.fence import Limits, Part, fenced
-from service.fence.limits import MIB
 from service.http.parsing import batch_of, batch_parts, checked_batch, parsed_json, plain_rows
 from service.http.problems import ProblemError
 from service.http.spooled import Spooled
+from service.sandbox import Limits, Part, fenced
+from service.sandbox.limits import MIB
 
 # A million wrenches as Python's lists and numbers are 400 MB, beside the text of 250 MB.
 LIMITS: Final = Limits(memory=1200 * MIB, seconds=60.0, output=256 * MIB)

@@ -16,7 +16,6 @@ from starlette.responses import Response
 
 from fea.bundle.read import BundleError
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
-from service.fence import FenceBusyError, FenceError
 from service.fields.deformed import NoFieldsError, TooFarError
 from service.files.discreet import discreetly
 from service.http.links import job_link
@@ -39,6 +38,7 @@ from service.library.component import (
     UnknownComponentError,
 )
 from service.ordering import NoSetupError
+from service.sandbox import FenceBusyError, FenceError
 from service.tables.behind import TableBehindError
 from service.tables.past import PastDamagedError, PastTooLargeError
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from fea.bundle.read import BundleError, Problem
-from service.fence import FenceError, Limits, fenced, program
-from service.fence.limits import MIB
 from service.files.discreet import discreet
 from service.library.bundle_zip import MAX_BUNDLE_BYTES, one_problem
+from service.sandbox import FenceError, Limits, fenced, program
+from service.sandbox.limits import MIB
 
 log = logging.getLogger(__name__)
 

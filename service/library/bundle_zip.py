@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from fea.bundle.read import BundleError, Problem, read_bundle
-from service.fence.parts import Part
+from service.sandbox.parts import Part
 from surrogate.table.hdf5 import TableFileError, leads_out
 
 MAX_BUNDLE_BYTES: Final = 512 * 1024 * 1024  # a mesh of some million cells

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from service.fence import FenceError, Limits, Part, fenced
+from service.sandbox import FenceError, Limits, Part, fenced
 from service.tablefile.mistakes import RowError
 from service.tablefile.options import Options, Told, options_from, options_told
 from service.tablefile.parsed import ParsedTable

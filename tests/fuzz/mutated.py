@@ -19,8 +19,8 @@ from fea.bundle.read import BundleError, read_bundle
 from fea.bundle.shipped import SHIPPED
 from fea.mesh.io.abaqus import MeshFileError, read_inp
 from fea.mesh.io.read import read_mesh
-from service.fence.parts import Part
 from service.library.bundle_zip import extract
+from service.sandbox.parts import Part
 from service.tablefile import (
     Options,
     ParsedTable,

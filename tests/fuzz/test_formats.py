@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from service.fence import Limits, fence, fenced
-from service.fence.limits import MIB
+from service.sandbox import Limits, fenced, process
+from service.sandbox.limits import MIB
 
 ROOT = Path(__file__).parents[2]
 COUNT = 100 * int(os.environ.get("WRENCHBOOK_FUZZ", "3"))
@@ -26,8 +26,8 @@ def own_zygote():
     patch = pytest.MonkeyPatch()
     with patch.context() as patched:
         patched.setenv("PYTHONPATH", str(ROOT))
-        zygote = fence._Zygote()
-        patched.setattr(fence, "_zygote", zygote)
+        zygote = process._Zygote()
+        patched.setattr(process, "_zygote", zygote)
         yield
         zygote.close()
 

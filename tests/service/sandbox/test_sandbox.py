@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.fence import (
+from service.sandbox import (
     FenceBusyError,
     FenceCrashError,
     FenceMemoryError,
@@ -14,11 +14,11 @@ from service.fence import (
     FenceTimeError,
     Limits,
     RaisedInFenceError,
-    fence,
     fenced,
+    process,
     program,
 )
-from service.fence.limits import MIB
+from service.sandbox.limits import MIB
 
 HERE = Path(__file__).parent
 SMALL = Limits(memory=256 * MIB, seconds=20.0, output=4 * MIB)
@@ -31,8 +31,8 @@ def own_zygote():
     patch = pytest.MonkeyPatch()
     with patch.context() as patched:
         patched.setenv("PYTHONPATH", str(HERE))
-        zygote = fence._Zygote()
-        patched.setattr(fence, "_zygote", zygote)
+        zygote = process._Zygote()
+        patched.setattr(process, "_zygote", zygote)
         yield zygote
         zygote.close()
 
@@ -104,14 +104,14 @@ def test_a_warm_process_that_was_killed_is_replaced(file, own_zygote):
 
 
 def test_no_more_files_are_read_at_once_than_there_are_places(file, monkeypatch):
-    monkeypatch.setattr(fence, "WAIT_S", 0.05)
-    taken = [fence._places.acquire(timeout=10) for _ in range(fence.AT_ONCE)]
+    monkeypatch.setattr(process, "WAIT_S", 0.05)
+    taken = [process._places.acquire(timeout=10) for _ in range(process.AT_ONCE)]
     try:
         with pytest.raises(FenceBusyError):
             run("doubled", file, factor=1)
     finally:
         for _ in taken:
-            fence._places.release()
+            process._places.release()
 
 
 def test_several_threads_get_their_own_answers(file):

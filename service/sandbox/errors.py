@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 from typing import Any, Final
 
-from service.fence.limits import Limits
+from service.sandbox.limits import Limits
 
 _TOO_LONG: Final = (signal.SIGALRM, signal.SIGXCPU)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from service.fence.parts import Part
+from service.sandbox.parts import Part
 
 
 def doubled(path, factor):

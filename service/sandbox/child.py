@@ -23,8 +23,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
-from service.fence.limits import Limits, hold
-from service.fence.parts import REQUEST_LENGTH, Part, write_parts
+from service.sandbox.limits import Limits, hold
+from service.sandbox.parts import REQUEST_LENGTH, Part, write_parts
 
 _DESCRIPTORS: Final = 2  # where the answer goes, and where the warden tells how it ended
 _MOST_TOLD: Final = 64 * 1024

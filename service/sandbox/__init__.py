@@ -5,7 +5,7 @@ runs a module as a program the same way. What a child answers is numbers and JSO
 size is bounded; never a pickle.
 """
 
-from service.fence.errors import (
+from service.sandbox.errors import (
     FenceBusyError,
     FenceCrashError,
     FenceError,
@@ -14,10 +14,10 @@ from service.fence.errors import (
     FenceTimeError,
     RaisedInFenceError,
 )
-from service.fence.fence import fenced, warm_up
-from service.fence.limits import Limits
-from service.fence.parts import Part
-from service.fence.program import Printed, program
+from service.sandbox.limits import Limits
+from service.sandbox.parts import Part
+from service.sandbox.process import fenced, warm_up
+from service.sandbox.program import Printed, program
 
 __all__ = [
     "FenceBusyError",

@@ -9,7 +9,7 @@ import json
 import runpy
 import sys
 
-from service.fence.limits import Limits, hold
+from service.sandbox.limits import Limits, hold
 
 
 def main(words: list[str]) -> None:

@@ -16,10 +16,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from service.fence.errors import FenceBusyError, FenceCrashError, error_of
-from service.fence.limits import Limits
-from service.fence.parts import REQUEST_LENGTH, AnswerError, Part, read_parts
 from service.files.child import child_command
+from service.sandbox.errors import FenceBusyError, FenceCrashError, error_of
+from service.sandbox.limits import Limits
+from service.sandbox.parts import REQUEST_LENGTH, AnswerError, Part, read_parts
 
 log = logging.getLogger(__name__)
 
@@ -130,7 +130,7 @@ class _Zygote:
         mine, its = socket.socketpair()
         with its:
             self._child = subprocess.Popen(
-                child_command("service.fence.child", str(its.fileno())),
+                child_command("service.sandbox.child", str(its.fileno())),
                 pass_fds=[its.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,

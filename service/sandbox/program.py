@@ -13,9 +13,9 @@ import threading
 from dataclasses import asdict, dataclass
 from typing import Final
 
-from service.fence.errors import FenceBusyError, error_of
-from service.fence.limits import MIB, Limits
 from service.files.child import child_command
+from service.sandbox.errors import FenceBusyError, error_of
+from service.sandbox.limits import MIB, Limits
 
 AT_ONCE: Final = 2  # each may take a core and gigabytes
 WAIT_S: Final = 60.0
@@ -52,7 +52,9 @@ def program(module: str, *arguments: str, limits: Limits) -> Printed:
 
 
 def _run(module: str, arguments: tuple[str, ...], limits: Limits) -> Printed:
-    words = child_command("service.fence.enclosed", json.dumps(asdict(limits)), module, *arguments)
+    words = child_command(
+        "service.sandbox.enclosed", json.dumps(asdict(limits)), module, *arguments
+    )
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         child = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=out, stderr=err)
         try:
