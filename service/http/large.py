@@ -1,4 +1,4 @@
-"""Large batches in JSON: read behind the fence, for as long as it takes, while others are answered.
+"""Large batches in JSON: read in the sandbox, for as long as it takes, while others are answered.
 
 The parser holds Python's lock for seconds, and what it makes of a body may be forty times as large.
 """
@@ -16,8 +16,7 @@ from service.answering.queries import BatchQuery
 from service.http.parsing import batch_of, batch_parts, checked_batch, parsed_json, plain_rows
 from service.http.problems import ProblemError
 from service.http.spooled import Spooled
-from service.sandbox import Limits, Part, fenced
-from service.sandbox.limits import MIB
+from service.sandbox import MIB, Limits, Part, run
 
 # A million wrenches as Python's lists and numbers are 400 MB, beside the text of 250 MB.
 LIMITS: Final = Limits(memory=1200 * MIB, seconds=60.0, output=256 * MIB)
@@ -33,12 +32,12 @@ def read_batch_body(body: Spooled) -> BatchQuery:
     ------
     ProblemError
         422, with mistakes' places.
-    FenceError, FenceBusyError
+    SandboxError, SandboxBusyError
         If it takes too much to be read, or too many others are being read.
     """
     if body.content is not None:
         return batch_of(*batch_parts(body.content))
-    (told,) = fenced("service.http.large:parsed", body.path, None, LIMITS)
+    (told,) = run("service.http.large:parsed", body.path, None, LIMITS)
     if refused := told.fields["refused"]:
         raise refusal(refused)
     return batch_of(told.fields["batch"], np.array(told.arrays["wrenches"]))

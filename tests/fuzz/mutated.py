@@ -1,4 +1,4 @@
-"""Files made from good ones by chance, and read: runs behind the fence, many to a child."""
+"""Files made from good ones by chance, and read: runs in the sandbox, many to a child."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fea.bundle.shipped import SHIPPED
 from fea.mesh.io.abaqus import MeshFileError, read_inp
 from fea.mesh.io.read import read_mesh
 from service.library.bundle_zip import extract
-from service.sandbox.parts import Part
+from service.sandbox import Part
 from service.tablefile import (
     Options,
     ParsedTable,

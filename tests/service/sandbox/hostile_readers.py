@@ -1,4 +1,4 @@
-"""Functions that behave behind the fence as a hostile file makes its reader behave."""
+"""Functions that behave in the sandbox as a hostile file makes its reader behave."""
 
 import os
 import signal
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from service.sandbox.parts import Part
+from service.sandbox import Part
 
 
 def doubled(path, factor):
@@ -31,6 +31,12 @@ def asleep(path):
     yield Part()
 
 
+def disarming(path):
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    time.sleep(1000)
+    yield Part()
+
+
 def wordy(path):
     while True:
         yield Part({}, {"zeros": np.zeros(1 << 17)})
@@ -44,6 +50,10 @@ def refusing(path):
     raise LookupError("there is no such column")
 
 
+def stumbling(path):
+    raise ValueError(f"{path}/none is not there")
+
+
 def lying(path):
     # The only regular file that is open is the one for the answer.
     mine = [fd for fd in range(3, 64) if Path(f"/proc/self/fd/{fd}").exists()]
@@ -53,4 +63,4 @@ def lying(path):
 
 
 def modules(path):
-    yield Part({"modules": sorted(sys.modules), "pid": os.getppid()})
+    yield Part({"modules": sorted(sys.modules), "pid": os.getpid(), "parent": os.getppid()})
