@@ -27,6 +27,8 @@ from service.library.catalogue import Catalogue
 from service.library.checked import solver_error_of
 from service.library.component import Component
 from service.library.library import Library
+from service.ops.disk import is_full
+from service.ops.retention import Housekeeping
 from service.ordering import Orders
 from service.report.queue import Reports
 from service.settings import Settings
@@ -39,8 +41,6 @@ from service.tables.news import table_rows
 from service.tables.past import PastTables
 from service.tables.served import ServedTable
 from service.tables.solver_errors import SolverErrors
-from service.upkeep.disk import is_full
-from service.upkeep.housekeeping import Housekeeping
 from surrogate.design.adaptive import Design, next_wrenches
 from surrogate.scene.need import Need
 from surrogate.scene.plan import design_of, plan_of

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from service.ledger import Ledger, NewRow
+from service.ops.archive import MANIFEST, BackupError
+from service.ops.backup import back_up, verify
+from service.ops.restore import restore
 from service.tables.solver_errors import SolverErrors
-from service.upkeep.archive import MANIFEST, BackupError
-from service.upkeep.backup import back_up, verify
-from service.upkeep.restore import restore
 from tests.service.test_durable_tables import Site
 
 

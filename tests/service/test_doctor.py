@@ -7,7 +7,7 @@ import sqlite3
 import pytest
 
 from service.ledger import Ledger
-from service.upkeep.doctor import examine
+from service.ops.doctor import examine
 from surrogate.table.hdf5 import read_table
 from tests.service.test_durable_tables import Site, new_rows
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 from service.ledger import Ledger, LedgerError
 from service.library.library import Library
-from service.upkeep.archive import LEDGER
-from service.upkeep.disk import check_disk
-from service.upkeep.findings import Finding
-from service.upkeep.ledger_file import check_ledger_file
-from service.upkeep.leftovers import find_leftovers
-from service.upkeep.side_files import check_side_files
-from service.upkeep.table_files import check_tables
+from service.ops.archive import LEDGER
+from service.ops.disk import check_disk
+from service.ops.findings import Finding
+from service.ops.ledger_file import check_ledger_file
+from service.ops.leftovers import find_leftovers
+from service.ops.side_files import check_side_files
+from service.ops.table_files import check_tables
 
 
 def examine(folder: Path, *, mend: bool = False) -> list[Finding]:

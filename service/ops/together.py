@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from service.files.durable import write_whole_bytes
-from service.telemetry.counts import Counts
+from service.ops.counts import Counts
 
 log = logging.getLogger(__name__)
 

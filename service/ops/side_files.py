@@ -11,7 +11,7 @@ from typing import Any
 from service.fields.codec import DamagedFieldsError
 from service.fields.record import read_geometry, read_row
 from service.keys.keyring import Keyring, KeysError
-from service.upkeep.findings import MEND, Finding, move_aside
+from service.ops.findings import MEND, Finding, move_aside
 from surrogate.solver_error import SolverError
 
 

@@ -7,6 +7,7 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Protocol
 
 from prometheus_client import CollectorRegistry, GCCollector, ProcessCollector, generate_latest
 from prometheus_client.core import (
@@ -17,18 +18,35 @@ from prometheus_client.core import (
 )
 from prometheus_client.registry import Collector
 
-from service.ledger import LedgerUnavailableError
+from service.ledger import Ledger, LedgerUnavailableError
 from service.ledger.statistics import SOLVE_EDGES, Statistics
+from service.library.library import Library
+from service.ops.counts import Counts, cumulative
+from service.ops.together import FOLDER as COUNTS
+from service.ops.together import SharedCounts
 from service.tables.coordinator_state import FOLDER as SHARED
-from service.telemetry.counts import Counts, cumulative
-from service.telemetry.together import FOLDER as COUNTS
-from service.telemetry.together import SharedCounts
-from service.workspace import Workspace
 
 # A component is a label. Whoever keeps more of them reads the rest from GET /v1/components: each
 # costs the one who stores it four series.
 MOST_COMPONENTS = 200
 FRESH_S = 1.0  # what was read from the ledger is told again for so long: two scrapers are one
+
+
+class Workspace(Protocol):
+    """What the metrics read of an opened data directory (`service.workspace`)."""
+
+    settings: Any
+    ledger: Ledger
+    library: Library
+    tables: Any
+
+    def faults(self) -> list[str]:
+        """Return what keeps it from accepting and running jobs."""
+        ...
+
+    def broken(self) -> dict[str, str]:
+        """Return what is wrong with single components, by name."""
+        ...
 
 
 class Metrics:

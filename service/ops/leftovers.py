@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from service.ledger import Ledger
-from service.upkeep.findings import Finding
+from service.ops.findings import Finding
 
 _MOST_NAMED = 5  # of things of one kind; the rest is told as a number
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from service.files import lock
 from service.files.durable import sync_folder, sync_tree
 from service.ledger import Ledger, LedgerError
+from service.ops.archive import LEDGER, BackupError, Manifest, copies, opened, read_manifest
+from service.ops.backup import verify
 from service.tables.coordinator_state import FOLDER as SHARED
 from service.tables.coordinator_state import LOCK
-from service.upkeep.archive import LEDGER, BackupError, Manifest, copies, opened, read_manifest
-from service.upkeep.backup import verify
 
 _DRAFT = ".restoring"  # in the data directory: it may be a mount, beside which nothing can be
 

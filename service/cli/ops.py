@@ -20,7 +20,7 @@ def backup(
     data: Folder = DEFAULT_DATA,
 ) -> None:
     """Write all of a data directory into one file, while a server uses it."""
-    from service.upkeep.backup import back_up
+    from service.ops.backup import back_up
 
     manifest = back_up(data, file)
     size = sum(length for length, _ in manifest.files.values())
@@ -35,7 +35,7 @@ def restore(
     ] = False,
 ) -> None:
     """Make a data directory from a backup."""
-    from service.upkeep.restore import restore as run
+    from service.ops.restore import restore as run
 
     manifest, aside = run(file, data, overwrite=overwrite)
     plain(_out, f"{data}: {len(manifest.files)} files restored. Start it with: wrenchbook serve")
@@ -51,7 +51,7 @@ def doctor(
     as_json: AsJson = False,
 ) -> None:
     """Check the ledger against the tables, files, disk and leftovers; nothing is ever deleted."""
-    from service.upkeep.doctor import examine
+    from service.ops.doctor import examine
 
     findings = examine(data, mend=mend)
     if as_json:
@@ -68,4 +68,4 @@ def doctor(
     raise typer.Exit(1 if faults else 0)
 
 
-UPKEEP_COMMANDS = (backup, restore, doctor)
+OPS_COMMANDS = (backup, restore, doctor)

@@ -12,8 +12,7 @@ from typing import BinaryIO
 from service.files.durable import sync, sync_folder
 from service.ledger import Ledger, LedgerError
 from service.ledger.versions import SCRIPTS
-from service.tables.coordinator_state import FOLDER as SHARED
-from service.upkeep.archive import (
+from service.ops.archive import (
     LEDGER,
     BackupError,
     Manifest,
@@ -22,6 +21,7 @@ from service.upkeep.archive import (
     read_manifest,
     write,
 )
+from service.tables.coordinator_state import FOLDER as SHARED
 from surrogate.packed.format import SUFFIX
 
 TABLES = "tables"

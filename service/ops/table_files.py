@@ -11,10 +11,10 @@ import numpy as np
 from service.ledger import Ledger
 from service.library.component import Component
 from service.library.library import Library
+from service.ops.findings import MEND, Finding, move_aside
 from service.tables.files import TableFiles, new_row
 from service.tables.news import usable, without
 from service.tables.other_setup import unsolved
-from service.upkeep.findings import MEND, Finding, move_aside
 from surrogate.table.hdf5 import TableFileError, read_table
 from surrogate.table.meta import TableMeta
 from surrogate.table.rows import Rows

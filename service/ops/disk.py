@@ -6,8 +6,8 @@ import os
 import shutil
 from pathlib import Path
 
-from service.upkeep.archive import LEDGER
-from service.upkeep.findings import Finding
+from service.ops.archive import LEDGER
+from service.ops.findings import Finding
 
 LITTLE_BYTES = 512 * 1024 * 1024  # a log of the ledger, a large table twice, some hundred attempts
 FULL_BYTES = 1024 * 1024  # a commit's pages and an attempt's folder no longer fit

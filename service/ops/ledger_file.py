@@ -11,11 +11,11 @@ from service.files.durable import sync_folder
 from service.ledger import Ledger, LedgerDamagedError, LedgerError
 from service.ledger.acknowledged import Acknowledged
 from service.ledger.salvage import Salvaged, Spare, salvage
+from service.ops.archive import LEDGER
+from service.ops.findings import MEND, Finding, move_aside
+from service.ops.restore import in_use
+from service.ops.table_files import read_all
 from service.tables.files import new_row
-from service.upkeep.archive import LEDGER
-from service.upkeep.findings import MEND, Finding, move_aside
-from service.upkeep.restore import in_use
-from service.upkeep.table_files import read_all
 
 _KEPT = "The damaged one was moved aside; a backup may have more"
 
