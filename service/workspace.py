@@ -27,7 +27,7 @@ from service.library.catalogue import Catalogue
 from service.library.checked import solver_error_of
 from service.library.component import Component
 from service.library.library import Library
-from service.ops.disk import is_full
+from service.ops.checks import is_full
 from service.ops.retention import Housekeeping
 from service.ordering import Orders
 from service.report.queue import Reports

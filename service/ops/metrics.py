@@ -21,9 +21,8 @@ from prometheus_client.registry import Collector
 from service.ledger import Ledger, LedgerUnavailableError
 from service.ledger.statistics import SOLVE_EDGES, Statistics
 from service.library.library import Library
-from service.ops.counts import Counts, cumulative
-from service.ops.together import FOLDER as COUNTS
-from service.ops.together import SharedCounts
+from service.ops.counts import FOLDER as COUNTS
+from service.ops.counts import Counts, SharedCounts, cumulative
 from service.tables.coordinator_state import FOLDER as SHARED
 
 # A component is a label. Whoever keeps more of them reads the rest from GET /v1/components: each

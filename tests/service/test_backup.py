@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from service.ledger import Ledger, NewRow
-from service.ops.archive import MANIFEST, BackupError
-from service.ops.backup import back_up, verify
+from service.ops.backup import MANIFEST, BackupError, back_up, verify
 from service.ops.restore import restore
 from service.tables.solver_errors import SolverErrors
 from tests.service.test_durable_tables import Site
