@@ -56,6 +56,13 @@ def is_full(folder: Path) -> bool:
         return False
 
 
+def not_writable(folder: Path) -> list[Path]:
+    """Return what of a data directory this user cannot read and write."""
+    ledger = [folder / f"{LEDGER}{end}" for end in ("", "-wal", "-shm")]
+    paths = (folder, *ledger, folder / "tables", folder / "components", folder / "jobs")
+    return [path for path in paths if path.exists() and not os.access(path, os.R_OK | os.W_OK)]
+
+
 def check_disk(folder: Path) -> list[Finding]:
     """Find a disk that is nearly full, and files that cannot be read and written."""
     found = []
@@ -63,12 +70,11 @@ def check_disk(folder: Path) -> list[Finding]:
     if free < LITTLE_BYTES:
         remedy = "make room; prune attempts' folders with serve --keep-days and --keep-count"
         found.append(Finding("fault", f"the disk has {free / 1e6:.0f} MB left", remedy))
-    ledger = [folder / f"{LEDGER}{end}" for end in ("", "-wal", "-shm")]
-    for path in (folder, *ledger, folder / "tables", folder / "components", folder / "jobs"):
-        if path.exists() and not os.access(path, os.R_OK | os.W_OK):
-            remedy = f"make it readable and writable for user {os.getuid()}, as the server runs"
-            found.append(Finding("fault", f"{path} cannot be read and written", remedy))
-    return found
+    remedy = f"make it readable and writable for user {os.getuid()}, as the server runs"
+    return found + [
+        Finding("fault", f"{path} cannot be read and written", remedy)
+        for path in not_writable(folder)
+    ]
 
 
 def check_side_files(folder: Path, *, mend: bool) -> list[Finding]:
