@@ -22,6 +22,10 @@ from surrogate.solver_error import SolverError
 REPAIR = "mend it with: wrenchbook doctor --mend"
 LITTLE_BYTES = 512 * 1024 * 1024  # a log of the ledger, a large table twice, some hundred attempts
 FULL_BYTES = 1024 * 1024  # a commit's pages and an attempt's folder no longer fit
+_ASIDE = (
+    *("*.damaged-*", "*.orphan-*", "*.settled-*", "tables/*.damaged-*", ".before-restore-*"),
+    *("fields/**/*.damaged-*", "solver_errors/**/*.damaged-*"),
+)
 _MOST_NAMED = 5  # paths of one kind in a finding; the number of further ones follows
 
 
@@ -135,31 +139,31 @@ def _solver_error(content: bytes) -> Any:
 
 def find_leftovers(folder: Path, ledger: Ledger) -> list[Finding]:
     """Find files of interrupted writes, copies moved aside, and attempts without a job."""
-    found = []
     drafts = [
         *(folder / "tables").glob(".*.tmp"),
         *(folder / "components").glob(".incoming-*"),
         *folder.glob(".restoring"),
         *_partial(folder),
     ]
-    aside = [*folder.glob("*.damaged-*"), *folder.glob("*.orphan-*"), *folder.glob("*.settled-*")]
-    aside += [*(folder / "tables").glob("*.damaged-*"), *folder.glob(".before-restore-*")]
-    aside += [
-        path
-        for room in ("fields", "solver_errors")
-        for path in folder.glob(f"{room}/**/*.damaged-*")
+    aside = [path for pattern in _ASIDE for path in folder.glob(pattern)]
+    kinds = [
+        (
+            "unfinished files",
+            drafts,
+            "left by an interrupted write; safe to remove while no server is running",
+        ),
+        ("copies moved aside", aside, "remove them once nothing in them is missed"),
+        (
+            "attempts of jobs that the ledger does not have",
+            list(_orphans(folder / "jobs", ledger)),
+            "they are of a ledger that is gone; a result.json in them may be worth a look",
+        ),
     ]
-    if drafts:
-        remedy = "a kill left them; remove them if no server is at work"
-        found.append(Finding("note", f"unfinished files: {_named(folder, drafts)}", remedy))
-    if aside:
-        remedy = "remove them once nothing in them is missed"
-        found.append(Finding("note", f"copies moved aside: {_named(folder, aside)}", remedy))
-    if orphans := list(_orphans(folder / "jobs", ledger)):
-        remedy = "they are of a ledger that is gone; a result.json in them may be worth a look"
-        what = f"attempts of jobs that the ledger does not have: {_named(folder, orphans)}"
-        found.append(Finding("note", what, remedy))
-    return found
+    return [
+        Finding("note", f"{what}: {_named(folder, paths)}", remedy)
+        for what, paths, remedy in kinds
+        if paths
+    ]
 
 
 def _partial(folder: Path) -> Iterator[Path]:

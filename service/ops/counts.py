@@ -1,8 +1,8 @@
-"""Counts of answered queries, kept as plain integers.
+"""Counts of answered queries as plain integers, of this process and of all web workers.
 
-The main call is answered in tens of microseconds, so what counts it may cost well below one: a
-look into a dictionary, a bisection and three additions (0.3 µs). Prometheus' own counters take a
-lock and a few microseconds each; they are made of these numbers when somebody asks for them.
+A single query takes tens of microseconds and its count 0.3 µs: a dictionary access, a bisection and
+three additions. Prometheus' counters take a lock and a few microseconds; `metrics` makes them from
+these numbers on request.
 """
 
 from __future__ import annotations
@@ -26,22 +26,21 @@ log = logging.getLogger(__name__)
 FOLDER = "counts"
 WRITE_S = 0.5  # between writes: a killed process loses the counts of that time
 
-# Upper ends of the histogram, s: from a compiled single answer to a batch of a million.
+# Upper ends of the histogram, s: from a single answer to a batch of a million.
 EDGES = (2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 0.1, 1.0, 10.0)
 _EDGES_US = tuple(1e6 * edge for edge in EDGES)
-# Methods and coverages are few words of this program; no client can make one up.
 _NONE = "none"
 
 
 class Counts:
-    """Queries by coverage and method, and how long the table took. For one thread, the loop's.
+    """Queries by coverage and method, and their times. Not thread-safe: for the event loop.
 
     Attributes
     ----------
     buckets : list of int
-        Calls a bucket of `EDGES`, and those beyond the last.
+        Calls in each bucket of `EDGES`, and beyond the last edge.
     seconds : float
-        Time that all calls took together, s.
+        Total time of all calls, s.
     """
 
     def __init__(self) -> None:
@@ -58,7 +57,7 @@ class Counts:
         self._microseconds += elapsed_us
 
     def add_batch(self, coverage: NDArray[np.integer], method: str, us: float) -> None:
-        """Count a batch: one call, `us` µs, and wrenches by the numbers of their coverage, (n,)."""
+        """Count a batch of wrenches with coverage numbers (n,), as one call of `us` µs."""
         for word, number in zip(NAMES, np.bincount(coverage, minlength=3).tolist(), strict=True):
             if number:
                 self._queries[word, method] = self._queries.get((word, method), 0) + number
@@ -66,30 +65,30 @@ class Counts:
         self._microseconds += us
 
     def add_all(self, other: Counts) -> None:
-        """Add what another has counted."""
+        """Add the counts of another process."""
         for key, number in other._queries.items():
             self._queries[key] = self._queries.get(key, 0) + number
         self.buckets = [one + more for one, more in zip(self.buckets, other.buckets, strict=True)]
         self._microseconds += other._microseconds
 
-    def as_words(self) -> dict[str, Any]:
-        """Return all of it as JSON has it."""
+    def as_json(self) -> dict[str, Any]:
+        """Return the counts as JSON values."""
         queries = [[*key, number] for key, number in self._queries.copy().items()]
         return {"queries": queries, "buckets": list(self.buckets), "us": self._microseconds}
 
     @classmethod
-    def of_words(cls, words: Mapping[str, Any]) -> Counts:
-        """Return the counts of `as_words`."""
+    def from_json(cls, values: Mapping[str, Any]) -> Counts:
+        """Return the counts of `as_json`."""
         found = cls()
-        found._queries = {(cov, method): number for cov, method, number in words["queries"]}
-        if len(words["buckets"]) == len(found.buckets):
-            found.buckets = words["buckets"]
-        found._microseconds = words["us"]
+        found._queries = {(cov, method): number for cov, method, number in values["queries"]}
+        if len(values["buckets"]) == len(found.buckets):
+            found.buckets = values["buckets"]
+        found._microseconds = values["us"]
         return found
 
     @property
     def seconds(self) -> float:
-        """Time that all calls took together, s."""
+        """Total time of all calls, s."""
         return self._microseconds / 1e6
 
     def queries(self) -> Mapping[tuple[str, str], int]:
@@ -98,12 +97,12 @@ class Counts:
         return {(coverage, method or _NONE): n for (coverage, method), n in counted.items()}
 
     def histogram(self) -> Sequence[tuple[str, float]]:
-        """Return Prometheus' cumulative buckets, with their upper ends in seconds as words."""
+        """Return Prometheus' cumulative buckets, with their upper ends in seconds as text."""
         return cumulative(EDGES, list(self.buckets))
 
 
 def cumulative(edges: Sequence[float], numbers: Sequence[int]) -> list[tuple[str, float]]:
-    """Return how many are at most each edge, the last one being without end."""
+    """Return cumulative counts by upper edge, the last one infinite."""
     total, found = 0, []
     for edge, number in zip((*map(repr, edges), "+Inf"), numbers, strict=True):
         total += number
@@ -112,21 +111,21 @@ def cumulative(edges: Sequence[float], numbers: Sequence[int]) -> list[tuple[str
 
 
 class SharedCounts:
-    """The counts of this process and of those beside it.
+    """The counts of all processes of a server, each written to a file by its process.
 
-    A scraper must never see a count go down, whichever process it meets: so each writes its own
-    before it tells the sum, and one that is started again goes on from what it wrote last.
+    No scrape of any process may see a count go down: each process writes its own counts before it
+    returns the sum, and continues from its file after a restart.
 
     Parameters
     ----------
     folder : path
-        Made if there is none.
+        Created if missing.
     number : int
-        Which process this is; no other one has it.
+        Number of this process, unique.
     counts : Counts
-        This process' own; what it counted before it was started again is added.
+        Counts of this process; those before a restart are added.
     listeners : callable
-        How many follow the events here.
+        Returns the number of event listeners of this process.
     """
 
     def __init__(
@@ -142,7 +141,7 @@ class SharedCounts:
         self._thread.start()
 
     def together(self) -> tuple[Counts, int]:
-        """Return the sum of all processes' counts, and how many follow the events."""
+        """Return the counts and the event listeners of all processes."""
         self._write()
         total, listeners = Counts(), 0
         for path in sorted(self._folder.glob("*.json")):
@@ -152,7 +151,7 @@ class SharedCounts:
         return total, listeners
 
     def stop(self) -> None:
-        """Write no longer."""
+        """Write once more and end the thread."""
         self._stopping.set()
         self._thread.join()
         self._write()
@@ -163,16 +162,16 @@ class SharedCounts:
 
     def _write(self) -> None:
         with self._writing:
-            told = {"counts": self._counts.as_words(), "listeners": self._listeners()}
+            values = {"counts": self._counts.as_json(), "listeners": self._listeners()}
             try:
-                write_whole_bytes(self._own, json.dumps(told).encode(), durable=False)
+                write_whole_bytes(self._own, json.dumps(values).encode(), durable=False)
             except OSError as error:
                 log.debug("counts are not written: %s", error)
 
 
 def _read(path: Path) -> tuple[Counts, int]:
     try:
-        told = json.loads(path.read_bytes())
-        return Counts.of_words(told["counts"]), told["listeners"]
+        values = json.loads(path.read_bytes())
+        return Counts.from_json(values["counts"]), values["listeners"]
     except (OSError, ValueError, KeyError, TypeError):
         return Counts(), 0

@@ -1,4 +1,4 @@
-"""What `GET /metrics` tells, read where it is known at the moment somebody asks."""
+"""Metrics for Prometheus (`GET /metrics`), collected on request."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Protocol
 
 from prometheus_client import CollectorRegistry, GCCollector, ProcessCollector, generate_latest
@@ -25,10 +25,9 @@ from service.ops.counts import FOLDER as COUNTS
 from service.ops.counts import Counts, SharedCounts, cumulative
 from service.tables.coordinator_state import FOLDER as SHARED
 
-# A component is a label. Whoever keeps more of them reads the rest from GET /v1/components: each
-# costs the one who stores it four series.
+# A component is a label and adds four series; GET /v1/components has the rest.
 MOST_COMPONENTS = 200
-FRESH_S = 1.0  # what was read from the ledger is told again for so long: two scrapers are one
+FRESH_S = 1.0  # age of cached ledger statistics: several scrapers cost one query
 
 
 class Workspace(Protocol):
@@ -48,148 +47,129 @@ class Workspace(Protocol):
         ...
 
 
-class Metrics:
+class Metrics(Collector):
     """The metrics of one server.
 
     Parameters
     ----------
     workspace : Workspace
     counts : Counts
-        The queries this process has answered.
+        Queries answered by this process.
     listeners : callable
-        How many follow the events here.
+        Returns the number of event listeners of this process.
     """
 
     def __init__(self, workspace: Workspace, counts: Counts, listeners: Callable[[], int]) -> None:
-        settings, self._shared = workspace.settings, None
+        settings, self._workspace = workspace.settings, workspace
+        self._lock = threading.Lock()
+        self._read_at = -FRESH_S
+        self._read: Statistics | None = None
+        self._version: int | None = None
         self._registry = CollectorRegistry()
+        self._total: Callable[[], tuple[Counts, int]] = lambda: (counts, listeners())
+        self._shared = None
         if settings.part == "answering":
             folder = settings.folder / SHARED / COUNTS
             self._shared = SharedCounts(folder, settings.number, counts, listeners)
-        else:  # of several processes, whichever is asked would tell of itself
+            self._total = self._shared.together
+        else:  # with several processes these would be of one of them
             ProcessCollector(registry=self._registry)
             GCCollector(registry=self._registry)
-        told = self._shared.together if self._shared else lambda: (counts, listeners())
-        self._registry.register(_Queries(told))
-        self._registry.register(_Ledger(workspace))
-        self._registry.register(_Tables(workspace))
-        self._registry.register(_Server(workspace))
+        self._registry.register(self)
 
     def stop(self) -> None:
-        """Keep no counts for other processes any longer."""
+        """Stop sharing counts with other processes."""
         if self._shared:
             self._shared.stop()
 
     def text(self) -> bytes:
-        """Return all of it in Prometheus' text form; reads the ledger, so not for the loop."""
+        """Return Prometheus' text format. It reads the ledger: not for the event loop."""
         return generate_latest(self._registry)
 
+    def collect(self) -> Iterator[Metric]:
+        """Yield all metrics."""
+        yield from self._of_queries()
+        yield from self._of_ledger()
+        yield from self._of_tables()
+        yield from self._of_server()
 
-class _Queries(Collector):
-    def __init__(self, told: Callable[[], tuple[Counts, int]]) -> None:
-        self._told = told
-
-    def collect(self) -> Iterable[Metric]:
-        counts, listening = self._told()
+    def _of_queries(self) -> Iterator[Metric]:
+        counts, listening = self._total()
         queries = CounterMetricFamily(
             "wrenchbook_queries", "wrenches answered", labels=("coverage", "method")
         )
         for words, number in sorted(counts.queries().items()):
             queries.add_metric(words, number)
         yield queries
-        taken = HistogramMetricFamily("wrenchbook_query_seconds", "time a table took for one call")
-        taken.add_metric((), counts.histogram(), counts.seconds)
-        yield taken
-        listeners = GaugeMetricFamily("wrenchbook_event_listeners", "of GET /v1/events")
-        listeners.add_metric((), listening)
-        yield listeners
+        text = "time a table took for one call"
+        yield HistogramMetricFamily(
+            "wrenchbook_query_seconds", text, counts.histogram(), counts.seconds
+        )
+        yield GaugeMetricFamily("wrenchbook_event_listeners", "of GET /v1/events", value=listening)
 
-
-class _Ledger(Collector):
-    """Jobs as the ledger has them, so that every process on it tells the same."""
-
-    def __init__(self, workspace: Workspace) -> None:
-        self._ledger = workspace.ledger
-        self._lock = threading.Lock()
-        self._read_at = -FRESH_S
-        self._read: Statistics | None = None
-        self._version: int | None = None
-
-    def collect(self) -> Iterator[Metric]:
+    def _of_ledger(self) -> Iterator[Metric]:
         found = self._statistics()
-        usable = GaugeMetricFamily("wrenchbook_ledger_usable", "1 if the ledger can be used now")
-        usable.add_metric((), 0 if found is None else 1)
-        yield usable
+        text, usable = "1 if the ledger can be used now", int(found is not None)
+        yield GaugeMetricFamily("wrenchbook_ledger_usable", text, value=usable)
         if found is None:
             return
-        jobs = GaugeMetricFamily("wrenchbook_jobs", "jobs as they stand", labels=("status",))
-        for status, number in found.jobs.items():
-            jobs.add_metric((status,), number)
-        failures = GaugeMetricFamily("wrenchbook_failed_jobs", "failed jobs", labels=("kind",))
-        for kind, number in found.failures.items():
-            failures.add_metric((kind,), number)
-        solves = HistogramMetricFamily("wrenchbook_solve_seconds", "time a done solve took")
+        yield _gauges("wrenchbook_jobs", "jobs as they stand", "status", found.jobs)
+        yield _gauges("wrenchbook_failed_jobs", "failed jobs", "kind", found.failures)
         buckets = cumulative(SOLVE_EDGES, found.solve_buckets)
-        solves.add_metric((), buckets, found.solve_seconds)
-        oldest = GaugeMetricFamily("wrenchbook_oldest_waiting_seconds", "age of the oldest job")
+        text = "time a done solve took"
+        seconds = found.solve_seconds
+        yield HistogramMetricFamily("wrenchbook_solve_seconds", text, buckets, seconds)
         age = max(0.0, time.time() - found.oldest_waiting) if found.oldest_waiting else 0.0
-        oldest.add_metric((), age)
-        size = GaugeMetricFamily("wrenchbook_ledger_bytes", "on the disk", labels=("file",))
-        for file, number in self._ledger.sizes().items():
-            size.add_metric((file,), number)
-        yield from (jobs, failures, solves, oldest, size)
+        text = "age of the oldest job"
+        yield GaugeMetricFamily("wrenchbook_oldest_waiting_seconds", text, value=age)
+        sizes = self._workspace.ledger.sizes()
+        yield _gauges("wrenchbook_ledger_bytes", "on the disk", "file", sizes)
 
     def _statistics(self) -> Statistics | None:
+        """Return the ledger's statistics, at most `FRESH_S` old; None if it cannot be read."""
+        ledger = self._workspace.ledger
         with self._lock, contextlib.suppress(LedgerUnavailableError):
             if time.monotonic() - self._read_at < FRESH_S:
                 return self._read
             self._read_at = time.monotonic()
-            version = self._ledger.version()
+            version = ledger.version()
             if self._read is None or version != self._version:
                 self._read = None
-                self._read, self._version = self._ledger.statistics(), version
+                self._read, self._version = ledger.statistics(), version
             return self._read
         return None
 
+    def _of_tables(self) -> Iterator[Metric]:
+        names, tables = self._workspace.library.names(), self._workspace.tables
+        some, now = names[:MOST_COMPONENTS], time.time()
+        present = tables.present()
+        known = {name: present[name] for name in some if present.get(name) is not None}
+        written = {name: tables.written(name) for name in some}
+        ages = {name: max(0.0, now - at) for name, at in written.items() if at is not None}
+        versions = {name: table.version for name, table in known.items()}
+        rows = {name: table.row_count for name, table in known.items()}
+        yield _gauges("wrenchbook_table_version", "that answers", "component", versions)
+        yield _gauges("wrenchbook_table_rows", "that answer", "component", rows)
+        text = "since a table's file was written"
+        yield _gauges("wrenchbook_table_file_age_seconds", text, "component", ages)
+        yield GaugeMetricFamily("wrenchbook_components", "in the library", value=len(names))
+        text, broken = "see GET /health/ready", len(self._workspace.broken())
+        yield GaugeMetricFamily("wrenchbook_broken_components", text, value=broken)
 
-class _Tables(Collector):
-    def __init__(self, workspace: Workspace) -> None:
-        self._workspace = workspace
-
-    def collect(self) -> Iterable[Metric]:
-        named = ("component",)
-        versions = GaugeMetricFamily("wrenchbook_table_version", "that answers", labels=named)
-        rows = GaugeMetricFamily("wrenchbook_table_rows", "that answer", labels=named)
-        ages = GaugeMetricFamily(
-            "wrenchbook_table_file_age_seconds", "since a table's file was written", labels=named
-        )
-        names = self._workspace.library.names()
-        known = self._workspace.tables.present()
-        for name in names[:MOST_COMPONENTS]:
-            if (table := known.get(name)) is not None:
-                versions.add_metric((name,), table.version)
-                rows.add_metric((name,), table.row_count)
-            if (written := self._workspace.tables.written(name)) is not None:
-                ages.add_metric((name,), max(0.0, time.time() - written))
-        count = GaugeMetricFamily("wrenchbook_components", "in the library")
-        count.add_metric((), len(names))
-        broken = GaugeMetricFamily("wrenchbook_broken_components", "see GET /health/ready")
-        broken.add_metric((), len(self._workspace.broken()))
-        return versions, rows, ages, count, broken
-
-
-class _Server(Collector):
-    def __init__(self, workspace: Workspace) -> None:
-        self._workspace = workspace
-
-    def collect(self) -> Iterable[Metric]:
-        ready = GaugeMetricFamily("wrenchbook_ready", "1 if jobs are accepted and solved")
-        ready.add_metric((), 0 if self._workspace.faults() else 1)
-        slots = GaugeMetricFamily("wrenchbook_solvers", "solves at once of this server")
-        slots.add_metric((), self._workspace.settings.solvers)
-        found = [ready, slots]
+    def _of_server(self) -> Iterator[Metric]:
+        settings, ready = self._workspace.settings, int(not self._workspace.faults())
+        text = "1 if jobs are accepted and solved"
+        yield GaugeMetricFamily("wrenchbook_ready", text, value=ready)
+        text = "solves at once of this server"
+        yield GaugeMetricFamily("wrenchbook_solvers", text, value=settings.solvers)
         with contextlib.suppress(OSError):
-            free = GaugeMetricFamily("wrenchbook_disk_free_bytes", "where the data directory is")
-            free.add_metric((), shutil.disk_usage(self._workspace.settings.folder).free)
-            found.append(free)
-        return found
+            free = shutil.disk_usage(settings.folder).free
+            text = "where the data directory is"
+            yield GaugeMetricFamily("wrenchbook_disk_free_bytes", text, value=free)
+
+
+def _gauges(name: str, text: str, label: str, values: Mapping[str, float]) -> Metric:
+    found = GaugeMetricFamily(name, text, labels=(label,))
+    for word, value in values.items():
+        found.add_metric((word,), value)
+    return found
