@@ -174,7 +174,7 @@ def _check_tables(ledger: Ledger, library: Library, folder: Path, *, mend: bool)
     found += _damaged_rows(ledger, whole, mend=mend)
     files = TableFiles(folder, ledger)
     for name in library.names():
-        found += _compare(ledger, library[name], files, whole.get(name), folder, mend=mend)
+        found += _compare(ledger, library[name], files, whole.get(name), mend=mend)
         found += _of_another_setup(ledger, library[name])
     unknown = sorted(whole.keys() - set(library.names()))
     what = "{} is the table of a component that is not in the library"
@@ -253,31 +253,26 @@ def _compare(
     component: Component,
     files: TableFiles,
     on_file: tuple[Rows, TableMeta] | None,
-    folder: Path,
     *,
     mend: bool,
 ) -> list[Finding]:
     """Compare a component's file with the ledger; write it again if it is missing or older."""
-    name = component.name
-    count = ledger.count_rows(name)
+    name, count = component.name, ledger.count_rows(component.name)
     if on_file is None:
         if not count:
             return []
         what = f"tables/{name}.h5 is not there; the ledger has {count} rows of it"
-    elif on_file[1].ledger and on_file[1].ledger == ledger.digest(name, on_file[1].last_seq):
-        return []
     else:
-        what = (
-            f"tables/{name}.h5 and the ledger do not have the same rows up to {on_file[1].last_seq}"
-        )
+        meta = on_file[1]
+        if meta.ledger and meta.ledger == ledger.digest(name, meta.last_seq):
+            return []
+        what = f"tables/{name}.h5 and the ledger do not have the same rows up to {meta.last_seq}"
     if not mend:
         return [Finding("fault" if on_file else "note", what, f"a server's start or {REPAIR}")]
-    before = count
-    files.load(component)  # puts back into the ledger what the file alone has
+    files.load(component)  # puts rows that the file alone has back into the ledger
     rows, last_seq = _whole_table(ledger, component)
-    folder.mkdir(parents=True, exist_ok=True)
     files.save(component, rows, last_seq)
-    back = ledger.count_rows(name) - before
+    back = ledger.count_rows(name) - count
     remedy = f"{back} rows put back into the ledger; the file written anew with {len(rows)} rows"
     return [Finding("mended", what, remedy)]
 

@@ -25,6 +25,7 @@ from typing import Any, Final, NoReturn
 from service.sandbox.parts import Limits, write_parts
 
 _OPEN_FILES: Final = 64  # pipes, the file, what an HDF5 or a zip opens in addition
+_FIELDS: Final = {"done", "kind", "message", "errno", "traceback"}
 _MOST_OUTCOME: Final = 64 * 1024  # bytes, what a pipe holds on Linux
 
 
@@ -64,8 +65,9 @@ def _outcome(request: dict[str, Any], connection: Connection) -> dict[str, Any]:
     try:
         if os.WIFSIGNALED(status):
             return {"signal": os.WTERMSIG(status)}
-        return dict(json.loads(os.read(outcome, _MOST_OUTCOME)))
-    except (OSError, ValueError, TypeError):
+        end = json.loads(os.read(outcome, _MOST_OUTCOME))
+        return {key: end[key] for key in end.keys() & _FIELDS if isinstance(end[key], str | int)}
+    except (OSError, ValueError, AttributeError, RecursionError):
         return {"signal": 0}
     finally:
         os.close(outcome)

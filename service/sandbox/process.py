@@ -170,6 +170,9 @@ class _ForkServer:
                     return json.loads(connection.recv_bytes())
             except (EOFError, OSError):
                 self.close()
+            except BaseException:  # its reply would be taken for that of the next request
+                self.close()
+                raise
             else:
                 self.close()
                 return {"signal": signal.SIGKILL}

@@ -62,5 +62,12 @@ def lying(path):
     return ()
 
 
+def babbling(path):
+    # The last pipe that was opened is the one for the outcome.
+    mine = [fd for fd in range(3, 64) if Path(f"/proc/self/fd/{fd}").exists()]
+    os.write([fd for fd in mine if stat.S_ISFIFO(os.fstat(fd).st_mode)][-1], b"[" * 60_000)
+    os._exit(0)
+
+
 def modules(path):
     yield Part({"modules": sorted(sys.modules), "pid": os.getpid(), "parent": os.getppid()})

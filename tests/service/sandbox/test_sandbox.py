@@ -57,6 +57,7 @@ def test_what_a_function_answers_comes_back_as_it_was(run):
         ("asleep", SHORT, "time"),
         ("wordy", SMALL, "size"),
         ("crashing", SMALL, "crash"),
+        ("babbling", SMALL, "crash"),
     ],
 )
 def test_a_file_that_takes_too_much_is_an_error_by_name_and_the_next_one_is_read(
