@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from service.files.cores import usable_cores
+from service.ops.retention import KEEP, Keep
 from service.ordering import QUEUE_LIMIT
 from service.tables.served import TABLE_MEMORY
-from service.upkeep.housekeeping import KEEP, Keep
 
 # What a process does of the work on a data directory: all of it; or, of several, the one that
 # builds tables and has jobs run, or one of those that answer.

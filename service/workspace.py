@@ -28,6 +28,8 @@ from service.library.catalogue import Catalogue
 from service.library.checked import solver_error_of
 from service.library.component import Component
 from service.library.library import Library
+from service.ops.checks import is_full
+from service.ops.retention import Retention
 from service.ordering import Orders
 from service.report.queue import Reports
 from service.settings import Settings
@@ -40,8 +42,6 @@ from service.tables.news import table_rows, usable
 from service.tables.past import PastTables
 from service.tables.served import ServedTable
 from service.tables.solver_errors import SolverErrors
-from service.upkeep.disk import is_full
-from service.upkeep.housekeeping import Housekeeping
 from surrogate.design.adaptive import Design, next_wrenches
 from surrogate.scene.need import Need
 from surrogate.scene.plan import design_of, plan_of
@@ -80,7 +80,7 @@ class Workspace:
         self.errors = SolverErrors(settings.folder / "solver_errors")
         self.tables = self._open_tables(settings.folder / "tables")
         self.past = PastTables(self.ledger, self.library, self.tables, self.errors)
-        self._housekeeping = Housekeeping(self.ledger, self._jobs_folder, settings.keep)
+        self._retention = Retention(self.ledger, self._jobs_folder, settings.keep)
         self.fields = FieldStore(settings.folder / "fields")
         self.shapes = DeformedShapes(self.fields)
         self.reports = Reports(settings.folder / "reports", settings.folder / "tables")
@@ -111,11 +111,11 @@ class Workspace:
         where = self._bundle, self._jobs_folder, self.fields, self.errors
         self._dispatcher = Dispatcher(self.ledger, self._engine, *where)
         self._dispatcher.start()
-        self._housekeeping.start()
+        self._retention.start()
 
     def close(self) -> None:
         """Stop; the solves that run are ended and wait again for the next start."""
-        self._housekeeping.stop()
+        self._retention.stop()
         if self._dispatcher and self._engine:
             self._dispatcher.stop()
             self._engine.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import subprocess
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -108,7 +109,7 @@ def _serve(**said: Any) -> None:
         check_engine(said["engine"], said["scheduler"])
     except EngineSettingsError as error:
         raise typer.BadParameter(str(error)) from error
-    _make_folder(said["data"])
+    _make_folder(Path(said["data"]))
     if said["first_key"]:
         make_first_key(said["data"])
     require_keys(said["host"], said["data"])
@@ -126,14 +127,21 @@ def _serve(**said: Any) -> None:
 
 
 def _make_folder(folder: Path) -> None:
-    """Refuse a data directory that is not there and cannot be made: nothing could be kept in it."""
+    """Refuse a data directory that cannot be made or written."""
+    from service.ops.checks import not_writable
+
     try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise typer.BadParameter(
             f"the data directory {folder} cannot be made: {error.strerror}; name another with "
             "--data, or make it for the user that serves"
         ) from error
+    if paths := not_writable(folder):
+        raise typer.BadParameter(
+            f"{paths[0]} cannot be read and written; name another directory with --data, or make "
+            f"it readable and writable for user {os.getuid()}"
+        )
 
 
 def work(

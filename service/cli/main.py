@@ -23,9 +23,9 @@ from service.cli.follow import follow_jobs
 from service.cli.gathering import GATHERING_COMMANDS
 from service.cli.keys import keys
 from service.cli.local import LOCAL_COMMANDS
+from service.cli.ops import OPS_COMMANDS
 from service.cli.screen import Screen
 from service.cli.tables import TABLE_COMMANDS
-from service.cli.upkeep import UPKEEP_COMMANDS
 from service.client import Displacement, Job, ProblemError, Scene, ServerUnreachable
 from service.client.deformed import deformed_format
 
@@ -37,7 +37,7 @@ app = typer.Typer(
 out = Screen()
 for named, table_command in TABLE_COMMANDS.items():
     app.command(named)(table_command)
-for command in (*LOCAL_COMMANDS, *GATHERING_COMMANDS, *UPKEEP_COMMANDS):
+for command in (*LOCAL_COMMANDS, *GATHERING_COMMANDS, *OPS_COMMANDS):
     app.command()(command)
 app.add_typer(keys, name="keys")
 

@@ -16,9 +16,9 @@ from service.http.app import create_app
 from service.http.door.opening import opening_of_options
 from service.http.protocol import FastPathProtocol
 from service.http.server import Server, server_config
+from service.ops.logs import set_up
 from service.settings import settings_of_options
 from service.tables.coordinator_state import FOLDER
-from service.telemetry.logs import set_up
 
 _OPEN = "connections"  # beside the tables: how many each process has
 

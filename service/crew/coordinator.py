@@ -11,9 +11,9 @@ import threading
 
 from service.crew.pulse import Pulse
 from service.crew.supervisor import REFUSED, follow_supervisor
+from service.ops.logs import set_up
 from service.settings import Settings, settings_of_options
 from service.tables.coordinator_state import FOLDER, CoordinatorState, Status
-from service.telemetry.logs import set_up
 from service.workspace import Workspace
 
 log = logging.getLogger(__name__)

@@ -21,7 +21,7 @@ from typing import Any
 from service.crew.pulse import READY_S, SILENT_S, Watched
 from service.files.child import child_command
 from service.http.listen import bind_to
-from service.telemetry.logs import set_up
+from service.ops.logs import set_up
 
 log = logging.getLogger(__name__)
 

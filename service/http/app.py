@@ -38,8 +38,8 @@ from service.http.routes import (
     umbridge,
 )
 from service.keys import Keyring
-from service.telemetry.counts import Counts
-from service.telemetry.metrics import Metrics
+from service.ops.counts import Counts
+from service.ops.metrics import Metrics
 from service.workspace import Settings, Workspace
 
 _SUMMARY = (

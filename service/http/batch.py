@@ -15,12 +15,11 @@ import numpy as np
 import orjson
 
 from service.answering.queries import BatchQuery
-from service.fence import Limits, Part, fenced
-from service.fence.limits import MIB
 from service.http.bodies import MAX_BATCH, BatchBody
 from service.http.body import Spooled, busy
 from service.http.parsing import checked, known_method, parsed_json, plain_rows, plain_wrenches
 from service.http.problems import ProblemError, bad_body
+from service.sandbox import MIB, Limits, Part, run
 from surrogate.table.rows import Tolerance
 
 # A million wrenches as Python's lists and numbers are 400 MB, beside the text of 250 MB.
@@ -40,12 +39,12 @@ def read_batch_body(body: Spooled) -> BatchQuery:
     ------
     ProblemError
         422, with mistakes' places.
-    FenceError, FenceBusyError
+    SandboxError, SandboxBusyError
         If it takes too much to be read, or too many others are being read.
     """
     if body.path is None:
         return batch_of(*batch_parts(body.content))
-    (told,) = fenced("service.http.batch:parsed", body.path, None, LIMITS)
+    (told,) = run("service.http.batch:parsed", body.path, None, LIMITS)
     if refused := told.fields["refused"]:
         raise refusal(refused)
     return batch_of(told.fields["batch"], np.array(told.arrays["wrenches"]))

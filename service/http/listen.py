@@ -15,13 +15,14 @@ def bind_to(host: str, port: int) -> tuple[socket.socket, str]:
     OSError
         If the address is taken or not this machine's.
     """
+    shown = f"[{host}]" if ":" in host else host
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     bound = socket.socket(family, socket.SOCK_STREAM)
     bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         bound.bind((host, port))
-    except OSError:
+    except OSError as error:
         bound.close()
-        raise
-    shown = f"[{host}]" if ":" in host else host
+        what = f"{error.strerror}: {shown}:{port}; name another address with --host and --port"
+        raise OSError(error.errno, what) from error
     return bound, f"http://{shown}:{bound.getsockname()[1]}"

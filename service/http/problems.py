@@ -16,7 +16,6 @@ from starlette.responses import Response
 
 from fea.bundle.read import BundleError
 from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
-from service.fence import FenceBusyError, FenceError
 from service.fields.deformed import NoFieldsError, TooFarError
 from service.files.discreet import discreetly
 from service.http.links import job_link
@@ -39,6 +38,7 @@ from service.library.component import (
     UnknownComponentError,
 )
 from service.ordering import NoSetupError
+from service.sandbox import SandboxBusyError, SandboxError
 from service.tables.behind import TableBehindError
 from service.tables.past import PastDamagedError, PastTooLargeError
 
@@ -67,8 +67,8 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     BlockKeyError: (409, "block-key", "The block's key does not tell whether it was recorded"),
     InvalidTransitionError: (409, "job-status", "The job's status does not allow this"),
     TooManyPollsError: (503, "busy", "Too many callers wait for jobs"),
-    FenceError: (422, "too-costly", "The file cannot be read within its limits"),
-    FenceBusyError: (503, "busy", "Too many files are being read"),
+    SandboxError: (422, "too-costly", "The file cannot be read within its limits"),
+    SandboxBusyError: (503, "busy", "Too many files are being read"),
     LedgerFullError: (507, "disk", "The disk is full; nothing was accepted"),
     LedgerUnavailableError: (503, "ledger", "The ledger cannot be written; nothing was accepted"),
 }

@@ -23,7 +23,6 @@ from typing import Any, TextIO
 import uvicorn
 
 from service.client import Client
-from service.fence import warm_up
 from service.files.child import child_command
 from service.http.app import create_app
 from service.http.application import Application
@@ -31,9 +30,10 @@ from service.http.door import Opening
 from service.http.door.opening import OWN_KEY, opening_for, require_keys
 from service.http.listen import bind_to
 from service.http.protocol import FastPathProtocol
+from service.ops.logs import LogFormat, set_up
+from service.sandbox import warm_up
 from service.settings import Settings
 from service.tables.memory import keep_few_heaps
-from service.telemetry.logs import LogFormat, set_up
 
 log = logging.getLogger(__name__)
 

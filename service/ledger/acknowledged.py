@@ -80,6 +80,17 @@ class Acknowledged:
 
     def losses(self) -> list[str]:
         """Return in words what was lost and has not been settled yet."""
+        return [_in_words(loss) for loss in self._unsettled()]
+
+    def lost(self) -> tuple[Numbers, int]:
+        """Return how many numbers of jobs and rows were lost, and a row's highest one of these."""
+        losses = self._unsettled()
+        count = {
+            what: sum(loss[what][1] - loss[what][0] + 1 for loss in losses) for what in SEQUENCES
+        }
+        return Numbers(**count), max((loss["rows"][1] for loss in losses), default=0)
+
+    def _unsettled(self) -> list[dict[str, Any]]:
         try:
             lines = self._losses.read_text(encoding="utf-8").splitlines()
         except OSError:
@@ -87,7 +98,9 @@ class Acknowledged:
         found = []
         for line in lines:
             with suppress(ValueError, KeyError, TypeError):
-                found.append(_in_words(json.loads(line)))
+                loss = json.loads(line)
+                _in_words(loss)  # fails for a line that is not whole
+                found.append(loss)
         return found
 
     def settle(self, move: Callable[[Path], Path]) -> Path | None:

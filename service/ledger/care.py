@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from service.ledger import healing
-from service.ledger.acknowledged import Acknowledged
+from service.ledger.acknowledged import Acknowledged, Numbers
 from service.ledger.connections import Connections
 from service.ledger.records import LedgerRow, NewRow
 from service.ledger.statistics import Statistics, recent_seconds, statistics
@@ -51,6 +51,16 @@ class Care:
     def losses(self) -> list[str]:
         """Return what was acknowledged and is gone, in words."""
         return Acknowledged(self.path).losses()
+
+    def lost(self) -> Numbers:
+        """Return how many acknowledged jobs and rows are gone, without rows put back since.
+
+        Edits share the rows' numbers, so that there may be fewer rows.
+        """
+        gone, last = Acknowledged(self.path).lost()
+        with self._db.reading() as db:
+            back = "SELECT count(*) FROM rows WHERE origin = 'table file' AND seq > ?"
+            return Numbers(gone.jobs, max(0, gone.rows - db.execute(back, (last,)).fetchone()[0]))
 
     def ahead(self, job_id: int, priority: int, now: float) -> list[Ahead]:
         """Return the waiting jobs that start before one, by component, with what one takes."""

@@ -40,11 +40,15 @@ class Salvaged:
         Done jobs whose row is lost, which wait again.
     given : int
         The highest number that was ever given to a job.
+    lost_rows : int
+        At most as many acknowledged rows are in neither copy. Edits and abandoned imports have
+        numbers of rows as well.
     """
 
     read: dict[str, int]
     reopened: int
     given: int
+    lost_rows: int
 
 
 @dataclass(frozen=True)
@@ -82,12 +86,14 @@ def salvage(damaged: Path, target: Path, spare: Iterable[Spare], noted: Acknowle
             rows.place(new, one.component, one.seq, one.row, one.created)
         read = {name: _copy(source, new, name, highest) for name in TABLES}
         reopened = _settle(new)
+        there = "SELECT (SELECT count(*) FROM rows) + (SELECT count(*) FROM edits)"
+        lost_rows = max(0, noted.read().rows - new.execute(there).fetchone()[0])
         new.execute("COMMIT")
         raise_sequences(new, {name: highest.get(name, 0) for name in ("jobs", "rows")})
     finally:
         source.close()
         new.close()
-    return Salvaged(read, reopened, highest.get("jobs", 0))
+    return Salvaged(read, reopened, highest.get("jobs", 0), lost_rows)
 
 
 def _source(damaged: Path) -> Connection:

@@ -1,26 +1,26 @@
-"""A bundle on its way in: a zip of strangers, unpacked, read and checked behind the fence."""
+"""An uploaded bundle: its zip is unpacked, read and checked in the sandbox."""
 
 from __future__ import annotations
 
 import json
-import logging
 import shutil
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from fea.bundle.read import BundleError, Problem
-from service.fence import FenceError, Limits, fenced, program
-from service.fence.limits import MIB
 from service.files.discreet import discreet
 from service.library.bundle_zip import MAX_BUNDLE_BYTES, one_problem
-
-log = logging.getLogger(__name__)
+from service.sandbox import MIB, Limits, Sandbox, SandboxError, run
 
 # The largest mesh of a generator, two million cells, takes 3 GB; a solve of half of that is days.
 CHECK: Final = Limits(memory=2048 * MIB, seconds=300.0, output=MAX_BUNDLE_BYTES)
 # Pieces of 1 MiB, the archive's list of files, and a component.toml that is small.
 UNPACK: Final = Limits(memory=256 * MIB, seconds=120.0, output=MAX_BUNDLE_BYTES)
+CHECKER: Final = "service.library.bundle_zip:checked"
+_NO_REPORT: Final = "The mesh check stopped without an answer ({why})."
 DECK = "deck"
+# Places apart from those of `run`: a check may take minutes. It imports 75 MB, so none stays.
+_checks: Final = Sandbox(keep=False)
 
 
 def unpack(archive: BinaryIO, incoming: Path) -> tuple[Path, bool]:
@@ -30,7 +30,7 @@ def unpack(archive: BinaryIO, incoming: Path) -> tuple[Path, bool]:
     ------
     BundleError
         If the archive or its component.toml has mistakes, or takes too much to be read.
-    FenceBusyError
+    SandboxBusyError
         If too many others are being read.
     OSError
         If the disk is full or cannot be written.
@@ -42,8 +42,8 @@ def unpack(archive: BinaryIO, incoming: Path) -> tuple[Path, bool]:
         shutil.copyfileobj(archive, file, 1 << 20)
     where = {"target": str(target)}
     try:
-        (told,) = fenced("service.library.bundle_zip:unpacked", kept, where, UNPACK)
-    except FenceError as error:
+        (told,) = run("service.library.bundle_zip:unpacked", kept, where, UNPACK)
+    except SandboxError as error:
         raise one_problem("bundle", str(error)) from None
     kept.unlink()
     if told.fields["problems"]:
@@ -52,37 +52,36 @@ def unpack(archive: BinaryIO, incoming: Path) -> tuple[Path, bool]:
 
 
 def check_mesh(folder: Path) -> dict[str, Any]:
-    """Build the bundle's mesh and resolve its groups, in a process of its own.
+    """Build the bundle's mesh and resolve its groups, in a subprocess of its own.
 
-    The web process never imports the finite-element stack; a bad mesh file can cost that process
-    its life without costing the server anything.
+    The web process never imports the finite-element stack; a bad mesh file can crash the subprocess
+    without harm to the server.
 
     Raises
     ------
     BundleError
         With every problem found, or with what ended the check.
-    FenceBusyError
+    SandboxBusyError
         If too many others are being checked.
     """
     try:
-        run = program("fea.check", str(folder), limits=CHECK)
-    except FenceError as error:
-        raise one_problem("mesh", f"{error} A coarser mesh does.") from None
-    try:
-        report = json.loads(run.out.strip().splitlines()[-1])
+        (part,) = _checks.run(CHECKER, folder, None, CHECK)
+        report = json.loads(part.fields["report"])
         if report["ok"]:
             return report
         problems = [Problem(p["where"], p["message"]) for p in report["problems"][:1000]]
-    except (IndexError, ValueError, KeyError, TypeError):
-        raise one_problem("mesh", _ended(folder, run.err)) from None
+    except SandboxError as error:
+        raise one_problem("mesh", _why_not(error)) from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise one_problem("mesh", _NO_REPORT.format(why=f"a malformed report: {error}")) from None
     raise BundleError(problems)
 
 
-def _ended(folder: Path, printed: str) -> str:
-    """Return what a check that gave no report ended with; the log has all of it."""
-    log.warning("the check of %s ended without a report:\n%s", folder.name, printed[-4000:])
-    last = discreet((printed.strip().splitlines() or [""])[-1])[:300]
-    if "MemoryError" in last or "bad_alloc" in printed[-4000:]:
+def _why_not(error: SandboxError) -> str:
+    """Return why a check gave no report."""
+    if error.kind == "memory" or "bad_alloc" in str(error):
         most = CHECK.memory >> 20
         return f"The mesh takes more than {most} MiB of memory to check. Give a coarser one."
-    return f"The mesh check stopped without an answer ({last or 'it printed nothing'})."
+    if error.kind in ("time", "crash", "size"):
+        return f"{error} A coarser mesh does."
+    return _NO_REPORT.format(why=discreet(f"{error.kind}: {error}")[:300])

@@ -1,8 +1,10 @@
-"""A bundle's zip, unpacked and read: runs behind the fence, see `service.library.arrival`."""
+"""A bundle's zip, unpacked, read and checked: runs in the sandbox, see `arrival`."""
 
 from __future__ import annotations
 
 import errno
+import importlib
+import json
 import struct
 import zipfile
 from collections.abc import Iterator
@@ -10,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from fea.bundle.read import BundleError, Problem, read_bundle
-from service.fence.parts import Part
+from service.sandbox import Part
 from surrogate.table.hdf5 import TableFileError, leads_out
 
 MAX_BUNDLE_BYTES: Final = 512 * 1024 * 1024  # a mesh of some million cells
@@ -52,6 +54,15 @@ def unpacked(archive: Path, target: str) -> Iterator[Part]:
     else:
         inside = folder.relative_to(target).as_posix()
         yield Part({"problems": [], "folder": inside, "deck": bundle.deck is not None})
+
+
+def checked(folder: Path) -> Iterator[Part]:
+    """Yield a part with the ``report`` of `fea.check` on a bundle, as JSON text."""
+    check = importlib.import_module("fea.check")  # here alone: no server imports finite elements
+    try:
+        yield Part({"report": json.dumps(check.report(folder))})
+    except OSError as error:  # of the bundle's files, not of this machine's disk
+        raise RuntimeError(f"{type(error).__name__}: {error}") from error
 
 
 def extract(archive: Path, target: Path) -> Path:

@@ -1,4 +1,4 @@
-"""Reading a table file behind the fence: what the child answers, and what is made of it here.
+"""Reading a table file in the sandbox: what the child answers, and what is made of it here.
 
 The child answers a part of arrays and texts for each piece of the file, and a last one that says
 what there was to say. Nothing in it can make its reader do more than take numbers and texts.
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from service.fence import FenceError, Limits, Part, fenced
+from service.sandbox import Limits, Part, SandboxError, run
 from service.tablefile.mistakes import RowError
 from service.tablefile.options import Options, Told, options_from, options_told
 from service.tablefile.parsed import ParsedTable
@@ -59,7 +59,7 @@ def read_fenced(files: Sequence[Path], options: Options, preview: int = 0) -> Re
 
     Raises
     ------
-    FenceBusyError
+    SandboxBusyError
         If as many files are read as may be, for a minute.
     OSError
         If the disk is full.
@@ -70,8 +70,8 @@ def read_fenced(files: Sequence[Path], options: Options, preview: int = 0) -> Re
         "preview": preview,
     }
     try:
-        parts = fenced("service.tablefile.parts:table_parts", files[0], words, LIMITS)
-    except FenceError as error:
+        parts = run("service.tablefile.parts:table_parts", files[0], words, LIMITS)
+    except SandboxError as error:
         told = Told()
         told.mistakes.ruin(RowError(0, "file", str(error)))
         return Read(_summary(told, 0, []), [])

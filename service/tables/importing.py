@@ -1,4 +1,4 @@
-"""Table files into the ledger: read behind the fence, all rows or none, and every row told of."""
+"""Table files into the ledger: read in the sandbox, all rows or none, and every row told of."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def import_files(
 
     Raises
     ------
-    FenceBusyError, ImportRunningError, LedgerUnavailableError, OSError
+    SandboxBusyError, ImportRunningError, LedgerUnavailableError, OSError
         If it could not be read or written now; nothing was loaded.
     """
     own = replace(options, load_range=component.load_range, fingerprint=component.fingerprint)

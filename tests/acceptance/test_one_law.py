@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 from service.client import Client, Scene, Table
 from service.fmu.export import NotExportableError, find_compiler, make_fmu
-from service.upkeep.backup import back_up
-from service.upkeep.restore import restore
+from service.ops.backup import back_up
+from service.ops.restore import restore
 from surrogate.build import AnyTable
 from surrogate.kernel.binding import PackedTable
 from surrogate.packed.codes import METHODS

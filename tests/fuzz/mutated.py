@@ -1,4 +1,4 @@
-"""Files made from good ones by chance, and read: runs behind the fence, many to a child."""
+"""Files made from good ones by chance, and read: runs in the sandbox, many to a child."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from fea.bundle.read import BundleError, read_bundle
 from fea.bundle.shipped import SHIPPED
 from fea.mesh.io.abaqus import MeshFileError, read_inp
 from fea.mesh.io.read import read_mesh
-from service.fence.parts import Part
 from service.library.bundle_zip import extract
+from service.sandbox import Part
 from service.tablefile import (
     Options,
     ParsedTable,

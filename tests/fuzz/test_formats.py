@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from service.fence import Limits, fence, fenced
-from service.fence.limits import MIB
+from service.sandbox import MIB, Limits, Sandbox
 
 ROOT = Path(__file__).parents[2]
 COUNT = 100 * int(os.environ.get("WRENCHBOOK_FUZZ", "3"))
@@ -20,23 +19,21 @@ BUNDLES = ("toml", "zip", "inp", "msh", "vtk", "vtu")
 LIMITS = Limits(memory=1024 * MIB, seconds=600.0, output=16 * MIB)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def own_zygote():
-    """A warm process that finds the tests."""
-    patch = pytest.MonkeyPatch()
-    with patch.context() as patched:
+@pytest.fixture(scope="module")
+def sandbox():
+    """A sandbox that finds the tests."""
+    with pytest.MonkeyPatch().context() as patched:
         patched.setenv("PYTHONPATH", str(ROOT))
-        zygote = fence._Zygote()
-        patched.setattr(fence, "_zygote", zygote)
-        yield
-        zygote.close()
+        sandbox = Sandbox()
+        yield sandbox
+        sandbox.close()
 
 
 @pytest.mark.timeout(36_000)
 @pytest.mark.parametrize("form", TABLES + BUNDLES)
-def test_a_damaged_file_comes_to_rows_or_to_named_mistakes(form):
+def test_a_damaged_file_comes_to_rows_or_to_named_mistakes(sandbox, form):
     first = zlib.crc32(form.encode())
     for start in range(first, first + COUNT, AT_ONCE):
         asked = {"form": form, "start": start, "count": min(AT_ONCE, COUNT)}
-        (told,) = fenced("tests.fuzz.mutated:fuzzed", None, asked, LIMITS)
+        (told,) = sandbox.run("tests.fuzz.mutated:fuzzed", None, asked, LIMITS)
         assert told.fields["mistakes"] == []

@@ -6,12 +6,13 @@ import zipfile
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from service.cli.main import app
 from service.ledger import Ledger, NewRow
+from service.ops.backup import MANIFEST, BackupError, back_up, verify
+from service.ops.restore import restore
 from service.tables.solver_errors import SolverErrors
-from service.upkeep.archive import MANIFEST, BackupError
-from service.upkeep.backup import back_up, verify
-from service.upkeep.restore import restore
 from tests.service.test_durable_tables import Site
 
 
@@ -189,3 +190,10 @@ def test_a_restored_ledger_goes_on_numbering_where_the_backup_ended(backup, tmp_
     assert ledger.accept("rig", "f", (2.0, 0, 0, 0, 0, 0))[0].id == 2
     ledger.close()
     assert verify(backup).files
+
+
+def test_the_command_that_starts_a_restored_directory_names_it(backup, tmp_path):
+    """It advised `wrenchbook serve`, which serves another directory."""
+    words = ["restore", str(backup), "--data", str(tmp_path / "d2")]
+    found = CliRunner().invoke(app, words, env={"COLUMNS": "1000"})
+    assert f"wrenchbook serve --data {tmp_path / 'd2'}" in found.output.replace("\n", "")

@@ -8,7 +8,7 @@ from starlette.testclient import TestClient
 
 from fea.bundle.shipped import SHIPPED
 from service.http.app import create_app
-from service.upkeep.doctor import examine
+from service.ops.doctor import examine
 from service.workspace import Settings
 
 CALL = "/v1/components/mine"

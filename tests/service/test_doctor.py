@@ -5,9 +5,11 @@ import shutil
 import sqlite3
 
 import pytest
+from typer.testing import CliRunner
 
+from service.cli.main import app
 from service.ledger import Ledger
-from service.upkeep.doctor import examine
+from service.ops.doctor import examine
 from surrogate.table.hdf5 import read_table
 from tests.service.test_durable_tables import Site, new_rows
 
@@ -142,6 +144,36 @@ def test_rows_that_only_a_file_has_are_put_back_into_an_older_ledger(folder):
     assert "acknowledged and are not in the ledger any more" in words(found)
     assert "10 rows put back" in words(examine(folder, mend=True))
     assert content(folder) == before
+
+
+@pytest.mark.parametrize("damaged", [True, False])
+def test_rows_that_no_copy_has_are_counted_and_are_not_in_order(folder, damaged):
+    """It settled the loss, said that all was in order, and exited with 0."""
+    for path in (folder / "tables").glob("*.h5"):
+        path.unlink()
+    if damaged:
+        overwrite(folder / "ledger.sqlite", 0, 4096)
+    else:
+        (folder / "ledger.sqlite").unlink()
+    found = CliRunner().invoke(app, ["doctor", "--mend", "--data", str(folder)])
+    assert found.exit_code == 1
+    assert "up to 80 rows" in found.output
+    assert "is in order" not in found.output
+    again = CliRunner().invoke(app, ["doctor", "--data", str(folder)])
+    assert again.exit_code == 0
+
+
+def test_rows_that_a_server_has_put_back_are_not_counted_as_gone(folder):
+    before = content(folder)
+    (folder / "ledger.sqlite").unlink()
+    site = Site(folder)
+    site.open()
+    for name in ("rig", "other"):
+        assert site.tables.catch_up(name, 20)
+    site.close()
+    found = examine(folder, mend=True)
+    assert content(folder) == before
+    assert "up to 0 rows and 30 jobs that were acknowledged are gone" in words(found)
 
 
 def test_a_missing_ledger_is_made_from_the_tables(folder):
@@ -293,9 +325,10 @@ def test_rows_that_neither_copy_has_are_told_as_lost_and_not_as_mended(folder):
     overwrite(folder / "ledger.sqlite", 0, 4096)
     (folder / "tables" / "rig.h5").write_bytes(b"")
     found = examine(folder, mend=True)
-    (lost,) = [one for one in found if one.kind == "fault"]
-    assert "tables/rig.h5" in lost.what
-    assert "restore a backup" in lost.remedy
+    lost, table = [one for one in found if one.kind == "fault"]
+    assert lost.what == "up to 60 rows that were acknowledged are gone"
+    assert "tables/rig.h5" in table.what
+    assert all("restore a backup" in one.remedy for one in (lost, table))
     assert "jobs that were lost: 30" in words(found)
 
 

@@ -6,6 +6,7 @@ import resource
 import struct
 import tomllib
 import zipfile
+from pathlib import Path
 
 import h5py
 import meshio
@@ -185,18 +186,29 @@ def test_a_title_of_any_letters_comes_back_from_the_component_toml_it_is_kept_in
     assert tomllib.loads(f"title = {toml_text(title)}") == {"title": title}
 
 
-def test_a_check_that_needs_too_much_memory_is_refused_by_that_name(tmp_path, monkeypatch):
-    greedy = "timeit", "-n1", "-r1", "bytearray(1 << 40)"
-    printed = arrival.program(*greedy, limits=arrival.CHECK)
-    monkeypatch.setattr(arrival, "program", lambda *_, **__: printed)
+@pytest.fixture
+def hostile_check(monkeypatch):
+    """Have a function of sandbox/hostile_readers.py in place of the mesh's check."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent / "sandbox"))
+
+    def choose(name):
+        monkeypatch.setattr(arrival, "CHECKER", f"hostile_readers:{name}")
+
+    return choose
+
+
+def test_a_check_that_needs_too_much_memory_is_refused_by_that_name(tmp_path, hostile_check):
+    hostile_check("greedy")
     with pytest.raises(BundleError, match="takes more than 2048 MiB of memory"):
         check_mesh(tmp_path)
 
 
-def test_a_check_that_ends_in_a_mistake_of_ours_tells_no_path_of_the_machine(tmp_path, monkeypatch):
-    printed = arrival.program("json.tool", str(tmp_path / "none"), limits=arrival.CHECK)
-    monkeypatch.setattr(arrival, "program", lambda *_, **__: printed)
-    with pytest.raises(BundleError) as caught:
+@pytest.mark.parametrize("name", ["stumbling", "modules", "crashing"])
+def test_a_check_that_ends_in_a_mistake_of_ours_tells_no_path_of_the_machine(
+    tmp_path, hostile_check, name
+):
+    hostile_check(name)
+    with pytest.raises(BundleError, match="answer") as caught:
         check_mesh(tmp_path)
     assert str(tmp_path) not in str(caught.value)
     assert "Traceback" not in str(caught.value)

@@ -7,7 +7,7 @@ import logging
 import pytest
 
 from service.ledger import Ledger
-from service.telemetry.logs import JsonLines, TextLines
+from service.ops.logs import JsonLines, TextLines
 
 
 @pytest.fixture

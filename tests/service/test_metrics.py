@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from service.telemetry.counts import EDGES, Counts
+from service.ops.counts import EDGES, Counts
 from tests.service.live import as_rows, clean_wrenches, moved
 
 RANGE = {"force": [100.0] * 3, "moment": [10.0] * 3}
@@ -124,7 +124,7 @@ def test_metrics_are_told_while_the_ledger_cannot_be_used(rig, folder):
 
 
 def test_no_more_than_a_bounded_number_of_components_becomes_labels(rig, monkeypatch):
-    monkeypatch.setattr("service.telemetry.metrics.MOST_COMPONENTS", 2)
+    monkeypatch.setattr("service.ops.metrics.MOST_COMPONENTS", 2)
     found = samples(rig)
     assert sum(name == "wrenchbook_table_version" for name, *_ in found) <= 2
     assert found["wrenchbook_components",] == len(rig.app.state.workspace.library.names())

@@ -1,6 +1,7 @@
 """Settings of serve: the line wins over the environment, that over the file; nothing is guessed."""
 
 import re
+import socket
 import tomllib
 from pathlib import Path
 
@@ -92,6 +93,23 @@ def test_a_data_directory_that_cannot_be_made_is_refused_at_the_start():
     found = CliRunner().invoke(app, words, env={"COLUMNS": "1000"})
     assert found.exit_code == 2
     assert "/proc/none cannot be made" in found.output
+
+
+def test_a_data_directory_that_cannot_be_written_is_refused_at_the_start():
+    """It printed that it serves, and answered every call with 503."""
+    words = ["serve", "--data", "/proc/sys", "--port", "0"]  # nobody can write there
+    found = CliRunner().invoke(app, words, env={"COLUMNS": "1000"})
+    assert found.exit_code == 2
+    assert "/proc/sys cannot be read and written" in found.output
+
+
+def test_a_port_in_use_is_named(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        words = ["serve", "--data", str(tmp_path / "data"), "--port", str(port)]
+        found = CliRunner().invoke(app, words)
+    assert isinstance(found.exception, OSError)
+    assert f"Address already in use: 127.0.0.1:{port}; name another" in str(found.exception)
 
 
 def test_every_variable_that_make_and_the_tests_set_lets_a_server_start():

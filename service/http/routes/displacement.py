@@ -30,7 +30,7 @@ from service.http.parsing import read_query, read_solve
 from service.http.problems import ProblemError
 from service.http.replies import write_batch, write_binary, write_outcome
 from service.http.schemas import Displacement, Displacements
-from service.telemetry.counts import Counts
+from service.ops.counts import Counts
 from service.workspace import Workspace
 
 Body = TypeVar("Body", bytes, Spooled)

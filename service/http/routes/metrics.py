@@ -6,7 +6,7 @@ from fastapi import APIRouter, Request
 from prometheus_client import CONTENT_TYPE_LATEST
 from starlette.responses import PlainTextResponse, Response
 
-from service.telemetry.metrics import Metrics
+from service.ops.metrics import Metrics
 
 router = APIRouter(tags=["health"])
 

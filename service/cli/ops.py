@@ -1,7 +1,8 @@
-"""Commands of whoever keeps a server: backup, restore, doctor. They work on its data directory."""
+"""Commands on a data directory: backup, restore, doctor."""
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +21,7 @@ def backup(
     data: Folder = DEFAULT_DATA,
 ) -> None:
     """Write all of a data directory into one file, while a server uses it."""
-    from service.upkeep.backup import back_up
+    from service.ops.backup import back_up
 
     manifest = back_up(data, file)
     size = sum(length for length, _ in manifest.files.values())
@@ -35,10 +36,11 @@ def restore(
     ] = False,
 ) -> None:
     """Make a data directory from a backup."""
-    from service.upkeep.restore import restore as run
+    from service.ops.restore import restore as run
 
     manifest, aside = run(file, data, overwrite=overwrite)
-    plain(_out, f"{data}: {len(manifest.files)} files restored. Start it with: wrenchbook serve")
+    start = f"wrenchbook serve{_data_option(data)}"
+    plain(_out, f"{data}: {len(manifest.files)} files restored. Start it with: {start}")
     if aside is not None:
         plain(_out, f"What was there is in {aside}; remove it once you need it no more.")
 
@@ -51,7 +53,8 @@ def doctor(
     as_json: AsJson = False,
 ) -> None:
     """Check the ledger against the tables, files, disk and leftovers; nothing is ever deleted."""
-    from service.upkeep.doctor import examine
+    from service.ops.checks import REPAIR
+    from service.ops.doctor import examine
 
     findings = examine(data, mend=mend)
     if as_json:
@@ -61,11 +64,16 @@ def doctor(
             colour = {"fault": "red", "mended": "yellow", "note": None}[one.kind]
             plain(_out, f"{one.kind}: {one.what}", style=colour)
             if one.remedy:
-                plain(_out, f"  {one.remedy}")
+                plain(_out, f"  {one.remedy.replace(REPAIR, REPAIR + _data_option(data))}")
     faults = sum(one.kind == "fault" for one in findings)
     if not as_json:
         plain(_out, f"{faults} faults." if faults else f"{data} is in order.")
     raise typer.Exit(1 if faults else 0)
 
 
-UPKEEP_COMMANDS = (backup, restore, doctor)
+def _data_option(data: Path) -> str:
+    """Return the option that has another command use the same data directory."""
+    return "" if data == DEFAULT_DATA else f" --data {shlex.quote(str(data))}"
+
+
+OPS_COMMANDS = (backup, restore, doctor)

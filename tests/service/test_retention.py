@@ -6,7 +6,7 @@ import time
 import pytest
 
 from service.ledger import Ledger
-from service.upkeep.housekeeping import DAY, Keep, prune, shorten_log
+from service.ops.retention import DAY, Keep, prune, shorten_log
 
 
 @pytest.fixture

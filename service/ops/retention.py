@@ -1,4 +1,4 @@
-"""What a server does for its data directory in quiet moments: short logs, no old folders."""
+"""Retention: removes old attempts' folders and shortens the ledger's log in the background."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from service.ledger import FINAL, Ledger, LedgerError
 _log = logging.getLogger(__name__)
 
 DAY = 86_400.0
-LOOK_S = 30.0  # between looks at the log: one of 16 MB is not grown beyond by a day's jobs
-PRUNE_S = 600.0  # between looks for old folders
-LONG_LOG = 4 * 1024 * 1024  # bytes; SQLite itself begins to bring it in at this size
-PART = 2000  # folders looked at in one go
+CHECK_S = 30.0  # between checks of the log, which stays below 16 MB under a day's jobs
+PRUNE_S = 600.0  # between removals of old folders
+LONG_LOG = 4 * 1024 * 1024  # bytes; SQLite begins to move it into the ledger at this size
+PART = 2000  # folders per query of the ledger
 
 
 @dataclass(frozen=True)
 class Keep:
-    """Which folders of ended attempts are kept; rows and jobs are, whatever happens to these.
+    """Which folders of ended attempts are kept; rows and jobs always are.
 
-    A folder is removed once it is older than its days or there are more newer ones than its number.
-    Attributes with `failed` hold for failed and cancelled jobs, whose folder is what tells why.
+    A folder is removed once it is older than `days` or `count` others are newer. Attributes with
+    `failed` are for failed and cancelled jobs, whose folder has the cause.
     """
 
     days: float = 30.0
@@ -38,8 +38,8 @@ class Keep:
 KEEP = Keep()
 
 
-class Housekeeping:
-    """A thread that keeps a data directory from growing.
+class Retention:
+    """A thread that bounds the size of a data directory.
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ class Housekeeping:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Begin; it ends with `stop`."""
-        self._thread = threading.Thread(target=self._loop, name="housekeeping", daemon=True)
+        """Start the thread."""
+        self._thread = threading.Thread(target=self._loop, name="retention", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """End, in the middle of a look if need be."""
+        """Stop the thread; an unfinished removal goes on at the next start."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join()
@@ -68,35 +68,35 @@ class Housekeeping:
 
     def _loop(self) -> None:
         next_prune = time.monotonic()
-        while not self._stopping.wait(LOOK_S):
+        while not self._stopping.wait(CHECK_S):
             try:
                 shorten_log(self._ledger)
                 if time.monotonic() >= next_prune:
                     prune(self._ledger, self._jobs_folder, self._keep, self._stopping)
                     next_prune = time.monotonic() + PRUNE_S
             except LedgerError:
-                continue  # the ledger itself tells of it
+                continue  # the ledger logs it
             except Exception:
-                _log.exception("keeping house failed; it is tried again")
+                _log.exception("retention failed; it is tried again")
 
 
 def shorten_log(ledger: Ledger, longest: int = LONG_LOG) -> bool:
-    """Empty the ledger's log if it is longer than that, bytes; False if it was not done."""
+    """Empty the ledger's log if it is longer than `longest` bytes; return whether it was done."""
     return ledger.sizes()["log"] > longest and ledger.checkpoint()
 
 
 def prune(
     ledger: Ledger, jobs_folder: Path, keep: Keep, stopping: threading.Event | None = None
 ) -> int:
-    """Remove the folders of attempts that ended long ago, or that too many have ended since.
+    """Remove the folders of attempts beyond the age or number of `keep`.
 
-    Those of jobs that wait or run stay, and so does what the ledger does not know. An age is never
-    told by a clock that was set back: a job that ended in the future is as new as can be.
+    Folders of open jobs stay, and those of jobs that the ledger does not have. A job that ended in
+    the future, by a clock that was set back since, counts as new.
 
     Returns
     -------
     int
-        How many jobs' folders were removed.
+        Number of jobs whose folders were removed.
     """
     numbers = sorted((int(name) for name in _names(jobs_folder) if name.isdecimal()), reverse=True)
     kept, removed, now = {True: 0, False: 0}, 0, time.time()
@@ -128,9 +128,9 @@ def _names(folder: Path) -> list[str]:
 
 
 def _remove(folder: Path, attempt: int) -> bool:
-    """Remove a job's attempts up to one; a later one, of a job that was just reopened, stays."""
+    """Remove a job's attempts up to one; later ones, of a reopened job, stay."""
     for name in _names(folder):
-        number = name.partition(".")[0]  # "2.old-..." was left by a ledger that is gone
+        number = name.partition(".")[0]  # "2.old-..." is of an earlier ledger
         if number.isdecimal() and int(number) <= attempt:
             shutil.rmtree(folder / name, ignore_errors=True)
     try:

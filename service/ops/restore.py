@@ -1,4 +1,4 @@
-"""A data directory from a backup: all of it, checked, or nothing."""
+"""Restore of a data directory from a backup: complete and verified, or no change."""
 
 from __future__ import annotations
 
@@ -9,18 +9,17 @@ from pathlib import Path
 from service.files import lock
 from service.files.durable import sync_folder, sync_tree
 from service.ledger import Ledger, LedgerError
+from service.ops.backup import LEDGER, BackupError, Manifest, unpack, verify
 from service.tables.coordinator_state import FOLDER as SHARED
 from service.tables.coordinator_state import LOCK
-from service.upkeep.archive import LEDGER, BackupError, Manifest, copies, opened, read_manifest
-from service.upkeep.backup import verify
 
-_DRAFT = ".restoring"  # in the data directory: it may be a mount, beside which nothing can be
+_DRAFT = ".restoring"  # in the data directory, which may be a mount
 
 
 def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Manifest, Path | None]:
-    """Put what a backup holds into a data directory.
+    """Restore a backup into a data directory.
 
-    The backup is read through first, and what was written is checked before it gets its place.
+    The backup is verified first, and the restored files before they replace others.
 
     Parameters
     ----------
@@ -29,13 +28,13 @@ def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Man
     folder : path
         Made if there is none.
     overwrite : bool
-        Whether a directory with something in it may be used; what is in it is moved aside.
+        Whether the directory may have content, which is moved aside.
 
     Returns
     -------
     manifest : Manifest
     aside : path or None
-        Where what was there is now.
+        The folder that has the previous content.
 
     Raises
     ------
@@ -49,7 +48,7 @@ def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Man
         folder.mkdir(parents=True, exist_ok=True)
         present = sorted(entry for entry in folder.iterdir() if entry.name != _DRAFT)
         _check_free(folder, present, overwrite=overwrite)
-        shutil.rmtree(draft, ignore_errors=True)  # of a restore that was ended
+        shutil.rmtree(draft, ignore_errors=True)  # of an interrupted restore
         draft.mkdir()
         manifest = _unpacked(source, draft)
         sync_tree(draft)
@@ -81,26 +80,23 @@ def _check_free(folder: Path, present: list[Path], *, overwrite: bool) -> None:
 
 
 def _unpacked(source: Path, draft: Path) -> Manifest:
-    """Write a backup's files and open the ledger among them."""
+    """Write the files of a backup and open its ledger."""
 
     def place(name: str):
         path = draft / name
         path.parent.mkdir(parents=True, exist_ok=True)
         return path.open("xb")
 
-    with opened(source) as archive:
-        manifest = read_manifest(archive, source)
-        for _ in copies(archive, manifest, source, place):
-            pass
+    manifest = unpack(source, place)
     try:
-        Ledger(draft / LEDGER).close()  # checks all of it and brings it to today's schema
+        Ledger(draft / LEDGER).close()  # verifies it and updates its schema
     except LedgerError as error:
         raise BackupError(f"the ledger in {source} cannot be used: {error}") from error
     return manifest
 
 
 def _move_aside(folder: Path, present: list[Path]) -> Path:
-    """Move what is in a folder into one of its own there; the ledger first, with its log."""
+    """Move the content of a folder into a new one there; the ledger and its log first."""
     aside = folder / f".before-restore-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
     aside.mkdir()
     for entry in sorted(present, key=lambda entry: not entry.name.startswith(LEDGER)):

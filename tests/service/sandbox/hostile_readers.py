@@ -1,4 +1,4 @@
-"""Functions that behave behind the fence as a hostile file makes its reader behave."""
+"""Functions that behave in the sandbox as a hostile file makes its reader behave."""
 
 import os
 import signal
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from service.fence.parts import Part
+from service.sandbox import Part
 
 
 def doubled(path, factor):
@@ -31,6 +31,12 @@ def asleep(path):
     yield Part()
 
 
+def disarming(path):
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    time.sleep(1000)
+    yield Part()
+
+
 def wordy(path):
     while True:
         yield Part({}, {"zeros": np.zeros(1 << 17)})
@@ -44,6 +50,10 @@ def refusing(path):
     raise LookupError("there is no such column")
 
 
+def stumbling(path):
+    raise ValueError(f"{path}/none is not there")
+
+
 def lying(path):
     # The only regular file that is open is the one for the answer.
     mine = [fd for fd in range(3, 64) if Path(f"/proc/self/fd/{fd}").exists()]
@@ -52,5 +62,12 @@ def lying(path):
     return ()
 
 
+def babbling(path):
+    # The last pipe that was opened is the one for the outcome.
+    mine = [fd for fd in range(3, 64) if Path(f"/proc/self/fd/{fd}").exists()]
+    os.write([fd for fd in mine if stat.S_ISFIFO(os.fstat(fd).st_mode)][-1], b"[" * 60_000)
+    os._exit(0)
+
+
 def modules(path):
-    yield Part({"modules": sorted(sys.modules), "pid": os.getppid()})
+    yield Part({"modules": sorted(sys.modules), "pid": os.getpid(), "parent": os.getppid()})

@@ -1,4 +1,4 @@
-"""The server's log: lines for people, or one JSON object a line for programs that gather logs."""
+"""Formats of the server's log: text, or one JSON object a line."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import time
 from typing import Final, Literal
 
 LogFormat = Literal["text", "json"]
-# What a record may say beside its message: `logger.info(..., extra={"job": 7})`.
+# Optional attributes of a record: `logger.info(..., extra={"job": 7})`.
 ABOUT: Final = ("job", "attempt", "component")
-_MOST_CHARACTERS = 20_000  # of a message or a traceback; a line must fit into what carries it
+_MOST_CHARACTERS = 20_000  # of a message or a traceback: log collectors limit lines
 
 
 class JsonLines(logging.Formatter):
-    """A record as JSON on one line, whatever its message holds.
+    """A record as JSON on one line.
 
     Keys: ``time`` (ISO 8601, UTC), ``level``, ``logger``, ``message``; where they are known
-    ``job``, ``attempt`` and ``component``; ``exception`` with the traceback of a mistake.
+    ``job``, ``attempt`` and ``component``; ``exception`` with a traceback.
     """
 
     def format(self, record: logging.LogRecord) -> str:
@@ -47,13 +47,13 @@ class TextLines(logging.Formatter):
         super().__init__("%(asctime)s %(levelname)s %(name)s: %(message)s", "%Y-%m-%dT%H:%M:%S")
 
     def formatMessage(self, record: logging.LogRecord) -> str:
-        """Return the line; what a client has sent makes no second one."""
+        """Return the line; line ends in a message are escaped."""
         record.message = record.message.replace("\r", "\\r").replace("\n", "\\n")
         return super().formatMessage(record)
 
 
 def set_up(level: str, how: LogFormat) -> None:
-    """Send all that is logged to the standard error, from `level` up, in one form."""
+    """Log to standard error from `level` up."""
     shown = logging.StreamHandler()
     shown.setFormatter(JsonLines() if how == "json" else TextLines())
     logging.basicConfig(level=level.upper(), handlers=[shown], force=True)

@@ -1,0 +1,1 @@
+"""Operation of a data directory: backup, restore, doctor, retention, metrics and logs."""

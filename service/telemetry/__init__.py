@@ -1,1 +1,0 @@
-"""What an operator sees of a server: its counts for Prometheus, its log."""
