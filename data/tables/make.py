@@ -129,7 +129,7 @@ def binary() -> None:
     import pyarrow.parquet as parquet
     from openpyxl import Workbook
 
-    from service.tablefile import read_csv, write_hdf5, write_json
+    from service.formats import read_csv, write_hdf5, write_json
     from surrogate.table.meta import TableMeta
     from surrogate.table.rows import LoadRange
 

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 import orjson
 from pydantic import ConfigDict, Field, field_validator
 
+from service.formats import MOST_PREVIEW, Options
+from service.formats.options import MOST_TARE
 from service.http.bodies import Body
-from service.tablefile import MOST_PREVIEW, Options
-from service.tablefile.options import MOST_TARE
 from service.tables.importing import Wish
 
 _MOST_COLUMNS = 1000

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from service.formats.csvwrite import csv_text
+from service.formats.hdf5form import write_hdf5
+from service.formats.jsonwrite import json_text
+from service.formats.layout import Layout, layout
+from service.formats.parquetwrite import write_parquet
+from service.formats.units import UnitError, chosen_units
+from service.formats.xlsxwrite import write_xlsx
 from service.ledger import Ledger
 from service.ledger.table_at import TableAt
 from service.library.component import Component
-from service.tablefile.csvwrite import csv_text
-from service.tablefile.hdf5form import write_hdf5
-from service.tablefile.jsonwrite import json_text
-from service.tablefile.layout import Layout, layout
-from service.tablefile.parquetwrite import write_parquet
-from service.tablefile.units import UnitError, chosen_units
-from service.tablefile.xlsxwrite import write_xlsx
 from service.tables.rows import (
     CONTRACT_WORDS,
     ExportRows,

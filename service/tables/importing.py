@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from service.formats import Options, Read, read_fenced
 from service.ledger import About, Ledger
 from service.library.component import Component
-from service.tablefile import Options, Read, read_fenced
 from service.tables.rows import packed_pieces
 
 

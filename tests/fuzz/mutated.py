@@ -20,8 +20,7 @@ from fea.bundle.shipped import SHIPPED
 from fea.mesh.io.abaqus import MeshFileError, read_inp
 from fea.mesh.io.read import read_mesh
 from service.fence.parts import Part
-from service.library.bundle_zip import extract
-from service.tablefile import (
+from service.formats import (
     Options,
     ParsedTable,
     Told,
@@ -32,7 +31,8 @@ from service.tablefile import (
     write_csv,
     write_hdf5,
 )
-from service.tablefile.jsonwrite import write_json
+from service.formats.jsonwrite import write_json
+from service.library.bundle_zip import extract
 from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange, Rows
 

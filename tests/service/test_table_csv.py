@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from service import tablefile
-from service.tablefile import ParsedTable, RowError
-from service.tablefile.header import COMPLIANCE
+from service import formats
+from service.formats import ParsedTable, RowError
+from service.formats.header import COMPLIANCE
 from surrogate.table.rows import LoadRange
 
 SI = (
@@ -19,7 +19,7 @@ SI = (
     "ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]"
 )
 # These files have the columns that they are about; loads they do not name were zero.
-read_csv = partial(tablefile.read_csv, missing_loads="zero")
+read_csv = partial(formats.read_csv, missing_loads="zero")
 LBF = 4.4482216152605  # N, exact: 0.45359237 kg x 9.80665 m/s^2
 
 

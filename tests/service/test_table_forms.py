@@ -16,7 +16,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from service.tablefile import (
+from service.formats import (
     Options,
     ParsedTable,
     Told,
@@ -25,13 +25,13 @@ from service.tablefile import (
     read_table_file,
     write_csv,
 )
-from service.tablefile.content import ContentError, unpack
-from service.tablefile.layout import layout_of
-from service.tablefile.parquetwrite import write_parquet
-from service.tablefile.parsed import joined
-from service.tablefile.sheettext import escaped, guarded, unescaped, unguarded
-from service.tablefile.xlsxwrite import write_xlsx
-from service.tablefile.zipbounds import ZipBoundsError, members_of
+from service.formats.content import ContentError, unpack
+from service.formats.layout import layout_of
+from service.formats.parquetwrite import write_parquet
+from service.formats.parsed import joined
+from service.formats.sheettext import escaped, guarded, unescaped, unguarded
+from service.formats.xlsxwrite import write_xlsx
+from service.formats.zipbounds import ZipBoundsError, members_of
 from tests.service.test_table_roundtrip import any_units, same, tables, texts
 
 HEADER = "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],uz [m]"

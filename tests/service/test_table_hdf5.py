@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from service.tablefile import ParsedTable, read_hdf5, write_hdf5
+from service.formats import ParsedTable, read_hdf5, write_hdf5
 from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange, Rows
 

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service import tablefile
-from service.tablefile import (
+from service import formats
+from service.formats import (
     ParsedTable,
     UnitError,
     read_hdf5,
@@ -24,13 +24,13 @@ from service.tablefile import (
     write_hdf5,
     write_json,
 )
-from service.tablefile.exact import in_unit, to_si
-from service.tablefile.units import QUANTITIES, si_factor
+from service.formats.exact import in_unit, to_si
+from service.formats.units import QUANTITIES, si_factor
 from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange
 
 # These files have the columns that they are about; loads they do not name were zero.
-read_csv = partial(tablefile.read_csv, missing_loads="zero")
+read_csv = partial(formats.read_csv, missing_loads="zero")
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 moves = st.floats(-10, 10)  # m, what a table may hold
 # A rotation vector of these components is never longer than 20 degrees.

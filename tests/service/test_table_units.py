@@ -5,8 +5,8 @@ from decimal import Decimal
 
 import pytest
 
-from service.tablefile import UnitError, si_factor
-from service.tablefile.units import FORCE, MOMENT, ROTATION, TRANSLATION, chosen_units
+from service.formats import UnitError, si_factor
+from service.formats.units import FORCE, MOMENT, ROTATION, TRANSLATION, chosen_units
 
 LBF = 0.45359237 * 9.80665  # N, exact by definition
 

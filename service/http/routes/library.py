@@ -9,6 +9,7 @@ from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
+from service.formats.parsed import text_problem
 from service.http.bodies import CopyBody, NotesBody, RenameBody
 from service.http.door.grant import grant_of
 from service.http.limited import read_limited
@@ -16,7 +17,6 @@ from service.http.parsing import read_body
 from service.http.problems import ProblemError, bad_body
 from service.http.routes.components import component_body
 from service.ledger import About
-from service.tablefile.parsed import text_problem
 from service.tables.copying import copy_rows
 from service.tables.disagreement import disagreement
 from service.tables.rows import told_time

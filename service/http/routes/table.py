@@ -14,6 +14,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
 from service.answering.past import table_at
+from service.formats.units import UnitError
+from service.formats.xlsxwrite import SheetFullError
 from service.http.door.grant import grant_of
 from service.http.import_query import ImportQuery
 from service.http.problems import ProblemError
@@ -28,8 +30,6 @@ from service.http.routes.table_schema import (
 from service.http.versions import holds, naming
 from service.ledger import About
 from service.library.component import Component
-from service.tablefile.units import UnitError
-from service.tablefile.xlsxwrite import SheetFullError
 from service.tables.breakpoints import NoTableError, write_breakpoints
 from service.tables.exporting import ENDINGS, ExportFormat, Wanted, check_units, export_table
 from service.tables.importing import import_files

@@ -19,18 +19,18 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from service.tablefile.exact import vanished
-from service.tablefile.jsonstream import JsonError, members
-from service.tablefile.limits import excesses
-from service.tablefile.mistakes import RowError
-from service.tablefile.options import Options, Told
-from service.tablefile.parsed import (
+from service.formats.exact import vanished
+from service.formats.jsonstream import JsonError, members
+from service.formats.limits import excesses
+from service.formats.mistakes import RowError
+from service.formats.options import Options, Told
+from service.formats.parsed import (
     Array,
     ParsedTable,
     joined,
     text_problem,
 )
-from service.tablefile.spelling import CARRIED, DISPLACEMENT, TEXTS, UNCERTAINTY, WRENCH
+from service.formats.spelling import CARRIED, DISPLACEMENT, TEXTS, UNCERTAINTY, WRENCH
 from surrogate.table.rows import LoadRange, unknown_column
 
 _AROUND = ("units", "contract", "provenance", "rows", "component", "table_version")

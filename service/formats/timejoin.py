@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from service.tablefile.mistakes import RowError
-from service.tablefile.options import Options, Told
-from service.tablefile.parsed import ParsedTable, joined
-from service.tablefile.reading import columns_of
-from service.tablefile.tare import tared, within_limits
+from service.formats.mistakes import RowError
+from service.formats.options import Options, Told
+from service.formats.parsed import ParsedTable, joined
+from service.formats.reading import columns_of
+from service.formats.tare import tared, within_limits
 
 GAP_FACTOR = 5.0
 """Times the median distance of two samples: a longer gap is one where samples were lost."""

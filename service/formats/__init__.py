@@ -5,17 +5,17 @@ Functions of a file's content: no HTTP, no ledger. What may stand in a file is s
 no row may exceed, in `limits`.
 """
 
-from service.tablefile.csvread import read_csv
-from service.tablefile.csvwrite import write_csv
-from service.tablefile.hdf5form import read_hdf5, write_hdf5
-from service.tablefile.jsonform import read_json
-from service.tablefile.jsonwrite import write_json
-from service.tablefile.mistakes import Mistakes, RowError
-from service.tablefile.options import FORMATS, Format, Options, Told
-from service.tablefile.parsed import ParsedTable, TableRows
-from service.tablefile.parts import MOST_PREVIEW, Read, read_fenced
-from service.tablefile.reading import read_table_file
-from service.tablefile.units import UnitError, si_factor
+from service.formats.csvread import read_csv
+from service.formats.csvwrite import write_csv
+from service.formats.hdf5form import read_hdf5, write_hdf5
+from service.formats.jsonform import read_json
+from service.formats.jsonwrite import write_json
+from service.formats.mistakes import Mistakes, RowError
+from service.formats.options import FORMATS, Format, Options, Told
+from service.formats.parsed import ParsedTable, TableRows
+from service.formats.parts import MOST_PREVIEW, Read, read_fenced
+from service.formats.reading import read_table_file
+from service.formats.units import UnitError, si_factor
 
 __all__ = [
     "FORMATS",

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.tablefile.limits import excesses
-from service.tablefile.mistakes import RowError
-from service.tablefile.options import Options, Told
-from service.tablefile.parsed import ParsedTable
+from service.formats.limits import excesses
+from service.formats.mistakes import RowError
+from service.formats.options import Options, Told
+from service.formats.parsed import ParsedTable
 
 
 def tared(pieces: Iterator[ParsedTable], options: Options, told: Told) -> Iterator[ParsedTable]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.tablefile.spelling import DISPLACEMENT, UNCERTAINTY, WRENCH
+from service.formats.spelling import DISPLACEMENT, UNCERTAINTY, WRENCH
 from surrogate.limits import (
     ROTATION_LIMIT,
     TRANSLATION_LIMIT,

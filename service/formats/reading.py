@@ -9,17 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from service.tablefile.content import ContentError, format_of, is_gzip, unpack
-from service.tablefile.csvread import csv_file
-from service.tablefile.hdf5form import hdf5_file
-from service.tablefile.jsonform import json_file
-from service.tablefile.mistakes import RowError
-from service.tablefile.options import Format, Options, Told
-from service.tablefile.parquetread import parquet_file
-from service.tablefile.parsed import ParsedTable
-from service.tablefile.placement import well_placed
-from service.tablefile.tare import tared
-from service.tablefile.xlsxread import xlsx_file
+from service.formats.content import ContentError, format_of, is_gzip, unpack
+from service.formats.csvread import csv_file
+from service.formats.hdf5form import hdf5_file
+from service.formats.jsonform import json_file
+from service.formats.mistakes import RowError
+from service.formats.options import Format, Options, Told
+from service.formats.parquetread import parquet_file
+from service.formats.parsed import ParsedTable
+from service.formats.placement import well_placed
+from service.formats.tare import tared
+from service.formats.xlsxread import xlsx_file
 
 Reader = Callable[[Path, Options, Told], Iterator[ParsedTable]]
 _READERS: dict[Format, Reader] = {

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from service.tablefile.parsed import TableRows, texts_of
+from service.formats.parsed import TableRows, texts_of
 
 
 def write_json(table: TableRows, about: Mapping[str, str | int] | None = None) -> str:

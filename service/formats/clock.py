@@ -6,7 +6,7 @@ import math
 from datetime import UTC, datetime
 from decimal import Decimal
 
-from service.tablefile.decimalmark import plain
+from service.formats.decimalmark import plain
 
 # What loggers write beside ISO 8601; the day is only counted from, so that its order with the month
 # matters in no log of one day.

@@ -18,11 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 
-from service.tablefile.exact import product, quotient
-from service.tablefile.mistakes import RowError
-from service.tablefile.options import Options
-from service.tablefile.preamble import Preamble
-from service.tablefile.spelling import (
+from service.formats.exact import product, quotient
+from service.formats.mistakes import RowError
+from service.formats.options import Options
+from service.formats.preamble import Preamble
+from service.formats.spelling import (
     CARRIED,
     COMPLIANCE,
     DISPLACEMENT,
@@ -39,7 +39,7 @@ from service.tablefile.spelling import (
     split,
     tangent_quantities,
 )
-from service.tablefile.units import UnitError
+from service.formats.units import UnitError
 
 __all__ = [
     "COMPLIANCE",

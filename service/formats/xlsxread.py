@@ -12,13 +12,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from service.tablefile.header import Header
-from service.tablefile.mistakes import RowError
-from service.tablefile.options import Options, Told
-from service.tablefile.parsed import ParsedTable
-from service.tablefile.sheet import MOST_COLUMNS, Mark, Record, tables
-from service.tablefile.sheettext import unescaped
-from service.tablefile.zipbounds import ZipBoundsError, members_of
+from service.formats.header import Header
+from service.formats.mistakes import RowError
+from service.formats.options import Options, Told
+from service.formats.parsed import ParsedTable
+from service.formats.sheet import MOST_COLUMNS, Mark, Record, tables
+from service.formats.sheettext import unescaped
+from service.formats.zipbounds import ZipBoundsError, members_of
 
 MOST_UNPACKED = 1024 * 1024 * 1024  # a million rows of 12 numbers are 500 MB of XML
 MOST_WORDS = 64 * 1024 * 1024  # of texts, styles and the like, which are in memory as a whole

@@ -11,10 +11,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from service.tablefile.layout import Layout
-from service.tablefile.parsed import TableRows
-from service.tablefile.sheettext import escaped
-from service.tablefile.xlsxread import SHEET_NOTES
+from service.formats.layout import Layout
+from service.formats.parsed import TableRows
+from service.formats.sheettext import escaped
+from service.formats.xlsxread import SHEET_NOTES
 
 MOST_ROWS = 1_048_575  # of a sheet, beside its header (ECMA-376)
 

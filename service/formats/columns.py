@@ -7,17 +7,17 @@ from decimal import Decimal
 
 import numpy as np
 
-from service.tablefile import header as head
-from service.tablefile.clock import seconds
-from service.tablefile.decimalmark import plain, shown, why
-from service.tablefile.exact import to_si, vanished
-from service.tablefile.header import Column, Header
-from service.tablefile.limits import excesses
-from service.tablefile.mistakes import Mistakes, RowError
-from service.tablefile.options import Options
-from service.tablefile.parsed import Array, ParsedTable, text_problem
-from service.tablefile.sheettext import unguarded
-from service.tablefile.spelling import TIME_COLUMN
+from service.formats import header as head
+from service.formats.clock import seconds
+from service.formats.decimalmark import plain, shown, why
+from service.formats.exact import to_si, vanished
+from service.formats.header import Column, Header
+from service.formats.limits import excesses
+from service.formats.mistakes import Mistakes, RowError
+from service.formats.options import Options
+from service.formats.parsed import Array, ParsedTable, text_problem
+from service.formats.sheettext import unguarded
+from service.formats.spelling import TIME_COLUMN
 from surrogate.table.rows import unknown_column
 
 

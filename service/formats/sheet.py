@@ -12,18 +12,18 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import chain
 
-from service.tablefile import header as head
-from service.tablefile.columns import Columns
-from service.tablefile.csvlines import BrokenLineError
-from service.tablefile.decimalmark import evidence, plain
-from service.tablefile.header import Header, labels_of
-from service.tablefile.mistakes import Mistakes, RowError
-from service.tablefile.options import FoundColumn, Options, Told
-from service.tablefile.parsed import ParsedTable
-from service.tablefile.preamble import Preamble
-from service.tablefile.spelling import TIME_COLUMN, readings
-from service.tablefile.titles import MOST_COLUMNS, below_titles, is_number
-from service.tablefile.units import UnitError
+from service.formats import header as head
+from service.formats.columns import Columns
+from service.formats.csvlines import BrokenLineError
+from service.formats.decimalmark import evidence, plain
+from service.formats.header import Header, labels_of
+from service.formats.mistakes import Mistakes, RowError
+from service.formats.options import FoundColumn, Options, Told
+from service.formats.parsed import ParsedTable
+from service.formats.preamble import Preamble
+from service.formats.spelling import TIME_COLUMN, readings
+from service.formats.titles import MOST_COLUMNS, below_titles, is_number
+from service.formats.units import UnitError
 
 # Rows as text at once: 30 MB as Python holds their fields, a hundredth of what a million would be.
 PIECE = 20_000

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from service.tablefile.mistakes import Mistakes
+from service.formats.mistakes import Mistakes
 from surrogate.table.rows import LoadRange
 
 Format = Literal["csv", "xlsx", "parquet", "hdf5", "json"]

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from service.tablefile.layout import Layout
-from service.tablefile.parsed import TableRows
+from service.formats.layout import Layout
+from service.formats.parsed import TableRows
 
 
 def write_parquet(

@@ -14,9 +14,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from service.tablefile.mistakes import RowError
-from service.tablefile.options import Options, Told
-from service.tablefile.parsed import ParsedTable
+from service.formats.mistakes import RowError
+from service.formats.options import Options, Told
+from service.formats.parsed import ParsedTable
 
 FEA = "fea"
 

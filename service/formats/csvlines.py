@@ -12,8 +12,8 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import BinaryIO
 
-from service.tablefile.preamble import Preamble
-from service.tablefile.titles import delimiter_in
+from service.formats.preamble import Preamble
+from service.formats.titles import delimiter_in
 
 MOST_LINE = 1 << 20  # characters; a table's widest row, 54 numbers and three texts, has a few 1000
 MOST_RECORD = 4 * MOST_LINE  # a quoted text may go on over many lines

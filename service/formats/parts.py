@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from service.fence import FenceError, Limits, Part, fenced
-from service.tablefile.mistakes import RowError
-from service.tablefile.options import Options, Told, options_from, options_told
-from service.tablefile.parsed import ParsedTable
-from service.tablefile.reading import read_table_file
-from service.tablefile.timejoin import joined_logs
-from service.tablefile.units import FORCE, si_factor
+from service.formats.mistakes import RowError
+from service.formats.options import Options, Told, options_from, options_told
+from service.formats.parsed import ParsedTable
+from service.formats.reading import read_table_file
+from service.formats.timejoin import joined_logs
+from service.formats.units import FORCE, si_factor
 from surrogate.table.rows import unknown_column
 
 MOST_PREVIEW = 100
@@ -70,7 +70,7 @@ def read_fenced(files: Sequence[Path], options: Options, preview: int = 0) -> Re
         "preview": preview,
     }
     try:
-        parts = fenced("service.tablefile.parts:table_parts", files[0], words, LIMITS)
+        parts = fenced("service.formats.parts:table_parts", files[0], words, LIMITS)
     except FenceError as error:
         told = Told()
         told.mistakes.ruin(RowError(0, "file", str(error)))

@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from service.tablefile.mistakes import RowError
-from service.tablefile.options import Options, Told
-from service.tablefile.parsed import ParsedTable
-from service.tablefile.sheet import MOST_COLUMNS, Mark, Record, tables
+from service.formats.mistakes import RowError
+from service.formats.options import Options, Told
+from service.formats.parsed import ParsedTable
+from service.formats.sheet import MOST_COLUMNS, Mark, Record, tables
 
 MOST_UNPACKED = 1024 * 1024 * 1024
 MOST_ROWS = 5_000_000

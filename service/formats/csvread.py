@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from service.tablefile.csvlines import (
+from service.formats.csvlines import (
     BrokenLineError,
     Lines,
     UnreadableFileError,
@@ -23,11 +23,11 @@ from service.tablefile.csvlines import (
     lines_of_text,
     records,
 )
-from service.tablefile.header import Header
-from service.tablefile.mistakes import RowError
-from service.tablefile.options import Options, Told
-from service.tablefile.parsed import ParsedTable, joined
-from service.tablefile.sheet import Mark, Record, decimal_mark, holds_rows, tables
+from service.formats.header import Header
+from service.formats.mistakes import RowError
+from service.formats.options import Options, Told
+from service.formats.parsed import ParsedTable, joined
+from service.formats.sheet import Mark, Record, decimal_mark, holds_rows, tables
 from surrogate.table.rows import LoadRange
 
 

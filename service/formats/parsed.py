@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from service.tablefile.mistakes import Mistakes, RowError
+from service.formats.mistakes import Mistakes, RowError
 from surrogate.table.rows import unknown_column
 
 Array = np.ndarray

@@ -9,9 +9,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from service.tablefile.exact import in_unit, quotient
-from service.tablefile.parsed import TableRows, texts_of
-from service.tablefile.spelling import (
+from service.formats.exact import in_unit, quotient
+from service.formats.parsed import TableRows, texts_of
+from service.formats.spelling import (
     CARRIED,
     COMPLIANCE,
     DISPLACEMENT,
@@ -21,7 +21,7 @@ from service.tablefile.spelling import (
     quantity_of,
     tangent_quantities,
 )
-from service.tablefile.units import Quantity, chosen_units
+from service.formats.units import Quantity, chosen_units
 
 _Chosen = dict[Quantity, tuple[str, Decimal]]
 

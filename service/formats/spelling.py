@@ -10,8 +10,8 @@ import re
 from collections.abc import Iterator
 from decimal import Decimal
 
-from service.tablefile.exact import quotient
-from service.tablefile.units import (
+from service.formats.exact import quotient
+from service.formats.units import (
     FORCE,
     MOMENT,
     ROTATION,

@@ -8,7 +8,7 @@ import zipfile
 import zlib
 from pathlib import Path
 
-from service.tablefile.options import Format
+from service.formats.options import Format
 
 MOST_BYTES = 512 * 1024 * 1024
 """Of a file, packed or not: two million rows of 12 numbers, or a million with 17 digits each."""

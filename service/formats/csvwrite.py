@@ -5,9 +5,9 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Iterator, Mapping
 
-from service.tablefile.layout import Layout, layout_of
-from service.tablefile.parsed import TableRows
-from service.tablefile.sheettext import guarded
+from service.formats.layout import Layout, layout_of
+from service.formats.parsed import TableRows
+from service.formats.sheettext import guarded
 
 
 def write_csv(table: TableRows, units: Mapping[str, str] | None = None) -> str:

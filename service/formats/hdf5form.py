@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from service.tablefile.jsonform import place_of
-from service.tablefile.limits import excesses
-from service.tablefile.mistakes import RowError
-from service.tablefile.options import Options, Told
-from service.tablefile.parsed import Array, ParsedTable, TableRows, joined, text_problem
-from service.tablefile.spelling import DISPLACEMENT
+from service.formats.jsonform import place_of
+from service.formats.limits import excesses
+from service.formats.mistakes import RowError
+from service.formats.options import Options, Told
+from service.formats.parsed import Array, ParsedTable, TableRows, joined, text_problem
+from service.formats.spelling import DISPLACEMENT
 from surrogate.table.hdf5 import foreign_tables, write_table
 from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange, Rows

@@ -12,9 +12,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain, islice
 
-from service.tablefile.decimalmark import plain
-from service.tablefile.spelling import NUMBERS, TEXTS, TIME_COLUMN, readings
-from service.tablefile.units import UnitError
+from service.formats.decimalmark import plain
+from service.formats.spelling import NUMBERS, TEXTS, TIME_COLUMN, readings
+from service.formats.units import UnitError
 
 MOST_LINES = 30  # of titles: what a page of a report has above its table, or less
 MOST_COLUMNS = 256  # a name nobody knows is compared with all that are known: 0.3 ms each
