@@ -88,6 +88,8 @@ def hdf5_file(path: Path, options: Options, told: Told) -> Iterator[ParsedTable]
             errors += [RowError(x.at + 1, place_of(x.name), x.message) for x in beyond]
             yield _table(rows, notes, errors, told)
             told.read += len(rows)
+            if told.is_beyond_limits():
+                return
     except (ValueError, RuntimeError, OSError) as error:
         told.mistakes.ruin(RowError(0, "file", str(error)))
         return

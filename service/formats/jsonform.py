@@ -22,7 +22,7 @@ import numpy as np
 from service.formats.exact import vanished
 from service.formats.jsonstream import JsonError, members
 from service.formats.limits import excesses
-from service.formats.mistakes import RowError
+from service.formats.mistakes import MOST_ERRORS, RowError
 from service.formats.options import Options, Told
 from service.formats.parsed import (
     Array,
@@ -109,8 +109,10 @@ def _tables(file: BinaryIO, options: Options, told: Told) -> Iterator[ParsedTabl
             if isinstance(value, _Item):
                 told.read += 1
                 _take(rows, told.read, value.value)
-                if told.read % PIECE == 0:
+                if told.read % PIECE == 0 or len(rows.errors) > MOST_ERRORS:
                     yield _table(rows, options, told)
+                    if told.is_beyond_limits():
+                        return
                     rows = _Rows()
                 continue
             problem = _problem(key, value)
@@ -128,6 +130,7 @@ def _tables(file: BinaryIO, options: Options, told: Told) -> Iterator[ParsedTabl
         told.mistakes.ruin(RowError(0, "rows", "there is no row"))
     if rows.place or rows.errors:
         yield _table(rows, options, told)
+        told.is_beyond_limits()
 
 
 def _problem(key: str, value: Any) -> RowError | None:

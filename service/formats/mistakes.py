@@ -8,6 +8,9 @@ from dataclasses import dataclass
 MOST_ERRORS = 1000
 """Errors listed at most; one more line then says that there are more."""
 
+MOST_MISTAKES = 100 * MOST_ERRORS
+"""Reading stops after so many: 8.8 KB of gzip can hold six million, 78 s of processor time."""
+
 _MOST_AT_ONCE = 20 * MOST_ERRORS  # kept until a piece of a file is done and they can be sorted
 
 
@@ -85,5 +88,7 @@ class Mistakes:
         if self.count <= MOST_ERRORS:
             return tuple(self._kept)
         message = f"{self.count - MOST_ERRORS} more errors are not listed; correct these first"
+        if self.count > MOST_MISTAKES:
+            message += f"; reading stopped after more than {MOST_MISTAKES:,}"
         row = self._kept[MOST_ERRORS].row if len(self._kept) > MOST_ERRORS else 0
         return (*self._kept[:MOST_ERRORS], RowError(row, "", message))

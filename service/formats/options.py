@@ -9,12 +9,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from service.formats.mistakes import Mistakes
+from service.formats.mistakes import MOST_MISTAKES, Mistakes, RowError
 from surrogate.table.rows import LoadRange
 
 Format = Literal["csv", "xlsx", "parquet", "hdf5", "json"]
 FORMATS: tuple[Format, ...] = ("csv", "xlsx", "parquet", "hdf5", "json")
 Role = Literal["table", "loads", "displacements"]
+MOST_ROWS = 5_000_000  # of a file: 0.6 GB as arrays without tangents
 MOST_TARE = 10_000  # rows a tare is the mean of: they are all in the first piece
 
 
@@ -119,6 +120,16 @@ class Told:
     read: int = 0
     tare: int = 0
     unmatched: int = 0
+
+    def is_beyond_limits(self) -> bool:
+        """Return whether reading ends here: with too many rows or mistakes, no row is loaded."""
+        self.mistakes.settle()
+        if self.read > MOST_ROWS:
+            message = f"has more than {MOST_ROWS:,} rows; send it in parts"
+            self.mistakes.ruin(RowError(0, "file", message))
+        elif self.mistakes.count > MOST_MISTAKES:
+            self.mistakes.whole = True
+        return self.mistakes.whole
 
     def label(self, name: str) -> str:
         """Return how the file calls a column, or the column's own name."""

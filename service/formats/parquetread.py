@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from service.formats.mistakes import RowError
-from service.formats.options import Options, Told
+from service.formats.options import MOST_ROWS, Options, Told
 from service.formats.parsed import ParsedTable
 from service.formats.sheet import MOST_COLUMNS, Mark, Record, tables
 
 MOST_UNPACKED = 1024 * 1024 * 1024
-MOST_ROWS = 5_000_000
 MOST_TEXT = 131_072  # characters of one text: as the csv module
 BATCH = 8192  # rows as Arrow holds them at once
 

@@ -106,7 +106,8 @@ def tables(
                 header, body.line, body.fields, told.mistakes, mark.comma, mark.escaped
             )
             yield columns.table(options)
-        told.mistakes.settle()
+        if told.is_beyond_limits():
+            return
     if not told.read and not told.mistakes:
         told.mistakes.ruin(RowError(0, "file", "there is a header but no row below it"))
 

@@ -21,9 +21,12 @@ from service.formats import (
     ParsedTable,
     Told,
     csvlines,
+    options,
     read_csv,
     read_table_file,
     write_csv,
+    write_hdf5,
+    write_json,
 )
 from service.formats.content import ContentError, unpack
 from service.formats.layout import layout_of
@@ -32,6 +35,8 @@ from service.formats.parsed import joined
 from service.formats.sheettext import escaped, guarded, unescaped, unguarded
 from service.formats.xlsxwrite import write_xlsx
 from service.formats.zipbounds import ZipBoundsError, members_of
+from surrogate.table.meta import TableMeta
+from surrogate.table.rows import LoadRange
 from tests.service.test_table_roundtrip import any_units, same, tables, texts
 
 HEADER = "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],uz [m]"
@@ -291,6 +296,29 @@ def test_a_header_below_titles_is_found_whatever_parts_its_fields(text, mark):
     assert told.mistakes.listed() == ()
     assert table.wrench.tolist() == [[1, 2, 3, 0.1, 0.2, 0.3]]
     assert table.displacement[0, 2] == -1.5e-3
+
+
+def test_8_kilobytes_of_gzipped_empty_rows_do_not_keep_a_reader_busy():
+    content = gzip.compress(b'{"rows":[' + b"{}," * 3_000_000 + b"{}]}")
+    assert len(content) < 9000
+    table, told = read(content)
+    assert len(table) == 0
+    assert told.mistakes.whole  # nothing is loaded with partial=true either
+    assert told.read < 60_000
+    assert "reading stopped after more than 100,000" in told.mistakes.listed()[-1].message
+
+
+@pytest.mark.parametrize("form", ["csv", "json", "hdf5"])
+def test_a_file_of_more_rows_than_may_be_is_read_no_further(form, monkeypatch):
+    monkeypatch.setattr(options, "MOST_ROWS", 1)
+    content = {
+        "csv": write_csv(_ROWS).encode(),
+        "json": write_json(_ROWS).encode(),
+        "hdf5": write_hdf5(_ROWS, [1, 2], TableMeta("rig", 2, LoadRange(-np.ones(6), np.ones(6)))),
+    }[form]
+    _, told = read(content)
+    assert told.mistakes.whole
+    assert "has more than 1 rows" in told.mistakes.listed()[0].message
 
 
 def test_the_lines_above_a_header_are_told():

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 import tempfile
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
+from weakref import WeakValueDictionary
 
 import orjson
 from fastapi import APIRouter, Header, Query, Request
@@ -14,6 +18,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
 from service.answering.past import table_at
+from service.fence import FenceBusyError
 from service.formats.units import UnitError
 from service.formats.xlsxwrite import SheetFullError
 from service.http.door.grant import grant_of
@@ -37,6 +42,9 @@ from service.tables.packed_files import setup_of
 from service.tables.served import ServedTable
 from service.workspace import CATCH_UP_S, Workspace
 from surrogate.packed.format import SUFFIX
+
+_READER_WAIT_S: Final = 60.0
+_reader_locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
 router = APIRouter(prefix="/v1/components/{name}/table", tags=["table"])
 
@@ -153,9 +161,11 @@ async def import_table(
             digest=sent.digest,
             note=query.note,
         )
-        reply = await run_in_threadpool(
-            import_files, workspace.ledger, component, sent.files, options, wish, about
-        )
+        caller = about.who or (request.client.host if request.client else "")
+        async with one_reader(caller):
+            reply = await run_in_threadpool(
+                import_files, workspace.ledger, component, sent.files, options, wish, about
+            )
     loaded = reply.pop("loaded")
     if reply["errors"] and not (wish.dry_run or loaded):
         raise _refused(reply)
@@ -163,6 +173,28 @@ async def import_table(
     reply["in_use"] = caught_up and (loaded or not reply["inserted"])
     reply["table_version"] = workspace.ledger.last_seq(component.name)
     return Response(orjson.dumps(reply), 200, None, "application/json")
+
+
+@asynccontextmanager
+async def one_reader(caller: str) -> AsyncIterator[None]:
+    """Wait until no other table of a caller (a key, or an address without keys) is being read.
+
+    Raises
+    ------
+    FenceBusyError
+        If another one is still being read after `_READER_WAIT_S` seconds.
+    """
+    lock = _reader_locks.setdefault(caller, asyncio.Lock())
+    try:
+        async with asyncio.timeout(_READER_WAIT_S):
+            await lock.acquire()
+    except TimeoutError:
+        message = "Another table of this key is being read; send it again in a minute"
+        raise FenceBusyError(message) from None
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def _tag(component: Component, version: int) -> str:
