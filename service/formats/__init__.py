@@ -1,41 +1,37 @@
-"""Tables from outside: SI arrays and named errors out of CSV, XLSX, Parquet, JSON, HDF5, and back.
+"""Table files: CSV, XLSX, Parquet, JSON and HDF5 to rows in SI with named mistakes, and back.
 
-Functions of a file's content: no HTTP, no ledger. What may stand in a file is said in `header`
-(CSV, XLSX, Parquet), `jsonform` and `hdf5form`; the units that a header may name, in `units`; what
-no row may exceed, in `limits`.
+No HTTP, no ledger. The columns of a file are described in `header` (CSV, XLSX, Parquet),
+`json_table` and `hdf5_table`, its units in `units`, the limits of a row in `table_rows`.
 """
 
-from service.formats.csvread import read_csv
-from service.formats.csvwrite import write_csv
-from service.formats.hdf5form import read_hdf5, write_hdf5
-from service.formats.jsonform import read_json
-from service.formats.jsonwrite import write_json
-from service.formats.mistakes import Mistakes, RowError
-from service.formats.options import FORMATS, Format, Options, Told
-from service.formats.parsed import ParsedTable, TableRows
-from service.formats.parts import MOST_PREVIEW, Read, read_fenced
-from service.formats.reading import read_table_file
-from service.formats.units import UnitError, si_factor
+from service.formats.cells import text_problem
+from service.formats.column_names import Layout, layout
+from service.formats.csv_table import csv_text
+from service.formats.hdf5_table import write_hdf5
+from service.formats.json_table import json_text
+from service.formats.options import MOST_ZERO_ROWS, Options
+from service.formats.parquet_table import write_parquet
+from service.formats.table_file import MOST_PREVIEW, ReadResult, read_untrusted
+from service.formats.table_rows import ParsedTable
+from service.formats.units import UnitError, chosen_units
+from service.formats.xlsx_table import SheetFullError, write_xlsx
 
 __all__ = [
-    "FORMATS",
     "MOST_PREVIEW",
-    "Format",
-    "Mistakes",
+    "MOST_ZERO_ROWS",
+    "Layout",
     "Options",
     "ParsedTable",
-    "Read",
-    "RowError",
-    "TableRows",
-    "Told",
+    "ReadResult",
+    "SheetFullError",
     "UnitError",
-    "read_csv",
-    "read_fenced",
-    "read_hdf5",
-    "read_json",
-    "read_table_file",
-    "si_factor",
-    "write_csv",
+    "chosen_units",
+    "csv_text",
+    "json_text",
+    "layout",
+    "read_untrusted",
+    "text_problem",
     "write_hdf5",
-    "write_json",
+    "write_parquet",
+    "write_xlsx",
 ]

@@ -82,7 +82,7 @@ def serve(
     server = Server(config)
     server.address = address
     if opening.own_key is None:  # a command's own server ends before that pays
-        warm_up("service.library.bundle_zip", "service.formats.parts", "service.http.large")
+        warm_up("service.library.bundle_zip", "service.formats.table_file", "service.http.large")
     server.run(sockets=[bound])
 
 

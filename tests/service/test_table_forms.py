@@ -16,27 +16,22 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from service.formats import (
-    Options,
-    ParsedTable,
-    Told,
-    csvlines,
-    options,
-    read_csv,
-    read_table_file,
-    write_csv,
-    write_hdf5,
-    write_json,
-)
-from service.formats.content import ContentError, unpack
-from service.formats.layout import layout_of
-from service.formats.parquetwrite import write_parquet
-from service.formats.parsed import joined
-from service.formats.sheettext import escaped, guarded, unescaped, unguarded
-from service.formats.xlsxwrite import write_xlsx
-from service.formats.zipbounds import ZipBoundsError, members_of
+from service.formats import Options, csv_table, options, write_hdf5
+from service.formats.cells import guard_formula, unguard_formula
+from service.formats.options import ReadReport
+from service.formats.parquet_table import write_parquet
+from service.formats.table_file import ContentError, read_table_file, unpack
+from service.formats.xlsx_table import ZipBoundsError, escape, member_sizes, unescape, write_xlsx
 from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange
+from tests.service.table_files import (
+    ReadTable,
+    layout_of,
+    read_csv,
+    read_table,
+    write_csv,
+    write_json,
+)
 from tests.service.test_table_roundtrip import any_units, same, tables, texts
 
 HEADER = "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],uz [m]"
@@ -46,16 +41,16 @@ SLOW = settings(
 )  # each writes and reads a workbook
 
 
-def read(content: bytes, options: Options = ZERO) -> tuple[ParsedTable, Told]:
-    told = Told()
+def read(content: bytes, options: Options = ZERO) -> tuple[ReadTable, ReadReport]:
+    told = ReadReport()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "upload"
         path.write_bytes(content)
         pieces = list(read_table_file(path, options, told))
-    return joined(pieces, told.mistakes), told
+    return read_table(pieces, told), told
 
 
-def written(write, table: ParsedTable, units=None) -> bytes:
+def written(write, table: ReadTable, units=None) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "export"
         write(path, [table], layout_of(table, units), {"contract": "SI", "component": "rig"})
@@ -91,8 +86,8 @@ def test_a_gzipped_csv_export_is_read_back_to_the_same_floats_and_texts(table, u
 
 @given(texts)
 def test_texts_survive_the_guards_of_spreadsheets(text):
-    assert unguarded(guarded(text)) == text
-    assert unescaped(escaped(text)) == text
+    assert unguard_formula(guard_formula(text)) == text
+    assert unescape(escape(text)) == text
 
 
 @pytest.mark.parametrize("note", ["=1+1", "+1", "-1", "@SUM(A1)", "'=1", "''=1", "＝1"])
@@ -180,7 +175,7 @@ def test_a_zip_bomb_is_measured_before_anybody_unpacks_it(tmp_path):
     path = tmp_path / "bomb.xlsx"
     path.write_bytes(zipped(a=bytes(32 << 20)))
     with pytest.raises(ZipBoundsError, match="unpacks to more than 1 MiB"):
-        members_of(path, 1 << 20)
+        member_sizes(path, 1 << 20)
 
 
 def test_a_zip_that_lies_about_its_sizes_is_refused(tmp_path):
@@ -190,7 +185,7 @@ def test_a_zip_that_lies_about_its_sizes_is_refused(tmp_path):
     path = tmp_path / "lying.xlsx"
     path.write_bytes(bytes(content))
     with pytest.raises(ZipBoundsError):
-        members_of(path, 1 << 20)
+        member_sizes(path, 1 << 20)
 
 
 def sheet_xml(rows: str) -> bytes:
@@ -220,6 +215,14 @@ def sheet_xml(rows: str) -> bytes:
 )
 def test_a_sheet_that_claims_the_world_is_an_error_and_not_a_crash(rows, says):
     assert says in error_of(sheet_xml(rows))
+
+
+def test_half_a_character_in_a_sheet_is_refused():
+    cells = "".join(f'<c t="str"><v>{text}</v></c>' for text in ("fx [N]", "uz [m]", "note"))
+    row = '<c><v>1</v></c><c><v>0</v></c><c t="str"><v>_xD800_</v></c>'
+    table, told = read(sheet_xml(f"<row>{cells}</row><row>{row}</row>"))
+    assert len(table) == 0
+    assert [(error.row, error.field) for error in told.mistakes] == [(2, "note")]
 
 
 def test_other_files_say_what_they_are_and_what_to_do():
@@ -323,7 +326,7 @@ def test_a_file_of_more_rows_than_may_be_is_read_no_further(form, monkeypatch):
 
 def test_the_lines_above_a_header_are_told():
     _, told = read("Rig 3;;\n\n{};\n{};\n".format(*(s.replace(",", ";") for s in SEVEN)).encode())
-    assert told.above == ["Rig 3"]
+    assert told.titles == ["Rig 3"]
 
 
 def test_a_header_below_rows_is_none_and_units_above_it_are_not_guessed():
@@ -359,7 +362,7 @@ def test_a_header_of_more_columns_than_a_table_has_is_refused_before_each_is_loo
 @pytest.mark.parametrize("begin", ["", f"{HEADER}\n"])
 @pytest.mark.parametrize("line", ["\n", "#\n", ",,\n"])
 def test_a_file_of_empty_lines_is_refused_as_soon_as_there_are_too_many(begin, line, monkeypatch):
-    monkeypatch.setattr(csvlines, "MOST_BLANK", 1000)
+    monkeypatch.setattr(csv_table, "MOST_BLANK", 1000)
     _, told = read((begin + 2000 * line).encode(), ZERO)
     assert any("1,000 lines without a row" in one.message for one in told.mistakes.listed())
 

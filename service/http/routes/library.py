@@ -9,7 +9,7 @@ from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from service.formats.parsed import text_problem
+from service.formats import text_problem
 from service.http.bodies import CopyBody, NotesBody, RenameBody
 from service.http.door.grant import grant_of
 from service.http.limited import read_limited

@@ -19,8 +19,7 @@ from starlette.responses import FileResponse, Response
 
 from service.answering.past import table_at
 from service.fence import FenceBusyError
-from service.formats.units import UnitError
-from service.formats.xlsxwrite import SheetFullError
+from service.formats import SheetFullError, UnitError
 from service.http.door.grant import grant_of
 from service.http.import_query import ImportQuery
 from service.http.problems import ProblemError
