@@ -281,7 +281,9 @@ def _unknown(name: str) -> str:
 def _missing_columns(header: Header, labels: list[str], options: Options) -> Iterator[str]:
     """Yield messages on missing columns: a load, a displacement, a time."""
     # A column with a mistake in its unit is not missing.
-    named = {name for label in labels for name, _, _ in _readings(label)} | set(header.columns)
+    known = {*header.ignored, *(column.label for column in header.columns.values())}
+    mistaken = {name for label in labels if label not in known for name, _, _ in _readings(label)}
+    named = mistaken | set(header.columns)
     needed = []
     if options.role != "loads":
         needed.append(("displacement", DISPLACEMENT))

@@ -68,10 +68,15 @@ def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Itera
 
 def _pieces(stream: _JsonStream, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     piece, listed = _Piece(), False
+    if stream.peek() != "{":
+        stream.value()
+        stream.end()
+        report.mistakes.ruin(0, "rows", _NO_TABLE)
+        return
     for key in stream.members():
         if key != "rows" or stream.peek() != "[":
             if problem := _member_problem(key, stream.value()):
-                report.mistakes.ruin(0, key or "rows", problem)
+                report.mistakes.ruin(0, key, problem)
                 return
             continue
         listed = True
@@ -94,7 +99,7 @@ def _pieces(stream: _JsonStream, options: Options, report: ReadReport) -> Iterat
 
 def _member_problem(key: str, value: Any) -> str:
     """Return what is wrong with a member of the table that is no list of rows."""
-    if key in ("", "rows"):
+    if key == "rows":
         return _NO_TABLE
     if key == "units" and value != "SI":
         return "a JSON table is in SI; convert it, or send CSV with units"
@@ -261,13 +266,7 @@ class _JsonStream:
         self._ended = False
 
     def members(self) -> Iterator[str]:
-        """Yield the keys of an object; the caller takes the value of each.
-
-        The one key of anything but an object is empty.
-        """
-        if self.peek() != "{":
-            yield ""
-            return
+        """Yield the keys of an object; the caller takes the value of each."""
         keys = set[str]()
         for key in self._values("{", "}"):
             if not isinstance(key, str):

@@ -205,6 +205,18 @@ def test_each_mistake_of_the_header_says_what_to_write(cell: str, says: str):
     assert says in error.message
 
 
+def test_a_column_tx_in_one_unit_does_not_stand_for_the_other_quantity():
+    assert "no displacement column" in only_error(read_csv("fx [N],Tx [N*m]\n1,2\n")).message
+    loads = "fx [N],fy [N],fz [N],my [N*m],mz [N*m]"
+    table = table_files.read_csv(f"{loads},Tx [mm]\n1,2,3,4,5,6\n")
+    assert "there is no column for mx" in only_error(table).message
+
+
+def test_a_displacement_column_that_is_ignored_is_missing():
+    table = read_csv("fx [N],ux [mm]\n1,2\n", ignore=("ux",))
+    assert "no displacement column" in only_error(table).message
+
+
 def test_all_mistakes_of_a_header_come_at_once():
     table = read_csv("fx [mm],ux,uy [N],uz [m],rx [m],ry [rad],temperature [K]\n1,1,1,1,1,1,1\n")
     assert [error.field for error in table.errors] == [
