@@ -36,6 +36,7 @@ COMPLIANCE = tuple(f"d{output}/d{load}" for output in DISPLACEMENT for load in W
 TEXTS = ("source", "note", "fingerprint")
 NUMBERS = (*WRENCH, *DISPLACEMENT, *UNCERTAINTY, *COMPLIANCE)
 TIME_COLUMN = "time"
+MOST_LABEL = 200  # characters; a longer label is a title, and takes seconds to read
 ORIGIN = ("row", "when", "who")  # columns of an export that an import ignores
 
 COVERAGE_FACTOR = Decimal(2)
@@ -99,9 +100,11 @@ def split(label: str) -> tuple[str, str]:
 def readings(label: str) -> Iterator[tuple[str, str, Decimal]]:
     """Yield the meanings of a label: the name of a column, its unit as written, a further factor.
 
-    The unit is empty if the label has none. A label that begins with no name of a column has no
-    meaning.
+    The unit is empty if the label has none. A label that begins with no name of a column, or is
+    longer than `MOST_LABEL`, has no meaning.
     """
+    if len(label) > MOST_LABEL:
+        return
     name, unit = split(label)
     if name.lower() in (*TEXTS, *COMPLIANCE):
         yield name.lower(), unit, Decimal(1)

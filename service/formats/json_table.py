@@ -67,7 +67,7 @@ def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Itera
 
 
 def _pieces(stream: _JsonStream, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    piece, listed = _Piece(), False
+    piece, listed = _JsonRows(), False
     if stream.peek() != "{":
         stream.value()
         stream.end()
@@ -87,7 +87,7 @@ def _pieces(stream: _JsonStream, options: Options, report: ReadReport) -> Iterat
                 yield piece.table(options, report)
                 if report.is_beyond_limits():
                     return
-                piece = _Piece()
+                piece = _JsonRows()
     stream.end()
     if not listed:
         report.mistakes.ruin(0, "rows", _NO_TABLE)
@@ -108,7 +108,7 @@ def _member_problem(key: str, value: Any) -> str:
     return ""
 
 
-class _Piece:
+class _JsonRows:
     """Rows without mistakes, and the mistakes of the others (row, key, message)."""
 
     def __init__(self) -> None:

@@ -22,6 +22,7 @@ MOST_LISTED = 1000
 MOST_MISTAKES = 100 * MOST_LISTED
 """Reading stops after so many: 8.8 KB of gzip can hold six million, 78 s of processor time."""
 
+_MOST_FIELD = 200  # characters: a key of a row can have a million
 _MOST_KEPT = 20 * MOST_LISTED  # until they are sorted at the end of a piece
 
 
@@ -138,7 +139,7 @@ class Mistakes:
         """Add a mistake of a row."""
         self.count += 1
         if len(self._kept) < _MOST_KEPT:
-            self._kept.append(RowMistake(row, field, message))
+            self._kept.append(RowMistake(row, field[:_MOST_FIELD], message))
 
     def ruin(self, row: int, field: str, message: str) -> None:
         """Add a mistake of the whole file."""

@@ -20,12 +20,11 @@ from decimal import Decimal, InvalidOperation
 from itertools import chain, islice
 
 from service.formats.cells import is_number
-from service.formats.column_names import readings
+from service.formats.column_names import MOST_LABEL, readings
 from service.formats.units import UnitError
 
 MOST_COLUMNS = 256  # an unknown name is compared with all known ones: 0.3 ms each
 _MOST_TITLES = 30  # lines: a page of a report above its table
-_MOST_LABEL = 200  # characters; a longer cell is a title
 _SEVERAL = 2  # one word of a title may be the name of a column ("Fx test, 3 mm")
 _SURE_DELIMITERS, _OTHER_DELIMITERS = ";\t", ",|"  # no label holds one of the former
 
@@ -192,9 +191,7 @@ def _named_columns(cells: Sequence[str], mapping: Mapping[str, str] | None = Non
 
 
 def _is_name(label: str, mapped: set[str]) -> bool:
-    if not label or len(label) > _MOST_LABEL:
-        return False
-    if label.lower() in mapped:
+    if label and label.lower() in mapped:
         return True
     try:
         return next(readings(label), None) is not None
@@ -214,4 +211,4 @@ def _is_row(cells: list[str]) -> bool:
 
 
 def _title(cells: list[str]) -> str:
-    return " ".join(cell.strip() for cell in cells if cell.strip())[:_MOST_LABEL]
+    return " ".join(cell.strip() for cell in cells if cell.strip())[:MOST_LABEL]

@@ -137,7 +137,9 @@ def _records(sheet: Any) -> Iterator[Record]:
             date_formats=book._date_formats,
             timedelta_formats=book._timedelta_formats,
         )
-        for number, cells in parser.parse():
+        for count, (number, cells) in enumerate(parser.parse()):
+            if count > MOST_SHEET_ROWS:
+                raise ValueError(f"a sheet has more than {MOST_SHEET_ROWS + 1:,} rows")
             texts = _texts([cell for cell in cells if cell["value"] is not None])
             if any(texts):
                 yield number, texts

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from service.formats import Options, csv_table, options, write_hdf5
+from service.formats import Options, csv_table, options, write_hdf5, xlsx_table
 from service.formats.cells import guard_formula, unguard_formula
 from service.formats.options import ReadReport
 from service.formats.parquet_table import write_parquet
@@ -357,6 +357,19 @@ def test_a_label_with_bars_does_not_part_a_header_of_commas():
 def test_a_header_of_more_columns_than_a_table_has_is_refused_before_each_is_looked_at(sep):
     names = sep.join(f"c{n}" for n in range(100_000))
     assert "at most 256" in error_of(f"{HEADER}{sep}{names}\n".encode())
+
+
+@pytest.mark.parametrize("between", ["_a", "_", "x"])
+def test_a_label_of_100_000_letters_neither_keeps_a_reader_busy_nor_comes_back_whole(between):
+    label = "fx" + between * (100_000 // len(between))
+    table, told = read(f"{label},{HEADER}\n{'a,' * 7}a\n".encode())
+    assert len(table) == 0
+    assert all(len(mistake.field) <= 200 for mistake in told.mistakes)
+
+
+def test_a_sheet_of_more_rows_than_a_sheet_can_have_is_refused(monkeypatch):
+    monkeypatch.setattr(xlsx_table, "MOST_SHEET_ROWS", 10)
+    assert "more than 11 rows" in error_of(sheet_xml("<row/>" * 12))
 
 
 @pytest.mark.parametrize("begin", ["", f"{HEADER}\n"])
