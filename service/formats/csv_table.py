@@ -24,11 +24,11 @@ from service.formats.header import Header, read_head
 from service.formats.options import Mistakes, Options, ReadReport
 from service.formats.preamble import Preamble, Record, delimiter_in
 from service.formats.records import (
-    Body,
     BrokenLineError,
-    Mark,
-    bodies,
+    CellFormat,
+    TextRows,
     read_records,
+    text_pieces,
     until_broken,
 )
 from service.formats.table_rows import ParsedTable
@@ -83,10 +83,10 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         return _record_problem(cells, header, delimiter)
 
     if options.decimal is not None or delimiter == ",":
-        mark = Mark(options.decimal == ",")
+        cell_format = CellFormat(options.decimal == ",", guarded=True)
     else:
-        mark = _mark_in(records(), options)
-    yield from read_records(records(), options, report, replace(mark, guarded=True), check)
+        cell_format = replace(_format_in(records(), options), guarded=True)
+    yield from read_records(records(), options, report, cell_format, check)
 
 
 def csv_text(
@@ -278,30 +278,30 @@ def _holds_rows(cells: list[str], header: Header, delimiter: str) -> bool:
     return rows > 1
 
 
-def _mark_in(records: Iterator[Record], options: Options) -> Mark:
+def _format_in(records: Iterator[Record], options: Options) -> CellFormat:
     """Return the decimal mark of the first piece with a number that leaves no doubt."""
     mistakes = Mistakes()
     header, rest = read_head(until_broken(records, mistakes), options)
     if header.mistakes:
-        return Mark()
+        return CellFormat()
     ambiguous: tuple[int, str, str] | None = None
-    for body, _ in bodies(rest, header, mistakes, lambda _cells, _header: ""):
-        sure, doubtful = _marks(body, header)
+    for rows, _ in text_pieces(rest, header, mistakes, lambda _cells, _header: ""):
+        sure, doubtful = _marks(rows, header)
         ambiguous = ambiguous or doubtful
         if sure:
             # One decimal comma makes the comma the file's mark; a point is then a mistake.
-            return Mark("," in sure)
-    return Mark("," in ambiguous[2], ambiguous) if ambiguous else Mark()
+            return CellFormat("," in sure)
+    return CellFormat("," in ambiguous[2], ambiguous) if ambiguous else CellFormat()
 
 
-def _marks(body: Body, header: Header) -> tuple[set[str], tuple[int, str, str] | None]:
+def _marks(rows: TextRows, header: Header) -> tuple[set[str], tuple[int, str, str] | None]:
     """Return the marks that are decimal ones, and line, label and text of a number in doubt."""
     sure: set[str] = set()
     doubtful = None
     for name, column in header.columns.items():
         if name not in NUMBERS and name != TIME_COLUMN:
             continue
-        for line, cells in zip(body.line, body.cells, strict=True):
+        for line, cells in zip(rows.line, rows.cells, strict=True):
             text = cells[column.index].strip() if len(cells) > column.index else ""
             if _EITHER_MARK.fullmatch(text):
                 doubtful = doubtful or (line, column.label, text)

@@ -11,7 +11,7 @@ import numpy as np
 from service.formats.cells import text_problem
 from service.formats.column_names import DISPLACEMENT, WritableRows
 from service.formats.options import Options, ReadReport
-from service.formats.table_rows import Array, ParsedTable, good_rows
+from service.formats.table_rows import Array, ParsedTable, Problem, good_rows
 from surrogate.table.hdf5 import foreign_tables, write_table
 from surrogate.table.meta import TableMeta
 from surrogate.table.rows import Rows
@@ -63,8 +63,8 @@ def write_hdf5(table: WritableRows, seq: Sequence[int], meta: TableMeta) -> byte
         return path.read_bytes()
 
 
-def _number_problems(piece: ParsedTable) -> Iterator[tuple[int, str, str]]:
-    """Yield index, key and message of wrong uncertainties and of incomplete tangents."""
+def _number_problems(piece: ParsedTable) -> Iterator[Problem]:
+    """Yield wrong uncertainties and incomplete tangents."""
     bounds = piece.uncertainty
     for at, output in np.argwhere(np.isinf(bounds) | (bounds < 0.0)).tolist():
         message = f"{bounds[at, output]}: an uncertainty of {DISPLACEMENT[output]} is 0 or more"
@@ -75,7 +75,7 @@ def _number_problems(piece: ParsedTable) -> Iterator[tuple[int, str, str]]:
         yield at, "compliance", "is not 36 finite numbers; a row has all 36 tangents or none (NaN)"
 
 
-def _text_problems(piece: ParsedTable) -> Iterator[tuple[int, str, str]]:
+def _text_problems(piece: ParsedTable) -> Iterator[Problem]:
     columns = {"source": piece.source, "fingerprint": piece.fingerprint, "note": piece.note}
     for key, texts in columns.items():
         for at, text in enumerate(texts):

@@ -12,7 +12,7 @@ import numpy as np
 from service.formats.column_names import Layout, WritableRows
 from service.formats.options import MOST_ROWS, Options, ReadReport
 from service.formats.preamble import MOST_COLUMNS, Record
-from service.formats.records import Mark, read_records
+from service.formats.records import CellFormat, read_records
 from service.formats.table_rows import ParsedTable
 
 MOST_UNPACKED = 1024 * 1024 * 1024
@@ -35,7 +35,7 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
             index = tuple(name for name in names if name.startswith("__index_level_"))
             own = replace(options, ignore=(*options.ignore, *index))  # of a data frame
             records = _records(path, file)
-            yield from read_records(records, own, report, Mark(), lambda _cells, _header: "")
+            yield from read_records(records, own, report, CellFormat(), lambda _cells, _header: "")
     except Exception as error:  # pyarrow raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"is no readable Parquet file: {error}")
 

@@ -51,7 +51,7 @@ class BrokenLineError(ValueError):
 
 
 @dataclass(frozen=True)
-class Mark:
+class CellFormat:
     """How the cells of a file are written.
 
     Attributes
@@ -70,7 +70,7 @@ class Mark:
 
 
 @dataclass
-class Body:
+class TextRows:
     """Rows of a piece: their lines, and their cells, one a column of the header."""
 
     line: list[int] = field(default_factory=list)
@@ -81,7 +81,7 @@ def read_records(
     records: Iterator[Record],
     options: Options,
     report: ReadReport,
-    mark: Mark,
+    cell_format: CellFormat,
     check: RecordCheck,
 ) -> Iterator[ParsedTable]:
     """Yield the good rows of a table of columns, piece by piece.
@@ -92,7 +92,7 @@ def read_records(
     options : Options
     report : ReadReport
         Gets the columns and the mistakes.
-    mark : Mark
+    cell_format : CellFormat
     check : callable
         Checks the cells of each record.
     """
@@ -103,15 +103,15 @@ def read_records(
     report.titles += header.titles
     for mistake in header.mistakes:
         mistakes.ruin(mistake.row, mistake.field, mistake.message)
-    if mark.ambiguous is not None and not header.mistakes:
-        line, label, cell = mark.ambiguous
+    if cell_format.ambiguous is not None and not header.mistakes:
+        line, label, cell = cell_format.ambiguous
         mistakes.ruin(line, label, _ambiguity(cell))
     if mistakes.whole:
         return
-    for body, count in bodies(rest, header, mistakes, check):
+    for rows, count in text_pieces(rest, header, mistakes, check):
         report.read += count
-        if body.line:
-            yield _Conversion(header, body, mark, mistakes).table(options, report)
+        if rows.line:
+            yield _Conversion(header, rows, cell_format, mistakes).table(options, report)
         if report.is_beyond_limits():
             return
     if not report.read and not mistakes:
@@ -126,11 +126,11 @@ def until_broken(records: Iterator[Record], mistakes: Mistakes) -> Iterator[Reco
         mistakes.ruin(error.line, "line", str(error))
 
 
-def bodies(
+def text_pieces(
     records: Iterator[Record], header: Header, mistakes: Mistakes, check: RecordCheck
-) -> Iterator[tuple[Body, int]]:
+) -> Iterator[tuple[TextRows, int]]:
     """Yield the rows below a header in pieces, each with the number of its records."""
-    body, count = Body(), 0
+    rows, count = TextRows(), 0
     for line, cells in records:
         count += 1
         width = header.width
@@ -139,13 +139,13 @@ def bodies(
         if problem := check(cells, header) or _unnamed_problem(cells, header):
             mistakes.add(line, "line", problem)
         else:
-            body.line.append(line)
-            body.cells.append(cells)
+            rows.line.append(line)
+            rows.cells.append(cells)
         if count == PIECE:
-            yield body, count
-            body, count = Body(), 0
+            yield rows, count
+            rows, count = TextRows(), 0
     if count:
-        yield body, count
+        yield rows, count
 
 
 def _ambiguity(cell: str) -> str:
@@ -172,13 +172,15 @@ def _unnamed_problem(cells: list[str], header: Header) -> str:
 class _Conversion:
     """Converts one piece of rows by column; collects mistakes and the mask of good rows."""
 
-    def __init__(self, header: Header, body: Body, mark: Mark, mistakes: Mistakes) -> None:
+    def __init__(
+        self, header: Header, rows: TextRows, cell_format: CellFormat, mistakes: Mistakes
+    ) -> None:
         self._header = header
-        self._line = body.line
-        self._mark = mark
+        self._line = rows.line
+        self._format = cell_format
         self._mistakes = mistakes
-        self._good = np.ones(len(body.line), dtype=bool)
-        self._columns = list(zip(*body.cells, strict=True))
+        self._good = np.ones(len(rows.line), dtype=bool)
+        self._columns = list(zip(*rows.cells, strict=True))
 
     def table(self, options: Options, report: ReadReport) -> ParsedTable:
         """Return the good rows."""
@@ -220,7 +222,7 @@ class _Conversion:
     def _numbers(self, column: HeaderColumn) -> Array:
         """Convert a column at once if all cells are finite numbers, else cell by cell."""
         cells = self._columns[column.index]
-        values = _finite_column(cells, self._mark.comma, column.factor)
+        values = _finite_column(cells, self._format.comma, column.factor)
         if values is None:
             values = np.array([self._number(column, at) for at in range(len(cells))])
         zeros = np.flatnonzero(values == 0.0).tolist()
@@ -240,10 +242,10 @@ class _Conversion:
         cell = self._columns[column.index][at].strip()
         if not cell and column.name not in WRENCH:
             return np.nan  # not measured, or unknown
-        text = number_text(cell, self._mark.comma)
+        text = number_text(cell, self._format.comma)
         value = math.nan if text is None else to_si(text, column.factor)
         if not math.isfinite(value):
-            self._refuse(at, column.label, number_problem(cell, self._mark.comma))
+            self._refuse(at, column.label, number_problem(cell, self._format.comma))
             return np.nan
         return value
 
@@ -257,7 +259,7 @@ class _Conversion:
             values = np.array([_float(cell) for cell in cells]) / rate
         elif column is not None:
             cells, factor = self._columns[column.index], column.factor if column.unit else None
-            values = np.array([time_seconds(cell, self._mark.comma, factor) for cell in cells])
+            values = np.array([time_seconds(cell, self._format.comma, factor) for cell in cells])
         else:
             return np.full(len(self._line), np.nan)
         for at in np.flatnonzero(~np.isfinite(values)).tolist():
@@ -298,7 +300,7 @@ class _Conversion:
             if problem := text_problem(cell):
                 self._refuse(at, column.label, problem)
         texts = [cell.strip() for cell in cells]
-        return tuple(map(unguard_formula, texts) if self._mark.guarded else texts)
+        return tuple(map(unguard_formula, texts) if self._format.guarded else texts)
 
     def _refuse(self, at: int, label: str, message: str) -> None:
         self._good[at] = False

@@ -24,6 +24,8 @@ from surrogate.limits import ROTATION_LIMIT, TRANSLATION_LIMIT, is_too_far, rota
 from surrogate.table.rows import LoadRange, unknown_column
 
 Array = np.ndarray
+Problem = tuple[int, str, str]
+"""The index of a row in the arrays, its column, and what to do."""
 
 LOAD_LIMIT = 10.0
 """Largest load over the component's range: tests reach a few times the service load; kN read as N,
@@ -121,15 +123,6 @@ def _concatenated(columns: list[Array], *shape: int) -> Array:
     return unknown_column(sum(map(len, columns)), *shape)
 
 
-@dataclass(frozen=True)
-class Excess:
-    """A number beyond a limit: the index of its row in the arrays, its column, what to do."""
-
-    at: int
-    name: str
-    message: str
-
-
 def within_limits(
     piece: ParsedTable, options: Options, report: ReadReport, good: Array | None = None
 ) -> ParsedTable:
@@ -138,9 +131,9 @@ def within_limits(
     `good`, shape (n,), is a mask of rows without other mistakes; the others are left out too.
     """
     good = np.ones(len(piece), dtype=bool) if good is None else good
-    for excess in _excesses(piece, options.load_range):
-        good[excess.at] = False
-        report.mistakes.add(int(piece.row[excess.at]), report.label(excess.name), excess.message)
+    for at, name, message in _excesses(piece, options.load_range):
+        good[at] = False
+        report.mistakes.add(int(piece.row[at]), report.label(name), message)
     report.mistakes.settle()
     return piece.take(good)
 
@@ -157,7 +150,8 @@ def good_rows(piece: ParsedTable, good: Array, options: Options, report: ReadRep
     return within_limits(piece, options, report, good)
 
 
-def _excesses(piece: ParsedTable, load_range: LoadRange | None) -> Iterator[Excess]:
+def _excesses(piece: ParsedTable, load_range: LoadRange | None) -> Iterator[Problem]:
+    """Yield the numbers beyond a limit."""
     yield from _rotations(piece.displacement)
     yield from _translations(piece.displacement)
     yield from _uncertainties(piece.uncertainty)
@@ -176,7 +170,7 @@ def _largest_loads(load_range: LoadRange) -> Array:
     return np.where(size > 0.0, LOAD_LIMIT * size, np.inf).ravel()
 
 
-def _rotations(displacement: Array) -> Iterator[Excess]:
+def _rotations(displacement: Array) -> Iterator[Problem]:
     angle = rotation_angles(displacement)
     for at in np.flatnonzero(is_too_far(angle)).tolist():
         name = DISPLACEMENT[3 + int(np.nanargmax(np.abs(displacement[at, 3:])))]
@@ -184,20 +178,20 @@ def _rotations(displacement: Array) -> Iterator[Excess]:
             f"the rotation is {math.degrees(angle[at]):.4g} degrees; a table ends at 20 "
             "(check the unit: rad or deg?)"
         )
-        yield Excess(at, name, message)
+        yield at, name, message
 
 
-def _translations(displacement: Array) -> Iterator[Excess]:
+def _translations(displacement: Array) -> Iterator[Problem]:
     for at, axis in np.argwhere(np.abs(displacement[:, :3]) > TRANSLATION_LIMIT).tolist():
         message = (
             f"the translation is {displacement[at, axis]:.4g} m; a table ends at "
             f"{TRANSLATION_LIMIT:g} m, because within 20 degrees only a part longer than 40 m "
             "moves so far (check the unit: m or mm?)"
         )
-        yield Excess(at, DISPLACEMENT[axis], message)
+        yield at, DISPLACEMENT[axis], message
 
 
-def _uncertainties(uncertainty: Array) -> Iterator[Excess]:
+def _uncertainties(uncertainty: Array) -> Iterator[Problem]:
     limit = np.repeat([TRANSLATION_LIMIT, ROTATION_LIMIT * (1.0 + 1e-12)], 3)
     beyond = np.isfinite(uncertainty) & (uncertainty > limit)  # infinite ones are other mistakes
     for at, output in np.argwhere(beyond).tolist():
@@ -206,10 +200,10 @@ def _uncertainties(uncertainty: Array) -> Iterator[Excess]:
             f"the uncertainty is {uncertainty[at, output]:.4g} {unit}; no displacement of a table "
             f"is beyond {end:.4g} {unit} (check the unit, or leave it out if it is not known)"
         )
-        yield Excess(at, UNCERTAINTY[output], message)
+        yield at, UNCERTAINTY[output], message
 
 
-def _loads(wrench: Array, load_range: LoadRange) -> Iterator[Excess]:
+def _loads(wrench: Array, load_range: LoadRange) -> Iterator[Problem]:
     limit = _largest_loads(load_range)
     for at, load in np.argwhere(np.abs(wrench) > limit).tolist():
         unit = "N" if load < 3 else "N*m"
@@ -218,7 +212,7 @@ def _loads(wrench: Array, load_range: LoadRange) -> Iterator[Excess]:
             f"{load_range.low[load]:g} to {load_range.high[load]:g} {unit}, and a table ends at "
             f"{limit[load]:g} (check the unit and the column)"
         )
-        yield Excess(at, WRENCH[load], message)
+        yield at, WRENCH[load], message
 
 
 def with_own_setup(
@@ -239,8 +233,8 @@ def with_own_setup(
             return
 
 
-def _foreign_rows(piece: ParsedTable, own: str) -> Iterator[tuple[int, str, str]]:
-    """Yield the index of a row that is refused, its column and a message."""
+def _foreign_rows(piece: ParsedTable, own: str) -> Iterator[Problem]:
+    """Yield the rows that are solves of another setup, or incomplete ones."""
     pairs = zip(piece.fingerprint, piece.source, strict=True)
     for at, (fingerprint, source) in enumerate(pairs):
         if fingerprint != own and (fingerprint or source == FEA):

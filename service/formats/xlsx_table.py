@@ -19,7 +19,7 @@ from service.formats.column_names import Layout, WritableRows
 from service.formats.header import Header
 from service.formats.options import Options, ReadReport
 from service.formats.preamble import MOST_COLUMNS, Record
-from service.formats.records import Mark, read_records
+from service.formats.records import CellFormat, read_records
 from service.formats.table_rows import ParsedTable
 
 MOST_UNPACKED = 1024 * 1024 * 1024  # a million rows of 12 numbers are 500 MB of XML
@@ -53,7 +53,7 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         # Opened here, because openpyxl checks the ending of a name.
         with path.open("rb") as file:
             records = _records(_sheet(path, file, options.sheet))
-            yield from read_records(records, options, report, Mark(), _record_problem)
+            yield from read_records(records, options, report, CellFormat(), _record_problem)
     except Exception as error:  # openpyxl raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"is no readable XLSX workbook: {error}")
 
