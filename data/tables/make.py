@@ -129,9 +129,10 @@ def binary() -> None:
     import pyarrow.parquet as parquet
     from openpyxl import Workbook
 
-    from service.tablefile import read_csv, write_hdf5, write_json
+    from service.formats import write_hdf5
     from surrogate.table.meta import TableMeta
     from surrogate.table.rows import LoadRange
+    from tests.service.table_files import read_csv, write_json
 
     rows = measured().tolist()
     for name, spoilt in (("workbook.xlsx", False), ("workbook_errors.xlsx", True)):

@@ -7,9 +7,8 @@ from typing import Annotated, Literal
 import orjson
 from pydantic import ConfigDict, Field, field_validator
 
+from service.formats import MOST_PREVIEW, MOST_ZERO_ROWS, Options
 from service.http.bodies import Body
-from service.tablefile import MOST_PREVIEW, Options
-from service.tablefile.options import MOST_TARE
 from service.tables.importing import Wish
 
 _MOST_COLUMNS = 1000
@@ -52,7 +51,7 @@ class ImportQuery(Body):
         Literal["zero"] | None, Field(description="loads without a column were zero")
     ] = None
     tare: Annotated[
-        int, Field(ge=0, le=MOST_TARE, description="rows whose mean is taken off all others")
+        int, Field(ge=0, le=MOST_ZERO_ROWS, description="rows whose mean is taken off all others")
     ] = 0
     sheet: Annotated[str | None, Field(max_length=200, description="xlsx: its name")] = None
     time_offset_s: Annotated[
@@ -92,7 +91,7 @@ class ImportQuery(Body):
             ignore_extra=self.ignore_extra,
             mapping=_pairs(self.mapping) if self.mapping else {},
             missing_loads=self.missing_loads,
-            tare=self.tare,
+            zero_rows=self.tare,
             sheet=self.sheet,
             time_offset_s=self.time_offset_s,
             max_gap_s=self.max_gap_s,

@@ -82,7 +82,7 @@ def serve(
     server = Server(config)
     server.address = address
     if opening.own_key is None:  # a command's own server ends before that pays
-        warm_up("service.library.bundle_zip", "service.tablefile.parts", "service.http.batch")
+        warm_up("service.library.bundle_zip", "service.formats.table_file", "service.http.batch")
     server.run(sockets=[bound])
 
 

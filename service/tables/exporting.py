@@ -7,16 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from service.formats import (
+    Layout,
+    UnitError,
+    chosen_units,
+    csv_text,
+    json_text,
+    layout,
+    write_hdf5,
+    write_parquet,
+    write_xlsx,
+)
 from service.ledger import Ledger
 from service.ledger.table_at import TableAt
 from service.library.component import Component
-from service.tablefile.csvwrite import csv_text
-from service.tablefile.hdf5form import write_hdf5
-from service.tablefile.jsonwrite import json_text
-from service.tablefile.layout import Layout, layout
-from service.tablefile.parquetwrite import write_parquet
-from service.tablefile.units import UnitError, chosen_units
-from service.tablefile.xlsxwrite import write_xlsx
 from service.tables.rows import (
     CONTRACT_WORDS,
     ExportRows,
@@ -115,7 +119,7 @@ def _layout(table: TableAt, units: Mapping[str, str]) -> Layout:
     uncertainty, compliance, note, fingerprint = table.known
     said = {"source": True, "note": note, "fingerprint": fingerprint}
     texts = [name for name, known in said.items() if known]
-    return layout(uncertainty, compliance, texts, units, carried=True)
+    return layout(uncertainty, compliance, texts, units, origin=True)
 
 
 Writer = Callable[[Path, Iterator[ExportRows], Component, TableAt, Wanted], None]

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from service.formats import Options, ReadResult, read_untrusted
 from service.ledger import About, Ledger
 from service.library.component import Component
-from service.tablefile import Options, Read, read_fenced
 from service.tables.rows import packed_pieces
 
 
@@ -54,17 +54,17 @@ def import_files(
         If it could not be read or written now; nothing was loaded.
     """
     own = replace(options, load_range=component.load_range, fingerprint=component.fingerprint)
-    read = read_fenced(files, own, wish.preview)
-    told = dict(read.told)
-    refused = told.pop("whole") or bool(told["errors"] and not wish.partial)
+    read = read_untrusted(files, own, wish.preview)
+    report = dict(read.report)
+    refused = report.pop("whole") or bool(report["errors"] and not wish.partial)
     inserted, existing, number = 0, 0, None
     if not refused and wish.dry_run:
         inserted, existing = _counted(ledger, component, read)
     elif not refused:
         packed = packed_pieces(component, read.pieces())
-        about = replace(about, format=told["format"])
+        about = replace(about, format=report["format"])
         inserted, existing, number = ledger.import_rows(component.name, packed, about)
-    rows = told.pop("rows")
+    rows = report.pop("rows")
     good = rows.pop("good")
     return {
         "inserted": inserted,
@@ -73,12 +73,12 @@ def import_files(
         "partial": wish.partial,
         "import": number,
         "loaded": not refused and not wish.dry_run,
-        **told,
+        **report,
         "rows": {**rows, "loaded": 0 if refused or wish.dry_run else good},
     }
 
 
-def _counted(ledger: Ledger, component: Component, read: Read) -> tuple[int, int]:
+def _counted(ledger: Ledger, component: Component, read: ReadResult) -> tuple[int, int]:
     """Return how many rows would be new and how many are there already."""
     keys: list[bytes] = []
     for block in packed_pieces(component, read.pieces()):

@@ -11,9 +11,9 @@ from datetime import UTC, datetime
 import numpy as np
 
 from service.contract import CONTRACT
+from service.formats import ParsedTable
 from service.ledger import Import, LedgerRow, PackedRow, packed_columns
 from service.library.component import Component
-from service.tablefile import ParsedTable
 from surrogate.solver_error import SolverError
 from surrogate.table.meta import TableMeta
 

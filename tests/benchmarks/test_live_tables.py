@@ -20,7 +20,7 @@ import pytest
 
 from service.client import Client
 from service.files.child import child_command
-from service.tablefile import write_hdf5
+from service.formats import write_hdf5
 from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange, Rows
 

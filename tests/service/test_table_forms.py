@@ -16,22 +16,22 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from service.tablefile import (
-    Options,
-    ParsedTable,
-    Told,
-    csvlines,
+from service.formats import Options, csv_table, options, write_hdf5, xlsx_table
+from service.formats.cells import guard_formula, unguard_formula
+from service.formats.options import ReadReport
+from service.formats.parquet_table import write_parquet
+from service.formats.table_file import ContentError, read_table_file, unpack
+from service.formats.xlsx_table import ZipBoundsError, escape, member_sizes, unescape, write_xlsx
+from surrogate.table.meta import TableMeta
+from surrogate.table.rows import LoadRange
+from tests.service.table_files import (
+    ReadTable,
+    layout_of,
     read_csv,
-    read_table_file,
+    read_table,
     write_csv,
+    write_json,
 )
-from service.tablefile.content import ContentError, unpack
-from service.tablefile.layout import layout_of
-from service.tablefile.parquetwrite import write_parquet
-from service.tablefile.parsed import joined
-from service.tablefile.sheettext import escaped, guarded, unescaped, unguarded
-from service.tablefile.xlsxwrite import write_xlsx
-from service.tablefile.zipbounds import ZipBoundsError, members_of
 from tests.service.test_table_roundtrip import any_units, same, tables, texts
 
 HEADER = "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],uz [m]"
@@ -41,16 +41,16 @@ SLOW = settings(
 )  # each writes and reads a workbook
 
 
-def read(content: bytes, options: Options = ZERO) -> tuple[ParsedTable, Told]:
-    told = Told()
+def read(content: bytes, options: Options = ZERO) -> tuple[ReadTable, ReadReport]:
+    told = ReadReport()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "upload"
         path.write_bytes(content)
         pieces = list(read_table_file(path, options, told))
-    return joined(pieces, told.mistakes), told
+    return read_table(pieces, told), told
 
 
-def written(write, table: ParsedTable, units=None) -> bytes:
+def written(write, table: ReadTable, units=None) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "export"
         write(path, [table], layout_of(table, units), {"contract": "SI", "component": "rig"})
@@ -86,8 +86,8 @@ def test_a_gzipped_csv_export_is_read_back_to_the_same_floats_and_texts(table, u
 
 @given(texts)
 def test_texts_survive_the_guards_of_spreadsheets(text):
-    assert unguarded(guarded(text)) == text
-    assert unescaped(escaped(text)) == text
+    assert unguard_formula(guard_formula(text)) == text
+    assert unescape(escape(text)) == text
 
 
 @pytest.mark.parametrize("note", ["=1+1", "+1", "-1", "@SUM(A1)", "'=1", "''=1", "＝1"])
@@ -175,7 +175,7 @@ def test_a_zip_bomb_is_measured_before_anybody_unpacks_it(tmp_path):
     path = tmp_path / "bomb.xlsx"
     path.write_bytes(zipped(a=bytes(32 << 20)))
     with pytest.raises(ZipBoundsError, match="unpacks to more than 1 MiB"):
-        members_of(path, 1 << 20)
+        member_sizes(path, 1 << 20)
 
 
 def test_a_zip_that_lies_about_its_sizes_is_refused(tmp_path):
@@ -185,7 +185,7 @@ def test_a_zip_that_lies_about_its_sizes_is_refused(tmp_path):
     path = tmp_path / "lying.xlsx"
     path.write_bytes(bytes(content))
     with pytest.raises(ZipBoundsError):
-        members_of(path, 1 << 20)
+        member_sizes(path, 1 << 20)
 
 
 def sheet_xml(rows: str) -> bytes:
@@ -215,6 +215,14 @@ def sheet_xml(rows: str) -> bytes:
 )
 def test_a_sheet_that_claims_the_world_is_an_error_and_not_a_crash(rows, says):
     assert says in error_of(sheet_xml(rows))
+
+
+def test_half_a_character_in_a_sheet_is_refused():
+    cells = "".join(f'<c t="str"><v>{text}</v></c>' for text in ("fx [N]", "uz [m]", "note"))
+    row = '<c><v>1</v></c><c><v>0</v></c><c t="str"><v>_xD800_</v></c>'
+    table, told = read(sheet_xml(f"<row>{cells}</row><row>{row}</row>"))
+    assert len(table) == 0
+    assert [(error.row, error.field) for error in told.mistakes] == [(2, "note")]
 
 
 def test_other_files_say_what_they_are_and_what_to_do():
@@ -293,9 +301,32 @@ def test_a_header_below_titles_is_found_whatever_parts_its_fields(text, mark):
     assert table.displacement[0, 2] == -1.5e-3
 
 
+def test_8_kilobytes_of_gzipped_empty_rows_do_not_keep_a_reader_busy():
+    content = gzip.compress(b'{"rows":[' + b"{}," * 3_000_000 + b"{}]}")
+    assert len(content) < 9000
+    table, told = read(content)
+    assert len(table) == 0
+    assert told.mistakes.whole  # nothing is loaded with partial=true either
+    assert told.read < 60_000
+    assert "reading stopped after more than 100,000" in told.mistakes.listed()[-1].message
+
+
+@pytest.mark.parametrize("form", ["csv", "json", "hdf5"])
+def test_a_file_of_more_rows_than_may_be_is_read_no_further(form, monkeypatch):
+    monkeypatch.setattr(options, "MOST_ROWS", 1)
+    content = {
+        "csv": write_csv(_ROWS).encode(),
+        "json": write_json(_ROWS).encode(),
+        "hdf5": write_hdf5(_ROWS, [1, 2], TableMeta("rig", 2, LoadRange(-np.ones(6), np.ones(6)))),
+    }[form]
+    _, told = read(content)
+    assert told.mistakes.whole
+    assert "has more than 1 rows" in told.mistakes.listed()[0].message
+
+
 def test_the_lines_above_a_header_are_told():
     _, told = read("Rig 3;;\n\n{};\n{};\n".format(*(s.replace(",", ";") for s in SEVEN)).encode())
-    assert told.above == ["Rig 3"]
+    assert told.titles == ["Rig 3"]
 
 
 def test_a_header_below_rows_is_none_and_units_above_it_are_not_guessed():
@@ -328,10 +359,23 @@ def test_a_header_of_more_columns_than_a_table_has_is_refused_before_each_is_loo
     assert "at most 256" in error_of(f"{HEADER}{sep}{names}\n".encode())
 
 
+@pytest.mark.parametrize("between", ["_a", "_", "x"])
+def test_a_label_of_100_000_letters_neither_keeps_a_reader_busy_nor_comes_back_whole(between):
+    label = "fx" + between * (100_000 // len(between))
+    table, told = read(f"{label},{HEADER}\n{'a,' * 7}a\n".encode())
+    assert len(table) == 0
+    assert all(len(mistake.field) <= 200 for mistake in told.mistakes)
+
+
+def test_a_sheet_of_more_rows_than_a_sheet_can_have_is_refused(monkeypatch):
+    monkeypatch.setattr(xlsx_table, "MOST_SHEET_ROWS", 10)
+    assert "more than 11 rows" in error_of(sheet_xml("<row/>" * 12))
+
+
 @pytest.mark.parametrize("begin", ["", f"{HEADER}\n"])
 @pytest.mark.parametrize("line", ["\n", "#\n", ",,\n"])
 def test_a_file_of_empty_lines_is_refused_as_soon_as_there_are_too_many(begin, line, monkeypatch):
-    monkeypatch.setattr(csvlines, "MOST_BLANK", 1000)
+    monkeypatch.setattr(csv_table, "MOST_BLANK", 1000)
     _, told = read((begin + 2000 * line).encode(), ZERO)
     assert any("1,000 lines without a row" in one.message for one in told.mistakes.listed())
 

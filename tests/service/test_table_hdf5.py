@@ -6,9 +6,10 @@ import h5py
 import numpy as np
 import pytest
 
-from service.tablefile import ParsedTable, read_hdf5, write_hdf5
+from service.formats import write_hdf5
 from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange, Rows
+from tests.service.table_files import ReadTable, read_hdf5
 
 RANGE = LoadRange(-np.ones(6), np.ones(6))
 META = TableMeta("plate", 9, RANGE)
@@ -29,7 +30,7 @@ def changed(tmp_path):
     return change
 
 
-def only_error(table: ParsedTable):
+def only_error(table: ReadTable):
     assert len(table.errors) == 1, table.errors
     return table.errors[0]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.tablefile import read_json
+from tests.service.table_files import read_json
 
 ZEROS = [0.0] * 6
 ROW: dict[str, Any] = {"wrench": [1, 2, 3, 4, 5, 6], "displacement": [1e-3] * 6}

@@ -14,23 +14,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service import tablefile
-from service.tablefile import (
-    ParsedTable,
-    UnitError,
-    read_hdf5,
-    read_json,
-    write_csv,
-    write_hdf5,
-    write_json,
-)
-from service.tablefile.exact import in_unit, to_si
-from service.tablefile.units import QUANTITIES, si_factor
+from service.formats import UnitError, write_hdf5
+from service.formats.units import QUANTITIES, in_unit, si_factor, to_si
 from surrogate.table.meta import TableMeta
 from surrogate.table.rows import LoadRange
+from tests.service import table_files
+from tests.service.table_files import ReadTable, read_hdf5, read_json, write_csv, write_json
 
 # These files have the columns that they are about; loads they do not name were zero.
-read_csv = partial(tablefile.read_csv, missing_loads="zero")
+read_csv = partial(table_files.read_csv, missing_loads="zero")
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 moves = st.floats(-10, 10)  # m, what a table may hold
 # A rotation vector of these components is never longer than 20 degrees.
@@ -40,7 +32,7 @@ texts = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]
 
 
 @st.composite
-def tables(draw: st.DrawFn) -> ParsedTable:
+def tables(draw: st.DrawFn) -> ReadTable:
     count = draw(st.integers(1, 4))
 
     def block(*parts: st.SearchStrategy[float]) -> np.ndarray:
@@ -57,7 +49,7 @@ def tables(draw: st.DrawFn) -> ParsedTable:
     def words() -> tuple[str, ...]:
         return tuple(draw(st.lists(texts, min_size=count, max_size=count)))
 
-    return ParsedTable(
+    return ReadTable(
         wrench=block(*[numbers] * 6),
         displacement=block(*[moves] * 3, *[angles] * 3),
         uncertainty=block(*unsure),
@@ -70,7 +62,7 @@ def tables(draw: st.DrawFn) -> ParsedTable:
     )
 
 
-def same(first: ParsedTable, second: ParsedTable) -> None:
+def same(first: ReadTable, second: ReadTable) -> None:
     assert second.errors == ()
     for name in ("wrench", "displacement", "uncertainty", "compliance"):
         assert np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True)
@@ -79,13 +71,13 @@ def same(first: ParsedTable, second: ParsedTable) -> None:
 
 
 @given(tables())
-def test_a_csv_export_in_si_is_read_back_to_the_same_floats_and_texts(table: ParsedTable):
+def test_a_csv_export_in_si_is_read_back_to_the_same_floats_and_texts(table: ReadTable):
     same(table, read_csv(write_csv(table)))
     same(table, read_csv(write_csv(table).encode()))
 
 
 @given(tables())
-def test_a_json_export_is_read_back_to_the_same_floats_and_texts(table: ParsedTable):
+def test_a_json_export_is_read_back_to_the_same_floats_and_texts(table: ReadTable):
     same(table, read_json(write_json(table)))
 
 
@@ -94,7 +86,7 @@ META = TableMeta("plate", 9, LoadRange(-np.ones(6), np.ones(6)), fingerprint="ab
 
 @settings(max_examples=30)  # each writes and syncs a file
 @given(tables())
-def test_an_hdf5_export_is_read_back_to_the_same_floats_and_texts(table: ParsedTable):
+def test_an_hdf5_export_is_read_back_to_the_same_floats_and_texts(table: ReadTable):
     again = read_hdf5(write_hdf5(table, range(len(table)), META))
     same(table, again)
     assert again.row.tolist() == list(range(1, len(table) + 1))
@@ -118,7 +110,7 @@ any_units = st.fixed_dictionaries(
 
 
 @given(tables(), any_units)
-def test_an_export_in_any_unit_is_read_back_to_the_same_floats(table: ParsedTable, units):
+def test_an_export_in_any_unit_is_read_back_to_the_same_floats(table: ReadTable, units):
     same(table, read_csv(write_csv(table, units)))
 
 

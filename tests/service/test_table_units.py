@@ -5,8 +5,15 @@ from decimal import Decimal
 
 import pytest
 
-from service.tablefile import UnitError, si_factor
-from service.tablefile.units import FORCE, MOMENT, ROTATION, TRANSLATION, chosen_units
+from service.formats.units import (
+    FORCE,
+    MOMENT,
+    ROTATION,
+    TRANSLATION,
+    UnitError,
+    chosen_units,
+    si_factor,
+)
 
 LBF = 0.45359237 * 9.80665  # N, exact by definition
 

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
+from service.formats import text_problem
 from service.http.bodies import CopyBody, NotesBody, RenameBody
 from service.http.body import read_limited
 from service.http.door.grant import grant_of
@@ -18,7 +19,6 @@ from service.http.replies import json_reply
 from service.http.routes.components import component_body
 from service.http.table_schemas import Card, Demand, Disagreement, Imports
 from service.ledger import About
-from service.tablefile.parsed import text_problem
 from service.tables.copying import copy_rows
 from service.tables.disagreement import disagreement
 from service.tables.rows import told_time

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 import tempfile
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
+from weakref import WeakValueDictionary
 
 import orjson
 from fastapi import APIRouter, Header, Query, Request
@@ -14,6 +18,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
 from service.answering.past import table_at
+from service.formats import SheetFullError, UnitError
 from service.http.body import received
 from service.http.door.grant import grant_of
 from service.http.import_query import ImportQuery
@@ -23,8 +28,7 @@ from service.http.table_schemas import Imported, Table
 from service.http.versions import holds, naming
 from service.ledger import About
 from service.library.component import Component
-from service.tablefile.units import UnitError
-from service.tablefile.xlsxwrite import SheetFullError
+from service.sandbox import SandboxBusyError
 from service.tables.breakpoints import NoTableError, write_breakpoints
 from service.tables.exporting import ENDINGS, ExportFormat, Wanted, check_units, export_table
 from service.tables.importing import import_files
@@ -36,6 +40,8 @@ from surrogate.packed.format import SUFFIX
 router = APIRouter(
     prefix="/v1/components/{name}/table", tags=["table"], responses=refused(404, 422)
 )
+_READER_WAIT_S: Final = 60.0
+_reader_locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
 Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat", "packed"]
 MEDIA_TYPES = {
@@ -196,9 +202,11 @@ async def import_table(
             digest=sent.digest,
             note=query.note,
         )
-        reply = await run_in_threadpool(
-            import_files, workspace.ledger, component, sent.files, options, wish, about
-        )
+        caller = about.who or (request.client.host if request.client else "")
+        async with one_reader(caller):
+            reply = await run_in_threadpool(
+                import_files, workspace.ledger, component, sent.files, options, wish, about
+            )
     loaded = reply.pop("loaded")
     if reply["errors"] and not (wish.dry_run or loaded):
         raise _refused(reply)
@@ -206,6 +214,28 @@ async def import_table(
     reply["in_use"] = caught_up and (loaded or not reply["inserted"])
     reply["table_version"] = workspace.ledger.last_seq(component.name)
     return Response(orjson.dumps(reply), 200, None, "application/json")
+
+
+@asynccontextmanager
+async def one_reader(caller: str) -> AsyncIterator[None]:
+    """Wait until no other table of a caller (a key, or an address without keys) is being read.
+
+    Raises
+    ------
+    SandboxBusyError
+        If another one is still being read after `_READER_WAIT_S` seconds.
+    """
+    lock = _reader_locks.setdefault(caller, asyncio.Lock())
+    try:
+        async with asyncio.timeout(_READER_WAIT_S):
+            await lock.acquire()
+    except TimeoutError:
+        message = "Another table of this key is being read; send it again in a minute"
+        raise SandboxBusyError(message) from None
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def _tag(component: Component, version: int) -> str:

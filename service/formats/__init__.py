@@ -1,0 +1,37 @@
+"""Table files: CSV, XLSX, Parquet, JSON and HDF5 to rows in SI with named mistakes, and back.
+
+No HTTP, no ledger. The columns of a file are described in `header` (CSV, XLSX, Parquet),
+`json_table` and `hdf5_table`, its units in `units`, the limits of a row in `table_rows`.
+"""
+
+from service.formats.cells import text_problem
+from service.formats.column_names import Layout, layout
+from service.formats.csv_table import csv_text
+from service.formats.hdf5_table import write_hdf5
+from service.formats.json_table import json_text
+from service.formats.options import MOST_ZERO_ROWS, Options
+from service.formats.parquet_table import write_parquet
+from service.formats.table_file import MOST_PREVIEW, ReadResult, read_untrusted
+from service.formats.table_rows import ParsedTable
+from service.formats.units import UnitError, chosen_units
+from service.formats.xlsx_table import SheetFullError, write_xlsx
+
+__all__ = [
+    "MOST_PREVIEW",
+    "MOST_ZERO_ROWS",
+    "Layout",
+    "Options",
+    "ParsedTable",
+    "ReadResult",
+    "SheetFullError",
+    "UnitError",
+    "chosen_units",
+    "csv_text",
+    "json_text",
+    "layout",
+    "read_untrusted",
+    "text_problem",
+    "write_hdf5",
+    "write_parquet",
+    "write_xlsx",
+]

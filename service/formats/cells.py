@@ -1,0 +1,138 @@
+"""Cells of text: numbers with a decimal mark, times of logs, texts that look like formulas."""
+
+from __future__ import annotations
+
+import math
+import re
+from datetime import UTC, datetime
+from decimal import Decimal
+
+_QUOTED = 40  # characters of a cell in a message
+# Formats of loggers in addition to ISO 8601. Day and month may be swapped: only differences count,
+# and a log rarely runs over midnight.
+_CLOCK_FORMATS = (
+    "%H:%M:%S.%f",
+    "%H:%M:%S",
+    "%I:%M:%S.%f %p",
+    "%I:%M:%S %p",
+    "%m/%d/%Y %I:%M:%S.%f %p",
+    "%m/%d/%Y %I:%M:%S %p",
+    "%m/%d/%Y %H:%M:%S.%f",
+    "%m/%d/%Y %H:%M:%S",
+    "%d.%m.%Y %H:%M:%S.%f",
+    "%d.%m.%Y %H:%M:%S",
+    "%b %d, %Y %I:%M:%S.%f %p",
+    "%b %d, %Y %I:%M:%S %p",
+)
+# A spreadsheet runs a text that begins with one of these signs as a formula (OWASP, CSV injection).
+# The wide forms count: spreadsheets with East Asian input convert them.
+_FORMULA = re.compile(r"'*\s*[=+\-@\t\r\n|%＝＋－＠]")
+_GUARDED = re.compile(r"''*\s*[=+\-@\t\r\n|%＝＋－＠]")
+
+
+def number_text(cell: str, comma: bool) -> str | None:
+    """Return the text of a number with a decimal point, or None if the cell is no number.
+
+    ``float`` reads the text; nan and inf are included.
+    """
+    # Python alone reads 1_000 and digits of other scripts. In a file with decimal commas, 1.234
+    # may mean 1234.
+    if "_" in cell or not cell.strip().isascii() or (comma and "." in cell):
+        return None
+    text = cell.replace(",", ".") if comma else cell
+    try:
+        float(text)
+    except ValueError:
+        return None
+    return text
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a number with either decimal mark."""
+    return number_text(cell.replace(",", "."), False) is not None
+
+
+def quoted(cell: str) -> str:
+    """Return a cell in quotation marks, cut to 40 characters."""
+    cell = cell.strip()
+    return f"'{cell}'" if len(cell) <= _QUOTED else f"'{cell[:_QUOTED]}...'"
+
+
+def number_problem(cell: str, comma: bool) -> str:
+    """Return why a cell is no finite number, and what to write."""
+    if not cell:
+        return "is empty; write 0 for no load"
+    if cell.lower().lstrip("+-") in ("nan", "inf", "infinity"):
+        return f"{quoted(cell)} is not finite; leave the row out"
+    if cell.startswith("#"):
+        return f"{quoted(cell)} is a spreadsheet's error; correct the formula or leave the row out"
+    if not cell.isascii() and any(map(str.isdecimal, cell)):
+        return f"{quoted(cell)} is not a number; write it with the digits 0 to 9, and - for minus"
+    if number_text(cell, comma) is not None:
+        return f"{quoted(cell)} is too large a number"
+    if "," in cell or (comma and "." in cell):
+        mark = "comma" if comma else "point"
+        return f"{quoted(cell)}: the file has a decimal {mark}; write no other mark, no thousands"
+    if number_text(cell.split()[0], comma) is not None:
+        return f"{quoted(cell)} is not a number alone; the unit stands in the header only"
+    return f"{quoted(cell)} is not a number"
+
+
+def time_seconds(cell: str, comma: bool, factor: Decimal | None) -> float:
+    """Return a time in seconds, NaN if the cell is none.
+
+    Parameters
+    ----------
+    cell : str
+    comma : bool
+        Whether the decimal mark is a comma.
+    factor : Decimal or None
+        From the unit of the column to seconds; None for a column of clock times.
+    """
+    text = cell.strip()
+    if factor is None:
+        return _clock_seconds(text.replace(",", ".") if comma else text)
+    number = number_text(text, comma)
+    return float(number) * float(factor) if number is not None else math.nan
+
+
+def guard_formula(text: str) -> str:
+    """Return the text with a ``'`` before it if a spreadsheet would run it as a formula.
+
+    A text that begins with ``'`` and a sign of a formula gets one more, so `unguard_formula`
+    restores every text.
+    """
+    return f"'{text}" if _FORMULA.match(text) else text
+
+
+def unguard_formula(text: str) -> str:
+    """Return the argument of `guard_formula` from its result."""
+    return text[1:] if _GUARDED.match(text) else text
+
+
+def text_problem(text: str) -> str | None:
+    """Return why the ledger and the table store cannot keep a text; None if they can."""
+    if "\0" in text:
+        return "holds a zero byte; remove it"
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return "holds half a character (a lone surrogate); remove it"
+    return None
+
+
+def _clock_seconds(text: str) -> float:
+    try:
+        return _since_epoch(datetime.fromisoformat(text))
+    except ValueError:
+        pass
+    for form in _CLOCK_FORMATS:
+        try:
+            return _since_epoch(datetime.strptime(text, form).replace(tzinfo=UTC))
+        except ValueError:
+            continue
+    return math.nan
+
+
+def _since_epoch(moment: datetime) -> float:
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()

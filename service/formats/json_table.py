@@ -1,0 +1,378 @@
+"""JSON tables: ``{"units": "SI", "rows": [{"wrench": [6], "displacement": [6], ...}]}``.
+
+A displacement that was not measured is null, but not all six. A row may have ``uncertainty`` (six
+numbers, null where unknown), ``compliance`` (the tangent, six lists of six numbers: a line for each
+of ux uy uz rx ry rz, over fx fy fz mx my mz), ``source``, ``note`` and ``fingerprint``. Always SI.
+An export also has ``component``, ``table_version`` and the number of each row in the ledger,
+``row``; an import ignores them.
+
+The file is decoded row by row: the standard library needs seven times the size of a text of 256 MB
+to decode it at once, and orjson reports neither keys that stand twice nor 1e-400 nor NaN.
+"""
+
+from __future__ import annotations
+
+import codecs
+import json
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, TypeGuard
+
+import numpy as np
+
+from service.formats.cells import text_problem
+from service.formats.column_names import DISPLACEMENT, ORIGIN, TEXTS, WRENCH, WritableRows
+from service.formats.options import MOST_LISTED, Options, ReadReport
+from service.formats.table_rows import Array, ParsedTable, good_rows, known_column
+from service.formats.units import vanished
+
+PIECE = 20_000  # rows at once
+MOST_VALUE = 1 << 20  # characters of one value: a row with its 54 numbers has some 1,500
+_BLOCK = 1 << 18  # bytes read at once
+_BLANKS = re.compile(r"[ \t\n\r]*")
+_TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_version")
+_ROW_KEYS = ("wrench", "displacement", "uncertainty", "compliance", *TEXTS, *ORIGIN)
+_NO_TABLE = 'is not a table; write {"rows": [{"wrench": [6 numbers], "displacement": [6]}]}'
+
+
+class JsonError(ValueError):
+    """The text is no JSON, or no object; the message tells the place."""
+
+
+def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the good rows of a JSON file piece by piece; `report` gets the mistakes."""
+    with path.open("rb") as file:
+        try:
+            yield from _pieces(_JsonStream(file), options, report)
+        except ValueError as error:
+            report.mistakes.ruin(report.read + 1 if report.read else 0, "file", str(error))
+
+
+def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the text of a JSON table: the members `about`, then the rows of each piece.
+
+    NaN becomes null. Six unknown uncertainties, an unknown tangent and an empty text are left out.
+    """
+    head = json.dumps({**about, "units": "SI"}, allow_nan=False)
+    yield head[:-1] + ', "rows": ['
+    between = ""
+    for piece in pieces:
+        rows = [json.dumps(row, allow_nan=False) for row in _row_dicts(piece)]
+        if rows:
+            yield between + ", ".join(rows)
+            between = ", "
+    yield "]}"
+
+
+def _pieces(stream: _JsonStream, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    piece, listed = _JsonRows(), False
+    if stream.peek() != "{":
+        stream.value()
+        stream.end()
+        report.mistakes.ruin(0, "rows", _NO_TABLE)
+        return
+    for key in stream.members():
+        if key != "rows" or stream.peek() != "[":
+            if problem := _member_problem(key, stream.value()):
+                report.mistakes.ruin(0, key, problem)
+                return
+            continue
+        listed = True
+        for value in stream.items():
+            report.read += 1
+            piece.add(report.read, value)
+            if report.read % PIECE == 0 or len(piece.mistakes) > MOST_LISTED:
+                yield piece.table(options, report)
+                if report.is_beyond_limits():
+                    return
+                piece = _JsonRows()
+    stream.end()
+    if not listed:
+        report.mistakes.ruin(0, "rows", _NO_TABLE)
+    elif not report.read:
+        report.mistakes.ruin(0, "rows", "there is no row")
+    yield piece.table(options, report)
+    report.is_beyond_limits()
+
+
+def _member_problem(key: str, value: Any) -> str:
+    """Return what is wrong with a member of the table that is no list of rows."""
+    if key == "rows":
+        return _NO_TABLE
+    if key == "units" and value != "SI":
+        return "a JSON table is in SI; convert it, or send CSV with units"
+    if key not in _TABLE_KEYS:
+        return f"is not a key of a table; there are {', '.join(_TABLE_KEYS)}"
+    return ""
+
+
+class _JsonRows:
+    """Rows without mistakes, and the mistakes of the others (row, key, message)."""
+
+    def __init__(self) -> None:
+        self.mistakes: list[tuple[int, str, str]] = []
+        self._row: list[int] = []
+        self._numbers: list[list[float]] = []  # 54 a row
+        self._texts: list[list[str]] = []
+        self._at = 0
+
+    def add(self, at: int, row: Any) -> None:
+        """Add the row of number `at`, or its mistakes."""
+        self._at, before = at, len(self.mistakes)
+        if not isinstance(row, dict):
+            self._refuse("row", 'is not a row; write {"wrench": [...], "displacement": [...]}')
+            return
+        for key in row:
+            if key not in _ROW_KEYS:
+                self._refuse(key, f"is not a key of a row; there are {', '.join(_ROW_KEYS)}")
+        numbers = self._six(row, "wrench", WRENCH)
+        numbers += self._six(row, "displacement", DISPLACEMENT)
+        numbers += self._uncertainty(row.get("uncertainty"))
+        numbers += self._tangent(row.get("compliance"))
+        texts = [self._text(row, key) for key in TEXTS]
+        if len(self.mistakes) == before:
+            self._row.append(at)
+            self._numbers.append(numbers)
+            self._texts.append(texts)
+
+    def table(self, options: Options, report: ReadReport) -> ParsedTable:
+        """Return the rows within all limits; `report` gets the mistakes."""
+        for mistake in self.mistakes:
+            report.mistakes.add(*mistake)
+        block: Array = np.array(self._numbers, dtype=float).reshape(-1, 54)
+        source, note, fingerprint = zip(*self._texts, strict=True) if self._texts else ((), (), ())
+        piece = ParsedTable(
+            wrench=block[:, :6],
+            displacement=block[:, 6:12],
+            uncertainty=known_column(block[:, 12:18]),
+            compliance=known_column(block[:, 18:].reshape(-1, 6, 6)),
+            source=source,
+            note=note,
+            fingerprint=fingerprint,
+            row=np.array(self._row, dtype=np.int64),
+        )
+        return good_rows(piece, np.ones(len(piece), dtype=bool), options, report)
+
+    def _refuse(self, key: str, message: str) -> None:
+        self.mistakes.append((self._at, key, message))
+
+    def _six(self, row: dict[str, Any], key: str, names: Sequence[str]) -> list[float]:
+        """Return six finite numbers, NaN for a displacement that is null."""
+        values = row.get(key)
+        if not _are_six(values):
+            problem = "is missing" if values is None else "is not a list of six numbers"
+            self._refuse(key, f"{problem}; write [{', '.join(names)}] in SI")
+            return []
+        partial = key == "displacement"
+        if partial and all(value is None for value in values):
+            self._refuse(key, "is all null; a row needs at least one number")
+        return self._finite(key, values, nulls=partial)
+
+    def _uncertainty(self, values: Any) -> list[float]:
+        if values is None:
+            return [math.nan] * 6
+        if not _are_six(values):
+            self._refuse("uncertainty", "is not a list of six numbers (null where unknown)")
+            return []
+        bounds = self._finite("uncertainty", values, nulls=True)
+        for index, bound in enumerate(bounds):
+            if bound < 0.0:
+                self._refuse(f"uncertainty[{index}]", f"{bound}: an uncertainty is not negative")
+        return bounds
+
+    def _tangent(self, lines: Any) -> list[float]:
+        """Return the 36 tangents by lines, NaN where the row has none."""
+        if lines is None:
+            return [math.nan] * 36
+        if not _are_six(lines) or not all(map(_are_six, lines)):
+            message = "is not six lists of six numbers; a row has all 36 tangents or none"
+            self._refuse("compliance", message)
+            return []
+        numbers = (self._finite(f"compliance[{at}]", line) for at, line in enumerate(lines))
+        return [number for line in numbers for number in line]
+
+    def _finite(self, key: str, values: list[Any], nulls: bool = False) -> list[float]:
+        """Return finite numbers, with NaN for null where that is allowed."""
+        return [
+            math.nan if nulls and value is None else self._number(f"{key}[{index}]", value)
+            for index, value in enumerate(values)
+        ]
+
+    def _number(self, key: str, value: Any) -> float:
+        """Return a finite number, or zero and a mistake."""
+        if isinstance(value, _Vanished):
+            self._refuse(key, "is too small a number and would become 0; write 0")
+            return 0.0
+        if type(value) is not float and type(value) is not int:  # a bool is an int to Python
+            self._refuse(key, f"{json.dumps(value)[:40]} is not a number")
+            return 0.0
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if math.isfinite(number):
+            return number
+        self._refuse(key, "is not finite; leave the row out")
+        return 0.0
+
+    def _text(self, row: dict[str, Any], key: str) -> str:
+        value = row.get(key)
+        if value is None:
+            return ""
+        if not isinstance(value, str):
+            self._refuse(key, "is not a text")
+            return ""
+        if problem := text_problem(value):
+            self._refuse(key, problem)
+        return value.strip()
+
+
+def _are_six(values: Any) -> TypeGuard[list[Any]]:
+    return isinstance(values, list) and len(values) == 6
+
+
+class _Vanished(float):
+    """A number of the file that is not zero and its float is."""
+
+
+def _parsed_float(text: str) -> float:
+    number = float(text)
+    return _Vanished(number) if vanished(text, number) else number
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object; raises ValueError if a key stands twice."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(_twice(next(key for key in keys if keys.count(key) > 1)))
+    return found
+
+
+def _twice(key: str) -> str:
+    return f"the key {key!r} stands twice in one object; keep one"
+
+
+class _JsonStream:
+    """The text of a JSON file in blocks, decoded one value at a time."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._bytes = codecs.getincrementaldecoder("utf-8-sig")()
+        self._decoder = json.JSONDecoder(parse_float=_parsed_float, object_pairs_hook=_unique)
+        self._text, self._at, self._dropped = "", 0, 0
+        self._ended = False
+
+    def members(self) -> Iterator[str]:
+        """Yield the keys of an object; the caller takes the value of each."""
+        keys = set[str]()
+        for key in self._values("{", "}"):
+            if not isinstance(key, str):
+                raise JsonError(f"is not JSON: a key is no text before {self._place()}")
+            if key in keys:
+                raise JsonError(_twice(key))
+            keys.add(key)
+            self._expect(":")
+            yield key
+
+    def items(self) -> Iterator[Any]:
+        """Yield the values of a list."""
+        return self._values("[", "]")
+
+    def _values(self, start: str, end: str) -> Iterator[Any]:
+        self._expect(start)
+        if self.peek() == end:
+            self._expect(end)
+            return
+        while True:
+            yield self.value()
+            if self._expect("," + end) == end:
+                return
+
+    def value(self) -> Any:
+        """Return the next value, of at most `MOST_VALUE` characters; raises JsonError."""
+        self.peek()
+        while True:
+            try:
+                value, end = self._decoder.raw_decode(self._text, self._at)
+            except RecursionError as error:
+                raise JsonError("is not JSON of a table: it is nested too deeply") from error
+            except ValueError as error:
+                if len(self._text) - self._at > MOST_VALUE or not self._read():
+                    reason = error.msg if isinstance(error, json.JSONDecodeError) else str(error)
+                    raise JsonError(f"is not JSON: {reason} after {self._place()}") from error
+                continue
+            # A number at the end of the block may go on in the next one.
+            if end < len(self._text) or self._ended:
+                self._at = end
+                return value
+            self._read()
+
+    def peek(self) -> str:
+        """Return the next character that is no blank, empty at the end."""
+        while True:
+            found = _BLANKS.match(self._text, self._at)
+            self._at = found.end() if found else self._at
+            if self._at < len(self._text):
+                return self._text[self._at]
+            if not self._read():
+                return ""
+
+    def end(self) -> None:
+        """Raise JsonError if there is more text."""
+        if self.peek():
+            raise JsonError(f"is not JSON: there is more behind its end, at {self._place()}")
+
+    def _expect(self, characters: str) -> str:
+        """Take the next character, which is one of some."""
+        found = self.peek()
+        if not found or found not in characters:
+            expected = " or ".join(f"'{one}'" for one in characters)
+            raise JsonError(f"is not JSON: {expected} is missing at {self._place()}")
+        self._at += 1
+        return found
+
+    def _read(self) -> bool:
+        """Read another block; return False at the end of the file."""
+        if self._ended:
+            return False
+        block = self._file.read(_BLOCK)
+        self._ended = not block
+        try:
+            fresh = self._bytes.decode(block, final=self._ended)
+        except UnicodeDecodeError as error:
+            raise JsonError(f"is not JSON: {error.reason}; save it as UTF-8") from error
+        self._dropped += self._at
+        self._text, self._at = self._text[self._at :] + fresh, 0
+        return not self._ended or bool(fresh)
+
+    def _place(self) -> str:
+        return f"character {self._dropped + self._at:,}"
+
+
+def _row_dicts(table: WritableRows) -> list[dict[str, Any]]:
+    """Return the rows as JSON objects, without unknown values."""
+    loads, motions = table.wrench.tolist(), table.displacement.tolist()
+    rows: list[dict[str, Any]] = [
+        {"wrench": load, "displacement": _nulls(motion)}
+        for load, motion in zip(loads, motions, strict=True)
+    ]
+    for row, seq in zip(rows, getattr(table, "seq", ()), strict=False):
+        row["row"] = int(seq)
+    for row, bounds in zip(rows, table.uncertainty.tolist(), strict=True):
+        if not all(map(math.isnan, bounds)):
+            row["uncertainty"] = _nulls(bounds)
+    for row, tangent in zip(rows, table.compliance.tolist(), strict=True):
+        if not math.isnan(tangent[0][0]):
+            row["compliance"] = tangent
+    for name in (*TEXTS, "when", "who"):
+        for row, text in zip(rows, getattr(table, name, ()), strict=False):
+            if text:
+                row[name] = str(text)
+    return rows
+
+
+def _nulls(values: list[float]) -> list[float | None]:
+    return [None if math.isnan(value) else value for value in values]

@@ -1,0 +1,120 @@
+"""Logs of a test: the zero offset, and two logs joined by their times.
+
+Each displacement of two logs is a row; its wrench is the linear interpolation of the loads before
+and after its time. A displacement before, after or in a gap of the loads is no row: it is counted
+as unmatched. All loads, seven numbers a sample, are in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from service.formats.options import Options, ReadReport
+from service.formats.table_rows import Array, ParsedTable, joined, within_limits
+
+GAP_FACTOR = 5.0
+"""Times the median interval of the loads: in a longer one samples were lost."""
+
+_CLOCK = 1e6  # s: clock times count from 1900 or 1970, elapsed ones from the beginning of a test
+
+
+def zeroed(
+    pieces: Iterator[ParsedTable], options: Options, report: ReadReport
+) -> Iterator[ParsedTable]:
+    """Yield rows less the mean of the first `options.zero_rows` good ones, which are left out.
+
+    The limits are checked after the subtraction.
+    """
+    if not options.zero_rows:
+        yield from pieces
+        return
+    offset = None
+    for piece in pieces:
+        if offset is None:
+            count = options.zero_rows
+            if len(piece) <= count:
+                message = f"tare={count}, and only {len(piece)} good rows are there for it"
+                report.mistakes.ruin(0, "tare", message)
+                return
+            offset = _means(piece, count)
+            report.zeroed = count
+            piece = piece.take(np.arange(len(piece)) >= count)
+        wrench, displacement = piece.wrench - offset[0], piece.displacement - offset[1]
+        corrected = replace(piece, wrench=wrench, displacement=displacement)
+        yield within_limits(corrected, options, report)
+
+
+def _means(piece: ParsedTable, count: int) -> tuple[Array, Array]:
+    """Return the mean wrench and displacement of the first rows; 0 where nothing was measured."""
+    moved = piece.displacement[:count]
+    known = np.isfinite(moved)
+    sums = np.where(known, moved, 0.0).sum(axis=0)
+    return piece.wrench[:count].mean(axis=0), sums / np.maximum(known.sum(axis=0), 1)
+
+
+def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Array, Array] | None:
+    """Return the times (n,), s, and the wrenches (n, 6), N and N·m, of a log of loads.
+
+    None if it has a mistake: a missing load is missing for the rows before and after it.
+    """
+    table, mistakes = joined(list(pieces)), report.mistakes
+    if mistakes:
+        mistakes.whole = True
+        return None
+    assert table.time is not None or not len(table)
+    steps = np.diff(table.time) if table.time is not None else np.empty(0)
+    if not len(steps) or (steps <= 0.0).any():
+        at = int(np.argmax(steps <= 0.0)) + 1 if len(steps) else 0
+        message = "the log of the loads needs times that grow from sample to sample"
+        mistakes.ruin(int(table.row[at]) if len(table) else 0, "time", message)
+        return None
+    assert table.time is not None
+    return table.time, table.wrench
+
+
+def with_loads(
+    pieces: Iterator[ParsedTable],
+    time: Array,
+    wrench: Array,
+    options: Options,
+    report: ReadReport,
+) -> Iterator[ParsedTable]:
+    """Yield the displacements whose times lie between two loads, with the interpolated wrench.
+
+    Parameters
+    ----------
+    pieces : iterator of ParsedTable
+        The log of the displacements.
+    time : ndarray, shape (n,), s
+    wrench : ndarray, shape (n, 6), N and N·m
+    options : Options
+    report : ReadReport
+        Of the log of the displacements.
+    """
+    longest = options.max_gap_s or GAP_FACTOR * float(np.median(np.diff(time)))
+    for piece in pieces:
+        assert piece.time is not None
+        if len(piece) and (abs(piece.time[0]) > _CLOCK) != (abs(time[0]) > _CLOCK):
+            message = (
+                "one log has clock times and the other seconds from its beginning; convert one"
+            )
+            report.mistakes.ruin(int(piece.row[0]), "time", message)
+            return
+        when = piece.time + options.time_offset_s
+        after = np.clip(np.searchsorted(time, when, side="right"), 1, len(time) - 1)
+        start, end = time[after - 1], time[after]
+        on_a_sample = (when == start) | (when == end)
+        good = (when >= start) & (when <= end) & ((end - start <= longest) | on_a_sample)
+        report.unmatched += int((~good).sum())
+        share = ((when - start) / (end - start))[:, None]
+        between = (1.0 - share) * wrench[after - 1] + share * wrench[after]
+        yield replace(piece, wrench=between, time=None).take(good)
+    if report.read and report.unmatched == report.read and not report.mistakes:
+        message = (
+            f"no displacement lies between two loads, whose times are {time[0]:g} to {time[-1]:g} "
+            "s; do the clocks differ? time_offset_s is added to the displacements' times"
+        )
+        report.mistakes.ruin(0, "time", message)

@@ -1,0 +1,238 @@
+"""Input and output of reading a table file: the sender's options, the report with all mistakes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
+
+import numpy as np
+
+from service.formats.column_names import DISPLACEMENT, UNCERTAINTY, WRENCH
+from surrogate.table.rows import LoadRange
+
+Format = Literal["csv", "xlsx", "parquet", "hdf5", "json"]
+Role = Literal["table", "loads", "displacements"]
+
+MOST_ROWS = 5_000_000  # of a file: 0.6 GB as arrays without tangents
+MOST_ZERO_ROWS = 10_000  # all in the first piece of a file
+MOST_LISTED = 1000
+"""Mistakes listed at most; one more line then says that there are more."""
+
+MOST_MISTAKES = 100 * MOST_LISTED
+"""Reading stops after so many: 8.8 KB of gzip can hold six million, 78 s of processor time."""
+
+_MOST_FIELD = 200  # characters: a key of a row can have a million
+_MOST_KEPT = 20 * MOST_LISTED  # until they are sorted at the end of a piece
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of an import.
+
+    Attributes
+    ----------
+    format : str or None
+        The format of the file; found from its content if None.
+    decimal : {".", ","} or None
+        The decimal mark of a CSV; found from its numbers if None.
+    ignore : tuple of str
+        Labels of columns to leave out.
+    ignore_extra : bool
+        Whether all unknown columns are left out.
+    mapping : mapping of str to str
+        From a label in the file to a column: ``fz [N]``, or ``-fz [N]`` to turn the sign.
+    missing_loads : {"zero"} or None
+        The value of loads without a column; None refuses such a file.
+    zero_rows : int
+        The mean of so many first rows, the zero offset, is subtracted from all others.
+    sheet : str or None
+        Of an XLSX; the first one if None.
+    time_offset_s : float
+        Added to the times of displacements to match the clock of the loads, s.
+    max_gap_s : float or None
+        Longest interval between two loads to interpolate in, s.
+    load_range : LoadRange or None
+        Of the component, N and N·m: loads far beyond it are mistakes.
+    fingerprint : str or None
+        Of the component's setup: solves of any other are mistakes.
+    role : {"table", "loads", "displacements"}
+        A table has loads and displacements; a log has one of them, and times.
+    """
+
+    format: Format | None = None
+    decimal: Literal[".", ","] | None = None
+    ignore: tuple[str, ...] = ()
+    ignore_extra: bool = False
+    mapping: Mapping[str, str] = field(default_factory=dict)
+    missing_loads: Literal["zero"] | None = None
+    zero_rows: int = 0
+    sheet: str | None = None
+    time_offset_s: float = 0.0
+    max_gap_s: float | None = None
+    load_range: LoadRange | None = None
+    fingerprint: str | None = None
+    role: Role = "table"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the options as JSON values."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        span = self.load_range
+        values["load_range"] = [span.low.tolist(), span.high.tolist()] if span else None
+        return values | {"mapping": dict(self.mapping), "ignore": list(self.ignore)}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Options:
+        """Return options from the result of `as_json`."""
+        span = values["load_range"]
+        arrays = {"load_range": LoadRange(*map(np.array, span)) if span else None}
+        return cls(**{**values, "ignore": tuple(values["ignore"]), **arrays})
+
+
+@dataclass(frozen=True, order=True)
+class RowMistake:
+    """One mistake in a table file.
+
+    Parameters
+    ----------
+    row : int
+        CSV: the line of the file, from 1. XLSX: the row of the sheet. JSON, HDF5, Parquet: the
+        number of the row, from 1. 0: the whole file.
+    field : str
+        The label of the column, or the JSON key with its index.
+    message : str
+        What is wrong and what to write.
+    """
+
+    row: int
+    field: str
+    message: str
+
+    def as_dict(self) -> dict[str, int | str]:
+        """Return the mistake as in the HTTP reply."""
+        return {"row": self.row, "field": self.field, "message": self.message}
+
+
+class Mistakes:
+    """The mistakes of a file: all are counted, the first by row are kept.
+
+    Attributes
+    ----------
+    count : int
+        Of all mistakes.
+    whole : bool
+        Whether one of them concerns the whole file; no row of it is loaded then.
+    """
+
+    def __init__(self) -> None:
+        self._kept: list[RowMistake] = []
+        self.count = 0
+        self.whole = False
+
+    def __bool__(self) -> bool:
+        return self.count > 0
+
+    def __iter__(self) -> Iterator[RowMistake]:
+        return iter(self.listed())
+
+    def add(self, row: int, field: str, message: str) -> None:
+        """Add a mistake of a row."""
+        self.count += 1
+        if len(self._kept) < _MOST_KEPT:
+            self._kept.append(RowMistake(row, field[:_MOST_FIELD], message))
+
+    def ruin(self, row: int, field: str, message: str) -> None:
+        """Add a mistake of the whole file."""
+        self.add(row, field, message)
+        self.whole = True
+
+    def settle(self) -> None:
+        """Keep the first by row, at the end of a piece: later pieces have higher rows."""
+        self._kept.sort(key=lambda mistake: mistake.row)
+        del self._kept[MOST_LISTED + 1 :]
+
+    def listed(self) -> tuple[RowMistake, ...]:
+        """Return the first by row; a last one tells how many are not listed."""
+        self.settle()
+        if self.count <= MOST_LISTED:
+            return tuple(self._kept)
+        message = f"{self.count - MOST_LISTED} more errors are not listed; correct these first"
+        if self.count > MOST_MISTAKES:
+            message += f"; reading stopped after more than {MOST_MISTAKES:,}"
+        row = self._kept[MOST_LISTED].row if len(self._kept) > MOST_LISTED else 0
+        return (*self._kept[:MOST_LISTED], RowMistake(row, "", message))
+
+
+@dataclass(frozen=True)
+class FoundColumn:
+    """A column of the file that is read: its label, its name, its unit (empty for a text)."""
+
+    label: str
+    name: str
+    unit: str
+
+
+@dataclass
+class ReadReport:
+    """Report on reading a file; it is complete after the last piece.
+
+    Attributes
+    ----------
+    columns : list of FoundColumn
+    ignored : list of str
+        Labels of columns that were left out.
+    titles : list of str
+        Lines above the header.
+    read, zeroed, unmatched : int
+        Rows of the file; those in the mean of the zero offset; those with no load at their time.
+    """
+
+    mistakes: Mistakes = field(default_factory=Mistakes)
+    format: str = ""
+    gzip: bool = False
+    columns: list[FoundColumn] = field(default_factory=list)
+    ignored: list[str] = field(default_factory=list)
+    titles: list[str] = field(default_factory=list)
+    read: int = 0
+    zeroed: int = 0
+    unmatched: int = 0
+
+    def is_beyond_limits(self) -> bool:
+        """Return whether reading ends here: with too many rows or mistakes, no row is loaded."""
+        self.mistakes.settle()
+        if self.read > MOST_ROWS:
+            message = f"has more than {MOST_ROWS:,} rows; send it in parts"
+            self.mistakes.ruin(0, "file", message)
+        elif self.mistakes.count > MOST_MISTAKES:
+            self.mistakes.whole = True
+        return self.mistakes.whole
+
+    def label(self, name: str) -> str:
+        """Return the label of a column in the file: ``Fz [kN]``; ``wrench[2]`` in JSON and HDF5."""
+        if self.format not in ("json", "hdf5"):
+            return next((one.label for one in self.columns if one.name == name), name)
+        keys = {"wrench": WRENCH, "displacement": DISPLACEMENT, "uncertainty": UNCERTAINTY}
+        return next(f"{key}[{names.index(name)}]" for key, names in keys.items() if name in names)
+
+    def as_json(self, good: int, preview: list[dict[str, Any]]) -> dict[str, Any]:
+        """Return the report as in the HTTP reply, with the number of good rows and a preview."""
+        rows = {
+            "read": self.read,
+            "good": good,
+            "refused": self.read - good - self.zeroed - self.unmatched,
+            "tare": self.zeroed,
+            "unmatched": self.unmatched,
+        }
+        return {
+            "format": self.format,
+            "gzip": self.gzip,
+            "rows": rows,
+            "columns": [
+                {"column": one.label, "name": one.name, "unit": one.unit} for one in self.columns
+            ],
+            "ignored": self.ignored,
+            "above": self.titles,
+            "errors": [mistake.as_dict() for mistake in self.mistakes],
+            "whole": self.mistakes.whole,
+            "preview": preview,
+        }

@@ -1,0 +1,131 @@
+"""Parquet tables: columns of numbers and texts, as data frames are saved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from service.formats.column_names import Layout, WritableRows
+from service.formats.options import MOST_ROWS, Options, ReadReport
+from service.formats.preamble import MOST_COLUMNS, Record
+from service.formats.records import CellFormat, read_records
+from service.formats.table_rows import ParsedTable
+
+MOST_UNPACKED = 1024 * 1024 * 1024
+MOST_TEXT = 131_072  # characters of one text: as the csv module
+BATCH = 8192  # rows in memory of Arrow at once
+
+
+class ParquetBoundsError(ValueError):
+    """The file exceeds a limit, or has columns that no table has."""
+
+
+def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the good rows of a Parquet file piece by piece; `report` gets the mistakes."""
+    # Imported on first use: 0.5 s and 60 MB.
+    import pyarrow.parquet as parquet
+
+    try:
+        with parquet.ParquetFile(path, memory_map=False, pre_buffer=False) as file:
+            names = _checked_names(file)
+            index = tuple(name for name in names if name.startswith("__index_level_"))
+            own = replace(options, ignore=(*options.ignore, *index))  # of a data frame
+            records = _records(path, file)
+            yield from read_records(records, own, report, CellFormat(), lambda _cells, _header: "")
+    except Exception as error:  # pyarrow raises many classes on damaged files
+        report.mistakes.ruin(0, "file", f"is no readable Parquet file: {error}")
+
+
+def write_parquet(
+    path: Path, pieces: Iterable[WritableRows], layout: Layout, about: Mapping[str, str]
+) -> None:
+    """Write pieces of a table as row groups of float64 in SI; `about` becomes the metadata.
+
+    The unit of each column is in its name and in its metadata.
+    """
+    import pyarrow as arrow
+    import pyarrow.parquet as parquet
+
+    fields = [
+        arrow.field(column.label, arrow.float64(), metadata={"unit": column.unit})
+        for column in layout.numbers
+    ]
+    fields += [arrow.field(name, arrow.string()) for name in layout.texts]
+    schema = arrow.schema(fields, metadata={f"wrenchbook:{key}": v for key, v in about.items()})
+    with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
+        for piece in pieces:
+            columns = [
+                arrow.array(np.ascontiguousarray(column.values(piece)), from_pandas=True)
+                for column in layout.numbers
+            ]
+            columns += [arrow.array(words, arrow.string()) for words in layout.words(piece)]
+            writer.write_table(arrow.Table.from_arrays(columns, schema=schema))
+
+
+def _checked_names(file: Any) -> list[str]:
+    """Return the names of the columns; raises ParquetBoundsError."""
+    about, schema = file.metadata, file.schema_arrow
+    if about.num_rows > MOST_ROWS or len(schema) > MOST_COLUMNS:
+        raise ParquetBoundsError(
+            f"it has {about.num_rows} rows and {len(schema)} columns; send at most {MOST_ROWS:,} "
+            f"and {MOST_COLUMNS}"
+        )
+    size = sum(about.row_group(at).total_byte_size for at in range(about.num_row_groups))
+    if size > MOST_UNPACKED:
+        raise ParquetBoundsError(f"it unpacks to more than {MOST_UNPACKED >> 20} MiB")
+    return schema.names
+
+
+def _records(path: Path, file: Any) -> Iterator[Record]:
+    """Yield the header as record 0, then the rows; equal texts of a batch are in memory once."""
+    import pyarrow as arrow
+    import pyarrow.parquet as parquet
+
+    schema = file.schema_arrow
+    yield 0, [_label(field) for field in schema]
+    texts = [
+        field.name
+        for field in schema
+        if arrow.types.is_string(field.type) or arrow.types.is_large_string(field.type)
+    ]
+    row = 0
+    with parquet.ParquetFile(path, read_dictionary=texts, pre_buffer=False) as reader:
+        for batch in reader.iter_batches(batch_size=BATCH, use_threads=False):
+            for cells in zip(*map(_cells, batch.columns), strict=True):
+                row += 1
+                yield row, list(cells)
+
+
+def _label(field: Any) -> str:
+    """Return the label of a column, with the unit of its metadata."""
+    about = field.metadata or {}
+    unit = about.get(b"unit") or about.get(b"units") or b""
+    named = unit and "[" not in field.name and "(" not in field.name
+    return f"{field.name} [{unit.decode(errors='replace')}]" if named else field.name
+
+
+def _cells(column: Any) -> list[str]:
+    """Return the cells of a column as text, empty for null."""
+    import pyarrow as arrow
+
+    if arrow.types.is_nested(column.type) and not arrow.types.is_dictionary(column.type):
+        raise ParquetBoundsError(f"a column holds {column.type}; a table's hold numbers and texts")
+    if arrow.types.is_dictionary(column.type):
+        words = [_cell(word) for word in column.dictionary.to_pylist()]
+        return ["" if at is None else words[at] for at in column.indices.to_pylist()]
+    return [_cell(value) for value in column.to_pylist()]
+
+
+def _cell(value: Any) -> str:
+    if value is None or value != value:
+        return ""
+    if isinstance(value, float):
+        return repr(value)
+    text = value.isoformat() if hasattr(value, "isoformat") else str(value)
+    if len(text) > MOST_TEXT:
+        raise ParquetBoundsError(f"a text is longer than {MOST_TEXT:,} characters")
+    return text

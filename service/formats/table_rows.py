@@ -1,0 +1,252 @@
+"""Rows of a table file as SI arrays, and the checks of whole rows: limits, setups.
+
+No row may exceed the limits: such rotations, translations and loads are mistakes of a unit.
+
+Rows of different setups are never mixed. A row with the component's own fingerprint is loaded with
+its source and its tangent, so an export of solves comes back as solves. A row with another
+fingerprint, or with the source `fea` and no fingerprint, is refused: loaded as measured it would be
+a solve of another mesh. The sender can change the source in the file. A row without a fingerprint
+is a measurement or a solve from elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+
+import numpy as np
+
+from service.formats.column_names import DISPLACEMENT, UNCERTAINTY, WRENCH
+from service.formats.options import Options, ReadReport
+from surrogate.limits import ROTATION_LIMIT, TRANSLATION_LIMIT, is_too_far, rotation_angles
+from surrogate.table.rows import LoadRange, unknown_column
+
+Array = np.ndarray
+Problem = tuple[int, str, str]
+"""The index of a row in the arrays, its column, and what to do."""
+
+LOAD_LIMIT = 10.0
+"""Largest load over the component's range: tests reach a few times the service load; kN read as N,
+or a shifted column, is off by more."""
+
+
+FEA = "fea"  # the source of solves
+
+
+@dataclass(frozen=True)
+class ParsedTable:
+    """The rows of a table file without mistakes, in SI.
+
+    Parameters
+    ----------
+    wrench : numpy.ndarray
+        Shape (n, 6), N and N·m.
+    displacement : numpy.ndarray
+        Shape (n, 6), m and rad; NaN where not measured, but never all six.
+    uncertainty : numpy.ndarray
+        Shape (n, 6), m and rad; NaN where the file gives none.
+    compliance : numpy.ndarray
+        Shape (n, 6, 6), the tangent d(displacement)/d(wrench), m and rad over N and N·m; all of a
+        row or NaN where the file gives none.
+    source, note, fingerprint : tuple of str
+        One a row; empty where the file gives none.
+    row : numpy.ndarray
+        Shape (n,), the place of each row: see `RowMistake.row`.
+    time : numpy.ndarray or None
+        Shape (n,), s; of logs that are joined by it.
+    """
+
+    wrench: Array
+    displacement: Array
+    uncertainty: Array
+    compliance: Array
+    source: tuple[str, ...]
+    note: tuple[str, ...]
+    fingerprint: tuple[str, ...]
+    row: Array
+    time: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.wrench)
+
+    def take(self, which: Array) -> ParsedTable:
+        """Return the rows of a mask of shape (n,)."""
+        if which.all():
+            return self
+        places = np.flatnonzero(which).tolist()
+        return replace(
+            self,
+            wrench=self.wrench[which],
+            displacement=self.displacement[which],
+            uncertainty=_taken(self.uncertainty, which),
+            compliance=_taken(self.compliance, which),
+            source=tuple(self.source[place] for place in places),
+            note=tuple(self.note[place] for place in places),
+            fingerprint=tuple(self.fingerprint[place] for place in places),
+            row=self.row[which],
+            time=None if self.time is None else self.time[which],
+        )
+
+
+def joined(pieces: list[ParsedTable]) -> ParsedTable:
+    """Return the rows of the pieces of a file, in this order."""
+    times = [piece.time for piece in pieces if piece.time is not None]
+    return ParsedTable(
+        wrench=np.concatenate([np.empty((0, 6)), *(piece.wrench for piece in pieces)]),
+        displacement=np.concatenate([np.empty((0, 6)), *(piece.displacement for piece in pieces)]),
+        uncertainty=_concatenated([piece.uncertainty for piece in pieces], 6),
+        compliance=_concatenated([piece.compliance for piece in pieces], 6, 6),
+        source=tuple(chain.from_iterable(piece.source for piece in pieces)),
+        note=tuple(chain.from_iterable(piece.note for piece in pieces)),
+        fingerprint=tuple(chain.from_iterable(piece.fingerprint for piece in pieces)),
+        row=np.concatenate([np.empty(0, dtype=np.int64), *(piece.row for piece in pieces)]),
+        time=np.concatenate(times) if times else None,
+    )
+
+
+def known_column(column: Array) -> Array:
+    """Return a column, or one that takes no memory (`unknown_column`) if all of it is unknown."""
+    return unknown_column(*column.shape) if np.isnan(column).all() else column
+
+
+def _taken(column: Array, which: Array) -> Array:
+    if any(column.strides):
+        return column[which]
+    return unknown_column(int(which.sum()), *column.shape[1:])
+
+
+def _concatenated(columns: list[Array], *shape: int) -> Array:
+    if any(any(column.strides) for column in columns):
+        return np.concatenate(columns)
+    return unknown_column(sum(map(len, columns)), *shape)
+
+
+def within_limits(
+    piece: ParsedTable, options: Options, report: ReadReport, good: Array | None = None
+) -> ParsedTable:
+    """Return the rows within all limits; the others become mistakes.
+
+    `good`, shape (n,), is a mask of rows without other mistakes; the others are left out too.
+    """
+    good = np.ones(len(piece), dtype=bool) if good is None else good
+    for at, name, message in _excesses(piece, options.load_range):
+        good[at] = False
+        report.mistakes.add(int(piece.row[at]), report.label(name), message)
+    report.mistakes.settle()
+    return piece.take(good)
+
+
+def good_rows(piece: ParsedTable, good: Array, options: Options, report: ReadReport) -> ParsedTable:
+    """Return the rows of a mask within all limits.
+
+    Logs and rows with a zero offset are not checked against limits here, but after they are joined
+    and corrected.
+    """
+    if options.zero_rows or options.role != "table":
+        report.mistakes.settle()
+        return piece.take(good)
+    return within_limits(piece, options, report, good)
+
+
+def _excesses(piece: ParsedTable, load_range: LoadRange | None) -> Iterator[Problem]:
+    """Yield the numbers beyond a limit."""
+    yield from _rotations(piece.displacement)
+    yield from _translations(piece.displacement)
+    yield from _uncertainties(piece.uncertainty)
+    if load_range is not None:
+        yield from _loads(piece.wrench, load_range)
+
+
+def _largest_loads(load_range: LoadRange) -> Array:
+    """Return the largest size of each load, shape (6,), N and N·m.
+
+    A load without a range of its own (0 to 0) has the largest of its kind: the cross-loads of a rig
+    are a part of its main load. If all of a kind have none there is no limit.
+    """
+    size = np.maximum(np.abs(load_range.low), np.abs(load_range.high)).reshape(2, 3)
+    size = np.where(size > 0.0, size, size.max(axis=1, keepdims=True))
+    return np.where(size > 0.0, LOAD_LIMIT * size, np.inf).ravel()
+
+
+def _rotations(displacement: Array) -> Iterator[Problem]:
+    angle = rotation_angles(displacement)
+    for at in np.flatnonzero(is_too_far(angle)).tolist():
+        name = DISPLACEMENT[3 + int(np.nanargmax(np.abs(displacement[at, 3:])))]
+        message = (
+            f"the rotation is {math.degrees(angle[at]):.4g} degrees; a table ends at 20 "
+            "(check the unit: rad or deg?)"
+        )
+        yield at, name, message
+
+
+def _translations(displacement: Array) -> Iterator[Problem]:
+    for at, axis in np.argwhere(np.abs(displacement[:, :3]) > TRANSLATION_LIMIT).tolist():
+        message = (
+            f"the translation is {displacement[at, axis]:.4g} m; a table ends at "
+            f"{TRANSLATION_LIMIT:g} m, because within 20 degrees only a part longer than 40 m "
+            "moves so far (check the unit: m or mm?)"
+        )
+        yield at, DISPLACEMENT[axis], message
+
+
+def _uncertainties(uncertainty: Array) -> Iterator[Problem]:
+    limit = np.repeat([TRANSLATION_LIMIT, ROTATION_LIMIT * (1.0 + 1e-12)], 3)
+    beyond = np.isfinite(uncertainty) & (uncertainty > limit)  # infinite ones are other mistakes
+    for at, output in np.argwhere(beyond).tolist():
+        unit, end = ("m", TRANSLATION_LIMIT) if output < 3 else ("rad", ROTATION_LIMIT)
+        message = (
+            f"the uncertainty is {uncertainty[at, output]:.4g} {unit}; no displacement of a table "
+            f"is beyond {end:.4g} {unit} (check the unit, or leave it out if it is not known)"
+        )
+        yield at, UNCERTAINTY[output], message
+
+
+def _loads(wrench: Array, load_range: LoadRange) -> Iterator[Problem]:
+    limit = _largest_loads(load_range)
+    for at, load in np.argwhere(np.abs(wrench) > limit).tolist():
+        unit = "N" if load < 3 else "N*m"
+        message = (
+            f"the load is {wrench[at, load]:.6g} {unit}; the component's range is "
+            f"{load_range.low[load]:g} to {load_range.high[load]:g} {unit}, and a table ends at "
+            f"{limit[load]:g} (check the unit and the column)"
+        )
+        yield at, WRENCH[load], message
+
+
+def with_own_setup(
+    pieces: Iterator[ParsedTable], options: Options, report: ReadReport
+) -> Iterator[ParsedTable]:
+    """Yield the rows that a table of the setup `options.fingerprint` may hold."""
+    own = options.fingerprint
+    for piece in pieces:
+        if own is None or not (any(piece.fingerprint) or FEA in piece.source):
+            yield piece
+            continue
+        good = np.ones(len(piece), dtype=bool)
+        for at, name, message in _foreign_rows(piece, own):
+            good[at] = False
+            report.mistakes.add(int(piece.row[at]), name, message)
+        yield piece.take(good)
+        if report.is_beyond_limits():
+            return
+
+
+def _foreign_rows(piece: ParsedTable, own: str) -> Iterator[Problem]:
+    """Yield the rows that are solves of another setup, or incomplete ones."""
+    pairs = zip(piece.fingerprint, piece.source, strict=True)
+    for at, (fingerprint, source) in enumerate(pairs):
+        if fingerprint != own and (fingerprint or source == FEA):
+            other = (
+                f"the setup {fingerprint}" if fingerprint else "a setup that the row does not name"
+            )
+            message = (
+                f"is a solve of {other}, this component's setup is {own}; rows "
+                "of different setups are never mixed. Leave the row out, or load it as measured: "
+                "an empty fingerprint and another source"
+            )
+            yield at, "fingerprint", message
+        elif source == FEA and np.isnan(piece.displacement[at]).any():
+            message = "a solve knows all six outputs; write them, or another source than fea"
+            yield at, "source", message

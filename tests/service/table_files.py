@@ -1,0 +1,63 @@
+"""Table files in memory: what the readers make of a text, and texts of tables."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from service.formats import Layout, ParsedTable, csv_text, json_text, layout
+from service.formats.csv_table import read_csv as csv_file
+from service.formats.hdf5_table import read_hdf5 as hdf5_file
+from service.formats.json_table import read_json as json_file
+from service.formats.options import Options, ReadReport, RowMistake
+from service.formats.table_rows import joined
+
+
+@dataclass(frozen=True)
+class ReadTable(ParsedTable):
+    """The good rows of a file, none if a mistake is about the whole file, and all mistakes."""
+
+    errors: tuple[RowMistake, ...] = ()
+
+
+def read_table(pieces: list[ParsedTable], report: ReadReport) -> ReadTable:
+    """Return the pieces of a file as one table."""
+    table = joined([] if report.mistakes.whole else pieces)
+    columns = {field.name: getattr(table, field.name) for field in fields(ParsedTable)}
+    return ReadTable(**columns, errors=report.mistakes.listed())
+
+
+def _read(reader: Any, kind: str, content: str | bytes, **options: Any) -> ReadTable:
+    report = ReadReport(format=kind)
+    if isinstance(content, str):
+        content = content.encode("utf-8", "surrogatepass")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "upload"
+        path.write_bytes(content)
+        return read_table(list(reader(path, Options(**options), report)), report)
+
+
+read_csv = partial(_read, csv_file, "csv")
+read_hdf5 = partial(_read, hdf5_file, "hdf5")
+read_json = partial(_read, json_file, "json")
+
+
+def layout_of(table: Any, units: Mapping[str, str] | None = None) -> Layout:
+    """Return the columns of a table that hold anything."""
+    known = [bool(np.isfinite(column).any()) for column in (table.uncertainty, table.compliance)]
+    texts = [name for name in ("source", "note", "fingerprint") if any(getattr(table, name, ()))]
+    return layout(*known, texts, units)
+
+
+def write_csv(table: Any, units: Mapping[str, str] | None = None) -> str:
+    return "".join(csv_text([table], layout_of(table, units)))
+
+
+def write_json(table: Any, about: Mapping[str, Any] | None = None) -> str:
+    return "".join(json_text([table], about or {}))
