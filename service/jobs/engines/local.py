@@ -8,7 +8,7 @@ from pathlib import Path
 
 from service.files import lock as flock
 from service.files.cores import usable_cores
-from service.jobs.attempt import LOCK, LOG, OUTCOME, solver_began, write_outcome
+from service.jobs.attempt import LOCK, LOG, OUTCOME, solver_began, solver_seconds, write_outcome
 from service.jobs.engines.engine import Attempt, EngineError, Heard, State
 from service.jobs.engines.solver_pool import SolverPool, signal_group
 
@@ -142,7 +142,7 @@ class LocalEngine:
             self._signal(attempt, signal.SIGKILL if late else signal.SIGTERM)
         elif attempt.deadline is not None and solver_began(folder):
             if folder not in self._began:
-                self._began[folder] = now - _seconds_since_begin(folder)
+                self._began[folder] = now - (solver_seconds(folder) or 0.0)
             if now - self._began[folder] > attempt.deadline:
                 # Not asked: what it would answer, "cancelled", is tried again.
                 self._overdue.add(folder)
@@ -164,11 +164,6 @@ def _holder(lock: Path) -> int | None:
         return int(lock.read_text())
     except (OSError, ValueError):
         return None
-
-
-def _seconds_since_begin(folder: Path) -> float:
-    """Return for how long a solver has been at an attempt, by its pid's being written."""
-    return max(0.0, time.time() - (folder / LOCK).stat().st_mtime)
 
 
 def _overdue(attempt: Attempt) -> dict[str, str]:
