@@ -94,23 +94,15 @@ class DaskEngine:
     def close(self) -> None:
         """Leave the cluster; workers finish their attempts and keep them for the next server."""
         self._tasks.clear()
-        self._soon(self._loop.stop)
+        self._soon(self._stop_all)
         self._thread.join(CLOSE_SECONDS)
 
     # -- in the engine's own thread -----------------------------------------------------------
 
     def _run_loop(self) -> None:
-        asyncio.set_event_loop(self._loop)
-        self._loop.create_task(self._cluster.run())
-        try:
-            self._loop.run_forever()
-        finally:
-            rest = asyncio.all_tasks(self._loop)
-            for task in rest:
-                task.cancel()
-            ended = asyncio.wait(rest, timeout=CLOSE_SECONDS / 2)
-            self._loop.run_until_complete(ended)
-            self._loop.close()
+        closed = contextlib.suppress(asyncio.CancelledError)
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner, closed:
+            runner.run(self._cluster.run())
 
     def _soon(self, function: Callable[..., object], *args: object) -> None:
         with contextlib.suppress(RuntimeError):  # the engine is closed
@@ -125,6 +117,10 @@ class DaskEngine:
     def _start(self, key: str, task: DaskTask) -> None:
         run = self._runs[key] = self._loop.create_task(task.run())
         run.add_done_callback(lambda _: self._runs.pop(key, None))
+
+    def _stop_all(self) -> None:
+        for task in asyncio.all_tasks(self._loop):
+            task.cancel()
 
     def _stop(self, key: str) -> None:
         if run := self._runs.get(key):
@@ -141,7 +137,7 @@ class DaskEngine:
         if task is None:
             await self._cluster.cancel(key_of(attempt.task))
         elif task.state in ALIVE:
-            with contextlib.suppress(TimeoutError, OSError):
+            with contextlib.suppress(OSError):
                 cancel = self._cluster.cancel(key_of(attempt.task))
                 await asyncio.wait_for(cancel, CANCEL_SECONDS)
             task.set(await task.end_with({"status": "cancelled"}))

@@ -14,19 +14,19 @@ from service.jobs.engines import on_worker
 from service.jobs.engines.on_worker import TOPIC, program_version
 
 _log = logging.getLogger(__name__)
-# It logs each lost connection with a traceback; `Cluster` logs it in one line.
-logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+# They log each lost connection with a traceback; `Cluster` logs it in one line.
+for name in ("distributed.client", "distributed.batched"):
+    logging.getLogger(name).setLevel(logging.CRITICAL)
 
 CONNECT_SECONDS = 10.0  # also how long the client tries to reconnect before it is replaced
 AWAY_SECONDS = (0.2, 5.0)  # before the first reconnection, and at most
 ROSTER_SECONDS = 1.0  # between requests for the list of workers; worker events come at once
 ROSTER_SECONDS_A_WORKER = 0.002  # a reply holds some kB of each
 ANSWER_SECONDS = 10.0  # a scheduler that takes longer does not answer
-DEAF_ANSWERS = 3  # missed answers in turn before the client is replaced
-CLOSE_SECONDS = 2.0  # for taking leave of a scheduler that may be gone
 # For a look at a worker, whose imports take seconds. The call to a worker that has only just
 # registered may be lost, and is repeated at once.
 LOOK_SECONDS = 8.0
+CLOSE_SECONDS = 2.0  # of a client whose scheduler may be gone
 LOOK_AGAIN_SECONDS = 20.0  # between looks at a worker that is not fit
 MEMORY, CORES = "wrenchbook_memory", "wrenchbook_cores"
 """Resources a worker may declare: ``--resources "wrenchbook_memory=8e9 wrenchbook_cores=4"``."""
@@ -175,35 +175,31 @@ class Cluster:
         pause = AWAY_SECONDS[0]
         while True:
             try:
-                client = Client(
-                    self.address,
-                    asynchronous=True,
-                    set_as_default=False,
-                    timeout=CONNECT_SECONDS,
-                    name="wrenchbook",
-                )
+                options: dict[str, Any] = {"timeout": CONNECT_SECONDS, "name": "wrenchbook"}
+                client = Client(self.address, asynchronous=True, set_as_default=False, **options)
                 try:
                     await client
                     pause = AWAY_SECONDS[0]
                     await self._follow(client)
                 finally:
-                    await self._close(client)
+                    self._client = None
+                    with contextlib.suppress(Exception):
+                        closing: Any = client.close()
+                        await asyncio.wait_for(closing, CLOSE_SECONDS)
                 why = "the connection to it was lost"
             except Exception as error:  # a bad address, another version, no certificate
                 why = str(error) or repr(error)
-            await self._set_away(f"the Dask scheduler at {self.address} cannot be used: {why}")
+            await self._lose(why)
             await asyncio.sleep(pause)
             pause = min(2 * pause, AWAY_SECONDS[1])
 
     async def _follow(self, client: Client) -> None:
-        """Keep the list of workers up to date until the client closes or hears nothing."""
-        self._client, missed = client, 0
-        while client.status in ("running", "connecting") and missed < DEAF_ANSWERS:
+        """Keep the list of workers up to date until the client closes."""
+        self._client = client
+        while client.status in ("running", "connecting"):
             self._roster_due.clear()
             if client.status == "connecting":
-                self.workers.clear()
-                lost = "cannot be used: the connection to it was lost"
-                await self._set_away(f"the Dask scheduler at {self.address} {lost}")
+                await self._lose("the connection to it was lost")
                 await asyncio.sleep(AWAY_SECONDS[0])
                 continue
             # A client that has reconnected has no subscriptions any more.
@@ -211,10 +207,8 @@ class Cluster:
             client.subscribe_topic("all", self._on_event)
             try:
                 self._enrol(await asyncio.wait_for(_roster(client), ANSWER_SECONDS))
-                missed = 0
                 await self._set_away(None)
-            except (OSError, TimeoutError):
-                missed += 1
+            except OSError:
                 await self._set_away(f"the Dask scheduler at {self.address} does not answer")
             pause = max(ROSTER_SECONDS, ROSTER_SECONDS_A_WORKER * len(self.workers))
             with contextlib.suppress(TimeoutError):
@@ -248,13 +242,13 @@ class Cluster:
                 return
             look = self._client.run(on_worker.look, workers=addresses, on_error="return")
             found: dict[str, Any] = await asyncio.wait_for(look, LOOK_SECONDS)
-        except (OSError, TimeoutError) as error:
+        except OSError as error:
             found = dict.fromkeys(addresses, error)
-            for worker in workers:
-                worker.looked = -float("inf")
         for worker in workers:
             answer = found.get(worker.address)
             worker.unfit = None
+            if isinstance(answer, OSError):
+                worker.looked = -float("inf")
             if why := _unfit(answer):
                 worker.unfit = f"{worker.address}: {why}"
                 _log.warning("a Dask worker gets nothing to solve: %s", worker.unfit)
@@ -262,12 +256,9 @@ class Cluster:
                 worker.tasks = frozenset(answer["tasks"])
         await self._notify()
 
-    async def _close(self, client: Client) -> None:
-        self._client = None
+    async def _lose(self, why: str) -> None:
         self.workers.clear()
-        with contextlib.suppress(Exception):
-            closing: Any = client.close()
-            await asyncio.wait_for(closing, CLOSE_SECONDS)
+        await self._set_away(f"the Dask scheduler at {self.address} cannot be used: {why}")
 
     async def _set_away(self, why: str | None) -> None:
         if why and why != self._away:

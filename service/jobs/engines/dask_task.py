@@ -11,8 +11,9 @@ import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError as FutureCancelled
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import dask.config
 from dask._task_spec import Task
 from distributed import Client, Future, KilledWorker, fire_and_forget
 from distributed.client import ClosedClientError
@@ -22,8 +23,8 @@ from service.jobs.attempt import LOCK, OUTCOME, PROGRESS, write_outcome, write_w
 from service.jobs.engines import on_worker
 from service.jobs.engines.dask_cluster import Cluster, Place
 from service.jobs.engines.engine import Attempt, State
-from service.jobs.engines.on_worker import Payload, TaskSpec
-from service.jobs.engines.payload import BadPayloadError, digest, pack, unpack
+from service.jobs.engines.on_worker import Payload
+from service.jobs.engines.payload import BUNDLE_BYTES, BadPayloadError, digest, pack, unpack
 
 _log = logging.getLogger(__name__)
 
@@ -44,39 +45,46 @@ def key_of(task: str) -> str:
     return f"wrenchbook-{task}"
 
 
+class Bundle(NamedTuple):
+    """A component's files on the cluster: their digest, their future, how the folder was then."""
+
+    digest: str
+    future: Future
+    seen: list[tuple[str, int, int]]
+
+
 class Bundles:
     """Components' files as tasks: each is sent once, and workers fetch it from each other."""
 
     def __init__(self) -> None:
-        self._digests: dict[Path, tuple[object, str]] = {}
-        self._futures: dict[str, Future] = {}
+        self._bundles: dict[Path, Bundle] = {}
         self._sending = asyncio.Lock()
 
-    def name(self, folder: Path) -> str:
-        """Return the digest of a component's files; they are read again if they have changed."""
-        stats = ((path, path.stat()) for path in sorted(folder.rglob("*")))
-        seen = [(str(path), stat.st_size, stat.st_mtime_ns) for path, stat in stats]
-        known = self._digests.get(folder)
-        if known is None or known[0] != seen:
-            known = self._digests[folder] = seen, digest(pack(folder))
-        return known[1]
-
-    async def send(self, client: Client, folder: Path) -> tuple[str, Future]:
-        """Return the digest of a component's files and their future on the cluster."""
+    async def send(self, client: Client, folder: Path) -> Bundle:
+        """Return a component's files on the cluster, sent anew if they have changed."""
         async with self._sending:
-            name = await asyncio.to_thread(self.name, folder)
-            future = self._futures.pop(name, None)
-            if future is None or future.status not in ("pending", "finished"):
-                if future is not None:
-                    future.release()
-                files = await asyncio.to_thread(pack, folder)
-                name = digest(files)  # they may have changed since
-                sent, key = pickle.dumps(files), f"wrenchbook-bundle-{name}"
-                future = client.submit(pickle.loads, sent, key=key, retries=FAULTS)
-            self._futures[name] = future  # the one used last stands last
-            for old in list(self._futures)[:-BUNDLES]:
-                self._futures.pop(old).release()
-            return name, future
+            seen = await asyncio.to_thread(_look_at, folder)
+            bundle = self._bundles.pop(folder, None)
+            good = bundle and bundle.future.status in ("pending", "finished")
+            if bundle is None or not good or bundle.seen != seen:
+                bundle = Bundle(*await self._submit(client, folder), seen)
+            self._bundles[folder] = bundle  # the one used last stands last
+            for old in list(self._bundles)[:-BUNDLES]:
+                del self._bundles[old]
+            return bundle
+
+    async def _submit(self, client: Client, folder: Path) -> tuple[str, Future]:
+        files = await asyncio.to_thread(pack, folder)
+        name = digest(files)
+        with dask.config.set({"distributed.admin.large-graph-warning-threshold": BUNDLE_BYTES}):
+            sent, key = pickle.dumps(files), f"wrenchbook-bundle-{name}"
+            return name, client.submit(pickle.loads, sent, key=key, retries=FAULTS)
+
+
+def _look_at(folder: Path) -> list[tuple[str, int, int]]:
+    """Return name, size and time of the folder's files."""
+    stats = ((path, path.stat()) for path in sorted(folder.rglob("*")))
+    return [(str(path), stat.st_size, stat.st_mtime_ns) for path, stat in stats]
 
 
 class DaskTask:
@@ -119,11 +127,7 @@ class DaskTask:
                 self._killed += 1
                 if self._killed >= KILLED_TIMES:
                     ended = await self.end_with(_failure("workers_died", error, _KILLED_REMEDY))
-            except (
-                OSError,
-                TimeoutError,
-                ClosedClientError,
-            ) as error:  # the connection, or this machine's disk
+            except (OSError, ClosedClientError) as error:  # the connection, or this disk
                 self.waits = f"a Dask worker is not reached: {error}"
                 await asyncio.sleep(AGAIN_SECONDS)
                 self.waits = None
@@ -155,8 +159,8 @@ class DaskTask:
         """Submit the attempt once; return how it ended, or None if it is to be submitted again."""
         client = await self._cluster.client()
         place = await self._place()
-        bundle, files = await self._bundles.send(client, Path(self.attempt.spec.bundle))
-        future = self._submit(client, place, bundle, files)
+        bundle = await self._bundles.send(client, Path(self.attempt.spec.bundle))
+        future = self._submit(client, place, bundle)
         try:
             payload = await self._result(client, future, place.workers or ())
         finally:
@@ -184,15 +188,14 @@ class DaskTask:
         known = self._cluster.worker_with(self.attempt.task)
         return Place((known,), place.resources) if known else place
 
-    def _submit(self, client: Client, place: Place, bundle: str, files: Future) -> Future:
+    def _submit(self, client: Client, place: Place, bundle: Bundle) -> Future:
         attempt = self.attempt
-        needs = attempt.deadline, attempt.memory, attempt.cores
-        task = TaskSpec(attempt.task, attempt.spec, bundle, *needs)
         future: Future = client.submit(
             operator.call,
             _RUN_TASK,
-            task.to_bytes(),
-            files,
+            pickle.dumps(attempt),
+            bundle.digest,
+            bundle.future,
             key=key_of(attempt.task),
             priority=attempt.priority,
             workers=list(place.workers) if place.workers else None,

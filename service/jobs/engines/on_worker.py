@@ -6,12 +6,12 @@ All workers of a user on a machine share one folder, so an attempt that is submi
 restart of the scheduler or of a server is found there, alive or ended.
 """
 
-import json
 import os
+import pickle
 import shutil
 import threading
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TypedDict
@@ -19,7 +19,7 @@ from typing import Any, TypedDict
 from distributed import Reschedule, Status, Worker, get_worker
 
 from service.files import lock as flock
-from service.jobs.attempt import LOCK, OUTCOME, Spec, prepare, read_progress, solver_seconds
+from service.jobs.attempt import LOCK, OUTCOME, prepare, read_progress, solver_seconds
 from service.jobs.engines import worker_folder as folders
 from service.jobs.engines.engine import ALIVE, Attempt
 from service.jobs.engines.local import LocalEngine
@@ -39,46 +39,6 @@ GRACE_SECONDS = 5.0  # between SIGTERM and SIGKILL of a solver
 
 _engines: list[LocalEngine] = []  # one at most: the solvers of this worker
 _engines_lock = threading.Lock()
-
-
-@dataclass(frozen=True)
-class TaskSpec:
-    """One attempt as it is sent to a worker.
-
-    Attributes
-    ----------
-    task : str
-        The attempt's task key.
-    spec : Spec
-        What it solves; each worker has its own folder for the bundle.
-    bundle : str
-        The digest of the component's files.
-    deadline : float or None
-        Seconds from the solver's first instruction.
-    memory : int or None
-        Bytes a solve takes.
-    cores : int
-        Cores a solver uses.
-    """
-
-    task: str
-    spec: Spec
-    bundle: str
-    deadline: float | None
-    memory: int | None
-    cores: int
-
-    def to_bytes(self) -> bytes:
-        """Return it as JSON."""
-        return json.dumps(asdict(self)).encode()
-
-    @classmethod
-    def from_bytes(cls, sent: bytes) -> "TaskSpec":
-        """Read it from JSON."""
-        fields: dict[str, Any] = json.loads(sent)
-        spec = fields.pop("spec")
-        spec["wrench"] = tuple(spec["wrench"])
-        return cls(spec=Spec(**spec), **fields)
 
 
 class Payload(TypedDict):
@@ -110,17 +70,20 @@ def look(dask_worker: Worker) -> dict[str, Any]:
     return {"version": program_version(), "tasks": tasks, "trouble": folders.trouble(folder)}
 
 
-def run_task(sent: bytes, files: Files) -> Payload:
-    """Run one attempt of a component with these files to its end."""
+def run_task(sent: bytes, digest: str, files: Files) -> Payload:
+    """Run an attempt, a pickled `Attempt`, of a component with these files to its end."""
     worker = get_worker()
-    task = TaskSpec.from_bytes(sent)
+    attempt: Attempt = pickle.loads(sent)
     try:
         folder = worker_folder()
         folders.start_sweeping(folder, _solvers())
-        with folders.supervised(attempt_folder(task.task)):
+        here = attempt_folder(attempt.task)
+        with folders.supervised(here):
             if trouble := folders.trouble(folder):
                 return _unfit(worker, trouble)
-            return _run(worker, task, _bundle(folder / "bundles", task.bundle, files))
+            bundle = _bundle(folder / "bundles", digest, files)
+            spec = replace(attempt.spec, bundle=str(bundle))
+            return _run(worker, replace(attempt, folder=here, spec=spec))
     except (OSError, WorkerFolderError, BadPayloadError) as error:
         return _unfit(worker, str(error))
 
@@ -135,10 +98,8 @@ def _bundle(bundles: Path, name: str, files: Files) -> Path:
     return bundle
 
 
-def _run(worker: Worker, task: TaskSpec, bundle: Path) -> Payload:
-    folder = attempt_folder(task.task)
-    spec = replace(task.spec, bundle=str(bundle))
-    attempt = Attempt(task.task, folder, spec, 0, task.deadline, task.memory, task.cores)
+def _run(worker: Worker, attempt: Attempt) -> Payload:
+    folder, spec = attempt.folder, attempt.spec
     if not (folder / OUTCOME).exists() and not flock.is_held(folder / LOCK):
         shutil.rmtree(folder, ignore_errors=True)  # of a solver that died with its worker
         prepare(folder, spec)

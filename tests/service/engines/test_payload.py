@@ -1,7 +1,9 @@
 """Files that travel by value, and what a worker keeps of them."""
 
 import os
+import pickle
 import time
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -34,8 +36,8 @@ BUNDLE = {"a": b"1"}
 
 
 def run(files=BUNDLE, task="t-1-1"):
-    sent = on_worker.TaskSpec(task, SPEC, digest(BUNDLE), None, None, 1).to_bytes()
-    return on_worker.run_task(sent, files)
+    sent = pickle.dumps(Attempt(task, Path("/server/jobs/1/1"), SPEC))
+    return on_worker.run_task(sent, digest(BUNDLE), files)
 
 
 files = st.dictionaries(
