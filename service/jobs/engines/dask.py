@@ -11,7 +11,7 @@ from typing import Any
 from service.jobs.attempt import OUTCOME, read_spec
 from service.jobs.engines.dask_cluster import Cluster
 from service.jobs.engines.dask_task import Bundles, DaskTask, key_of
-from service.jobs.engines.engine import ALIVE, Attempt, EngineError, Heard, State
+from service.jobs.engines.engine import ALIVE, Attempt, EngineError, Listener, State
 
 _log = logging.getLogger(__name__)
 
@@ -38,7 +38,7 @@ class DaskEngine:
         self._tasks: dict[str, DaskTask] = {}
         self._runs: dict[str, asyncio.Task[None]] = {}
         self._cancelling: set[asyncio.Task[None]] = set()
-        self._listeners: list[Heard] = []
+        self._listeners: list[Listener] = []
         self._bundles = Bundles()
         self._loop = asyncio.new_event_loop()
         self._cluster = Cluster(scheduler, self._on_progress)
@@ -86,10 +86,10 @@ class DaskEngine:
         if self._tasks.pop(attempt.task, None):
             self._soon(self._stop, attempt.task)
 
-    def listen(self, heard: Heard) -> Callable[[], None]:
+    def listen(self, listener: Listener) -> Callable[[], None]:
         """Report changes of attempts; see `Engine.listen`."""
-        self._listeners.append(heard)
-        return lambda: self._listeners.remove(heard)
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
 
     def close(self) -> None:
         """Leave the cluster; workers finish their attempts and keep them for the next server."""
@@ -147,5 +147,5 @@ class DaskEngine:
             task.hear(event)
 
     def _report(self, task: str) -> None:
-        for heard in tuple(self._listeners):
-            heard(task)
+        for listener in tuple(self._listeners):
+            listener(task)
