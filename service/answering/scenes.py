@@ -78,7 +78,7 @@ def _solves_from(workspace: Workspace, component: Component, plan: Plan) -> str:
         f" and {scene} for the scene"
     )
     jobs = workspace.ledger.jobs(component.name, "done", SOLVES_TIMED)
-    took = [job.finished - job.started for job in jobs if job.finished and job.started]
+    took = [job.seconds for job in jobs if job.seconds is not None]
     if not took:
         return f"{counted}; no solve of it has been timed here yet"
     each = median(took)

@@ -87,10 +87,23 @@ def solver_began(folder: Path) -> bool:
 
     The lock alone says nothing: an engine takes it before there is a process.
     """
+    return solver_seconds(folder) is not None
+
+
+def solver_seconds(folder: Path) -> float | None:
+    """Return how long the attempt's solver has run, or ran until its outcome, in seconds.
+
+    None before its first instruction.
+    """
     try:
-        return (folder / LOCK).stat().st_size > 0
+        lock = (folder / LOCK).stat()
     except OSError:
-        return False
+        return None
+    try:
+        end = (folder / OUTCOME).stat().st_mtime
+    except OSError:
+        end = time.time()
+    return max(0.0, end - lock.st_mtime) if lock.st_size else None
 
 
 def last_words(folder: Path) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from service.fields.store import FieldStore
-from service.jobs.attempt import LOG, last_words, prepare, solver_began
+from service.jobs.attempt import LOG, last_words, prepare, solver_began, solver_seconds
 from service.jobs.engines.engine import ALIVE, Engine
 from service.jobs.lease import BEAT_SECONDS, Lease
 from service.jobs.needs import attempt_of, completed
@@ -178,6 +178,8 @@ class Dispatcher:
                 self._look(run)
         for run in list(self._pressing.values()):
             self._look(run)
+        if self._begun:
+            self._beat(lease)
         while self._may_claim and (free := self._engine.slots - self._busy()) > 0:
             self._claim(lease, min(free, MOST_CLAIMED))
 
@@ -192,11 +194,14 @@ class Dispatcher:
         self._recovery.adopt_lost(lease)
         for run in list(self._runs.values()):
             self._look(run)
-        if self._begun or (self._runs and time.monotonic() >= self._next_beat):
-            self._ledger.beat(lease.name, self._engine.name, self._begun)
-            self._begun.clear()
-            self._next_beat = time.monotonic() + BEAT_SECONDS
+        if self._runs and time.monotonic() >= self._next_beat:
+            self._beat(lease)
         self._may_claim = True  # a job that had to wait may be due
+
+    def _beat(self, lease: Lease) -> None:
+        self._ledger.beat(lease.name, self._engine.name, self._begun)
+        self._begun.clear()
+        self._next_beat = time.monotonic() + BEAT_SECONDS
 
     def _read_news(self, lease: Lease) -> None:
         self._news = False
@@ -254,7 +259,8 @@ class Dispatcher:
     def _look(self, run: Run) -> None:
         state = self._engine.poll(run.attempt)
         if state == "running" and not run.began:
-            run.began, self._begun[run.key] = True, time.time()
+            seconds = solver_seconds(run.folder) or 0.0
+            run.began, self._begun[run.key] = True, time.time() - seconds
         if self._unstarted and solver_began(run.folder):
             self._unstarted = None
         if state in ALIVE:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from service.fields.store import FieldStore
-from service.jobs.attempt import BadOutcomeError, Spec, read_outcome, tidy
+from service.jobs.attempt import BadOutcomeError, Spec, read_outcome, solver_seconds, tidy
 from service.ledger import Job, Ledger
 from service.tables.solver_errors import SolverErrors
 
@@ -62,7 +62,7 @@ def settle(
             fields.take(folder, job.component, job.fingerprint, job.wrench)
         _commit(ledger, job, folder, outcome)
     elif status == "failed":
-        ledger.fail(job.id, job.attempt, _error(outcome))
+        ledger.fail(job.id, job.attempt, _error(outcome), solver_seconds(folder))
     else:
         ledger.release(job.id, job.attempt)
 
@@ -70,8 +70,14 @@ def settle(
 def _commit(ledger: Ledger, job: Job, folder: Path, outcome: dict[str, Any]) -> None:
     try:
         displacement, compliance = outcome["displacement"], outcome.get("compliance")
-        origin = f"job {job.id}"
-        ledger.commit(job.id, job.attempt, displacement, compliance=compliance, origin=origin)
+        ledger.commit(
+            job.id,
+            job.attempt,
+            displacement,
+            compliance=compliance,
+            origin=f"job {job.id}",
+            seconds=solver_seconds(folder),
+        )
     except (ValueError, TypeError, KeyError) as error:
         ledger.fail(job.id, job.attempt, _bad_answer(error))
         return

@@ -14,9 +14,9 @@ class Waiting:
     ----------
     reason : str
     ahead : int
-        Waiting jobs that start before it.
+        Jobs that start before it: they wait here, or in the queue of a cluster.
     running : int
-        Jobs that run now, wherever.
+        Jobs that a solver works on now, wherever.
     slots : int
         Solves at once of the server that was asked.
     solve_s : float or None
@@ -47,24 +47,26 @@ def why_waiting(ledger: Ledger, job: Job, slots: int, trouble: str | None) -> Wa
         What keeps all jobs from running.
     """
     now = time.time()
-    ahead, running = ledger.ahead(job.id, job.priority, now), ledger.running()
-    before = sum(one.waiting for one in ahead)
+    ahead, taken = ledger.ahead(job.id, job.priority, now), ledger.running()
+    queued = sum(one.is_queued for one in taken)
+    before = sum(one.waiting for one in ahead) + queued
+    running = len(taken) - queued
     pause = max(0.0, (job.not_before or 0.0) - now)
     means = {one.component: one.seconds for one in ahead}
-    for name in {one.component for one in running} - means.keys():
+    for name in {one.component for one in taken} - means.keys():
         means[name] = ledger.solve_seconds(name)
     # Of those that run, what is left: nothing of one that takes longer than the others did.
     left = [
-        max(0.0, mean - max(0.0, now - (one.started or now)))
+        max(0.0, mean - max(0.0, now - (now if one.is_queued else one.began or one.started or now)))
         if (mean := means[one.component]) is not None
         else None
-        for one in running
+        for one in taken
     ]
     work = [one.waiting * one.seconds if one.seconds is not None else None for one in ahead]
     expected = None if not slots or trouble else _start(slots, left, work, pause)
-    reason = _reason(job, before, len(running), slots, trouble, pause)
+    reason = _reason(job, before, running, slots, trouble, pause)
     own = ledger.solve_seconds(job.component)
-    return Waiting(reason, before, len(running), slots, own, expected)
+    return Waiting(reason, before, running, slots, own, expected)
 
 
 def _start(

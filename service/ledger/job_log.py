@@ -22,9 +22,7 @@ def log_jobs(touched: Iterable[Job]) -> None:
 
 
 def _words(job: Job) -> str:
-    took = ""
-    if job.started is not None and job.finished is not None:
-        took = f" after {max(0.0, job.finished - job.started):.2f} s"
+    took = "" if job.seconds is None else f" after {job.seconds:.2f} s"
     if job.status == "done":
         return f"done{took}, row {job.row}"
     if job.error is not None:

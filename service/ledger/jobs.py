@@ -17,6 +17,9 @@ _COLUMNS = (
 )
 
 
+_QUEUED = "status = 'running' AND began IS NULL AND coalesce(engine, 'local') != 'local'"
+
+
 def accept(
     db: Connection,
     same: tuple[str, str, bytes],
@@ -148,10 +151,11 @@ def ended(db: Connection, job_ids: Iterable[int]) -> set[int]:
 
 
 def counts(db: Connection, component: str | None) -> dict[str, int]:
-    """Return the number of jobs of each status."""
+    """Return the number of jobs of each status; those that `Job.is_queued` count as waiting."""
     where = "" if component is None else "WHERE component = ?"
     found = db.execute(
-        f"SELECT status, count(*) FROM jobs {where} GROUP BY status",
+        f"SELECT CASE WHEN {_QUEUED} THEN 'waiting' ELSE status END, count(*)"
+        f" FROM jobs {where} GROUP BY 1",
         () if component is None else (component,),
     )
     return dict.fromkeys(STATUSES, 0) | dict(found.fetchall())

@@ -167,10 +167,12 @@ class Ledger(TableRows, Imports, Gatherings, Leases, Care):
         uncertainty: Sequence[float] | None = None,
         source: str = "fea",
         origin: str = "",
+        seconds: float | None = None,
     ) -> LedgerRow:
         """Write the row of a job and the job's end in one transaction, exactly once.
 
-        A job that is done already keeps the row it has, and that one is returned.
+        A job that is done already keeps the row it has, and that one is returned. Its solver took
+        `seconds`, if known.
 
         Raises
         ------
@@ -187,13 +189,16 @@ class Ledger(TableRows, Imports, Gatherings, Leases, Care):
             new = NewRow(job.wrench, displacement, source, compliance, uncertainty, origin)
             now = time.time()
             row = rows.add(db, job.component, job.fingerprint, new, job.id, now)
-            job = jobs.save(db, states.committed(job, row.seq, now))
+            job = jobs.save(db, states.committed(job, row.seq, now, seconds))
         self._tell(job, rows=1)
         return row
 
-    def fail(self, job_id: int, attempt: int, error: dict[str, str]) -> Job:
+    def fail(
+        self, job_id: int, attempt: int, error: dict[str, str], seconds: float | None = None
+    ) -> Job:
         """End a running attempt as failed; `error` holds kind, message and remedy."""
-        return self._end(job_id, attempt, lambda job: states.failed(job, error, time.time()))
+        now = time.time()
+        return self._end(job_id, attempt, lambda job: states.failed(job, error, now, seconds))
 
     def lose(self, job_id: int, attempt: int, cause: str = "") -> Job:
         """Record that an attempt's solver died: waiting for longer and longer, then failed."""

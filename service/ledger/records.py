@@ -78,6 +78,19 @@ class Job:
     began: float | None = None
 
     @property
+    def seconds(self) -> float | None:
+        """Time from the solver's first instruction to the end, s; None for one not ended."""
+        start = self.began or self.started
+        return max(0.0, self.finished - start) if self.finished and start else None
+
+    @property
+    def is_queued(self) -> bool:
+        """True if the queue of its engine holds it: no solver has begun. `local` has no queue."""
+        return (
+            self.status == "running" and self.began is None and self.engine not in (None, "local")
+        )
+
+    @property
     def is_final(self) -> bool:
         """True if nothing more happens to the job by itself."""
         return self.status in FINAL

@@ -59,14 +59,14 @@ def adopted(job: Job, owner: str) -> Job:
     return _moved(job, "adopt", owner=owner)
 
 
-def committed(job: Job, row: int, now: float) -> Job:
-    """Return the job done, with the row it gave."""
-    return _moved(job, "commit", owner=None, row=row, finished=now)
+def committed(job: Job, row: int, now: float, seconds: float | None = None) -> Job:
+    """Return the job done, with the row it gave; its solver took some seconds, if known."""
+    return _moved(job, "commit", owner=None, row=row, **_end(job, now, seconds))
 
 
-def failed(job: Job, error: dict[str, str], now: float) -> Job:
+def failed(job: Job, error: dict[str, str], now: float, seconds: float | None = None) -> Job:
     """Return the job failed, with the solver's reason."""
-    return _moved(job, "fail", owner=None, error=error, finished=now)
+    return _moved(job, "fail", owner=None, error=error, **_end(job, now, seconds))
 
 
 def lost(job: Job, now: float, cause: str = "") -> Job:
@@ -126,6 +126,10 @@ def check_attempt(job: Job, attempt: int) -> None:
             f"job {job.id} is {job.status} at attempt {job.attempt}; "
             f"what attempt {attempt} says no longer counts"
         )
+
+
+def _end(job: Job, now: float, seconds: float | None) -> dict[str, object]:
+    return {"finished": now, "began": job.began if seconds is None else now - seconds}
 
 
 _UNSTARTED: dict[str, object] = {"started": None, "began": None}

@@ -8,6 +8,7 @@ from service.ledger.schema import Connection
 # Upper ends of the histogram of solves, s: a small plate in a warm solver, a large nonlinear one.
 SOLVE_EDGES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 1800.0, 7200.0)
 MOST_KINDS = 30  # of failures; a deck's own program may make up more, which are then one
+_BEGIN = "coalesce(began, started)"  # without the time in the queue of a cluster
 RECENT = 20  # solves that tell how long the next one takes
 
 
@@ -24,7 +25,7 @@ class Statistics:
     solve_buckets : tuple of int
         Done solves in each bucket of `SOLVE_EDGES`, and those beyond the last.
     solve_seconds : float
-        Time that all done solves took together, s.
+        Time that the solvers of all done jobs took together, s; see `Job.seconds`.
     oldest_waiting : float or None
         When the oldest waiting job was accepted, seconds since the epoch.
     """
@@ -49,7 +50,7 @@ def statistics(db: Connection) -> Statistics:
     # A clock that was set back makes a solve that ended before it began: it took no time.
     solves = db.execute(
         f"SELECT CASE {steps} ELSE {len(SOLVE_EDGES)} END, count(*), sum(took) FROM"
-        " (SELECT max(finished - started, 0.0) AS took FROM jobs WHERE status = 'done'"
+        f" (SELECT max(finished - {_BEGIN}, 0.0) AS took FROM jobs WHERE status = 'done'"
         " AND started IS NOT NULL AND finished IS NOT NULL) GROUP BY 1"
     ).fetchall()
     buckets = [0] * (len(SOLVE_EDGES) + 1)
@@ -63,8 +64,8 @@ def statistics(db: Connection) -> Statistics:
 def recent_seconds(db: Connection, component: str) -> list[float]:
     """Return how long the newest done solves of a component took, s."""
     found = db.execute(
-        "SELECT finished - started FROM jobs WHERE component = ? AND status = 'done'"
-        " AND finished >= started ORDER BY id DESC LIMIT ?",
+        f"SELECT finished - {_BEGIN} FROM jobs WHERE component = ? AND status = 'done'"
+        f" AND finished >= {_BEGIN} ORDER BY id DESC LIMIT ?",
         (component, RECENT),
     )
     return [took for (took,) in found]

@@ -76,7 +76,7 @@ def test_two_workers_solve_faster_than_one(tmp_path, cluster):
     for turn in range(TURNS):
         for workers in (1, 2):
             cluster.mend(workers)
-            until(lambda want=workers: len(engine._link.fit) == want, 60)
+            until(lambda want=workers: len(engine._cluster.fit) == want, 60)
             wrenches = chance.uniform(-1, 1, (SOLVES + 2, 6)) * [50, 50, 300, 10, 10, 10]
             named = f"{turn}-{workers}"
             warm = attempts(tmp_path, bundle, wrenches[:2], f"w{named}", fingerprint=fingerprint)
@@ -109,7 +109,7 @@ def test_the_shortest_jobs_go_through_at_a_hundred_a_second(tmp_path, cluster):
     for _ in range(2):
         cluster.start_worker()
     engine = DaskEngine(cluster.address)
-    until(lambda: len(engine._link.fit) == 2, 60)
+    until(lambda: len(engine._cluster.fit) == 2, 60)
     seconds_of(engine, attempts(tmp_path, bundle, np.ones((4, 6)), "warm"))
     asked = attempts(tmp_path, bundle, np.ones((SHORT, 6)), "short")
     before, load = _network(), os.getloadavg()[0]

@@ -125,10 +125,21 @@ def waits_for_a_word(spec, report):
     raise TimeoutError("nobody said go")
 
 
-def counted(spec, report):
-    """Slow, and counts its starts in the file that stands for the fingerprint."""
+def count_start(spec):
+    """Count a start in the file that stands for the fingerprint."""
     with Path(spec.fingerprint).open("a") as starts:
         starts.write("start\n")
+
+
+def counted_until_go(spec, report):
+    """Counts its starts, and ends when a file `go` appears in its folder."""
+    count_start(spec)
+    return waits_for_a_word(spec, report)
+
+
+def counted(spec, report):
+    """Slow, and counts its starts."""
+    count_start(spec)
     for step in range(75):
         report(step / 75, f"step {step}")
         time.sleep(0.02)

@@ -55,7 +55,7 @@ def job_body(
         "created": _time(job.created),
         "started": _time(job.started),
         "finished": _time(job.finished),
-        "seconds": job.finished - job.started if job.finished and job.started else None,
+        "seconds": job.seconds,
         "error": discreetly(job.error),
     }
     if job.status == "running":

@@ -1,13 +1,12 @@
-"""What a dispatcher needs of an engine. Engines only execute; what counts the ledger decides.
+"""The interface between dispatcher and engines. Engines only execute; the ledger decides.
 
-An engine runs attempts: `service.jobs.solve_attempt` on a folder that holds what the attempt's has.
-The attempt's own folder is on the dispatcher's machine and need not be seen where the solver runs;
-whatever the engine, in the end it holds ``result.json`` (see `service.jobs.attempt`) and the log.
+An engine runs attempts: `service.jobs.solve_attempt` on a folder with a spec.json. The attempt's
+own folder is on the dispatcher's machine and need not be visible where the solver runs; in the end
+it holds ``result.json`` (see `service.jobs.attempt`) and the log.
 
-An engine that ends an attempt itself, at its deadline say, writes the ``result.json`` in the
-solver's stead, with kind, message and remedy, once the solver is surely dead. What it knows of a
-solver that died by itself it adds to the attempt's log as a last line: the dispatcher reads the
-cause there.
+An engine that ends an attempt itself, at its deadline for example, writes the ``result.json`` in
+the solver's stead, with kind, message and remedy, once the solver is dead. The cause of a solver's
+death, as far as the engine knows it, is the last line of the attempt's log.
 """
 
 from collections.abc import Callable
@@ -20,12 +19,12 @@ from service.jobs.attempt import Spec
 State = Literal["submitted", "running", "finished", "lost"]
 ALIVE: tuple[State, ...] = ("submitted", "running")
 
-Heard = Callable[[str], None]
-"""Told the task key of an attempt whose state may have changed; called from any thread."""
+Listener = Callable[[str], None]
+"""Gets the task key of an attempt whose state may have changed; called from any thread."""
 
 
 class EngineError(Exception):
-    """The engine could not take an attempt now; the job should wait and be tried again."""
+    """The engine cannot take an attempt now; the job should wait and be tried again."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +34,8 @@ class Attempt:
     Attributes
     ----------
     task : str
-        The task key: one attempt of one job of one data directory has it, and it is in the ledger
-        before the engine hears of it. Handed in twice it is one attempt.
+        The task key: unique to an attempt of a job of a data directory, and in the ledger before
+        the engine gets it. Two submissions of one key are one attempt.
     folder : Path
         Its folder on this machine, absolute, with its spec.json.
     spec : Spec
@@ -44,13 +43,12 @@ class Attempt:
     priority : int
         Of the job; higher ones go first where an engine has a queue of its own.
     deadline : float or None
-        Seconds a solver may be at it, from its first instruction; then the attempt fails as
-        ``deadline``. None sets no bound.
+        Seconds from the solver's first instruction after which the attempt fails as ``deadline``.
     memory : int or None
         Bytes a solve of this component takes, as the check of its bundle estimates them (right to a
         factor of two); None if no check has been stored.
     cores : int
-        A solver uses so many; its libraries are held to as many threads.
+        Cores of a solver; its libraries use as many threads.
     """
 
     task: str
@@ -63,11 +61,11 @@ class Attempt:
 
 
 class Engine(Protocol):
-    """What a dispatcher needs of an engine. May be called from several threads, in turn."""
+    """Runs attempts. Several threads may call it, one at a time."""
 
     @property
     def name(self) -> str:
-        """Its name in the ledger: an attempt is looked after by dispatchers of that engine only."""
+        """Its name in the ledger: only dispatchers with this engine take its attempts over."""
         ...
 
     @property
@@ -91,43 +89,42 @@ class Engine(Protocol):
         ...
 
     def attach(self, attempt: Attempt) -> None:
-        """Look after an attempt that another dispatcher's engine of this name took.
+        """Take over an attempt of another dispatcher, which has died, on an engine of this name.
 
-        That one has died. Where nothing of the task is known any more `poll` says ``lost``, or the
-        engine submits it again under the same key, as it sees fit.
+        If nothing of the task is known any more, `poll` returns ``lost`` or the engine submits it
+        again under the same key.
         """
         ...
 
     def poll(self, attempt: Attempt) -> State:
-        """Return how the attempt stands; quick, asks nobody far away.
+        """Return the attempt's state, without waiting for any other machine.
 
-        ``submitted`` until a solver is at it, then ``running``. ``finished`` once its folder holds
-        a result.json and the other files that are to stay. ``lost`` is final: no solver lives that
-        could still write one there. A death that is the engine's own doing or its machines' (a
-        worker gone, a scheduler restarted) is not told: the engine runs the attempt again.
+        ``submitted`` until a solver works on it, then ``running``. ``finished`` once its folder
+        holds a result.json and the other artifacts. ``lost`` is final: no solver lives that could
+        still write one there. A death of workers, scheduler or machines is no state: the engine
+        runs the attempt again.
         """
         ...
 
     def cancel(self, attempt: Attempt) -> None:
-        """Ask the attempt's solver to end soon; `poll` tells when it has. May be repeated.
+        """Have the attempt's solver end soon; `poll` shows when it counts as ended. Repeatable.
 
-        Also of an attempt that was neither submitted nor attached here: it was cancelled while no
+        A solver on another machine may end some seconds later than the attempt. Also for an attempt that was neither submitted nor attached here: it was cancelled while no
         dispatcher lived, and its task key is all there is.
         """
         ...
 
     def forget(self, attempt: Attempt) -> None:
-        """Let go of what is kept of an attempt that is settled, or that another dispatcher has."""
+        """Drop what is kept of an attempt that is settled, or that another dispatcher has."""
         ...
 
-    def listen(self, heard: Heard) -> Callable[[], None]:
-        """Have `heard` called when an attempt's state may have changed; returns what ends that.
+    def listen(self, listener: Listener) -> Callable[[], None]:
+        """Call the listener when an attempt's state may have changed; returns what ends that.
 
-        A dispatcher looks at an attempt at once when it is told, and at all of them once a second
-        in case it was not.
+        A dispatcher polls such an attempt at once, and all attempts once a second.
         """
         ...
 
     def close(self) -> None:
-        """Let go of what the engine holds; attempts that run are left running."""
+        """Release the engine's resources; running attempts go on."""
         ...

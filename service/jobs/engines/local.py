@@ -8,8 +8,8 @@ from pathlib import Path
 
 from service.files import lock as flock
 from service.files.cores import usable_cores
-from service.jobs.attempt import LOCK, LOG, OUTCOME, solver_began, write_outcome
-from service.jobs.engines.engine import Attempt, EngineError, Heard, State
+from service.jobs.attempt import LOCK, LOG, OUTCOME, solver_began, solver_seconds, write_outcome
+from service.jobs.engines.engine import Attempt, EngineError, Listener, State
 from service.jobs.engines.solver_pool import SolverPool, signal_group
 
 # Several solvers share the cores, so each gets one; what the user has set is left alone.
@@ -65,7 +65,7 @@ class LocalEngine:
         self._kill_after: dict[Path, float] = {}
         self._began: dict[Path, float] = {}
         self._overdue: set[Path] = set()
-        self._listeners: tuple[Heard, ...] = ()
+        self._listeners: tuple[Listener, ...] = ()
         options = ("--niceness", str(niceness), "--lives", str(lives))
         self._pool = SolverPool(self.slots, self._tell, *options)
 
@@ -117,12 +117,12 @@ class LocalEngine:
         self._began.pop(attempt.folder, None)
         self._overdue.discard(attempt.folder)
 
-    def listen(self, heard: Heard) -> Callable[[], None]:
+    def listen(self, listener: Listener) -> Callable[[], None]:
         """Tell of solvers that ended; see `Engine.listen`."""
-        self._listeners = (*self._listeners, heard)
+        self._listeners = (*self._listeners, listener)
 
         def stop() -> None:
-            self._listeners = tuple(one for one in self._listeners if one is not heard)
+            self._listeners = tuple(one for one in self._listeners if one is not listener)
 
         return stop
 
@@ -132,8 +132,8 @@ class LocalEngine:
         self._pool.close()
 
     def _tell(self, attempt: Attempt) -> None:
-        for heard in self._listeners:
-            heard(attempt.task)
+        for listener in self._listeners:
+            listener(attempt.task)
 
     def _end_if_due(self, attempt: Attempt) -> None:
         folder, now = attempt.folder, time.monotonic()
@@ -142,7 +142,7 @@ class LocalEngine:
             self._signal(attempt, signal.SIGKILL if late else signal.SIGTERM)
         elif attempt.deadline is not None and solver_began(folder):
             if folder not in self._began:
-                self._began[folder] = now - _seconds_since_begin(folder)
+                self._began[folder] = now - (solver_seconds(folder) or 0.0)
             if now - self._began[folder] > attempt.deadline:
                 # Not asked: what it would answer, "cancelled", is tried again.
                 self._overdue.add(folder)
@@ -164,11 +164,6 @@ def _holder(lock: Path) -> int | None:
         return int(lock.read_text())
     except (OSError, ValueError):
         return None
-
-
-def _seconds_since_begin(folder: Path) -> float:
-    """Return for how long a solver has been at an attempt, by its pid's being written."""
-    return max(0.0, time.time() - (folder / LOCK).stat().st_mtime)
 
 
 def _overdue(attempt: Attempt) -> dict[str, str]:

@@ -1,164 +1,140 @@
-"""What a Dask worker does for a dispatcher: runs orders, keeps bundles, ends attempts.
+"""The part of the Dask engine that runs on workers: looks at a machine, runs attempts.
 
-A worker's machine needs this program and nothing of the dispatcher's: bundles come by value and are
-kept under their digest, an attempt is a subprocess in a folder of its own, and what it leaves goes
-back by value. All workers of a user on a machine share one folder, so an attempt that is asked for
-again, since the scheduler or a server was started anew, is found there: alive or ended.
+A worker needs this program and no file system of the server's: a bundle comes as an argument of the
+task, an attempt is a subprocess in a folder of its own, and its artifacts are the task's result.
+All workers of a user on a machine share one folder, so an attempt that is submitted again after a
+restart of the scheduler or of a server is found there, alive or ended.
 """
 
-import asyncio
 import os
-import re
+import pickle
 import shutil
-import tempfile
 import threading
 import time
-from collections import OrderedDict
 from dataclasses import asdict, replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
-from distributed import Worker, get_worker
+from distributed import Reschedule, Status, Worker, get_worker
 
 from service.files import lock as flock
-from service.jobs.attempt import (
-    LOCK,
-    OUTCOME,
-    Spec,
-    prepare,
-    read_progress,
-    write_outcome,
-)
-from service.jobs.engines import keeping
+from service.jobs.attempt import LOCK, OUTCOME, prepare, read_progress, solver_seconds
+from service.jobs.engines import worker_folder as folders
 from service.jobs.engines.engine import ALIVE, Attempt
 from service.jobs.engines.local import LocalEngine
-from service.jobs.engines.order import TOPIC, Order, Reply, program_version, reply
-from service.jobs.engines.parcel import BadParcelError, Files, place
-from service.jobs.engines.what_is_left import files_left
+from service.jobs.engines.payload import BadPayloadError, Files, artifacts, place
+from service.jobs.engines.worker_folder import WorkerFolderError, attempt_folder, worker_folder
 
-FOLDER_VARIABLE = "WRENCHBOOK_WORKER_FOLDER"
-LOOK_SECONDS = 0.1  # between looks at a solver that says nothing
-TELL_SECONDS = 1.0  # between words to the dispatcher on how far a solver is
-ASK_AGAIN_SECONDS = 30.0  # progress that has not changed is told again after so long
-# What takes a solver and then its worker, a machine going down or its last memory, is not the
-# job's doing: a death is told once the worker has outlived it so long.
+TOPIC = "wrenchbook-progress"
+"""The scheduler's topic of the workers' progress events."""
+
+LOOK_SECONDS = 0.1  # between looks at a running solver
+REPORT_SECONDS = 1.0  # between two progress events of an attempt
+REPEAT_SECONDS = 30.0  # before the same progress is sent again
+# A kill of a solver and then its worker, or of a machine, is not the job's fault: the death of a
+# solver counts if its worker outlives it so long.
 OUTLIVE_SECONDS = 1.0
-GRACE_SECONDS = 5.0  # between asking a solver to end and killing it
-FREE_BYTES = 64 * 1024 * 1024  # a disk with less cannot take a solver's files
-REMEMBERED = 10_000  # cancelled tasks whose orders may still be on their way
+GRACE_SECONDS = 5.0  # between SIGTERM and SIGKILL of a solver
 
 _engines: list[LocalEngine] = []  # one at most: the solvers of this worker
 _engines_lock = threading.Lock()
-_cancelled: OrderedDict[str, None] = OrderedDict()
 
 
-class WorkerFolderError(Exception):
-    """The folder for attempts and bundles cannot be used."""
+class Payload(TypedDict):
+    """The result of a task.
 
-
-def worker_folder() -> Path:
-    """Return the folder that the workers of this user on this machine share; made if need be.
-
-    Raises
-    ------
-    WorkerFolderError
-        If it belongs to somebody else, who could put other files in the place of ours.
+    ``unfit`` says why the worker could not run the attempt. Otherwise ``files`` are the artifacts
+    (without result.json if the solver died) and ``seconds`` is how long the solver ran.
     """
-    default = Path(tempfile.gettempdir()) / f"wrenchbook-{os.getuid()}"
-    folder = Path(os.environ.get(FOLDER_VARIABLE) or default)
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if folder.stat().st_uid != os.getuid():
-        raise WorkerFolderError(f"{folder} belongs to another user; set {FOLDER_VARIABLE}")
-    for name in ("bundles", "attempts"):
-        (folder / name).mkdir(exist_ok=True)
-    return folder
+
+    worker: str
+    unfit: str | None
+    files: Files
+    seconds: float
 
 
-# -- called by the engine, through the scheduler --------------------------------------------------
+def program_version() -> str:
+    """Return the version of this program; workers of another version get no tasks."""
+    try:
+        return version("wrenchbook")
+    except PackageNotFoundError:
+        return "unknown"
 
 
 def look(dask_worker: Worker) -> dict[str, Any]:
-    """Say who this worker is and which attempts its machine has, running or ended."""
+    """Return version, trouble and attempts (running or ended) of this worker's machine."""
     folder = worker_folder()
-    keeping.start(folder, _solvers(dask_worker.state.nthreads))
-    tasks = keeping.attempts_of(folder)
-    return {"version": program_version(), "tasks": tasks, "trouble": _trouble(folder)}
+    folders.start_sweeping(folder, _solvers(dask_worker.state.nthreads))
+    tasks = sorted(path.name for path in (folder / "attempts").iterdir())
+    return {"version": program_version(), "tasks": tasks, "trouble": folders.trouble(folder)}
 
 
-async def store_bundle(name: str, files: Files) -> str | None:
-    """Keep a component's files under their digest; return what is wrong if that cannot be."""
-    try:
-        await asyncio.to_thread(_store, name, files)
-    except (OSError, BadParcelError, WorkerFolderError) as error:
-        return str(error)
-    return None
-
-
-async def end_attempt(task: str) -> bool:
-    """End the task's solver, here or as soon as its order comes; return whether it was here."""
-    _cancelled[task] = None
-    while len(_cancelled) > REMEMBERED:
-        _cancelled.popitem(last=False)
-    folder = _attempt_folder(task)
-    here = folder.exists() and _solvers().poll(_bare(task, folder)) in ALIVE
-    if here:
-        _solvers().cancel(_bare(task, folder))
-    return here
-
-
-def run_order(sent: bytes) -> Reply:
-    """Run one attempt to its end; ask for the bundle, or say why not, if it cannot begin."""
+def run_task(sent: bytes, digest: str, files: Files) -> Payload:
+    """Run an attempt, a pickled `Attempt`, of a component with these files to its end."""
     worker = get_worker()
-    order = Order.from_bytes(sent)
+    attempt: Attempt = pickle.loads(sent)
     try:
         folder = worker_folder()
-        keeping.start(folder, _solvers())
-        with keeping.minded(_attempt_folder(order.task)):
-            if trouble := _trouble(folder):
-                return reply("unfit", worker.address, why=trouble)
-            bundle = folder / "bundles" / order.bundle
-            if not bundle.is_dir():
-                return reply("wants", worker.address)
-            os.utime(bundle)  # bundles that are in use are kept
-            return _run(worker, order, bundle)
-    except (OSError, WorkerFolderError) as error:
-        return reply("unfit", worker.address, why=str(error))
+        folders.start_sweeping(folder, _solvers())
+        here = attempt_folder(attempt.task)
+        with folders.supervised(here):
+            if trouble := folders.trouble(folder):
+                return _unfit(worker, trouble)
+            bundle = _bundle(folder / "bundles", digest, files)
+            spec = replace(attempt.spec, bundle=str(bundle))
+            return _run(worker, replace(attempt, folder=here, spec=spec))
+    except (OSError, WorkerFolderError, BadPayloadError) as error:
+        return _unfit(worker, str(error))
 
 
-# -- one attempt ----------------------------------------------------------------------------------
+def _bundle(bundles: Path, name: str, files: Files) -> Path:
+    """Return the folder of a component; a machine keeps it under its digest."""
+    bundle = bundles / name
+    if not bundle.is_dir():
+        place(files, name, bundles)
+        folders.drop_old_bundles(bundles)
+    os.utime(bundle)  # bundles in use are kept
+    return bundle
 
 
-def _run(worker: Worker, order: Order, bundle: Path) -> Reply:
-    folder = _attempt_folder(order.task)
-    spec = replace(order.spec, bundle=str(bundle))
-    attempt = Attempt(order.task, folder, spec, 0, order.deadline, order.memory, order.cores)
-    if order.task in _cancelled:
-        return _not_begun(worker, folder, spec)
+def _run(worker: Worker, attempt: Attempt) -> Payload:
+    folder, spec = attempt.folder, attempt.spec
     if not (folder / OUTCOME).exists() and not flock.is_held(folder / LOCK):
         shutil.rmtree(folder, ignore_errors=True)  # of a solver that died with its worker
         prepare(folder, spec)
         _solvers().submit(attempt)
-    ended = _mind(worker, attempt)
-    if not ended:
+    finished = _supervise(worker, attempt)
+    if not finished:
         time.sleep(OUTLIVE_SECONDS)
-        if trouble := _trouble(worker_folder()):  # what a solver dies of on a full disk
-            return reply("unfit", worker.address, why=trouble)
-    files = files_left(folder, spec)
-    if not ended:
+        if trouble := folders.trouble(worker_folder()):  # solvers die of a full disk
+            return _unfit(worker, trouble)
+    seconds = solver_seconds(folder) or 0.0
+    files = artifacts(folder, spec)
+    if not finished:
         shutil.rmtree(folder, ignore_errors=True)
-    return reply("ended" if ended else "died", worker.address, files)
+    return {"worker": worker.address, "unfit": None, "files": files, "seconds": seconds}
 
 
-def _mind(worker: Worker, attempt: Attempt) -> bool:
-    """Return once the attempt's solver has ended: whether it left an outcome."""
+def _supervise(worker: Worker, attempt: Attempt) -> bool:
+    """Return once the attempt's solver has ended: whether it left an outcome.
+
+    Raises
+    ------
+    Reschedule
+        If the worker closes before.
+    """
     changed = threading.Event()
-    engine = _solvers()
+    engine, key = _solvers(), worker.get_current_task()
     stop_listening = engine.listen(lambda task: changed.set() if task == attempt.task else None)
-    teller = _Teller(worker, attempt)
+    reporter = _Reporter(worker, attempt)
     try:
         while (state := engine.poll(attempt)) in ALIVE:
-            teller.tell()
-            if attempt.task in _cancelled:
+            if state == "running":
+                reporter.report()
+            if worker.status in (Status.closing, Status.closed):
+                raise Reschedule  # its process ends with this thread; the solver lives on
+            if (known := worker.state.tasks.get(key)) and known.state == "cancelled":
                 engine.cancel(attempt)
             changed.wait(LOOK_SECONDS)
             changed.clear()
@@ -168,43 +144,37 @@ def _mind(worker: Worker, attempt: Attempt) -> bool:
     return state == "finished"
 
 
-class _Teller:
-    """Tells the dispatcher how far a solver is: what has changed, once a second at most."""
+class _Reporter:
+    """Sends progress events of an attempt: one a second at most, and only changes."""
 
     def __init__(self, worker: Worker, attempt: Attempt) -> None:
         self._worker = worker
         self._attempt = attempt
         self._next = 0.0
-        self._again = 0.0
+        self._repeat = 0.0
         self._last: object = ()
 
-    def tell(self) -> None:
+    def report(self) -> None:
         now = time.monotonic()
         if now < self._next:
             return
         progress = read_progress(self._attempt.folder)
-        if progress == self._last and now < self._again:
+        if progress == self._last and now < self._repeat:
             return
-        self._last, self._next, self._again = progress, now + TELL_SECONDS, now + ASK_AGAIN_SECONDS
-        told = asdict(progress) if progress else None
-        word = {"task": self._attempt.task, "worker": self._worker.address, "progress": told}
-        self._worker.log_event(TOPIC, word)
-
-
-def _not_begun(worker: Worker, folder: Path, spec: Spec) -> Reply:
-    shutil.rmtree(folder, ignore_errors=True)
-    prepare(folder, spec)
-    write_outcome(folder, spec, {"status": "cancelled"})
-    return reply("ended", worker.address, files_left(folder, spec))
-
-
-# -- this machine ---------------------------------------------------------------------------------
+        self._last, self._next, self._repeat = progress, now + REPORT_SECONDS, now + REPEAT_SECONDS
+        event = {
+            "task": self._attempt.task,
+            "worker": self._worker.address,
+            "progress": asdict(progress) if progress else None,
+            "seconds": solver_seconds(self._attempt.folder),
+        }
+        self._worker.log_event(TOPIC, event)
 
 
 def _solvers(threads: int = 1) -> LocalEngine:
-    """Return what runs solvers here: they live on from one order to the next.
+    """Return the engine of this worker's solvers, which live from one task to the next.
 
-    Who asks first says how many may be kept; a worker is looked at before it is given orders.
+    The first call, which is that of `look`, sets the number of idle solvers it keeps.
     """
     with _engines_lock:
         if not _engines:
@@ -212,26 +182,5 @@ def _solvers(threads: int = 1) -> LocalEngine:
         return _engines[0]
 
 
-def _store(name: str, files: Files) -> None:
-    folder = worker_folder()
-    if trouble := _trouble(folder):
-        raise WorkerFolderError(trouble)
-    place(files, name, folder / "bundles")
-    keeping.drop_old_bundles(folder / "bundles")
-
-
-def _trouble(folder: Path) -> str | None:
-    free = shutil.disk_usage(folder).free
-    if free < FREE_BYTES:
-        return f"{folder} is on a disk with {free >> 20} MB left; {FREE_BYTES >> 20} are needed"
-    return None
-
-
-def _attempt_folder(task: str) -> Path:
-    if not re.fullmatch(r"[\w.-]{1,120}", task) or task.startswith("."):
-        raise WorkerFolderError(f"{task!r} is no task key: it names no folder")
-    return worker_folder() / "attempts" / task
-
-
-def _bare(task: str, folder: Path) -> Attempt:
-    return Attempt(task, folder, Spec(0, 0, "", "", "", ()))
+def _unfit(worker: Worker, why: str) -> Payload:
+    return {"worker": worker.address, "unfit": why, "files": {}, "seconds": 0.0}

@@ -1,6 +1,5 @@
 """Engines by name."""
 
-from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 
 from service.jobs.engines.engine import Engine
@@ -35,7 +34,12 @@ def open_engine(
         If there is none of that name, or it lacks its scheduler or its packages.
     """
     check_engine(name, scheduler)
-    return _OPEN[name](slots, scheduler or "")
+    if name == "local":
+        return LocalEngine(slots)
+    # Only a server with a cluster has Dask, and waits for its import.
+    from service.jobs.engines.dask import DaskEngine
+
+    return DaskEngine(scheduler or "")
 
 
 def check_engine(name: str, scheduler: str | None) -> None:
@@ -59,17 +63,3 @@ def check_engine(name: str, scheduler: str | None) -> None:
         raise EngineSettingsError(
             "the engine dask is not installed: pip install wrenchbook[cluster]"
         )
-
-
-def _local(slots: int | None, scheduler: str) -> Engine:
-    return LocalEngine(slots)
-
-
-def _dask(slots: int | None, scheduler: str) -> Engine:
-    # Only who uses a cluster has Dask, and waits for its import.
-    from service.jobs.engines.dask import DaskEngine
-
-    return DaskEngine(scheduler)
-
-
-_OPEN: Mapping[str, Callable[[int | None, str], Engine]] = {"local": _local, "dask": _dask}

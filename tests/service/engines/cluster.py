@@ -1,5 +1,6 @@
 """A Dask cluster of processes of this machine, to be killed and started again."""
 
+import itertools
 import os
 import signal
 import socket
@@ -45,6 +46,7 @@ class Cluster:
         self.environment |= settings
         self.scheduler = None
         self.workers = []
+        self._numbers = itertools.count(1)
 
     def start_scheduler(self):
         command = ["scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"]
@@ -56,7 +58,9 @@ class Cluster:
         command += ["--resources", resources] if resources else []
         command += ["--memory-limit", memory] if memory else []
         command += ["--local-directory", str(self.folder / "scratch")]
+        command += ["--name", f"worker-{next(self._numbers)}"]
         worker = self._start(command, "worker.log", self.environment | environment)
+        worker.name = command[-1]
         self.workers.append(worker)
         return worker
 
@@ -68,6 +72,19 @@ class Cluster:
 
         with Client(self.address) as client:
             return client.run_on_scheduler(ordered)
+
+    def drop_silent(self, worker):
+        """Have the scheduler drop a worker as if `worker-ttl` had passed without a heartbeat."""
+        name = worker.name
+
+        async def drop(dask_scheduler):
+            for one in dask_scheduler.workers.values():
+                if one.name == name:
+                    one.last_seen -= 3600
+            await dask_scheduler.check_worker_ttl()
+
+        with Client(self.address) as client:
+            client.run_on_scheduler(drop)
 
     def mend(self, workers):
         """Start again what has ended, as systemd or a container's restart policy would."""

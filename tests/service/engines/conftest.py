@@ -66,7 +66,8 @@ class Bench:
         return read_outcome(attempt.folder, attempt.spec)
 
     def starts(self, attempt):
-        return Path(attempt.spec.fingerprint).read_text().count("start")
+        starts = Path(attempt.spec.fingerprint)
+        return starts.read_text().count("start") if starts.exists() else 0
 
     def has_begun(self, attempt):
         """Whether a solver has counted its start; it is known by its pid before."""
@@ -83,6 +84,14 @@ class Bench:
             return None
         text = lock.read_text()
         return int(text) if text.isdigit() else None
+
+    def go(self, attempt):
+        """Let a solver end that waits for it."""
+        (self.solver_folder(attempt) / "go").touch()
+
+    def is_supervised(self, attempt):
+        """Whether a Dask worker is at the attempt."""
+        return is_held(self._attempts.with_name("supervised") / attempt.task)
 
     def kill_solver(self, attempt):
         os.kill(until(lambda: self.pid(attempt)), signal.SIGKILL)

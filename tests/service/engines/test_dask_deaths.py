@@ -13,9 +13,11 @@ def test_a_worker_that_dies_is_replaced_and_its_solver_is_found_alive(own, clust
     cluster.start_scheduler()
     worker = cluster.start_worker()
     engine = own.engine()
-    attempt = own.started("counted", engine)
+    attempt = own.started("counted_until_go", engine)
     kill(worker)
     cluster.start_worker()
+    until(lambda: own.is_supervised(attempt))
+    own.go(attempt)
     assert own.end(engine, attempt) == "finished"
     assert own.starts(attempt) == 1
 
@@ -24,11 +26,13 @@ def test_a_worker_and_its_solver_that_die_together_count_for_nothing(own, cluste
     cluster.start_scheduler()
     worker = cluster.start_worker()
     engine = own.engine()
-    attempt = own.started("counted", engine)
+    attempt = own.started("counted_until_go", engine)
     until(lambda: own.has_begun(attempt))
     os.kill(own.pid(attempt), signal.SIGKILL)  # as a machine goes: all of it at once
     kill(worker)
     cluster.start_worker()
+    until(lambda: own.starts(attempt) == 2)
+    own.go(attempt)
     assert own.end(engine, attempt) == "finished"
     assert own.starts(attempt) == 2
 
@@ -38,9 +42,10 @@ def test_a_task_that_dask_gives_up_for_its_dead_workers_is_ordered_again(own, cl
     cluster.start_scheduler()
     worker = cluster.start_worker()
     engine = own.engine()
-    attempt = own.started("counted", engine)
+    attempt = own.started("counted_until_go", engine)
     until(lambda: engine.poll(attempt) == "running")
     kill(worker)
+    own.go(attempt)
     cluster.start_worker()
     assert own.end(engine, attempt) == "finished"
     assert own.outcome(attempt)["status"] == "done"
@@ -50,7 +55,7 @@ def test_a_scheduler_that_dies_is_found_again_with_the_attempts(own, cluster):
     cluster.start_scheduler()
     cluster.start_worker()
     engine = own.engine()
-    attempt = own.started("counted", engine)
+    attempt = own.started("counted_until_go", engine)
     waiting = [own.attempt("quick") for _ in range(3)]
     for one in waiting:
         engine.submit(one)
@@ -60,29 +65,32 @@ def test_a_scheduler_that_dies_is_found_again_with_the_attempts(own, cluster):
     assert all(engine.poll(one) in (*ALIVE, "finished") for one in (attempt, *waiting))
     cluster.mend(1)
     until(lambda: cluster.mend(1) or not engine.trouble, 60)  # workers end with their scheduler
+    until(lambda: own.is_supervised(attempt))
+    own.go(attempt)
     for one in (attempt, *waiting):
         assert own.end(engine, one) == "finished"
     assert own.starts(attempt) == 1
 
 
 def test_a_worker_that_is_stopped_holds_nothing_up_for_long(own, cluster):
-    """Dask drops it after `worker-ttl`, 5 s here, and another worker takes what it had."""
-    cluster.environment["DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL"] = "5s"
+    """Dask drops it after `worker-ttl`, and another worker takes what it had."""
     cluster.start_scheduler()
     worker = cluster.start_worker(WRENCHBOOK_WORKER_FOLDER=str(cluster.folder / "elsewhere"))
     engine = own.engine()
-    attempt = own.attempt("counted")
+    attempt = own.attempt("counted_until_go")
     engine.submit(attempt)
-    until(lambda: engine.poll(attempt) == "running")
+    until(lambda: own.starts(attempt) == 1 and engine.poll(attempt) == "running")
     worker.send_signal(signal.SIGSTOP)
     cluster.start_worker()
+    cluster.drop_silent(worker)
+    until(lambda: own.starts(attempt) == 2)
+    own.go(attempt)
     assert own.end(engine, attempt) == "finished"
     assert own.starts(attempt) == 2
     worker.send_signal(signal.SIGCONT)
 
 
 def test_cancelling_what_a_stopped_worker_has_comes_to_an_end(own, cluster):
-    cluster.environment["DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL"] = "5s"
     cluster.start_scheduler()
     worker = cluster.start_worker()
     engine = own.engine()
@@ -105,7 +113,7 @@ def test_a_higher_priority_goes_first_of_what_no_worker_has_yet(own, cluster):
     for one in (*low, high):
         engine.submit(one)
     until(lambda: all(cluster.knows(one.task) for one in (*low, high)))
-    (own.solver_folder(busy) / "go").touch()
+    own.go(busy)
     for one in (busy, *low, high):
         assert own.end(engine, one) == "finished"
     begun = sorted((*low, high), key=lambda one: own.outcome(one)["seen"]["at"])
@@ -133,11 +141,12 @@ def test_declared_resources_keep_large_solves_from_sharing_a_worker(own, cluster
     cluster.start_scheduler()
     cluster.start_worker(threads=2, resources="wrenchbook_memory=4e9 wrenchbook_cores=2")
     engine = own.engine()
-    first = own.started("counted", engine, memory=3_000_000_000)
-    second, other = own.attempt("counted", memory=3_000_000_000), own.attempt("quick")
+    first = own.started("waits_for_a_word", engine, memory=3_000_000_000)
+    second, other = own.attempt("quick", memory=3_000_000_000), own.attempt("quick")
     engine.submit(second)
     engine.submit(other)
     own.end(engine, other)
     assert engine.poll(first) == "running"
     assert engine.poll(second) == "submitted"
+    own.go(first)
     assert own.end(engine, first) == own.end(engine, second) == "finished"

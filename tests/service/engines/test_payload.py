@@ -1,18 +1,19 @@
 """Files that travel by value, and what a worker keeps of them."""
 
 import os
+import pickle
 import time
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from service.jobs.attempt import Spec, prepare, write_outcome
-from service.jobs.engines import keeping, on_worker
+from service.jobs.engines import on_worker, worker_folder
 from service.jobs.engines.engine import Attempt
 from service.jobs.engines.local import LocalEngine
-from service.jobs.engines.order import Order
-from service.jobs.engines.parcel import BadParcelError, digest, pack, place, unpack
+from service.jobs.engines.payload import BadPayloadError, digest, pack, place, unpack
 
 SPEC = Spec(1, 1, "quick", "", "f1", (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
 
@@ -20,19 +21,23 @@ SPEC = Spec(1, 1, "quick", "", "f1", (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
 class Worker:
     address = "tcp://127.0.0.1:1"
 
-    def log_event(self, topic, word):
-        pass
+    def get_current_task(self):
+        return "t"
 
 
 @pytest.fixture
 def on_a_worker(tmp_path, monkeypatch):
-    monkeypatch.setenv(on_worker.FOLDER_VARIABLE, str(tmp_path / "worker"))
+    monkeypatch.setenv(worker_folder.FOLDER_VARIABLE, str(tmp_path / "worker"))
     monkeypatch.setattr(on_worker, "get_worker", Worker)
-    return on_worker.worker_folder()
+    return worker_folder.worker_folder()
 
 
-def order(bundle="0" * 32, task="t-1-1"):
-    return Order(task, SPEC, bundle, None, None, 1).to_bytes()
+BUNDLE = {"a": b"1"}
+
+
+def run(files=BUNDLE, task="t-1-1"):
+    sent = pickle.dumps(Attempt(task, Path("/server/jobs/1/1"), SPEC))
+    return on_worker.run_task(sent, digest(BUNDLE), files)
 
 
 files = st.dictionaries(
@@ -53,33 +58,32 @@ def test_what_is_unpacked_is_what_was_packed(tmp_path):
 
 @pytest.mark.parametrize("name", ["../out", "/etc/passwd", "a/../../out", "", "a\\b", "a\0b"])
 def test_a_name_that_leads_out_of_its_folder_writes_nothing(tmp_path, name):
-    with pytest.raises(BadParcelError, match="leads out"):
+    with pytest.raises(BadPayloadError, match="leads out"):
         unpack({"good": b"1", name: b"2"}, tmp_path / "there")
     assert not (tmp_path / "there").exists()
 
 
 def test_files_that_were_damaged_on_the_way_are_not_kept(tmp_path):
     name = digest({"a": b"sent"})
-    with pytest.raises(BadParcelError, match="not as"):
+    with pytest.raises(BadPayloadError, match="not as"):
         place({"a": b"torn"}, name, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_larger_than_a_bundle_may_be_is_refused(tmp_path):
     (tmp_path / "large").write_bytes(bytes(100))
-    with pytest.raises(BadParcelError, match="more than 99 bytes"):
+    with pytest.raises(BadPayloadError, match="more than 99 bytes"):
         pack(tmp_path, limit=99)
 
 
-def test_a_worker_without_the_bundle_asks_for_it(on_a_worker):
-    assert on_worker.run_order(order())["how"] == "wants"
+def test_a_worker_that_gets_a_damaged_bundle_says_so_and_keeps_none(on_a_worker):
+    assert "not as" in run(files={"a": b"2"})["unfit"]
+    assert list((on_a_worker / "bundles").iterdir()) == []
 
 
 def test_a_worker_whose_disk_is_full_takes_no_order(on_a_worker, monkeypatch):
-    monkeypatch.setattr(on_worker, "FREE_BYTES", 1 << 62)
-    said = on_worker.run_order(order())
-    assert said["how"] == "unfit"
-    assert "MB left" in said["why"]
+    monkeypatch.setattr(worker_folder, "FREE_BYTES", 1 << 62)
+    assert "MB left" in run()["unfit"]
 
 
 def test_a_disk_that_fills_while_a_bundle_comes_is_told_and_nothing_is_left(
@@ -88,7 +92,7 @@ def test_a_disk_that_fills_while_a_bundle_comes_is_told_and_nothing_is_left(
     def full(*arguments, **named):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("service.jobs.engines.parcel.write_whole_bytes", full)
+    monkeypatch.setattr("service.jobs.engines.payload.write_whole_bytes", full)
     with pytest.raises(OSError, match="No space left"):
         place({"a": b"1"}, digest({"a": b"1"}), on_a_worker / "bundles")
     assert list((on_a_worker / "bundles").iterdir()) == []
@@ -96,20 +100,16 @@ def test_a_disk_that_fills_while_a_bundle_comes_is_told_and_nothing_is_left(
 
 @pytest.mark.parametrize("task", ["../../etc", ".hidden", "a/b", "", "x" * 200])
 def test_a_task_key_that_names_no_folder_is_refused(on_a_worker, task):
-    said = on_worker.run_order(order(task=task))
-    assert said["how"] == "unfit"
-    assert "no task key" in said["why"]
+    assert "no task key" in run(task=task)["unfit"]
 
 
 def test_an_attempt_that_has_ended_is_answered_from_the_disk(on_a_worker):
-    name = digest({"a": b"1"})
-    place({"a": b"1"}, name, on_a_worker / "bundles")
     folder = on_a_worker / "attempts" / "t-1-1"
     prepare(folder, SPEC)
     write_outcome(folder, SPEC, {"status": "done", "displacement": [0.0] * 6})
-    said = on_worker.run_order(order(name))
-    assert said["how"] == "ended"
-    assert b'"done"' in said["files"]["result.json"]
+    payload = run()
+    assert payload["unfit"] is None
+    assert b'"done"' in payload["files"]["result.json"]
 
 
 def test_a_solver_that_nobody_minds_is_ended_after_a_while(on_a_worker, monkeypatch):
@@ -120,11 +120,13 @@ def test_a_solver_that_nobody_minds_is_ended_after_a_while(on_a_worker, monkeypa
     engine = LocalEngine(1)
     attempt = Attempt("t-1-1", folder, SPEC)
     engine.submit(attempt)
-    seen = keeping.sweep(on_a_worker, engine, {})
+    seen = worker_folder.sweep(on_a_worker, engine, {})
     assert list(seen) == ["t-1-1"]
-    with keeping.minded(folder):
-        assert keeping.sweep(on_a_worker, engine, seen) == {}  # somebody minds it
-    keeping.sweep(on_a_worker, engine, {"t-1-1": time.monotonic() - keeping.ORPHAN_SECONDS})
+    with worker_folder.supervised(folder):
+        assert worker_folder.sweep(on_a_worker, engine, seen) == {}  # somebody minds it
+    worker_folder.sweep(
+        on_a_worker, engine, {"t-1-1": time.monotonic() - worker_folder.ORPHAN_SECONDS}
+    )
     deadline = time.monotonic() + 20
     while engine.poll(attempt) == "running":
         assert time.monotonic() < deadline
@@ -132,22 +134,21 @@ def test_a_solver_that_nobody_minds_is_ended_after_a_while(on_a_worker, monkeypa
 
 
 def test_attempts_are_kept_for_a_while_and_not_for_ever(on_a_worker, monkeypatch):
-    monkeypatch.setattr(keeping, "ATTEMPTS", 2)
+    monkeypatch.setattr(worker_folder, "ATTEMPTS", 2)
     for number in range(5):
         folder = on_a_worker / "attempts" / f"t-{number}-1"
         prepare(folder, SPEC)
         os.utime(folder, (number, time.time() - 10 + number))
-        (on_a_worker / "hands").mkdir(exist_ok=True)
-    keeping.sweep(on_a_worker, LocalEngine(1), {})
+    worker_folder.sweep(on_a_worker, LocalEngine(1), {})
     kept = sorted(path.name for path in (on_a_worker / "attempts").iterdir())
     assert kept == ["t-3-1", "t-4-1"]
 
 
 def test_bundles_in_use_are_kept_when_old_ones_go(tmp_path, monkeypatch):
-    monkeypatch.setattr(keeping, "BUNDLES", 1)
+    monkeypatch.setattr(worker_folder, "BUNDLES", 1)
     for number in range(3):
         bundle = place({"a": bytes([number])}, digest({"a": bytes([number])}), tmp_path)
-        old = time.time() - (keeping.BUNDLE_SECONDS + 100 - number if number < 2 else 0)
+        old = time.time() - (worker_folder.BUNDLE_SECONDS + 100 - number if number < 2 else 0)
         os.utime(bundle, (old, old))
-    keeping.drop_old_bundles(tmp_path)
+    worker_folder.drop_old_bundles(tmp_path)
     assert [pack(path) for path in tmp_path.iterdir()] == [{"a": b"\x02"}]
