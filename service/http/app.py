@@ -25,11 +25,9 @@ from service.http.routes import (
     events,
     gathering,
     health,
-    job_log,
     jobs,
     keys,
     library,
-    metrics,
     page,
     report,
     rows,
@@ -60,7 +58,6 @@ _PARTS = (
     drawing,
     scenes,
     jobs,
-    job_log,
     events,
     keys,
 )
@@ -117,8 +114,7 @@ def _with_routes(app: Application) -> Application:
     """Add the routes, the errors and the document to the application, and return it."""
     problems.install(app)
     app.include_router(umbridge.router)  # a protocol with errors of its own form
-    for part in (health, metrics):
-        app.include_router(part.router, responses=openapi.refused(403, 500))
+    app.include_router(health.router, responses=openapi.refused(403, 500))
     for part in _PARTS:
         app.include_router(part.router, responses=openapi.refused(403, 500, 503, 507))
     app.include_router(page.router)

@@ -10,7 +10,6 @@ route is there all the same, for the OpenAPI document and for servers mounted be
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Any
 
 from fastapi import FastAPI
@@ -62,22 +61,18 @@ class Application(FastAPI):
 
         Any problem with the query is left to the request. The headers are as those of a scope.
         """
-        found: dict[str, Any] = {}
-        with suppress(Exception):
+        grant = query = None
+        try:
             grant = self.state.door.admit(headers)
-            if grant is None:
-                return found
-            found[GRANT] = grant
-            query = read_plain_query(body)
-            if query is None:
-                return found
-            found[QUERY] = query
-            outcome = answer_at_once(self.state.workspace, name, query)
-            if outcome is not None:
-                content = plain_content(outcome)
-                self.state.counts.add(outcome.coverage, outcome.method, outcome.elapsed_us)
-                return content
-        return found
+            query = read_plain_query(body) if grant is not None else None
+            if query is not None:
+                outcome = answer_at_once(self.state.workspace, name, query)
+                if outcome is not None:
+                    self.state.counts.add(outcome.coverage, outcome.method, outcome.elapsed_us)
+                    return plain_content(outcome)
+        except Exception:
+            query = None  # the request meets the error again, and answers it
+        return {} if grant is None else {GRANT: grant, QUERY: query}
 
     async def _answered(
         self, scope: Scope, receive: Receive, name: str

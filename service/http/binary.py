@@ -10,9 +10,8 @@ from pydantic import Field, ValidationError
 
 from fea.bundle.tables import LARGEST_LOAD
 from service.answering.queries import BatchQuery
-from service.http.asked_version import VersionQuery
 from service.http.bodies import MAX_BATCH, Body, Derivatives, Flag, OnThin, Seconds
-from service.http.parsing import known_method
+from service.http.parsing import VersionQuery, known_method
 from service.http.problems import bad_body, plain_errors
 from surrogate.table.rows import LOADS, Tolerance
 

@@ -80,9 +80,7 @@ class Displacement(TypedDict, total=False):
     component: str
     translation: Annotated[Three | None, text("m")]
     rotation: Annotated[Three | None, text("rotation vector, rad")]
-    error: Annotated[
-        dict[Part, Three] | None, text("estimated 95 % error bar per output, m and rad")
-    ]
+    error: Annotated[dict[Part, Three] | None, text("estimated 95 % error bars, m and rad")]
     coverage: Coverage
     within_tolerance: Annotated[bool | None, text(_WITHIN)]
     source: Annotated[str | None, text("table, or of the row that answers: fea, measured")]
@@ -116,9 +114,7 @@ class Displacements(TypedDict, total=False):
     ]
     derivatives: list[Slopes]
     method: str
-    jobs: Annotated[
-        list[WrenchJob], text("one for each wrench that is not covered; several may share a job")
-    ]
+    jobs: Annotated[list[WrenchJob], text("one a wrench not covered; several may share a job")]
     table_version: int
     elapsed_us: Annotated[float, text("time spent on the answers, µs")]
 

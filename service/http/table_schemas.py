@@ -90,9 +90,7 @@ class Card(TypedDict, total=False):
 class Import(TypedDict, total=False):
     id: int
     rows: int
-    table_version: Annotated[
-        int | None, text("the first that has them all; null if it brought none")
-    ]
+    table_version: Annotated[int | None, text("the first with all rows; null if it has none")]
     when: str
     who: str
     filename: str

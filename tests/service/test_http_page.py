@@ -10,7 +10,7 @@ from starlette.testclient import TestClient
 
 from service.http import problems
 from service.http.app import create_app
-from service.http.routes.job_log import MOST_LOG_BYTES
+from service.http.routes.jobs import MOST_LOG_BYTES
 from service.http.routes.page import FOLDER, router
 from service.jobs.attempt import LOG
 from service.workspace import Settings

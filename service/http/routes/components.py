@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-import orjson
 from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
@@ -21,6 +20,7 @@ from service.http.needs import need_from
 from service.http.openapi import BYTES, answers, refused, takes
 from service.http.parsing import read_body
 from service.http.problems import ProblemError, bad_body
+from service.http.replies import json_reply
 from service.http.schemas import Queued
 from service.library.bundle_zip import MAX_BUNDLE_BYTES
 from service.library.checked import interface_of, vibration_of, warnings_of
@@ -101,9 +101,8 @@ async def add_component(request: Request) -> Response:
             f"The content type is {kind or 'missing'}. Send a bundle's zip as multipart/form-data "
             "with the field 'bundle', or a table-only component as application/json.",
         )
-    content = orjson.dumps(await run_in_threadpool(component_body, workspace, component))
-    headers = {"Location": f"/v1/components/{component.name}"}
-    return Response(content, 201, headers, "application/json")
+    body = await run_in_threadpool(component_body, workspace, component)
+    return json_reply(body, 201, {"Location": f"/v1/components/{component.name}"})
 
 
 async def _add_bundle(workspace: Workspace, request: Request) -> Component:
@@ -136,7 +135,7 @@ async def fill(name: str, request: Request) -> Response:
     order = read_body(FillBody, await read_limited(request.receive))
     workspace: Workspace = request.app.state.workspace
     reply = await run_in_threadpool(_fill, workspace, name, order)
-    return Response(orjson.dumps(reply), 202 if reply["jobs"] else 200, None, "application/json")
+    return json_reply(reply, 202 if reply["jobs"] else 200)
 
 
 def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:

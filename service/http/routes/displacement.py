@@ -18,7 +18,6 @@ from service.answering.past import answer_at, answer_many_at
 from service.answering.queries import BatchOutcome, BatchQuery, Query
 from service.contract import CONTRACT_TEXT
 from service.http import binary
-from service.http.asked_version import VersionQuery, check_version, split_version, version_of
 from service.http.batch import few_large, read_batch_body
 from service.http.binary import is_binary, read_binary
 from service.http.bodies import BatchBody, DisplacementBody, SolveBody
@@ -26,7 +25,14 @@ from service.http.body import MOST_BATCH_BYTES, Spooled, read_limited, spooled
 from service.http.door import Grant, grant_of
 from service.http.door.door import beyond_scope
 from service.http.openapi import answers, refused, takes
-from service.http.parsing import read_query, read_solve
+from service.http.parsing import (
+    VersionQuery,
+    check_version,
+    read_query,
+    read_solve,
+    split_version,
+    version_of,
+)
 from service.http.problems import ProblemError
 from service.http.replies import write_batch, write_binary, write_outcome
 from service.http.schemas import Displacement, Displacements

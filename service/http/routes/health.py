@@ -1,26 +1,28 @@
-"""Health: is the process alive, and is it ready to answer."""
+"""Health, and metrics for Prometheus."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from fastapi import APIRouter, Request
-from starlette.responses import JSONResponse
+from prometheus_client import CONTENT_TYPE_LATEST
+from starlette.responses import JSONResponse, PlainTextResponse, Response
 
 from service.files.discreet import discreetly
 from service.http.openapi import answers
+from service.ops.metrics import Metrics
 from service.workspace import Workspace
 
-router = APIRouter(prefix="/health", tags=["health"])
+router = APIRouter(tags=["health"])
 
 
-@router.get("/live", summary="The process answers", response_description="the process answers")
+@router.get("/health/live", summary="The process answers")
 async def live() -> dict[str, str]:
     return {"status": "live"}
 
 
 @router.get(
-    "/ready",
+    "/health/ready",
     summary="Whether jobs are accepted and solved; which components are broken or still built",
     responses=answers(dict[str, Any], "ready")
     | answers(dict[str, Any], "not ready; see faults", 503),
@@ -37,3 +39,14 @@ def ready(request: Request) -> JSONResponse:
         "building": workspace.tables.building(),
     }
     return JSONResponse(discreetly(body), 200 if not faults else 503)
+
+
+@router.get(
+    "/metrics",
+    summary="Counts and states for Prometheus",
+    response_class=PlainTextResponse,
+    response_description="metrics in Prometheus' text form",
+)
+def metrics(request: Request) -> Response:
+    told: Metrics = request.app.state.metrics
+    return Response(told.text(), media_type=CONTENT_TYPE_LATEST)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-import orjson
 from fastapi import APIRouter, Request
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
@@ -15,6 +14,7 @@ from service.http.body import read_limited
 from service.http.openapi import answers, refused, takes
 from service.http.parsing import read_body
 from service.http.problems import ProblemError, bad_body
+from service.http.replies import json_reply
 from service.keys import Keyring, KeysError
 from service.keys.record import MEGABYTES, RATE
 
@@ -51,8 +51,7 @@ async def add_key(request: Request) -> Response:
     keyring = _keyring(request)
     body: KeyBody = read_body(KeyBody, await read_limited(request.receive))
     secret = await run_in_threadpool(_added, keyring, body)
-    told = {"name": body.name, "scope": body.scope, "key": secret}
-    return Response(orjson.dumps(told), 201, None, "application/json")
+    return json_reply({"name": body.name, "scope": body.scope, "key": secret}, 201)
 
 
 @router.delete("/{name}", summary="Revoke a key", responses=refused(404, 422))

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
-import orjson
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
 from service.http.openapi import JSON, TEXT, answers, refused
 from service.http.problems import ProblemError
+from service.http.replies import json_reply
 from service.ordering import NoSetupError
 from service.workspace import Workspace
 
@@ -91,4 +91,4 @@ def _state(workspace: Workspace, name: str) -> Response:
     making = workspace.reports.state(name)
     body = {"component": name, **asdict(making), "url": f"/v1/components/{name}/report"}
     status = 202 if making.state == "running" else 200
-    return Response(orjson.dumps(body), status, None, "application/json")
+    return json_reply(body, status)

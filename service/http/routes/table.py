@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 from weakref import WeakValueDictionary
 
-import orjson
 from fastapi import APIRouter, Header, Query, Request
 from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
@@ -24,6 +23,7 @@ from service.http.door.grant import grant_of
 from service.http.import_query import ImportQuery
 from service.http.openapi import BYTES, answers, refused, takes
 from service.http.problems import ProblemError
+from service.http.replies import json_reply
 from service.http.table_schemas import Imported, Table
 from service.http.versions import holds, naming
 from service.ledger import About
@@ -213,7 +213,7 @@ async def import_table(
     caught_up = await run_in_threadpool(workspace.tables.catch_up, component.name, 0.0)
     reply["in_use"] = caught_up and (loaded or not reply["inserted"])
     reply["table_version"] = workspace.ledger.last_seq(component.name)
-    return Response(orjson.dumps(reply), 200, None, "application/json")
+    return json_reply(reply)
 
 
 @asynccontextmanager
