@@ -94,15 +94,23 @@ class DaskEngine:
     def close(self) -> None:
         """Leave the cluster; workers finish their attempts and keep them for the next server."""
         self._tasks.clear()
-        self._soon(self._stop_all)
+        self._soon(self._loop.stop)
         self._thread.join(CLOSE_SECONDS)
 
     # -- in the engine's own thread -----------------------------------------------------------
 
     def _run_loop(self) -> None:
-        closed = contextlib.suppress(asyncio.CancelledError)
-        with asyncio.Runner(loop_factory=lambda: self._loop) as runner, closed:
-            runner.run(self._cluster.run())
+        asyncio.set_event_loop(self._loop)
+        self._loop.create_task(self._cluster.run())
+        try:
+            self._loop.run_forever()
+        finally:
+            rest = asyncio.all_tasks(self._loop)
+            for task in rest:
+                task.cancel()
+            # Tasks of Dask's own may not hear it.
+            self._loop.run_until_complete(asyncio.wait(rest, timeout=CLOSE_SECONDS / 2))
+            self._loop.close()
 
     def _soon(self, function: Callable[..., object], *args: object) -> None:
         with contextlib.suppress(RuntimeError):  # the engine is closed
@@ -117,10 +125,6 @@ class DaskEngine:
     def _start(self, key: str, task: DaskTask) -> None:
         run = self._runs[key] = self._loop.create_task(task.run())
         run.add_done_callback(lambda _: self._runs.pop(key, None))
-
-    def _stop_all(self) -> None:
-        for task in asyncio.all_tasks(self._loop):
-            task.cancel()
 
     def _stop(self, key: str) -> None:
         if run := self._runs.get(key):

@@ -113,7 +113,7 @@ class Cluster:
     async def client(self) -> Client:
         """Return the client once it is connected to a cluster with a fit worker."""
         async with self._changed:
-            while self._client is None or self.trouble:
+            while self._client is None or self._client.status != "running" or self.trouble:
                 await self._changed.wait()
             return self._client
 
@@ -131,8 +131,8 @@ class Cluster:
             await self._changed.wait()
 
     async def gone(self, addresses: Sequence[str]) -> None:
-        """Return once none of these workers is left; never if there are no addresses."""
-        while not addresses or any(address in self.workers for address in addresses):
+        """Return once the scheduler has none of these workers; never if there are no addresses."""
+        while not addresses or self._away or any(one in self.workers for one in addresses):
             await self.changed()
 
     def place(self, memory: int | None, cores: int) -> Place | str:

@@ -109,8 +109,9 @@ class Engine(Protocol):
     def cancel(self, attempt: Attempt) -> None:
         """Have the attempt's solver end soon; `poll` shows when it counts as ended. Repeatable.
 
-        A solver on another machine may end some seconds later than the attempt. Also for an attempt that was neither submitted nor attached here: it was cancelled while no
-        dispatcher lived, and its task key is all there is.
+        A solver on another machine may end some seconds later than the attempt. The attempt may be
+        one that was neither submitted nor attached here: it was cancelled while no dispatcher
+        lived, and its task key is all there is.
         """
         ...
 

@@ -166,7 +166,7 @@ class _Reporter:
             "task": self._attempt.task,
             "worker": self._worker.address,
             "progress": asdict(progress) if progress else None,
-            "seconds": solver_seconds(self._attempt.folder),
+            "seconds": solver_seconds(self._attempt.folder) or 0.0,
         }
         self._worker.log_event(TOPIC, event)
 

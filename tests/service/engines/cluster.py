@@ -10,6 +10,8 @@ from pathlib import Path
 
 from distributed import Client
 
+from tests.service.until import until
+
 TESTS = Path(__file__).parents[1]
 SOURCES = TESTS.parents[1]
 SETTINGS = {
@@ -85,6 +87,23 @@ class Cluster:
 
         with Client(self.address) as client:
             client.run_on_scheduler(drop)
+
+    def cut_connection(self):
+        """Close the servers' connections to the scheduler, and wait until they have new ones."""
+
+        def cut(dask_scheduler):
+            for name, comm in dask_scheduler.client_comms.items():
+                if "wrenchbook" in name:
+                    comm.comm.abort()
+
+        def is_back(dask_scheduler):
+            comms = dask_scheduler.client_comms.items()
+            return any("wrenchbook" in name and not comm.closed() for name, comm in comms)
+
+        with Client(self.address) as client:
+            assert client.run_on_scheduler(is_back)
+            client.run_on_scheduler(cut)
+            until(lambda: client.run_on_scheduler(is_back))
 
     def mend(self, workers):
         """Start again what has ended, as systemd or a container's restart policy would."""

@@ -102,6 +102,15 @@ def test_a_cancelled_solver_ends(bench):
     assert bench.outcome(attempt) == {"status": "cancelled"}
 
 
+def test_a_cancelled_solver_ends_though_the_dispatcher_stops_at_once(bench):
+    engine = bench.engine()
+    attempt = bench.started("endless", engine)
+    engine.cancel(attempt)
+    bench.end(engine, attempt)
+    engine.close()
+    until(lambda: bench.pid(attempt) is None)
+
+
 def test_a_solver_that_does_not_hear_ends_all_the_same(bench):
     engine = bench.engine()
     attempt = bench.started("deaf", engine)

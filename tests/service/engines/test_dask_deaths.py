@@ -72,6 +72,19 @@ def test_a_scheduler_that_dies_is_found_again_with_the_attempts(own, cluster):
     assert own.starts(attempt) == 1
 
 
+def test_a_connection_that_is_lost_and_comes_back_finds_the_same_task(own, cluster):
+    cluster.start_scheduler()
+    cluster.start_worker()
+    engine = own.engine()
+    attempt = own.started("counted_until_go", engine)
+    until(lambda: own.has_begun(attempt))
+    cluster.cut_connection()
+    own.go(attempt)
+    assert own.end(engine, attempt) == "finished"
+    assert own.outcome(attempt)["status"] == "done"
+    assert own.starts(attempt) == 1
+
+
 def test_a_worker_that_is_stopped_holds_nothing_up_for_long(own, cluster):
     """Dask drops it after `worker-ttl`, and another worker takes what it had."""
     cluster.start_scheduler()
