@@ -155,7 +155,7 @@ validate: setup  ## verify the solver: closed forms, published numbers, CalculiX
 	$(BIN)/wrenchbook validate all
 
 validate-table: setup  ## the same, and write its tables into fea/README.md
-	$(BIN)/python -m fea.validation all --update fea/README.md
+	$(BIN)/python -m wrenchbook.fea.validation all --update fea/README.md
 
 validate-ccx: $(VENV)/.installed-dev  ## same mesh as CalculiX: the slow cases, about ten minutes
 	$(BIN)/python -m pytest tests/benchmarks/test_fea_calculix.py -p no:cacheprovider --timeout 1800

@@ -10,7 +10,7 @@ client and the surrogate are found beside this file and not by the names ``servi
 ``surrogate``: a project may have packages of those names of its own.
 
 Run as a program, this file is the command ``wrenchbook``, and with ``-m`` any other program of the
-rooms beside it: ``python wrenchbook.py -m fea.check FOLDER``.
+rooms beside it: ``python wrenchbook.py -m wrenchbook.fea.check FOLDER``.
 """
 
 from __future__ import annotations

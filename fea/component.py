@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.coupling.section import Section, section_of_facets, section_of_nodes
-from fea.mesh.cad import mesh_geometry
-from fea.mesh.element_order import first_order_problems, second_order
-from fea.mesh.facets import facets_within, outer_surface
-from fea.mesh.generators import GENERATORS
-from fea.mesh.io.read import read_mesh
-from fea.mesh.mesh import Mesh
-from fea.mesh.quality import cell_problems
-from fea.spec.problems import BundleError, Problem, suggest
-from fea.spec.schema import Analysis, Bundle, Interface, Material, MeshSource
+from wrenchbook.fea.coupling.section import Section, section_of_facets, section_of_nodes
+from wrenchbook.fea.mesh.cad import mesh_geometry
+from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
+from wrenchbook.fea.mesh.facets import facets_within, outer_surface
+from wrenchbook.fea.mesh.generators import GENERATORS
+from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.quality import cell_problems
+from wrenchbook.fea.spec.problems import BundleError, Problem, suggest
+from wrenchbook.fea.spec.schema import Analysis, Bundle, Interface, Material, MeshSource
 
 Array = np.ndarray
 

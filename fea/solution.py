@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fea.coupling.state import State
+from wrenchbook.fea.coupling.state import State
 
 Array = np.ndarray
 

@@ -10,28 +10,28 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.assembly.balance import Balance
-from fea.assembly.blocks import filled_cells
-from fea.assembly.body import Body
-from fea.assembly.condition import ROUNDOFF
-from fea.assembly.mass import consistent_mass
-from fea.assembly.system import System
-from fea.component import Component, build
-from fea.coupling import Coupling, Distributed, Rigid, State
-from fea.deck.solving import solve_deck
-from fea.element.pressure_projection import pressure_notes
-from fea.export.failure_record import keep
-from fea.failure import SolveFailed, rotation_too_large
-from fea.inspection.warnings import warnings_of
-from fea.recovery.fields import SolveFields, fields_of
-from fea.recovery.stress import places_of, small_stress, stress_of
-from fea.solution import Progress, Solution, checked_wrench
-from fea.solver.buckling import buckling_factors
-from fea.solver.linear import LinearResponse, linear_response
-from fea.solver.load_steps import LoadPath
-from fea.solver.vibration import Riding, Vibration, first_vibration
-from fea.solver.warm_start import WarmFolder
-from fea.spec.schema import FREEDOMS, Bundle
+from wrenchbook.fea.assembly.balance import Balance
+from wrenchbook.fea.assembly.blocks import filled_cells
+from wrenchbook.fea.assembly.body import Body
+from wrenchbook.fea.assembly.condition import ROUNDOFF
+from wrenchbook.fea.assembly.mass import consistent_mass
+from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.component import Component, build
+from wrenchbook.fea.coupling import Coupling, Distributed, Rigid, State
+from wrenchbook.fea.deck.solving import solve_deck
+from wrenchbook.fea.element.pressure_projection import pressure_notes
+from wrenchbook.fea.export.failure_record import keep
+from wrenchbook.fea.failure import SolveFailed, rotation_too_large
+from wrenchbook.fea.inspection.warnings import warnings_of
+from wrenchbook.fea.recovery.fields import SolveFields, fields_of
+from wrenchbook.fea.recovery.stress import places_of, small_stress, stress_of
+from wrenchbook.fea.solution import Progress, Solution, checked_wrench
+from wrenchbook.fea.solver.buckling import buckling_factors
+from wrenchbook.fea.solver.linear import LinearResponse, linear_response
+from wrenchbook.fea.solver.load_steps import LoadPath
+from wrenchbook.fea.solver.vibration import Riding, Vibration, first_vibration
+from wrenchbook.fea.solver.warm_start import WarmFolder
+from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 
 __all__ = ["MOST_DEGREES", "Solver", "solve"]
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from service.ledger import Job, Ledger, OpenJob, packed, unpacked
-from service.library.component import Component
-from service.library.library import Library
+from wrenchbook.service.ledger import Job, Ledger, OpenJob, packed, unpacked
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.library.library import Library
 
 Floats = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from service.files.cores import usable_cores
-from service.ops.retention import KEEP, Keep
-from service.ordering import QUEUE_LIMIT
-from service.tables.served import TABLE_MEMORY
+from wrenchbook.service.files.cores import usable_cores
+from wrenchbook.service.ops.retention import KEEP, Keep
+from wrenchbook.service.ordering import QUEUE_LIMIT
+from wrenchbook.service.tables.served import TABLE_MEMORY
 
 # What a process does of the work on a data directory: all of it; or, of several, the one that
 # builds tables and has jobs run, or one of those that answer.

@@ -12,42 +12,42 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from service.demand.demand import Demand
-from service.fields.deformed import DeformedShapes
-from service.fields.shape import Deformed
-from service.fields.store import FieldStore
-from service.jobs.attempt import Progress, attempt_folder, read_progress
-from service.jobs.dispatcher import Dispatcher
-from service.jobs.engines.engine import Engine
-from service.jobs.engines.registry import open_engine
-from service.jobs.polls import Polls
-from service.jobs.record_outcome import notes_of
-from service.jobs.waiting import Waiting, why_waiting
-from service.ledger import Change, Job, Ledger, LedgerUnavailableError, OpenJob
-from service.library.catalogue import Catalogue
-from service.library.checked import solver_error_of
-from service.library.component import Component
-from service.library.library import Library
-from service.ops.checks import is_full
-from service.ops.retention import Retention
-from service.ordering import Orders
-from service.report.queue import Reports
-from service.settings import Settings
-from service.tables.behind import TableBehindError
-from service.tables.coordinator_state import FOLDER, CoordinatorState
-from service.tables.live import Tables
-from service.tables.making import row_table
-from service.tables.mapped import MappedTables
-from service.tables.news import table_rows, usable
-from service.tables.past import PastTables
-from service.tables.served import ServedTable
-from service.tables.solver_errors import SolverErrors
-from surrogate.design.adaptive import Design, next_wrenches
-from surrogate.scene.need import Need
-from surrogate.scene.plan import design_of, plan_of
-from surrogate.solver_error import SolverError
-from surrogate.table.merging import NEAR
-from surrogate.table.rows import Tolerance
+from wrenchbook.service.demand.demand import Demand
+from wrenchbook.service.fields.deformed import DeformedShapes
+from wrenchbook.service.fields.shape import Deformed
+from wrenchbook.service.fields.store import FieldStore
+from wrenchbook.service.jobs.attempt import Progress, attempt_folder, read_progress
+from wrenchbook.service.jobs.dispatcher import Dispatcher
+from wrenchbook.service.jobs.engines.engine import Engine
+from wrenchbook.service.jobs.engines.registry import open_engine
+from wrenchbook.service.jobs.polls import Polls
+from wrenchbook.service.jobs.record_outcome import notes_of
+from wrenchbook.service.jobs.waiting import Waiting, why_waiting
+from wrenchbook.service.ledger import Change, Job, Ledger, LedgerUnavailableError, OpenJob
+from wrenchbook.service.library.catalogue import Catalogue
+from wrenchbook.service.library.checked import solver_error_of
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.library.library import Library
+from wrenchbook.service.ops.checks import is_full
+from wrenchbook.service.ops.retention import Retention
+from wrenchbook.service.ordering import Orders
+from wrenchbook.service.report.queue import Reports
+from wrenchbook.service.settings import Settings
+from wrenchbook.service.tables.behind import TableBehindError
+from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
+from wrenchbook.service.tables.live import Tables
+from wrenchbook.service.tables.making import row_table
+from wrenchbook.service.tables.mapped import MappedTables
+from wrenchbook.service.tables.news import table_rows, usable
+from wrenchbook.service.tables.past import PastTables
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.surrogate.design.adaptive import Design, next_wrenches
+from wrenchbook.surrogate.scene.need import Need
+from wrenchbook.surrogate.scene.plan import design_of, plan_of
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.merging import NEAR
+from wrenchbook.surrogate.table.rows import Tolerance
 
 log = logging.getLogger(__name__)
 

@@ -10,9 +10,9 @@ import base64
 import tempfile
 from pathlib import Path
 
-from service.client import Client
-from service.http.server import private_server
 from tests.service.page.chromium import Browser
+from wrenchbook.service.client import Client
+from wrenchbook.service.http.server import private_server
 
 FOLDER = Path(__file__).parents[1] / "data" / "pictures"
 SIZE = (1280, 1010)  # px: the whole of the view

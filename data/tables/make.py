@@ -129,10 +129,10 @@ def binary() -> None:
     import pyarrow.parquet as parquet
     from openpyxl import Workbook
 
-    from service.formats import write_hdf5
-    from surrogate.table.meta import TableMeta
-    from surrogate.table.rows import LoadRange
     from tests.service.table_files import read_csv, write_json
+    from wrenchbook.service.formats import write_hdf5
+    from wrenchbook.surrogate.table.meta import TableMeta
+    from wrenchbook.surrogate.table.rows import LoadRange
 
     rows = measured().tolist()
     for name, spoilt in (("workbook.xlsx", False), ("workbook_errors.xlsx", True)):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fea.spec.problems import Problem
+from wrenchbook.fea.spec.problems import Problem
 
 Array = np.ndarray
 

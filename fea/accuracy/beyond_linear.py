@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fea.failure import SolveFailed
-from fea.solve import Solver
-from fea.spec.schema import LoadRange
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import LoadRange
 
 Array = np.ndarray
 

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from fea.accuracy.beyond_linear import beyond_linear
-from fea.accuracy.recovered import recovered_error
-from fea.accuracy.second_mesh import coarser
-from fea.failure import SolveFailed
-from fea.mesh.facets import EDGES
-from fea.mesh.mesh import Mesh
-from fea.solve import Solver
-from fea.spec.problems import BundleError
-from fea.spec.schema import FREEDOMS, Bundle, LoadRange
+from wrenchbook.fea.accuracy.beyond_linear import beyond_linear
+from wrenchbook.fea.accuracy.recovered import recovered_error
+from wrenchbook.fea.accuracy.second_mesh import coarser
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.facets import EDGES
+from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.problems import BundleError
+from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, LoadRange
 
 Array = np.ndarray
 

@@ -18,11 +18,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 
-from fea.assembly.body import gather
-from fea.mesh.facets import EDGES
-from fea.mesh.mesh import NODES_PER_CELL
-from fea.mesh.reference_cell import node_places, reference_element, tabulate
-from fea.solve import Solver
+from wrenchbook.fea.assembly.body import gather
+from wrenchbook.fea.mesh.facets import EDGES
+from wrenchbook.fea.mesh.mesh import NODES_PER_CELL
+from wrenchbook.fea.mesh.reference_cell import node_places, reference_element, tabulate
+from wrenchbook.fea.solve import Solver
 
 Array = np.ndarray
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from fea.component import build
-from fea.failure import SolveFailed
-from fea.mesh.refine import refined
-from fea.solve import Solver
-from fea.spec.problems import BundleError
+from wrenchbook.fea.component import build
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.refine import refined
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.problems import BundleError
 
 COARSER = 0.5
 """Cells along each direction of the second mesh, over those of the first.

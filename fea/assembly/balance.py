@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.coupling import State
+from wrenchbook.fea.coupling import State
 
 Array = np.ndarray
 

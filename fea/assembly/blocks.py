@@ -6,14 +6,14 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fea.element.cell_stiffness import CellStiffness
-from fea.element.mapping import Gradients, cell_gradients
-from fea.element.neo_hookean import NeoHookeanStiffness
-from fea.element.orthotropic import OrthotropicStiffness, turned_elasticity
-from fea.element.pressure_projection import projects, require_no_locking, volume_modes
-from fea.element.st_venant_kirchhoff import Stiffness
-from fea.mesh.mesh import CellBlock, Mesh
-from fea.spec.schema import LAWS, Material
+from wrenchbook.fea.element.cell_stiffness import CellStiffness
+from wrenchbook.fea.element.mapping import Gradients, cell_gradients
+from wrenchbook.fea.element.neo_hookean import NeoHookeanStiffness
+from wrenchbook.fea.element.orthotropic import OrthotropicStiffness, turned_elasticity
+from wrenchbook.fea.element.pressure_projection import projects, require_no_locking, volume_modes
+from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness
+from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.spec.schema import LAWS, Material
 
 Array = np.ndarray
 

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fea.element.cell_stiffness import CellStiffness
-from fea.linalg.multifrontal import Factor
-from fea.linalg.nested_dissection import Dissection, dissect, unknowns_of
-from fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.element.cell_stiffness import CellStiffness
+from wrenchbook.fea.linalg.multifrontal import Factor
+from wrenchbook.fea.linalg.nested_dissection import Dissection, dissect, unknowns_of
+from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 
 Array = np.ndarray
 

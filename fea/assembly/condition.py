@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, onenormest
 
-from fea.assembly.body import Body, Tangent
-from fea.failure import SolveFailed, ill_conditioned, mechanism
+from wrenchbook.fea.assembly.body import Body, Tangent
+from wrenchbook.fea.failure import SolveFailed, ill_conditioned, mechanism
 
 Array = np.ndarray
 

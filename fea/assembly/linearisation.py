@@ -6,10 +6,10 @@ from functools import cached_property
 
 import numpy as np
 
-from fea.assembly.balance import Balance
-from fea.assembly.body import Body, Tangent
-from fea.coupling import Coupling
-from fea.failure import mechanism
+from wrenchbook.fea.assembly.balance import Balance
+from wrenchbook.fea.assembly.body import Body, Tangent
+from wrenchbook.fea.coupling import Coupling
+from wrenchbook.fea.failure import mechanism
 
 Array = np.ndarray
 

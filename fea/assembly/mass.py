@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 
-from fea.mesh.mesh import CellBlock, Mesh
-from fea.mesh.reference_cell import reference_element
+from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.mesh.reference_cell import reference_element
 
 Array = np.ndarray
 

@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from fea.assembly.balance import Balance
-from fea.assembly.body import Body
-from fea.assembly.condition import scaled_condition, softest_energy, unheld
-from fea.assembly.linearisation import Linearisation
-from fea.coupling import Coupling, State
+from wrenchbook.fea.assembly.balance import Balance
+from wrenchbook.fea.assembly.body import Body
+from wrenchbook.fea.assembly.condition import scaled_condition, softest_energy, unheld
+from wrenchbook.fea.assembly.linearisation import Linearisation
+from wrenchbook.fea.coupling import Coupling, State
 
 Array = np.ndarray
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from fea.spec.toml_table import Keys
+from wrenchbook.fea.spec.toml_table import Keys
 
 
 def read_axes(keys: Keys) -> np.ndarray | None:

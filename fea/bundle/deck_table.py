@@ -14,11 +14,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fea.readers.reader import Reader
-from fea.readers.registry import reader_named, reader_names
-from fea.spec.files import bundle_file
-from fea.spec.schema import MOMENTS, UNITS, Deck
-from fea.spec.toml_table import Keys
+from wrenchbook.fea.readers.reader import Reader
+from wrenchbook.fea.readers.registry import reader_named, reader_names
+from wrenchbook.fea.spec.files import bundle_file
+from wrenchbook.fea.spec.schema import MOMENTS, UNITS, Deck
+from wrenchbook.fea.spec.toml_table import Keys
 
 _LONGEST = 1e7  # seconds
 

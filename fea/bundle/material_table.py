@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from fea.bundle.axes import read_axes
-from fea.spec.orthotropic import MOST_ISOTROPIC_RATIO, Orthotropic
-from fea.spec.schema import LAWS, Material
-from fea.spec.toml_table import Keys
+from wrenchbook.fea.bundle.axes import read_axes
+from wrenchbook.fea.spec.orthotropic import MOST_ISOTROPIC_RATIO, Orthotropic
+from wrenchbook.fea.spec.schema import LAWS, Material
+from wrenchbook.fea.spec.toml_table import Keys
 
 
 def read_material(keys: Keys) -> Material | None:

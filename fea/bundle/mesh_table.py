@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import MISSING, fields
 from pathlib import Path
 
-from fea.mesh.generators import GENERATORS
-from fea.spec.files import bundle_file
-from fea.spec.schema import GEOMETRY_ENDINGS, UNITS, Choice, Geometry, MeshSource
-from fea.spec.toml_table import Keys
+from wrenchbook.fea.mesh.generators import GENERATORS
+from wrenchbook.fea.spec.files import bundle_file
+from wrenchbook.fea.spec.schema import GEOMETRY_ENDINGS, UNITS, Choice, Geometry, MeshSource
+from wrenchbook.fea.spec.toml_table import Keys
 
 _AXES = ("x", "y", "z")
 _FACE_WAYS = ("faces", "near", "plane", "radius")

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from fea.bundle.deck_table import read_deck
-from fea.bundle.material_table import read_material
-from fea.bundle.mesh_table import read_mesh
-from fea.bundle.tables import (
+from wrenchbook.fea.bundle.deck_table import read_deck
+from wrenchbook.fea.bundle.material_table import read_material
+from wrenchbook.fea.bundle.mesh_table import read_mesh
+from wrenchbook.fea.bundle.tables import (
     read_analysis,
     read_interface,
     read_name,
@@ -25,9 +25,9 @@ from fea.bundle.tables import (
     read_supports,
     read_tolerance,
 )
-from fea.spec.fingerprint import fingerprint
-from fea.spec.problems import BundleError, Problem
-from fea.spec.schema import (
+from wrenchbook.fea.spec.fingerprint import fingerprint
+from wrenchbook.fea.spec.problems import BundleError, Problem
+from wrenchbook.fea.spec.schema import (
     Analysis,
     Bundle,
     Deck,
@@ -38,7 +38,7 @@ from fea.spec.schema import (
     Supports,
     Tolerance,
 )
-from fea.spec.toml_table import Keys
+from wrenchbook.fea.spec.toml_table import Keys
 
 __all__ = [
     "Analysis",

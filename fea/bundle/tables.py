@@ -10,8 +10,8 @@ import re
 
 import numpy as np
 
-from fea.bundle.axes import read_axes
-from fea.spec.schema import (
+from wrenchbook.fea.bundle.axes import read_axes
+from wrenchbook.fea.spec.schema import (
     COUPLINGS,
     FREEDOMS,
     INTEGRATIONS,
@@ -21,7 +21,7 @@ from fea.spec.schema import (
     Supports,
     Tolerance,
 )
-from fea.spec.toml_table import Keys
+from wrenchbook.fea.spec.toml_table import Keys
 
 # Tables square loads and divide by them; the square root of the largest double, 1e154, is too near
 # since sums of such squares must be numbers too.

@@ -1,11 +1,11 @@
-"""Check a bundle before anything is solved: ``python -m fea.check [--text] FOLDER``.
+"""Check a bundle before anything is solved: ``python -m wrenchbook.fea.check [--text] FOLDER``.
 
 `report` says what an FEA engineer wants to know of a mesh and its supports, and every mistake in a
 bundle, as a dictionary; `as_text` writes it out for people. It meshes and looks; it solves nothing.
 """
 
-from fea.check.reporting import main, report
-from fea.check.text import as_text
+from wrenchbook.fea.check.reporting import main, report
+from wrenchbook.fea.check.text import as_text
 
 check = report
 

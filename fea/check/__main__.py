@@ -1,7 +1,7 @@
-"""``python -m fea.check``: see `fea.check.reporting.main`."""
+"""``python -m wrenchbook.fea.check``: see `fea.check.reporting.main`."""
 
 import sys
 
-from fea.check.reporting import main
+from wrenchbook.fea.check.reporting import main
 
 sys.exit(main(sys.argv[1:]))

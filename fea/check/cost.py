@@ -24,9 +24,9 @@ from typing import Any
 
 import numpy as np
 
-from fea.component import Component
-from fea.element.pressure_projection import NEARLY_INCOMPRESSIBLE
-from fea.linalg.nested_dissection import dissect
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.element.pressure_projection import NEARLY_INCOMPRESSIBLE
+from wrenchbook.fea.linalg.nested_dissection import dissect
 
 _MOST_CELLS = 100_000
 """Beyond this many cells the operations are guessed from the unknowns, as of a cube."""

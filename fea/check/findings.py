@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from fea.check.motions import describe, free_motions, middle, size_of
-from fea.component import Component
-from fea.inspection.bodies import Bodies, gap
-from fea.inspection.warnings import place_in_words
-from fea.mesh.mesh import Mesh
-from fea.spec.problems import Problem
+from wrenchbook.fea.check.motions import describe, free_motions, middle, size_of
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.inspection.bodies import Bodies, gap
+from wrenchbook.fea.inspection.warnings import place_in_words
+from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.spec.problems import Problem
 
 Array = np.ndarray
 

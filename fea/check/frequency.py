@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from fea.failure import SolveFailed
-from fea.solve import Solver
-from fea.solver.vibration import Riding
-from fea.spec.problems import Problem
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.solver.vibration import Riding
+from wrenchbook.fea.spec.problems import Problem
 
 
 def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], list[Problem]]:

@@ -16,9 +16,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fea.component import Component
-from fea.inspection.bodies import Bodies
-from fea.spec.schema import FREEDOMS
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.inspection.bodies import Bodies
+from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 

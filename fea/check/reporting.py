@@ -10,26 +10,26 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from fea.accuracy.advice import over_tolerance
-from fea.accuracy.estimate import accuracy_or_why
-from fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
-from fea.check import findings
-from fea.check.cost import estimate
-from fea.check.frequency import frequency
-from fea.check.strength import strength
-from fea.check.text import as_text
-from fea.check.trial import deflection_warnings, solver_of, trial
-from fea.component import Component, build, mesh_of
-from fea.deck.checking import deck_report
-from fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
-from fea.inspection.cells import quality, quality_warnings
-from fea.inspection.warnings import coincidence_warnings, set_up_warnings
-from fea.mesh.cad import list_shape
-from fea.mesh.mesh import Mesh
-from fea.solve import Solver
-from fea.solver.vibration import Riding
-from fea.spec.problems import Problem
-from fea.spec.schema import GEOMETRY_ENDINGS
+from wrenchbook.fea.accuracy.advice import over_tolerance
+from wrenchbook.fea.accuracy.estimate import accuracy_or_why
+from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
+from wrenchbook.fea.check import findings
+from wrenchbook.fea.check.cost import estimate
+from wrenchbook.fea.check.frequency import frequency
+from wrenchbook.fea.check.strength import strength
+from wrenchbook.fea.check.text import as_text
+from wrenchbook.fea.check.trial import deflection_warnings, solver_of, trial
+from wrenchbook.fea.component import Component, build, mesh_of
+from wrenchbook.fea.deck.checking import deck_report
+from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
+from wrenchbook.fea.inspection.cells import quality, quality_warnings
+from wrenchbook.fea.inspection.warnings import coincidence_warnings, set_up_warnings
+from wrenchbook.fea.mesh.cad import list_shape
+from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.solver.vibration import Riding
+from wrenchbook.fea.spec.problems import Problem
+from wrenchbook.fea.spec.schema import GEOMETRY_ENDINGS
 
 _MOST_SECONDS = 5.0
 """Of a linear solve, to estimate the solver's error too: that takes up to three more."""
@@ -226,7 +226,7 @@ def _entry(problem: Problem) -> dict[str, str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the report on a folder, as one line of JSON or as text; return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m fea.check", exit_on_error=False)
+    parser = argparse.ArgumentParser(prog="python -m wrenchbook.fea.check", exit_on_error=False)
     parser.add_argument("--text", action="store_true", help="for people instead of programs")
     parser.add_argument("--mass", type=float, help="kg on the interface")
     parser.add_argument("--inertia", type=_numbers, help="kg·m^2: xx,yy,zz or six, .. xy,xz,yz")

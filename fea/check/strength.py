@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from fea.component import Component
-from fea.element.equivalent_stress import von_mises
-from fea.failure import SolveFailed
-from fea.recovery.stress import places_of
-from fea.solve import Solver
-from fea.spec.problems import Problem
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.element.equivalent_stress import von_mises
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.recovery.stress import places_of
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.problems import Problem
 
 Array = np.ndarray
 

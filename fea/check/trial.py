@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from fea.component import Component
-from fea.failure import SolveFailed
-from fea.solve import MOST_DEGREES, Solver
-from fea.spec.problems import Problem
-from fea.spec.schema import FREEDOMS
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.solve import MOST_DEGREES, Solver
+from wrenchbook.fea.spec.problems import Problem
+from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 

@@ -13,9 +13,9 @@ from typing import Protocol
 
 import numpy as np
 
-from fea.coupling.distributed import Distributed
-from fea.coupling.rigid import Rigid
-from fea.coupling.state import Border, State
+from wrenchbook.fea.coupling.distributed import Distributed
+from wrenchbook.fea.coupling.rigid import Rigid
+from wrenchbook.fea.coupling.state import Border, State
 
 Array = np.ndarray
 

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fea.coupling.rotation import rotation_less_identity, skew, spin_per_vector, spin_slope
-from fea.coupling.state import Border, State
+from wrenchbook.fea.coupling.rotation import (
+    rotation_less_identity,
+    skew,
+    spin_per_vector,
+    spin_slope,
+)
+from wrenchbook.fea.coupling.state import Border, State
 
 Array = np.ndarray
 

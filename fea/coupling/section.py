@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.element.mapping import area_weights
-from fea.mesh.mesh import FacetGroup
+from wrenchbook.fea.element.mapping import area_weights
+from wrenchbook.fea.mesh.mesh import FacetGroup
 
 Array = np.ndarray
 

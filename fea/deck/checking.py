@@ -6,10 +6,10 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from fea.deck.running import missing_placeholders
-from fea.readers.registry import reader_named
-from fea.spec.problems import BundleError, Problem
-from fea.spec.schema import Deck
+from wrenchbook.fea.deck.running import missing_placeholders
+from wrenchbook.fea.readers.registry import reader_named
+from wrenchbook.fea.spec.problems import BundleError, Problem
+from wrenchbook.fea.spec.schema import Deck
 
 
 def deck_report(deck: Deck) -> tuple[dict[str, Any], list[Problem]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fea.failure import SolveFailed
+from wrenchbook.fea.failure import SolveFailed
 
 _PACKAGES = {"ccx": "CalculiX: on Debian and Ubuntu, apt-get install calculix-ccx"}
 _LOOK = (

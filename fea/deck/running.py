@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.deck import failures
-from fea.deck.command import OutOfTime, run_command
-from fea.readers.reader import Complaint, OutputError, Reader, Reading, Run
-from fea.readers.registry import reader_named
-from fea.solution import Progress
-from fea.spec.schema import UNITS, Deck
+from wrenchbook.fea.deck import failures
+from wrenchbook.fea.deck.command import OutOfTime, run_command
+from wrenchbook.fea.readers.reader import Complaint, OutputError, Reader, Reading, Run
+from wrenchbook.fea.readers.registry import reader_named
+from wrenchbook.fea.solution import Progress
+from wrenchbook.fea.spec.schema import UNITS, Deck
 
 Array = np.ndarray
 

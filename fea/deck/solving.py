@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.coupling.rotation import spin_per_vector
-from fea.deck import failures
-from fea.deck.running import run_deck
-from fea.solution import Progress, Solution, checked_wrench
-from fea.spec.schema import FREEDOMS, Bundle, Deck, LoadRange
+from wrenchbook.fea.coupling.rotation import spin_per_vector
+from wrenchbook.fea.deck import failures
+from wrenchbook.fea.deck.running import run_deck
+from wrenchbook.fea.solution import Progress, Solution, checked_wrench
+from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Deck, LoadRange
 
 Array = np.ndarray
 

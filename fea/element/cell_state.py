@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from fea.element.mapping import Gradients
+from wrenchbook.fea.element.mapping import Gradients
 
 Array = np.ndarray
 Which = slice | np.ndarray

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.element.cell_state import CellState, Which
-from fea.element.mapping import Gradients
+from wrenchbook.fea.element.cell_state import CellState, Which
+from wrenchbook.fea.element.mapping import Gradients
 
 Array = np.ndarray
 

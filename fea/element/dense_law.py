@@ -6,7 +6,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from fea.element.cell_state import CellState
+from wrenchbook.fea.element.cell_state import CellState
 
 Array = np.ndarray
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.failure import inverted_elements
-from fea.mesh.mesh import CellBlock, FacetGroup
-from fea.mesh.quality import folded_cells
-from fea.mesh.reference_cell import reference_element
+from wrenchbook.fea.failure import inverted_elements
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetGroup
+from wrenchbook.fea.mesh.quality import folded_cells
+from wrenchbook.fea.mesh.reference_cell import reference_element
 
 Array = np.ndarray
 

@@ -22,9 +22,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.element.cell_state import CellState, Which, green_strain
-from fea.element.dense_law import COLUMNS, ROWS, UNIT_STRAINS, DenseState
-from fea.element.st_venant_kirchhoff import Stiffness, projected_gram, weighted
+from wrenchbook.fea.element.cell_state import CellState, Which, green_strain
+from wrenchbook.fea.element.dense_law import COLUMNS, ROWS, UNIT_STRAINS, DenseState
+from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness, projected_gram, weighted
 
 Array = np.ndarray
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.element.cell_state import CellState, Which
-from fea.element.cell_stiffness import CellStiffness
-from fea.element.dense_law import COLUMNS, ROWS, UNIT_STRAINS, DenseState
+from wrenchbook.fea.element.cell_state import CellState, Which
+from wrenchbook.fea.element.cell_stiffness import CellStiffness
+from wrenchbook.fea.element.dense_law import COLUMNS, ROWS, UNIT_STRAINS, DenseState
 
 Array = np.ndarray
 

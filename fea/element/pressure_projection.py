@@ -19,10 +19,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fea.element.cell_stiffness import CellStiffness
-from fea.failure import locking_material
-from fea.mesh.mesh import CellBlock
-from fea.mesh.reference_cell import reference_element
+from wrenchbook.fea.element.cell_stiffness import CellStiffness
+from wrenchbook.fea.failure import locking_material
+from wrenchbook.fea.mesh.mesh import CellBlock
+from wrenchbook.fea.mesh.reference_cell import reference_element
 
 Array = np.ndarray
 

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.element.cell_state import CellState, Which
-from fea.element.cell_stiffness import CellStiffness
+from wrenchbook.fea.element.cell_state import CellState, Which
+from wrenchbook.fea.element.cell_stiffness import CellStiffness
 
 Array = np.ndarray
 

@@ -1,4 +1,4 @@
-"""Write a component as a CalculiX input deck: ``python -m fea.export.calculix BUNDLE > plate.inp``.
+"""Write a component as a CalculiX input deck: ``python -m wrenchbook.fea.export.calculix BUNDLE > plate.inp``.
 
 The deck is complete: mesh, materials, supports, a rigid interface and one step that takes the
 wrench from $FX $FY $FZ $MX $MY $MZ. It is the start of a ``[deck]`` that an expert then goes on
@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.bundle.read import BundleError, bundle_of, read_bundle
-from fea.component import Component, build
-from fea.mesh.mesh import CellBlock
-from fea.spec.orthotropic import Orthotropic
-from fea.spec.problems import Problem
-from fea.spec.schema import FREEDOMS, Bundle, Material
+from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
+from wrenchbook.fea.component import Component, build
+from wrenchbook.fea.mesh.mesh import CellBlock
+from wrenchbook.fea.spec.orthotropic import Orthotropic
+from wrenchbook.fea.spec.problems import Problem
+from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Material
 
 Array = np.ndarray
 
@@ -191,12 +191,14 @@ def _bundle(path: Path) -> Bundle:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the deck of the bundle that the arguments name; return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m fea.export.calculix", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m wrenchbook.fea.export.calculix", description=__doc__
+    )
     parser.add_argument("bundle", type=Path, help="a bundle's folder, or a .toml file like its own")
     path = parser.parse_args(arguments).bundle
     try:
         component = build(_bundle(path))
-        made = f"Made by: python -m fea.export.calculix {path.name}"
+        made = f"Made by: python -m wrenchbook.fea.export.calculix {path.name}"
         units = "Metres, newtons, pascals; the axes are those of the interface frame."
         sys.stdout.write(deck_of(component, (component.bundle.title, made, units)))
     except (BundleError, OSError, tomllib.TOMLDecodeError) as error:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.component import Component
-from fea.export.vtu import write_state
-from fea.failure import SolveFailed
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.export.vtu import write_state
+from wrenchbook.fea.failure import SolveFailed
 
 HISTORY, LAST_STATE = "history.json", "last_state.vtu"
 

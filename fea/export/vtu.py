@@ -8,7 +8,7 @@ from typing import Any
 import meshio
 import numpy as np
 
-from fea.component import Component
+from wrenchbook.fea.component import Component
 
 Array = np.ndarray
 

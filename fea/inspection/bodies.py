@@ -9,9 +9,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from fea.inspection.cells import edge_lengths
-from fea.mesh.facets import FACES, corners_of, outer_surface
-from fea.mesh.mesh import Mesh
+from wrenchbook.fea.inspection.cells import edge_lengths
+from wrenchbook.fea.mesh.facets import FACES, corners_of, outer_surface
+from wrenchbook.fea.mesh.mesh import Mesh
 
 Array = np.ndarray
 

@@ -24,10 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from fea.mesh.facets import EDGES
-from fea.mesh.mesh import CellBlock, Mesh
-from fea.mesh.quality import extreme_determinants
-from fea.mesh.reference_cell import node_places
+from wrenchbook.fea.mesh.facets import EDGES
+from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.mesh.quality import extreme_determinants
+from wrenchbook.fea.mesh.reference_cell import node_places
 
 Array = np.ndarray
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fea.component import Component
-from fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
-from fea.inspection.cells import quality, quality_warnings
-from fea.mesh.facets import facets_within, outer_surface
-from fea.mesh.mesh import Mesh
-from fea.spec.problems import Problem
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
+from wrenchbook.fea.inspection.cells import quality, quality_warnings
+from wrenchbook.fea.mesh.facets import facets_within, outer_surface
+from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.spec.problems import Problem
 
 Array = np.ndarray
 

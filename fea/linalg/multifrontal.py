@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg.blas import get_blas_funcs
 from scipy.linalg.lapack import get_lapack_funcs
 
-from fea.linalg.condensed import (
+from wrenchbook.fea.linalg.condensed import (
     Condensed,
     add_leaf,
     add_to_boundary,
@@ -25,7 +25,7 @@ from fea.linalg.condensed import (
     products,
     route,
 )
-from fea.linalg.nested_dissection import Dissection, Substructure
+from wrenchbook.fea.linalg.nested_dissection import Dissection, Substructure
 
 Array = np.ndarray
 

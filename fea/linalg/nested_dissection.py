@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fea.linalg.cut import Cutter, Incidence, incidence
+from wrenchbook.fea.linalg.cut import Cutter, Incidence, incidence
 
 Array = np.ndarray
 

@@ -25,9 +25,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fea.mesh.facets import EDGES, FaceFinder
-from fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
-from fea.spec.problems import Problem
+from wrenchbook.fea.mesh.facets import EDGES, FaceFinder
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.spec.problems import Problem
 
 Array = np.ndarray
 

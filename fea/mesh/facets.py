@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup
 
 Array = np.ndarray
 

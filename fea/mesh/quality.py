@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fea.mesh.mesh import CellBlock, Mesh
-from fea.mesh.reference_cell import node_places, reference_element, tabulate
-from fea.spec.problems import Problem
+from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.mesh.reference_cell import node_places, reference_element, tabulate
+from wrenchbook.fea.spec.problems import Problem
 
 Array = np.ndarray
 

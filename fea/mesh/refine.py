@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from fea.spec.schema import Bundle
+from wrenchbook.fea.spec.schema import Bundle
 
 # The counts of cells that a finer mesh multiplies, by generator.
 _COUNTS = {

@@ -10,8 +10,8 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from fea.readers.reader import Complaint, OutputError, Reading, Run, number
-from fea.spec.schema import Deck
+from wrenchbook.fea.readers.reader import Complaint, OutputError, Reading, Run, number
+from wrenchbook.fea.spec.schema import Deck
 
 _HEAD = re.compile(r"^ displacements \(vx,vy,vz\) for set (\S+) and time\s+(\S+)\s*$")
 _UNKNOWNS = re.compile(r"number of equations\s+(\d+)")

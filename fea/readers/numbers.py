@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from fea.readers.reader import Complaint, OutputError, Reading, Run, number
-from fea.spec.schema import Deck
+from wrenchbook.fea.readers.reader import Complaint, OutputError, Reading, Run, number
+from wrenchbook.fea.spec.schema import Deck
 
 
 class Numbers:

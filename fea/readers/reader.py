@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from fea.spec.schema import Deck
+from wrenchbook.fea.spec.schema import Deck
 
 
 class OutputError(ValueError):

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 from importlib.metadata import EntryPoints, entry_points
 
-from fea.readers.calculix_dat import CalculixDat
-from fea.readers.numbers import Numbers
-from fea.readers.reader import Reader
+from wrenchbook.fea.readers.calculix_dat import CalculixDat
+from wrenchbook.fea.readers.numbers import Numbers
+from wrenchbook.fea.readers.reader import Reader
 
 ENTRY_POINTS = "wrenchbook.deck_readers"
 """The group of entry points under which packages offer readers."""

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.assembly.body import Body
-from fea.component import Component
-from fea.element.equivalent_stress import von_mises
-from fea.recovery.stress import cauchy_stress, places_of, small_stress
-from fea.recovery.surface import surface_of
-from fea.solution import Solution
+from wrenchbook.fea.assembly.body import Body
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.element.equivalent_stress import von_mises
+from wrenchbook.fea.recovery.stress import cauchy_stress, places_of, small_stress
+from wrenchbook.fea.recovery.surface import surface_of
+from wrenchbook.fea.solution import Solution
 
 Array = np.ndarray
 

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fea.assembly.blocks import sorted_cells
-from fea.assembly.body import Body, gather
-from fea.component import Component
-from fea.mesh.reference_cell import reference_element
-from fea.solution import Solution
+from wrenchbook.fea.assembly.blocks import sorted_cells
+from wrenchbook.fea.assembly.body import Body, gather
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.mesh.reference_cell import reference_element
+from wrenchbook.fea.solution import Solution
 
 Array = np.ndarray
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.mesh.facets import outer_surface
-from fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.facets import outer_surface
+from wrenchbook.fea.mesh.mesh import Mesh
 
 Array = np.ndarray
 

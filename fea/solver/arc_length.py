@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fea.assembly.balance import Balance
-from fea.assembly.linearisation import Linearisation
-from fea.assembly.system import System
-from fea.solver.newton import Equilibrium, Report, Stuck, correct, tangent_after
+from wrenchbook.fea.assembly.balance import Balance
+from wrenchbook.fea.assembly.linearisation import Linearisation
+from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.solver.newton import Equilibrium, Report, Stuck, correct, tangent_after
 
 Array = np.ndarray
 

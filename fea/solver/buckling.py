@@ -13,9 +13,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 
-from fea.assembly.body import Body, gather
-from fea.assembly.system import System
-from fea.solver.vibration import Inertia
+from wrenchbook.fea.assembly.body import Body, gather
+from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.solver.vibration import Inertia
 
 Array = np.ndarray
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.assembly.condition import ROUNDOFF
-from fea.assembly.linearisation import Linearisation, contract
-from fea.assembly.system import System
-from fea.failure import ill_conditioned
+from wrenchbook.fea.assembly.condition import ROUNDOFF
+from wrenchbook.fea.assembly.linearisation import Linearisation, contract
+from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.failure import ill_conditioned
 
 Array = np.ndarray
 

@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fea.assembly.balance import Balance
-from fea.assembly.linearisation import Linearisation
-from fea.assembly.system import System
-from fea.coupling import State
-from fea.coupling.rotation import rotation, rotation_vector
-from fea.failure import (
+from wrenchbook.fea.assembly.balance import Balance
+from wrenchbook.fea.assembly.linearisation import Linearisation
+from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.coupling import State
+from wrenchbook.fea.coupling.rotation import rotation, rotation_vector
+from wrenchbook.fea.failure import (
     SolveFailed,
     gave_way,
     ill_conditioned,
@@ -19,9 +19,15 @@ from fea.failure import (
     not_converged,
     snap_through,
 )
-from fea.solution import Iteration, Progress
-from fea.solver.arc_length import ArcPath
-from fea.solver.newton import MOST_ITERATIONS, Equilibrium, Report, Stuck, find_equilibrium
+from wrenchbook.fea.solution import Iteration, Progress
+from wrenchbook.fea.solver.arc_length import ArcPath
+from wrenchbook.fea.solver.newton import (
+    MOST_ITERATIONS,
+    Equilibrium,
+    Report,
+    Stuck,
+    find_equilibrium,
+)
 
 Array = np.ndarray
 

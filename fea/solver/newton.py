@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fea.assembly.balance import Balance
-from fea.assembly.linearisation import Linearisation
-from fea.assembly.system import System
+from wrenchbook.fea.assembly.balance import Balance
+from wrenchbook.fea.assembly.linearisation import Linearisation
+from wrenchbook.fea.assembly.system import System
 
 Array = np.ndarray
 

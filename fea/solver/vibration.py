@@ -9,9 +9,9 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from fea.assembly.linearisation import contract
-from fea.assembly.system import System
-from fea.coupling.rotation import skew
+from wrenchbook.fea.assembly.linearisation import contract
+from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.coupling.rotation import skew
 
 Array = np.ndarray
 

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.coupling import State
-from fea.solution import Solution
+from wrenchbook.fea.coupling import State
+from wrenchbook.fea.solution import Solution
 
 Array = np.ndarray
 

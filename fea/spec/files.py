@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fea.spec.toml_table import Keys
+from wrenchbook.fea.spec.toml_table import Keys
 
 
 def bundle_file(keys: Keys, key: str, folder: Path, required: bool = True) -> Path | None:

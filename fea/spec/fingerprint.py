@@ -13,7 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from fea.spec.schema import Analysis, Deck, Interface, Material, MeshSource, Supports
+from wrenchbook.fea.spec.schema import Analysis, Deck, Interface, Material, MeshSource, Supports
 
 DIGITS = 16
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fea.spec.orthotropic import Orthotropic
+from wrenchbook.fea.spec.orthotropic import Orthotropic
 
 Array = np.ndarray
 

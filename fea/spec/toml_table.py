@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from fea.spec.problems import Problem, suggest
+from wrenchbook.fea.spec.problems import Problem, suggest
 
 _NAMES = {str: "a text", bool: "true or false", list: "a list", dict: "a table"}
 _MISSING = object()

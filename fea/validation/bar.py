@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fea.solve import Solver
-from fea.validation.boxes import box
-from fea.validation.clamped import clamped, shipped
-from fea.validation.finding import Finding, case
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation.boxes import box
+from wrenchbook.fea.validation.clamped import clamped, shipped
+from wrenchbook.fea.validation.finding import Finding, case
 
 Array = np.ndarray
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
-from fea.mesh.reference_cell import node_places, tabulate
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.mesh.reference_cell import node_places, tabulate
 
 # Corner cells as doubled reference places: a cube cut into six tetrahedra or two wedges.
 _KUHN = [(0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2), (0, 2, 1), (2, 1, 0)]

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fea.component import Component
-from fea.coupling.rotation import spin_per_vector
-from fea.export.calculix import PLACEHOLDERS, deck_of
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.coupling.rotation import spin_per_vector
+from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
 
 Array = np.ndarray
 

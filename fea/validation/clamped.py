@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.bundle.read import read_bundle
-from fea.bundle.shipped import SHIPPED
-from fea.component import Component, build
-from fea.coupling.section import section_of_facets
-from fea.mesh.mesh import Mesh
-from fea.spec.schema import Analysis, Bundle, Interface, LoadRange, Material, Supports
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.component import Component, build
+from wrenchbook.fea.coupling.section import section_of_facets
+from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.spec.schema import Analysis, Bundle, Interface, LoadRange, Material, Supports
 
 Array = np.ndarray
 Warp = Callable[[Array], Array]

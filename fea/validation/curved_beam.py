@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fea.mesh.mesh import Mesh
-from fea.solve import Solver
-from fea.validation.boxes import box
-from fea.validation.clamped import clamped
-from fea.validation.finding import Finding, case
+from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation.boxes import box
+from wrenchbook.fea.validation.clamped import clamped
+from wrenchbook.fea.validation.finding import Finding, case
 
 Array = np.ndarray
 

@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from fea.assembly.blocks import filled_cells
-from fea.assembly.body import Body
-from fea.coupling.rotation import rotation
-from fea.mesh.mesh import Mesh
-from fea.solve import Solver
-from fea.spec.schema import Material
-from fea.validation.boxes import box
-from fea.validation.clamped import Warp, clamped
-from fea.validation.finding import Finding, case
+from wrenchbook.fea.assembly.blocks import filled_cells
+from wrenchbook.fea.assembly.body import Body
+from wrenchbook.fea.coupling.rotation import rotation
+from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import Material
+from wrenchbook.fea.validation.boxes import box
+from wrenchbook.fea.validation.clamped import Warp, clamped
+from wrenchbook.fea.validation.finding import Finding, case
 
 Array = np.ndarray
 

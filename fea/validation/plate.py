@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from fea.mesh.generators.plane import Section, quadratic, ring_quads
-from fea.mesh.generators.sweep import sweep
-from fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
-from fea.solve import Solver
-from fea.validation.clamped import clamped, shipped
-from fea.validation.finding import Finding, case
-from fea.validation.samemesh import same_mesh
+from wrenchbook.fea.mesh.generators.plane import Section, quadratic, ring_quads
+from wrenchbook.fea.mesh.generators.sweep import sweep
+from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation.clamped import clamped, shipped
+from wrenchbook.fea.validation.finding import Finding, case
+from wrenchbook.fea.validation.samemesh import same_mesh
 
 Array = np.ndarray
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fea.component import Component
-from fea.solve import Solver
-from fea.validation import calculix
-from fea.validation.finding import Finding
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation import calculix
+from wrenchbook.fea.validation.finding import Finding
 
 Array = np.ndarray
 

@@ -1,4 +1,4 @@
-"""A user's own component by CalculiX too: ``python -m fea.validation.second_opinion FOLDER``.
+"""A user's own component by CalculiX too: ``python -m wrenchbook.fea.validation.second_opinion FOLDER``.
 
 The same mesh, materials, supports and loads, each solver on its own: a table of the differences,
 and status 1 if one is beyond its tolerance. CalculiX does not report the motion of a distributing
@@ -19,16 +19,16 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.bundle.read import read_bundle
-from fea.component import Component, build
-from fea.element.pressure_projection import projects
-from fea.export.calculix import deck_of
-from fea.failure import SolveFailed
-from fea.solve import Solver
-from fea.spec.problems import BundleError, Problem
-from fea.spec.schema import FREEDOMS
-from fea.validation import calculix
-from fea.validation.samemesh import LINEAR, NONLINEAR
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.component import Component, build
+from wrenchbook.fea.element.pressure_projection import projects
+from wrenchbook.fea.export.calculix import deck_of
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.problems import BundleError, Problem
+from wrenchbook.fea.spec.schema import FREEDOMS
+from wrenchbook.fea.validation import calculix
+from wrenchbook.fea.validation.samemesh import LINEAR, NONLINEAR
 
 Array = np.ndarray
 
@@ -183,7 +183,7 @@ def table(opinion: Opinion) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Compare the bundle that the arguments name; return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m fea.validation.second_opinion")
+    parser = argparse.ArgumentParser(prog="python -m wrenchbook.fea.validation.second_opinion")
     parser.add_argument("--wrench", action="append", default=[], metavar="FX,FY,FZ,MX,MY,MZ")
     parser.add_argument("--timeout", type=float, default=TIMEOUT, help="s for each CalculiX run")
     parser.add_argument("--json", action="store_true", help="print one JSON array")

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fea.component import Component
-from fea.solve import Solver
-from fea.validation.clamped import shipped
-from fea.validation.finding import Finding, case
-from fea.validation.samemesh import same_mesh
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation.clamped import shipped
+from wrenchbook.fea.validation.finding import Finding, case
+from wrenchbook.fea.validation.samemesh import same_mesh
 
 Array = np.ndarray
 

@@ -7,9 +7,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from service.tables.served import ServedTable
-from surrogate.table.axes import Axis
-from surrogate.table.rows import LoadRange
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.surrogate.table.axes import Axis
+from wrenchbook.surrogate.table.rows import LoadRange
 
 Floats = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from surrogate.solver_error import UNKNOWN, SolverError
+from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 
 Bars = Sequence[float | None]
 

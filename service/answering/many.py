@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
-from service.answering.queries import BatchOutcome, BatchQuery, WrenchJob
-from service.answering.refusals import BeyondRangeError, NotCoveredError
-from service.library.component import Component
-from service.ordering import Placed
-from service.tables.served import ServedTable
-from service.workspace import Workspace
-from surrogate.answer import six
-from surrogate.table.rows import why_beyond
+from wrenchbook.service.answering.queries import BatchOutcome, BatchQuery, WrenchJob
+from wrenchbook.service.answering.refusals import BeyondRangeError, NotCoveredError
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.ordering import Placed
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.answer import six
+from wrenchbook.surrogate.table.rows import why_beyond
 
 Places = NDArray[np.intp]
 

@@ -7,19 +7,23 @@ from time import perf_counter_ns
 import numpy as np
 from starlette.concurrency import run_in_threadpool
 
-from service.answering.error_parts import error_parts
-from service.answering.queries import Outcome, Query, also
-from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
-from service.client.replies import EXACT, ROUNDED
-from service.ledger import Job
-from service.library.component import Component
-from service.ordering import Placed
-from service.tables.other_setup import others_in_words
-from service.tables.served import ROW_DETAIL, ServedTable
-from service.workspace import Workspace
-from surrogate.answer import six
-from surrogate.kernel.explain import explain
-from surrogate.table.rows import acting_one, why_beyond
+from wrenchbook.service.answering.error_parts import error_parts
+from wrenchbook.service.answering.queries import Outcome, Query, also
+from wrenchbook.service.answering.refusals import (
+    BeyondRangeError,
+    NotCoveredError,
+    SolveFailedError,
+)
+from wrenchbook.service.client.replies import EXACT, ROUNDED
+from wrenchbook.service.ledger import Job
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.ordering import Placed
+from wrenchbook.service.tables.other_setup import others_in_words
+from wrenchbook.service.tables.served import ROW_DETAIL, ServedTable
+from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.answer import six
+from wrenchbook.surrogate.kernel.explain import explain
+from wrenchbook.surrogate.table.rows import acting_one, why_beyond
 
 
 def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | None:

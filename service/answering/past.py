@@ -9,11 +9,18 @@ import numpy as np
 from anyio import to_thread
 from starlette.concurrency import run_in_threadpool
 
-from service.answering.many import answered_many, refuse_thin
-from service.answering.one import answered, refuse_uncovered, tell_parts
-from service.answering.queries import BatchOutcome, BatchQuery, Outcome, Query, WrenchJob, also
-from service.tables.served import ServedTable
-from service.workspace import Workspace
+from wrenchbook.service.answering.many import answered_many, refuse_thin
+from wrenchbook.service.answering.one import answered, refuse_uncovered, tell_parts
+from wrenchbook.service.answering.queries import (
+    BatchOutcome,
+    BatchQuery,
+    Outcome,
+    Query,
+    WrenchJob,
+    also,
+)
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.workspace import Workspace
 
 NOT_QUEUED = "no solve is queued: the question is to an earlier version of the table"
 

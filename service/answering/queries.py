@@ -8,8 +8,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.ledger import Job
-from surrogate.table.rows import Tolerance
+from wrenchbook.service.ledger import Job
+from wrenchbook.surrogate.table.rows import Tolerance
 
 Floats = NDArray[np.float64]
 Wanted = Literal["queue", "wait", "estimate", "reject", "solve"]

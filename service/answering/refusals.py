@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from service.ledger import Job
+from wrenchbook.service.ledger import Job
 
 
 class RefusedError(Exception):

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from service.library.component import Component
-from service.tables.served import ServedTable
-from service.workspace import Workspace
-from surrogate.scene.cut import cut
-from surrogate.scene.need import Need
-from surrogate.scene.plan import Plan, plan_of
-from surrogate.scene.savings import Savings, measured
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.scene.cut import cut
+from wrenchbook.surrogate.scene.need import Need
+from wrenchbook.surrogate.scene.plan import Plan, plan_of
+from wrenchbook.surrogate.scene.savings import Savings, measured
 
 SOLVES_TIMED = 32  # the last done ones, whose median is what a solve takes
 

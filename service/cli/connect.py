@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from service.client import Client
+from wrenchbook.service.client import Client
 
 DEFAULT_SERVER = "http://127.0.0.1:8000"
 
@@ -36,7 +36,7 @@ def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Clie
         with Client(server) as client:
             yield client
         return
-    from service.http.server import private_server
+    from wrenchbook.service.http.server import private_server
 
     with private_server(data, solvers) as client:
         yield client

@@ -12,9 +12,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from service.cli import render
-from service.client import Client, Displacement, Job
-from service.contract import DISPLACEMENT_NAMES
+from wrenchbook.service.cli import render
+from wrenchbook.service.client import Client, Displacement, Job
+from wrenchbook.service.contract import DISPLACEMENT_NAMES
 
 COMPONENT = "plate_thin"
 SOLVERS = 2
@@ -28,7 +28,7 @@ WRENCH = ((150.0, -100.0, -900.0), (20.0, 30.0, 5.0))
 
 def run(out: Console, keep: Path | None = None) -> int:
     """Run the demonstration; return the exit status, 0 if all of it worked."""
-    from service.http.server import private_server
+    from wrenchbook.service.http.server import private_server
 
     started = time.monotonic()
     room = nullcontext(str(keep)) if keep else tempfile.TemporaryDirectory(prefix="wrenchbook-")

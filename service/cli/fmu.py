@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from service.fmu.export import make_fmu
-from surrogate.kernel.binding import PackedTable
+from wrenchbook.service.fmu.export import make_fmu
+from wrenchbook.surrogate.kernel.binding import PackedTable
 
 
 def fmu_of(file: Path, name: str, table: bytes, method: str | None) -> tuple[bytes, str]:

@@ -7,8 +7,8 @@ from typing import Any
 
 from rich.console import Console
 
-from service.cli.render import job_table, plain
-from service.client import Client, Event
+from wrenchbook.service.cli.render import job_table, plain
+from wrenchbook.service.client import Client, Event
 
 MOST_SHOWN = 50  # open jobs in the table before the first event
 

@@ -8,8 +8,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from service.cli import render
-from service.cli.connect import (
+from wrenchbook.service.cli import render
+from wrenchbook.service.cli.connect import (
     DEFAULT_SERVER,
     AsJson,
     BeyondRange,
@@ -19,9 +19,9 @@ from service.cli.connect import (
     connected,
     print_json,
 )
-from service.cli.screen import Screen
-from service.client import Client, Envelope, Recording, Started
-from service.client.wrenches import NAMES
+from wrenchbook.service.cli.screen import Screen
+from wrenchbook.service.client import Client, Envelope, Recording, Started
+from wrenchbook.service.client.wrenches import NAMES
 
 OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 WAIT_S = 86_400.0  # a start may be thousands of solves

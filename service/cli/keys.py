@@ -9,10 +9,10 @@ from typing import Annotated, Literal
 import typer
 from rich.table import Table
 
-from service.cli.connect import AsJson, print_json
-from service.cli.screen import Screen
-from service.keys import Keyring
-from service.keys.record import MEGABYTES, RATE
+from wrenchbook.service.cli.connect import AsJson, print_json
+from wrenchbook.service.cli.screen import Screen
+from wrenchbook.service.keys import Keyring
+from wrenchbook.service.keys.record import MEGABYTES, RATE
 
 DEFAULT_DATA = Path("wrenchbook-data")
 FIRST = "first"

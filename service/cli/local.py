@@ -10,12 +10,12 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from fea.bundle.read import FILE_NAME
-from fea.bundle.shipped import SHIPPED
-from service.cli.keys import make_first_key
-from service.cli.screen import Screen
-from service.files.child import child_command
-from service.files.cores import usable_cores
+from wrenchbook.fea.bundle.read import FILE_NAME
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.service.cli.keys import make_first_key
+from wrenchbook.service.cli.screen import Screen
+from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.cores import usable_cores
 
 CORES = usable_cores()
 LogLevel = Literal["debug", "info", "warning", "error"]
@@ -91,7 +91,7 @@ def serve(
     show_settings: ShowSettings = False,
 ) -> None:
     """Serve the API and solve what is queued."""
-    from service.cli.settings import settings_of, shown
+    from wrenchbook.service.cli.settings import settings_of, shown
 
     found = settings_of(ctx, serve, config)
     if show_settings:
@@ -102,8 +102,8 @@ def serve(
 
 def _serve(**said: Any) -> None:
     """Serve by settings as they hold."""
-    from service.http.door.opening import opening_of_options, require_keys
-    from service.jobs.engines.registry import EngineSettingsError, check_engine
+    from wrenchbook.service.http.door.opening import opening_of_options, require_keys
+    from wrenchbook.service.jobs.engines.registry import EngineSettingsError, check_engine
 
     try:
         check_engine(said["engine"], said["scheduler"])
@@ -115,12 +115,12 @@ def _serve(**said: Any) -> None:
     require_keys(said["host"], said["data"])
     how = said["host"], said["port"], said["log_level"], said["log_format"]
     if said["processes"] > 1:
-        from service.crew.supervisor import supervise
+        from wrenchbook.service.crew.supervisor import supervise
 
         supervise(said)
     else:
-        from service.http.server import serve as run
-        from service.settings import settings_of_options
+        from wrenchbook.service.http.server import serve as run
+        from wrenchbook.service.settings import settings_of_options
 
         opening = opening_of_options(said)
         run(settings_of_options(said), *how, opening)
@@ -128,7 +128,7 @@ def _serve(**said: Any) -> None:
 
 def _make_folder(folder: Path) -> None:
     """Refuse a data directory that cannot be made or written."""
-    from service.ops.checks import not_writable
+    from wrenchbook.service.ops.checks import not_writable
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -153,7 +153,7 @@ def work(
     ] = CORES,
 ) -> None:
     """Only solve: take jobs from the data directory that a server accepts them in."""
-    from service.cli.worker import work as run
+    from wrenchbook.service.cli.worker import work as run
 
     run(data, solvers)
 
@@ -162,7 +162,7 @@ def demo(
     keep: Annotated[Path | None, typer.Option(help="keep the data directory here")] = None,
 ) -> None:
     """Show the main job end to end on real finite elements; about five minutes."""
-    from service.cli.demo import run
+    from wrenchbook.service.cli.demo import run
 
     raise typer.Exit(run(Screen(), keep))
 
@@ -199,7 +199,7 @@ def validate(
     if beside is not None:
         loads = [f"--wrench={one}" for one in wrench or ()]
         bundle = str(_bundle_named(topic, data))
-        words = child_command("fea.validation.second_opinion", *loads, "--", bundle)
+        words = child_command("wrenchbook.fea.validation.second_opinion", *loads, "--", bundle)
         raise typer.Exit(subprocess.run(words, check=False).returncode)
     if wrench:
         raise typer.BadParameter("--wrench goes with --with ccx")
@@ -207,7 +207,7 @@ def validate(
         raise typer.Exit(_validate_paper(out or DEFAULT_PAPER, quick, markdown))
     if out is not None or quick:
         raise typer.BadParameter("--out and --quick go with the topic paper")
-    words = child_command("fea.validation", topic, *(["--markdown"] * markdown))
+    words = child_command("wrenchbook.fea.validation", topic, *(["--markdown"] * markdown))
     raise typer.Exit(subprocess.run(words, check=False).returncode)
 
 
@@ -233,7 +233,7 @@ def _validate_paper(out: Path, quick: bool, markdown: bool) -> int:
         raise RuntimeError(
             "validate paper runs MuJoCo, which is not installed: pip install 'wrenchbook[mujoco]'"
         )
-    words = child_command("service.paper", *(["--quick"] * quick), "--", str(out))
+    words = child_command("wrenchbook.service.paper", *(["--quick"] * quick), "--", str(out))
     return subprocess.run(words, check=False).returncode
 
 
@@ -257,7 +257,7 @@ def check(
     told = {"mass": mass, "inertia": inertia, "centre": centre}
     carried = [f"--{name}={value}" for name, value in told.items() if value is not None]
     flags = [*(() if as_json else ("--text",)), *(("--nonlinear",) if nonlinear else ())]
-    words = child_command("fea.check", *flags, *carried, "--", str(bundle))
+    words = child_command("wrenchbook.fea.check", *flags, *carried, "--", str(bundle))
     raise typer.Exit(subprocess.run(words, check=False).returncode)
 
 

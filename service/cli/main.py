@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from service.cli import plan_table, render
-from service.cli.connect import (
+from wrenchbook.service.cli import plan_table, render
+from wrenchbook.service.cli.connect import (
     DEFAULT_SERVER,
     AsJson,
     BeyondRange,
@@ -19,15 +19,15 @@ from service.cli.connect import (
     connected,
     print_json,
 )
-from service.cli.follow import follow_jobs
-from service.cli.gathering import GATHERING_COMMANDS
-from service.cli.keys import keys
-from service.cli.local import LOCAL_COMMANDS
-from service.cli.ops import OPS_COMMANDS
-from service.cli.screen import Screen
-from service.cli.tables import TABLE_COMMANDS
-from service.client import Displacement, Job, ProblemError, Scene, ServerUnreachable
-from service.client.deformed import deformed_format
+from wrenchbook.service.cli.follow import follow_jobs
+from wrenchbook.service.cli.gathering import GATHERING_COMMANDS
+from wrenchbook.service.cli.keys import keys
+from wrenchbook.service.cli.local import LOCAL_COMMANDS
+from wrenchbook.service.cli.ops import OPS_COMMANDS
+from wrenchbook.service.cli.screen import Screen
+from wrenchbook.service.cli.tables import TABLE_COMMANDS
+from wrenchbook.service.client import Displacement, Job, ProblemError, Scene, ServerUnreachable
+from wrenchbook.service.client.deformed import deformed_format
 
 app = typer.Typer(
     no_args_is_help=True,

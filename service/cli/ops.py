@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
-from service.cli.connect import AsJson, print_json
-from service.cli.local import DEFAULT_DATA, Folder
-from service.cli.render import plain
-from service.cli.screen import Screen
+from wrenchbook.service.cli.connect import AsJson, print_json
+from wrenchbook.service.cli.local import DEFAULT_DATA, Folder
+from wrenchbook.service.cli.render import plain
+from wrenchbook.service.cli.screen import Screen
 
 _out = Screen()
 
@@ -21,7 +21,7 @@ def backup(
     data: Folder = DEFAULT_DATA,
 ) -> None:
     """Write all of a data directory into one file, while a server uses it."""
-    from service.ops.backup import back_up
+    from wrenchbook.service.ops.backup import back_up
 
     manifest = back_up(data, file)
     size = sum(length for length, _ in manifest.files.values())
@@ -36,7 +36,7 @@ def restore(
     ] = False,
 ) -> None:
     """Make a data directory from a backup."""
-    from service.ops.restore import restore as run
+    from wrenchbook.service.ops.restore import restore as run
 
     manifest, aside = run(file, data, overwrite=overwrite)
     start = f"wrenchbook serve{_data_option(data)}"
@@ -53,8 +53,8 @@ def doctor(
     as_json: AsJson = False,
 ) -> None:
     """Check the ledger against the tables, files, disk and leftovers; nothing is ever deleted."""
-    from service.ops.checks import REPAIR
-    from service.ops.doctor import examine
+    from wrenchbook.service.ops.checks import REPAIR
+    from wrenchbook.service.ops.doctor import examine
 
     findings = examine(data, mend=mend)
     if as_json:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from service.contract import DISPLACEMENT_NAMES
+from wrenchbook.service.contract import DISPLACEMENT_NAMES
 
 
 class Pace:

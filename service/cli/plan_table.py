@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from service.client import ComponentPlan
-from service.contract import DISPLACEMENT_NAMES
+from wrenchbook.service.client import ComponentPlan
+from wrenchbook.service.contract import DISPLACEMENT_NAMES
 
 
 def show(out: Console, plans: Mapping[str, ComponentPlan]) -> None:

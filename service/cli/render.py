@@ -11,9 +11,9 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from service.cli.pace import Pace, error_bars
-from service.client import Client, Displacement, Job, ProblemError
-from service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
+from wrenchbook.service.cli.pace import Pace, error_bars
+from wrenchbook.service.client import Client, Displacement, Job, ProblemError
+from wrenchbook.service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
 
 POLL_S = 0.2
 

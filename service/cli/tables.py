@@ -8,11 +8,19 @@ from typing import Annotated, Any
 
 import typer
 
-from service.cli import render
-from service.cli.connect import DEFAULT_SERVER, AsJson, Data, Name, Server, connected, print_json
-from service.cli.screen import Screen
-from service.client.library import check_readable, table_format
-from service.files.durable import write_whole_bytes
+from wrenchbook.service.cli import render
+from wrenchbook.service.cli.connect import (
+    DEFAULT_SERVER,
+    AsJson,
+    Data,
+    Name,
+    Server,
+    connected,
+    print_json,
+)
+from wrenchbook.service.cli.screen import Screen
+from wrenchbook.service.client.library import check_readable, table_format
+from wrenchbook.service.files.durable import write_whole_bytes
 
 out = Screen()
 _Unit = Annotated[str | None, typer.Option(help="csv, xlsx: the unit to write in; SI otherwise")]
@@ -136,7 +144,7 @@ def export_table(
     content = content.encode() if isinstance(content, str) else content
     told = f"{file} written."
     if fmu:
-        from service.cli.fmu import fmu_of  # the compiler: no other command waits for it
+        from wrenchbook.service.cli.fmu import fmu_of  # the compiler: no other command waits for it
 
         content, told = fmu_of(file, name, content, method)
     write_whole_bytes(file, content)

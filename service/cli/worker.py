@@ -6,7 +6,7 @@ import signal
 import threading
 from pathlib import Path
 
-from service.workspace import Settings, Workspace
+from wrenchbook.service.workspace import Settings, Workspace
 
 
 def work(folder: Path, solvers: int) -> None:

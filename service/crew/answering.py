@@ -9,16 +9,16 @@ import sys
 
 import uvicorn
 
-from service.crew.pulse import BEAT_S, Pulse
-from service.crew.sharing import OpenCounts, Taker
-from service.crew.supervisor import follow_supervisor
-from service.http.app import create_app
-from service.http.door.opening import opening_of_options
-from service.http.protocol import FastPathProtocol
-from service.http.server import Server, server_config
-from service.ops.logs import set_up
-from service.settings import settings_of_options
-from service.tables.coordinator_state import FOLDER
+from wrenchbook.service.crew.pulse import BEAT_S, Pulse
+from wrenchbook.service.crew.sharing import OpenCounts, Taker
+from wrenchbook.service.crew.supervisor import follow_supervisor
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.door.opening import opening_of_options
+from wrenchbook.service.http.protocol import FastPathProtocol
+from wrenchbook.service.http.server import Server, server_config
+from wrenchbook.service.ops.logs import set_up
+from wrenchbook.service.settings import settings_of_options
+from wrenchbook.service.tables.coordinator_state import FOLDER
 
 _OPEN = "connections"  # beside the tables: how many each process has
 

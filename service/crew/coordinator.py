@@ -9,12 +9,12 @@ import signal
 import sys
 import threading
 
-from service.crew.pulse import Pulse
-from service.crew.supervisor import REFUSED, follow_supervisor
-from service.ops.logs import set_up
-from service.settings import Settings, settings_of_options
-from service.tables.coordinator_state import FOLDER, CoordinatorState, Status
-from service.workspace import Workspace
+from wrenchbook.service.crew.pulse import Pulse
+from wrenchbook.service.crew.supervisor import REFUSED, follow_supervisor
+from wrenchbook.service.ops.logs import set_up
+from wrenchbook.service.settings import Settings, settings_of_options
+from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState, Status
+from wrenchbook.service.workspace import Workspace
 
 log = logging.getLogger(__name__)
 

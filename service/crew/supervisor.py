@@ -18,10 +18,10 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from service.crew.pulse import READY_S, SILENT_S, Watched
-from service.files.child import child_command
-from service.http.listen import bind_to
-from service.ops.logs import set_up
+from wrenchbook.service.crew.pulse import READY_S, SILENT_S, Watched
+from wrenchbook.service.files.child import child_command
+from wrenchbook.service.http.listen import bind_to
+from wrenchbook.service.ops.logs import set_up
 
 log = logging.getLogger(__name__)
 
@@ -202,10 +202,12 @@ def follow_supervisor() -> None:
 
 def _members(said: Mapping[str, Any], listening: int) -> list[Member]:
     told = json.dumps(dict(said), default=str)
-    first = child_command("service.crew.coordinator", told)
+    first = child_command("wrenchbook.service.crew.coordinator", told)
     members = [Member("the coordinator", first)]
     for number in range(1, said["processes"] + 1):
-        words = child_command("service.crew.answering", told, str(number), str(listening))
+        words = child_command(
+            "wrenchbook.service.crew.answering", told, str(number), str(listening)
+        )
         members.append(Member(f"answering process {number}", words, [listening]))
     return members
 

@@ -19,11 +19,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from service.demand.counts import Counts, add, kept, read
-from service.files.durable import write_whole_bytes
-from service.files.lock import take
-from surrogate.answer import NAMES
-from surrogate.table.rows import LoadRange
+from wrenchbook.service.demand.counts import Counts, add, kept, read
+from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.lock import take
+from wrenchbook.surrogate.answer import NAMES
+from wrenchbook.surrogate.table.rows import LoadRange
 
 log = logging.getLogger(__name__)
 

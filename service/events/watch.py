@@ -15,10 +15,10 @@ from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 
-from service.events.feed import Feed, Listener
-from service.ledger import Change, Job, LedgerError, LedgerUnavailableError
-from service.tables.behind import TableBehindError
-from service.workspace import Workspace
+from wrenchbook.service.events.feed import Feed, Listener
+from wrenchbook.service.ledger import Change, Job, LedgerError, LedgerUnavailableError
+from wrenchbook.service.tables.behind import TableBehindError
+from wrenchbook.service.workspace import Workspace
 
 _log = logging.getLogger(__name__)
 

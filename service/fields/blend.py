@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fea.element.equivalent_stress import von_mises
-from service.fields.record import Geometry, RowFields
-from surrogate.field_weights import LEAST_LEFT_OUT, FieldWeights
+from wrenchbook.fea.element.equivalent_stress import von_mises
+from wrenchbook.service.fields.record import Geometry, RowFields
+from wrenchbook.surrogate.field_weights import LEAST_LEFT_OUT, FieldWeights
 
 Floats = NDArray[np.float64]
 

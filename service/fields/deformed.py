@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fea.element.equivalent_stress import von_mises
-from service.fields.blend import Blend
-from service.fields.codec import DamagedFieldsError
-from service.fields.record import Geometry, RowFields
-from service.fields.shape import Deformed, largest_stress, rounding, stress_of_row
-from service.fields.solver_share import error_parts, following
-from service.fields.store import FieldStore
-from service.library.component import Component
-from surrogate.field_weights import FieldWeights, nearest_rows
-from surrogate.kriging import Hyperparameters, SingularCovarianceError
-from surrogate.solver_error import SolverError
-from surrogate.table.rows import Rows, why_beyond
+from wrenchbook.fea.element.equivalent_stress import von_mises
+from wrenchbook.service.fields.blend import Blend
+from wrenchbook.service.fields.codec import DamagedFieldsError
+from wrenchbook.service.fields.record import Geometry, RowFields
+from wrenchbook.service.fields.shape import Deformed, largest_stress, rounding, stress_of_row
+from wrenchbook.service.fields.solver_share import error_parts, following
+from wrenchbook.service.fields.store import FieldStore
+from wrenchbook.service.library.component import Component
+from wrenchbook.surrogate.field_weights import FieldWeights, nearest_rows
+from wrenchbook.surrogate.kriging import Hyperparameters, SingularCovarianceError
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.rows import Rows, why_beyond
 
 Floats = NDArray[np.float64]
 

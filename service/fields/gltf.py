@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.fields.shape import Deformed
+from wrenchbook.service.fields.shape import Deformed
 
 MEDIA_TYPE = "model/gltf-binary"
 

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from service.fields.codec import Column, pack, unpack
-from service.files.durable import write_whole_bytes
+from wrenchbook.service.fields.codec import Column, pack, unpack
+from wrenchbook.service.files.durable import write_whole_bytes
 
 GEOMETRY, ROW = "geometry.fields", "row.fields"  # as the solver names them
 FINE, STRESS, SLOPES = 44, 24, 20  # bits

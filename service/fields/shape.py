@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fea.element.equivalent_stress import von_mises
-from service.fields.record import Geometry, RowFields
-from service.fields.solver_share import ErrorParts
-from service.library.component import Component
+from wrenchbook.fea.element.equivalent_stress import von_mises
+from wrenchbook.service.fields.record import Geometry, RowFields
+from wrenchbook.service.fields.solver_share import ErrorParts
+from wrenchbook.service.library.component import Component
 
 Floats = NDArray[np.float64]
 

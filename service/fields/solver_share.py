@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.solver_error import UNKNOWN, SolverError
+from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 
 Floats = NDArray[np.float64]
 

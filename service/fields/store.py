@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from service.fields.codec import DamagedFieldsError, read_meta
-from service.fields.record import (
+from wrenchbook.service.fields.codec import DamagedFieldsError, read_meta
+from wrenchbook.service.fields.record import (
     GEOMETRY,
     ROW,
     Geometry,
@@ -27,7 +27,7 @@ from service.fields.record import (
     read_geometry,
     read_row,
 )
-from service.files.durable import sync_folder
+from wrenchbook.service.files.durable import sync_folder
 
 MOST_BYTES = 1 << 30
 """Kept of one component, some thousand rows of 1,000 vertices; later rows have no fields."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.fields.shape import Deformed
+from wrenchbook.service.fields.shape import Deformed
 
 MEDIA_TYPE = "application/vnd.vtk.unstructuredgrid+xml"
 

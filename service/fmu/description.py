@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from xml.etree import ElementTree
 
-from surrogate.kernel.build import sources as kernel_sources
-from surrogate.table.rows import OUTPUTS
+from wrenchbook.surrogate.kernel.build import sources as kernel_sources
+from wrenchbook.surrogate.table.rows import OUTPUTS
 
 LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 LOAD_UNITS = ("N",) * 3 + ("N.m",) * 3

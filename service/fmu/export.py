@@ -17,13 +17,13 @@ from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 
-from service.fmu.description import SOURCES, describe, identifier_of
-from surrogate.answer import UnknownMethodError
-from surrogate.kernel.binding import PackedTable
-from surrogate.kernel.build import COMPILERS
-from surrogate.kernel.build import FLAGS as KERNEL_FLAGS
-from surrogate.kernel.build import sources as kernel_sources
-from surrogate.packed.codes import METHODS
+from wrenchbook.service.fmu.description import SOURCES, describe, identifier_of
+from wrenchbook.surrogate.answer import UnknownMethodError
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kernel.build import COMPILERS
+from wrenchbook.surrogate.kernel.build import FLAGS as KERNEL_FLAGS
+from wrenchbook.surrogate.kernel.build import sources as kernel_sources
+from wrenchbook.surrogate.packed.codes import METHODS
 
 # Those of the kernel, whose numbers an FMU has to the last bit.
 FLAGS = (*(flag for flag in KERNEL_FLAGS if flag != "-DWB_SHARED"), "-fPIC", "-shared")
@@ -154,7 +154,7 @@ def _made_by() -> str:
 
 
 def _sources(identifier: str) -> dict[str, bytes]:
-    folder = files(__package__ or "service.fmu") / "c"
+    folder = files(__package__ or "wrenchbook.service.fmu") / "c"
     own = [name for name in SOURCES if name.startswith("fmu_")]
     found = {f"sources/{name}": (folder / name).read_bytes() for name in (*own, *_HEADERS)}
     found |= {f"sources/{path.name}": path.read_bytes() for path in kernel_sources()}

@@ -4,17 +4,17 @@ No HTTP, no ledger. The columns of a file are described in `header` (CSV, XLSX, 
 `json_table` and `hdf5_table`, its units in `units`, the limits of a row in `table_rows`.
 """
 
-from service.formats.cells import text_problem
-from service.formats.column_names import Layout, layout
-from service.formats.csv_table import csv_text
-from service.formats.hdf5_table import write_hdf5
-from service.formats.json_table import json_text
-from service.formats.options import MOST_ZERO_ROWS, Options
-from service.formats.parquet_table import write_parquet
-from service.formats.table_file import MOST_PREVIEW, ReadResult, read_untrusted
-from service.formats.table_rows import ParsedTable
-from service.formats.units import UnitError, chosen_units
-from service.formats.xlsx_table import SheetFullError, write_xlsx
+from wrenchbook.service.formats.cells import text_problem
+from wrenchbook.service.formats.column_names import Layout, layout
+from wrenchbook.service.formats.csv_table import csv_text
+from wrenchbook.service.formats.hdf5_table import write_hdf5
+from wrenchbook.service.formats.json_table import json_text
+from wrenchbook.service.formats.options import MOST_ZERO_ROWS, Options
+from wrenchbook.service.formats.parquet_table import write_parquet
+from wrenchbook.service.formats.table_file import MOST_PREVIEW, ReadResult, read_untrusted
+from wrenchbook.service.formats.table_rows import ParsedTable
+from wrenchbook.service.formats.units import UnitError, chosen_units
+from wrenchbook.service.formats.xlsx_table import SheetFullError, write_xlsx
 
 __all__ = [
     "MOST_PREVIEW",

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from service.formats.units import (
+from wrenchbook.service.formats.units import (
     FORCE,
     MOMENT,
     ROTATION,

@@ -18,12 +18,12 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import BinaryIO
 
-from service.formats.cells import guard_formula, number_text
-from service.formats.column_names import NUMBERS, TIME_COLUMN, Layout, WritableRows
-from service.formats.header import Header, read_head
-from service.formats.options import Mistakes, Options, ReadReport
-from service.formats.preamble import Preamble, Record, delimiter_in
-from service.formats.records import (
+from wrenchbook.service.formats.cells import guard_formula, number_text
+from wrenchbook.service.formats.column_names import NUMBERS, TIME_COLUMN, Layout, WritableRows
+from wrenchbook.service.formats.header import Header, read_head
+from wrenchbook.service.formats.options import Mistakes, Options, ReadReport
+from wrenchbook.service.formats.preamble import Preamble, Record, delimiter_in
+from wrenchbook.service.formats.records import (
     BrokenLineError,
     CellFormat,
     TextRows,
@@ -31,7 +31,7 @@ from service.formats.records import (
     text_pieces,
     until_broken,
 )
-from service.formats.table_rows import ParsedTable
+from wrenchbook.service.formats.table_rows import ParsedTable
 
 MOST_LINE = 1 << 20  # characters; 54 numbers and three texts are some thousands
 MOST_RECORD = 4 * MOST_LINE  # a quoted text may have many lines

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from service.formats.cells import text_problem
-from service.formats.column_names import DISPLACEMENT, WritableRows
-from service.formats.options import Options, ReadReport
-from service.formats.table_rows import Array, ParsedTable, Problem, good_rows
-from surrogate.table.hdf5 import foreign_tables, write_table
-from surrogate.table.meta import TableMeta
-from surrogate.table.rows import Rows
+from wrenchbook.service.formats.cells import text_problem
+from wrenchbook.service.formats.column_names import DISPLACEMENT, WritableRows
+from wrenchbook.service.formats.options import Options, ReadReport
+from wrenchbook.service.formats.table_rows import Array, ParsedTable, Problem, good_rows
+from wrenchbook.surrogate.table.hdf5 import foreign_tables, write_table
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import Rows
 
 
 def read_hdf5(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:

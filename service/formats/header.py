@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from itertools import chain
 
-from service.formats.cells import is_number
-from service.formats.column_names import (
+from wrenchbook.service.formats.cells import is_number
+from wrenchbook.service.formats.column_names import (
     COMPLIANCE,
     DISPLACEMENT,
     NUMBERS,
@@ -33,9 +33,9 @@ from service.formats.column_names import (
     readings,
     split,
 )
-from service.formats.options import Options, RowMistake
-from service.formats.preamble import MOST_COLUMNS, Preamble, Record, split_titles
-from service.formats.units import UnitError, product, quotient
+from wrenchbook.service.formats.options import Options, RowMistake
+from wrenchbook.service.formats.preamble import MOST_COLUMNS, Preamble, Record, split_titles
+from wrenchbook.service.formats.units import UnitError, product, quotient
 
 
 @dataclass(frozen=True)

@@ -22,11 +22,17 @@ from typing import Any, BinaryIO, TypeGuard
 
 import numpy as np
 
-from service.formats.cells import text_problem
-from service.formats.column_names import DISPLACEMENT, ORIGIN, TEXTS, WRENCH, WritableRows
-from service.formats.options import MOST_LISTED, Options, ReadReport
-from service.formats.table_rows import Array, ParsedTable, good_rows, known_column
-from service.formats.units import vanished
+from wrenchbook.service.formats.cells import text_problem
+from wrenchbook.service.formats.column_names import (
+    DISPLACEMENT,
+    ORIGIN,
+    TEXTS,
+    WRENCH,
+    WritableRows,
+)
+from wrenchbook.service.formats.options import MOST_LISTED, Options, ReadReport
+from wrenchbook.service.formats.table_rows import Array, ParsedTable, good_rows, known_column
+from wrenchbook.service.formats.units import vanished
 
 PIECE = 20_000  # rows at once
 MOST_VALUE = 1 << 20  # characters of one value: a row with its 54 numbers has some 1,500

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.formats.options import Options, ReadReport
-from service.formats.table_rows import Array, ParsedTable, joined, within_limits
+from wrenchbook.service.formats.options import Options, ReadReport
+from wrenchbook.service.formats.table_rows import Array, ParsedTable, joined, within_limits
 
 GAP_FACTOR = 5.0
 """Times the median interval of the loads: in a longer one samples were lost."""

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from service.formats.column_names import DISPLACEMENT, UNCERTAINTY, WRENCH
-from surrogate.table.rows import LoadRange
+from wrenchbook.service.formats.column_names import DISPLACEMENT, UNCERTAINTY, WRENCH
+from wrenchbook.surrogate.table.rows import LoadRange
 
 Format = Literal["csv", "xlsx", "parquet", "hdf5", "json"]
 Role = Literal["table", "loads", "displacements"]

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from service.formats.column_names import Layout, WritableRows
-from service.formats.options import MOST_ROWS, Options, ReadReport
-from service.formats.preamble import MOST_COLUMNS, Record
-from service.formats.records import CellFormat, read_records
-from service.formats.table_rows import ParsedTable
+from wrenchbook.service.formats.column_names import Layout, WritableRows
+from wrenchbook.service.formats.options import MOST_ROWS, Options, ReadReport
+from wrenchbook.service.formats.preamble import MOST_COLUMNS, Record
+from wrenchbook.service.formats.records import CellFormat, read_records
+from wrenchbook.service.formats.table_rows import ParsedTable
 
 MOST_UNPACKED = 1024 * 1024 * 1024
 MOST_TEXT = 131_072  # characters of one text: as the csv module

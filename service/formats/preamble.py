@@ -19,9 +19,9 @@ from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from itertools import chain, islice
 
-from service.formats.cells import is_number
-from service.formats.column_names import MOST_LABEL, readings
-from service.formats.units import UnitError
+from wrenchbook.service.formats.cells import is_number
+from wrenchbook.service.formats.column_names import MOST_LABEL, readings
+from wrenchbook.service.formats.units import UnitError
 
 MOST_COLUMNS = 256  # an unknown name is compared with all known ones: 0.3 ms each
 _MOST_TITLES = 30  # lines: a page of a report above its table

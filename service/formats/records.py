@@ -13,7 +13,7 @@ from decimal import Decimal
 
 import numpy as np
 
-from service.formats.cells import (
+from wrenchbook.service.formats.cells import (
     number_problem,
     number_text,
     quoted,
@@ -21,7 +21,7 @@ from service.formats.cells import (
     time_seconds,
     unguard_formula,
 )
-from service.formats.column_names import (
+from wrenchbook.service.formats.column_names import (
     COMPLIANCE,
     DISPLACEMENT,
     TEXTS,
@@ -29,12 +29,12 @@ from service.formats.column_names import (
     UNCERTAINTY,
     WRENCH,
 )
-from service.formats.header import Header, HeaderColumn, read_head
-from service.formats.options import FoundColumn, Mistakes, Options, ReadReport
-from service.formats.preamble import Record
-from service.formats.table_rows import Array, ParsedTable, good_rows
-from service.formats.units import to_si, vanished
-from surrogate.table.rows import unknown_column
+from wrenchbook.service.formats.header import Header, HeaderColumn, read_head
+from wrenchbook.service.formats.options import FoundColumn, Mistakes, Options, ReadReport
+from wrenchbook.service.formats.preamble import Record
+from wrenchbook.service.formats.table_rows import Array, ParsedTable, good_rows
+from wrenchbook.service.formats.units import to_si, vanished
+from wrenchbook.surrogate.table.rows import unknown_column
 
 PIECE = 20_000  # rows as text at once: 30 MB of Python objects
 

@@ -18,17 +18,17 @@ from typing import Any
 
 import numpy as np
 
-from service.formats.csv_table import read_csv
-from service.formats.hdf5_table import read_hdf5
-from service.formats.json_table import read_json
-from service.formats.measured_logs import joined_loads, with_loads, zeroed
-from service.formats.options import Format, Options, ReadReport
-from service.formats.parquet_table import read_parquet
-from service.formats.table_rows import ParsedTable, with_own_setup, within_limits
-from service.formats.units import FORCE, si_factor
-from service.formats.xlsx_table import read_xlsx
-from service.sandbox import Limits, Part, SandboxError, run
-from surrogate.table.rows import unknown_column
+from wrenchbook.service.formats.csv_table import read_csv
+from wrenchbook.service.formats.hdf5_table import read_hdf5
+from wrenchbook.service.formats.json_table import read_json
+from wrenchbook.service.formats.measured_logs import joined_loads, with_loads, zeroed
+from wrenchbook.service.formats.options import Format, Options, ReadReport
+from wrenchbook.service.formats.parquet_table import read_parquet
+from wrenchbook.service.formats.table_rows import ParsedTable, with_own_setup, within_limits
+from wrenchbook.service.formats.units import FORCE, si_factor
+from wrenchbook.service.formats.xlsx_table import read_xlsx
+from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
+from wrenchbook.surrogate.table.rows import unknown_column
 
 MOST_PREVIEW = 100
 MOST_BYTES = 512 * 1024 * 1024
@@ -95,7 +95,9 @@ def read_untrusted(files: Sequence[Path], options: Options, preview: int = 0) ->
         "preview": preview,
     }
     try:
-        parts = run("service.formats.table_file:table_parts", files[0], arguments, _LIMITS)
+        parts = run(
+            "wrenchbook.service.formats.table_file:table_parts", files[0], arguments, _LIMITS
+        )
     except SandboxError as error:
         report = ReadReport()
         report.mistakes.ruin(0, "file", str(error))

@@ -18,10 +18,15 @@ from itertools import chain
 
 import numpy as np
 
-from service.formats.column_names import DISPLACEMENT, UNCERTAINTY, WRENCH
-from service.formats.options import Options, ReadReport
-from surrogate.limits import ROTATION_LIMIT, TRANSLATION_LIMIT, is_too_far, rotation_angles
-from surrogate.table.rows import LoadRange, unknown_column
+from wrenchbook.service.formats.column_names import DISPLACEMENT, UNCERTAINTY, WRENCH
+from wrenchbook.service.formats.options import Options, ReadReport
+from wrenchbook.surrogate.limits import (
+    ROTATION_LIMIT,
+    TRANSLATION_LIMIT,
+    is_too_far,
+    rotation_angles,
+)
+from wrenchbook.surrogate.table.rows import LoadRange, unknown_column
 
 Array = np.ndarray
 Problem = tuple[int, str, str]

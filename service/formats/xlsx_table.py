@@ -15,12 +15,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from service.formats.column_names import Layout, WritableRows
-from service.formats.header import Header
-from service.formats.options import Options, ReadReport
-from service.formats.preamble import MOST_COLUMNS, Record
-from service.formats.records import CellFormat, read_records
-from service.formats.table_rows import ParsedTable
+from wrenchbook.service.formats.column_names import Layout, WritableRows
+from wrenchbook.service.formats.header import Header
+from wrenchbook.service.formats.options import Options, ReadReport
+from wrenchbook.service.formats.preamble import MOST_COLUMNS, Record
+from wrenchbook.service.formats.records import CellFormat, read_records
+from wrenchbook.service.formats.table_rows import ParsedTable
 
 MOST_UNPACKED = 1024 * 1024 * 1024  # a million rows of 12 numbers are 500 MB of XML
 MOST_IN_MEMORY = 64 * 1024 * 1024  # of a member that is no sheet: texts, styles

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gathering.gathering import Envelope
-from service.tables.served import ServedTable
-from surrogate.answer import COVERED, NAMES, OUTSIDE
-from surrogate.table.rows import Tolerance
+from wrenchbook.service.gathering.gathering import Envelope
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE
+from wrenchbook.surrogate.table.rows import Tolerance
 
 Floats = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gathering.net import MOST_OUTSIDE, Net, Taken, scaled_loads, take
-from service.ledger import Block, Kept, Kind, Tally, packed, unpacked
-from service.library.component import Component
-from service.workspace import Workspace
+from wrenchbook.service.gathering.net import MOST_OUTSIDE, Net, Taken, scaled_loads, take
+from wrenchbook.service.ledger import Block, Kept, Kind, Tally, packed, unpacked
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.workspace import Workspace
 
 Floats = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from service.ledger.gathered import MERGE
+from wrenchbook.service.ledger.gathered import MERGE
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]

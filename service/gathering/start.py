@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gathering.gathering import Gathering
-from service.gathering.net import farthest_first, scaled_loads
-from service.ledger import Job, packed
-from service.library.component import Component
-from service.ordering import NoSetupError
-from service.tables.other_setup import unsolved
-from service.workspace import CATCH_UP_S, Workspace
-from surrogate.answer import COVERED
+from wrenchbook.service.gathering.gathering import Gathering
+from wrenchbook.service.gathering.net import farthest_first, scaled_loads
+from wrenchbook.service.ledger import Job, packed
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.ordering import NoSetupError
+from wrenchbook.service.tables.other_setup import unsolved
+from wrenchbook.service.workspace import CATCH_UP_S, Workspace
+from wrenchbook.surrogate.answer import COVERED
 
 Floats = NDArray[np.float64]
 

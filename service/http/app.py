@@ -10,13 +10,13 @@ from importlib.metadata import version
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 
-from service.contract import CONTRACT_TEXT
-from service.events.watch import Watch
-from service.gathering.gathering import Gathering
-from service.http import openapi, problems
-from service.http.application import Application
-from service.http.door import Door, Opening
-from service.http.routes import (
+from wrenchbook.service.contract import CONTRACT_TEXT
+from wrenchbook.service.events.watch import Watch
+from wrenchbook.service.gathering.gathering import Gathering
+from wrenchbook.service.http import openapi, problems
+from wrenchbook.service.http.application import Application
+from wrenchbook.service.http.door import Door, Opening
+from wrenchbook.service.http.routes import (
     components,
     coverage,
     deformed,
@@ -35,10 +35,10 @@ from service.http.routes import (
     table,
     umbridge,
 )
-from service.keys import Keyring
-from service.ops.counts import Counts
-from service.ops.metrics import Metrics
-from service.workspace import Settings, Workspace
+from wrenchbook.service.keys import Keyring
+from wrenchbook.service.ops.counts import Counts
+from wrenchbook.service.ops.metrics import Metrics
+from wrenchbook.service.workspace import Settings, Workspace
 
 _SUMMARY = (
     "POST the wrench that acts on a component, get its displacement from a table of "

@@ -17,14 +17,14 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from service.answering.one import answer_at_once
-from service.http.body import read_limited
-from service.http.door import Door
-from service.http.door.grant import GRANT
-from service.http.parsing import read_plain_query
-from service.http.problems import crash_of, problem_of
-from service.http.replies import plain_content
-from service.http.routes.displacement import QUERY, reply_to
+from wrenchbook.service.answering.one import answer_at_once
+from wrenchbook.service.http.body import read_limited
+from wrenchbook.service.http.door import Door
+from wrenchbook.service.http.door.grant import GRANT
+from wrenchbook.service.http.parsing import read_plain_query
+from wrenchbook.service.http.problems import crash_of, problem_of
+from wrenchbook.service.http.replies import plain_content
+from wrenchbook.service.http.routes.displacement import QUERY, reply_to
 
 _BEFORE, _AFTER = "/v1/components/", "/displacement"
 

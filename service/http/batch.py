@@ -14,13 +14,19 @@ from typing import Any, Final
 import numpy as np
 import orjson
 
-from service.answering.queries import BatchQuery
-from service.http.bodies import MAX_BATCH, BatchBody
-from service.http.body import Spooled, busy
-from service.http.parsing import checked, known_method, parsed_json, plain_rows, plain_wrenches
-from service.http.problems import ProblemError, bad_body
-from service.sandbox import MIB, Limits, Part, run
-from surrogate.table.rows import Tolerance
+from wrenchbook.service.answering.queries import BatchQuery
+from wrenchbook.service.http.bodies import MAX_BATCH, BatchBody
+from wrenchbook.service.http.body import Spooled, busy
+from wrenchbook.service.http.parsing import (
+    checked,
+    known_method,
+    parsed_json,
+    plain_rows,
+    plain_wrenches,
+)
+from wrenchbook.service.http.problems import ProblemError, bad_body
+from wrenchbook.service.sandbox import MIB, Limits, Part, run
+from wrenchbook.surrogate.table.rows import Tolerance
 
 # A million wrenches as Python's lists and numbers are 400 MB, beside the text of 250 MB.
 LIMITS: Final = Limits(memory=1200 * MIB, seconds=60.0, output=256 * MIB)
@@ -44,7 +50,7 @@ def read_batch_body(body: Spooled) -> BatchQuery:
     """
     if body.path is None:
         return batch_of(*batch_parts(body.content))
-    (told,) = run("service.http.batch:parsed", body.path, None, LIMITS)
+    (told,) = run("wrenchbook.service.http.batch:parsed", body.path, None, LIMITS)
     if refused := told.fields["refused"]:
         raise refusal(refused)
     return batch_of(told.fields["batch"], np.array(told.arrays["wrenches"]))

@@ -8,12 +8,12 @@ import numpy as np
 from fastapi import Request
 from pydantic import Field, ValidationError
 
-from fea.bundle.tables import LARGEST_LOAD
-from service.answering.queries import BatchQuery
-from service.http.bodies import MAX_BATCH, Body, Derivatives, Flag, OnThin, Seconds
-from service.http.parsing import VersionQuery, known_method
-from service.http.problems import bad_body, plain_errors
-from surrogate.table.rows import LOADS, Tolerance
+from wrenchbook.fea.bundle.tables import LARGEST_LOAD
+from wrenchbook.service.answering.queries import BatchQuery
+from wrenchbook.service.http.bodies import MAX_BATCH, Body, Derivatives, Flag, OnThin, Seconds
+from wrenchbook.service.http.parsing import VersionQuery, known_method
+from wrenchbook.service.http.problems import bad_body, plain_errors
+from wrenchbook.surrogate.table.rows import LOADS, Tolerance
 
 MEDIA_TYPE: Final = "application/octet-stream"
 ROW_BYTES: Final = 6 * 8

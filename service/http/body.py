@@ -18,7 +18,7 @@ from starlette.formparsers import MultiPartException
 from starlette.requests import ClientDisconnect
 from starlette.types import Message, Receive
 
-from service.http.problems import ProblemError, bad_body
+from wrenchbook.service.http.problems import ProblemError, bad_body
 
 # One wrench with all its options is some 400 bytes; no reason makes it a hundred times that.
 MOST_QUERY_BYTES: Final = 64 * 1024

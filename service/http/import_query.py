@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 import orjson
 from pydantic import ConfigDict, Field, field_validator
 
-from service.formats import MOST_PREVIEW, MOST_ZERO_ROWS, Options
-from service.http.bodies import Body
-from service.tables.importing import Wish
+from wrenchbook.service.formats import MOST_PREVIEW, MOST_ZERO_ROWS, Options
+from wrenchbook.service.http.bodies import Body
+from wrenchbook.service.tables.importing import Wish
 
 _MOST_COLUMNS = 1000
 _Text = Annotated[str, Field(max_length=1000)]

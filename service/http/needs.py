@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.http.bodies import RangeBody, ToleranceBody
-from service.http.problems import bad_body
-from service.library.component import Component
-from surrogate.scene.need import Need, NeedError, need_of
-from surrogate.table.rows import OUTPUTS, Tolerance
+from wrenchbook.service.http.bodies import RangeBody, ToleranceBody
+from wrenchbook.service.http.problems import bad_body
+from wrenchbook.service.library.component import Component
+from wrenchbook.surrogate.scene.need import Need, NeedError, need_of
+from wrenchbook.surrogate.table.rows import OUTPUTS, Tolerance
 
 
 def need_from(

@@ -10,9 +10,9 @@ import orjson
 from pydantic import Field, ValidationError
 from starlette.datastructures import QueryParams
 
-from fea.bundle.tables import LARGEST_LOAD
-from service.answering.queries import BatchQuery, Query
-from service.http.bodies import (
+from wrenchbook.fea.bundle.tables import LARGEST_LOAD
+from wrenchbook.service.answering.queries import BatchQuery, Query
+from wrenchbook.service.http.bodies import (
     MAX_BLOCK,
     BlockBody,
     Body,
@@ -20,9 +20,9 @@ from service.http.bodies import (
     OnThin,
     SolveBody,
 )
-from service.http.problems import bad_body, plain_errors
-from surrogate.answer import METHODS
-from surrogate.table.rows import Tolerance
+from wrenchbook.service.http.problems import bad_body, plain_errors
+from wrenchbook.surrogate.answer import METHODS
+from wrenchbook.surrogate.table.rows import Tolerance
 
 _PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})
 _NUMBERS = frozenset({int, float})  # not bool, which is an int to isinstance

@@ -14,13 +14,17 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 
-from fea.bundle.read import BundleError
-from service.answering.refusals import BeyondRangeError, NotCoveredError, SolveFailedError
-from service.fields.deformed import NoFieldsError, TooFarError
-from service.files.discreet import discreetly
-from service.http.links import job_link
-from service.jobs.polls import TooManyPollsError
-from service.ledger import (
+from wrenchbook.fea.bundle.read import BundleError
+from wrenchbook.service.answering.refusals import (
+    BeyondRangeError,
+    NotCoveredError,
+    SolveFailedError,
+)
+from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
+from wrenchbook.service.files.discreet import discreetly
+from wrenchbook.service.http.links import job_link
+from wrenchbook.service.jobs.polls import TooManyPollsError
+from wrenchbook.service.ledger import (
     BlockKeyError,
     DamagedRowError,
     ImportRunningError,
@@ -31,16 +35,16 @@ from service.ledger import (
     UnknownRowError,
     UnknownVersionError,
 )
-from service.library.catalogue import CatalogueError
-from service.library.component import (
+from wrenchbook.service.library.catalogue import CatalogueError
+from wrenchbook.service.library.component import (
     ComponentExistsError,
     LibraryUnavailableError,
     UnknownComponentError,
 )
-from service.ordering import NoSetupError
-from service.sandbox import SandboxBusyError, SandboxError
-from service.tables.behind import TableBehindError
-from service.tables.past import PastDamagedError, PastTooLargeError
+from wrenchbook.service.ordering import NoSetupError
+from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
+from wrenchbook.service.tables.behind import TableBehindError
+from wrenchbook.service.tables.past import PastDamagedError, PastTooLargeError
 
 MEDIA_TYPE = "application/problem+json"
 CLIENT_GONE = 499  # as nginx counts it: the caller left before its request was whole

@@ -10,10 +10,10 @@ import orjson
 from numpy.typing import NDArray
 from starlette.responses import Response, StreamingResponse
 
-from service.answering.queries import BatchOutcome, Outcome, WrenchJob
-from service.http.binary import MEDIA_TYPE
-from service.http.links import job_link
-from surrogate.answer import within_tolerance_many
+from wrenchbook.service.answering.queries import BatchOutcome, Outcome, WrenchJob
+from wrenchbook.service.http.binary import MEDIA_TYPE
+from wrenchbook.service.http.links import job_link
+from wrenchbook.surrogate.answer import within_tolerance_many
 
 Floats = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from typing import (
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from service.contract import CONTRACT
+from wrenchbook.service.contract import CONTRACT
 
 
 def text(description: str) -> Any:

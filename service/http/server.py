@@ -22,18 +22,18 @@ from typing import Any, TextIO
 
 import uvicorn
 
-from service.client import Client
-from service.files.child import child_command
-from service.http.app import create_app
-from service.http.application import Application
-from service.http.door import Opening
-from service.http.door.opening import OWN_KEY, opening_for, require_keys
-from service.http.listen import bind_to
-from service.http.protocol import FastPathProtocol
-from service.ops.logs import LogFormat, set_up
-from service.sandbox import warm_up
-from service.settings import Settings
-from service.tables.memory import keep_few_heaps
+from wrenchbook.service.client import Client
+from wrenchbook.service.files.child import child_command
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.application import Application
+from wrenchbook.service.http.door import Opening
+from wrenchbook.service.http.door.opening import OWN_KEY, opening_for, require_keys
+from wrenchbook.service.http.listen import bind_to
+from wrenchbook.service.http.protocol import FastPathProtocol
+from wrenchbook.service.ops.logs import LogFormat, set_up
+from wrenchbook.service.sandbox import warm_up
+from wrenchbook.service.settings import Settings
+from wrenchbook.service.tables.memory import keep_few_heaps
 
 log = logging.getLogger(__name__)
 
@@ -82,7 +82,11 @@ def serve(
     server = Server(config)
     server.address = address
     if opening.own_key is None:  # a command's own server ends before that pays
-        warm_up("service.library.bundle_zip", "service.formats.table_file", "service.http.batch")
+        warm_up(
+            "wrenchbook.service.library.bundle_zip",
+            "wrenchbook.service.formats.table_file",
+            "wrenchbook.service.http.batch",
+        )
     server.run(sockets=[bound])
 
 
@@ -150,7 +154,7 @@ def private_server(folder: Path, solvers: int) -> Iterator[Client]:
     ServerDidNotStartError
         If it is not ready within a minute.
     """
-    command = child_command("service.cli.main", "serve", "--data", str(folder))
+    command = child_command("wrenchbook.service.cli.main", "serve", "--data", str(folder))
     command += ["--port", "0", "--solvers", str(solvers), "--log-level", "warning"]
     key = secrets.token_urlsafe(32)
     with tempfile.TemporaryFile("w+") as log:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, NotRequired
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from service.http.schemas import JobLink, Six, text
+from wrenchbook.service.http.schemas import JobLink, Six, text
 
 _Wrench = Annotated[list[float], Field(min_length=6, max_length=6, description="N and N·m")]
 _Moved = Annotated[Six, text("m and rad; null where not measured")]

@@ -20,11 +20,11 @@ import orjson
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from service.answering.queries import Outcome, Query
-from service.http.bodies import Body, Flag, Seconds, ToleranceBody
-from service.http.problems import ProblemError, plain_errors
-from surrogate.answer import METHODS
-from surrogate.table.rows import OUTPUTS, Tolerance
+from wrenchbook.service.answering.queries import Outcome, Query
+from wrenchbook.service.http.bodies import Body, Flag, Seconds, ToleranceBody
+from wrenchbook.service.http.problems import ProblemError, plain_errors
+from wrenchbook.surrogate.answer import METHODS
+from wrenchbook.surrogate.table.rows import OUTPUTS, Tolerance
 
 PROTOCOL: Final = 1.0
 SIZES: Final = [6]  # one vector of six numbers, in and out

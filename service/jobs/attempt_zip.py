@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Final
 
-from service.files.discreet import discreet
+from wrenchbook.service.files.discreet import discreet
 
 MOST_BYTES: Final = 1 << 30  # of all files together; a deck's solver may leave any number
 _MOST_TEXT: Final = 8 << 20

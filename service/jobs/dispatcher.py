@@ -9,16 +9,16 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from service.fields.store import FieldStore
-from service.jobs.attempt import LOG, last_words, prepare, solver_began, solver_seconds
-from service.jobs.engines.engine import ALIVE, Engine
-from service.jobs.lease import BEAT_SECONDS, Lease
-from service.jobs.needs import attempt_of, completed
-from service.jobs.record_outcome import component_missing, settle
-from service.jobs.recovery import Recovery
-from service.jobs.run import Run
-from service.ledger import Change, Job, Ledger, StaleAttemptError
-from service.tables.solver_errors import SolverErrors
+from wrenchbook.service.fields.store import FieldStore
+from wrenchbook.service.jobs.attempt import LOG, last_words, prepare, solver_began, solver_seconds
+from wrenchbook.service.jobs.engines.engine import ALIVE, Engine
+from wrenchbook.service.jobs.lease import BEAT_SECONDS, Lease
+from wrenchbook.service.jobs.needs import attempt_of, completed
+from wrenchbook.service.jobs.record_outcome import component_missing, settle
+from wrenchbook.service.jobs.recovery import Recovery
+from wrenchbook.service.jobs.run import Run
+from wrenchbook.service.ledger import Change, Job, Ledger, StaleAttemptError
+from wrenchbook.service.tables.solver_errors import SolverErrors
 
 _log = logging.getLogger(__name__)
 

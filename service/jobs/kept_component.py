@@ -5,16 +5,21 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fea.bundle.read import FILE_NAME, read_bundle
-from fea.check.cost import estimate
-from fea.component import build
-from fea.export.failure_record import keep
-from fea.failure import SolveFailed
-from fea.solve import Solver
-from fea.spec.schema import Bundle
-from service.jobs.attempt import Spec
-from service.jobs.solve_attempt import Report, SolveRefusedError, require_same, solve_ready
-from service.jobs.solver_memory import MARGIN_VARIABLE, limit_memory
+from wrenchbook.fea.bundle.read import FILE_NAME, read_bundle
+from wrenchbook.fea.check.cost import estimate
+from wrenchbook.fea.component import build
+from wrenchbook.fea.export.failure_record import keep
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import Bundle
+from wrenchbook.service.jobs.attempt import Spec
+from wrenchbook.service.jobs.solve_attempt import (
+    Report,
+    SolveRefusedError,
+    require_same,
+    solve_ready,
+)
+from wrenchbook.service.jobs.solver_memory import MARGIN_VARIABLE, limit_memory
 
 
 class KeptComponent:

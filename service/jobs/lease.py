@@ -5,8 +5,8 @@ import secrets
 import time
 from pathlib import Path
 
-from service.files import lock as flock
-from service.ledger import Beat
+from wrenchbook.service.files import lock as flock
+from wrenchbook.service.ledger import Beat
 
 BEAT_SECONDS = 2.0  # between the heartbeats of a dispatcher that has attempts to look after
 # Four beats missed. With a look a second, a lease that is lost is found within ten seconds.

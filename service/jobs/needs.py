@@ -4,11 +4,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from service.jobs.attempt import attempt_folder
-from service.jobs.engines.engine import Attempt
-from service.jobs.record_outcome import spec_of
-from service.ledger import Job
-from service.library.checked import estimate_of
+from wrenchbook.service.jobs.attempt import attempt_folder
+from wrenchbook.service.jobs.engines.engine import Attempt
+from wrenchbook.service.jobs.record_outcome import spec_of
+from wrenchbook.service.ledger import Job
+from wrenchbook.service.library.checked import estimate_of
 
 # Times the estimated seconds: a load may take 4 times the iterations of a usual one, the estimate
 # is right to a factor of two, and a machine may be slower or busier by as much again and more.

@@ -9,7 +9,7 @@ from typing import Final
 
 from starlette.concurrency import run_in_threadpool
 
-from service.ledger import Job, Ledger, LedgerUnavailableError
+from wrenchbook.service.ledger import Job, Ledger, LedgerUnavailableError
 
 LOOK_S: Final = 0.25  # between looks for what other processes commit
 MOST: Final = 4096

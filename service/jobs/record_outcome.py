@@ -6,10 +6,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from service.fields.store import FieldStore
-from service.jobs.attempt import BadOutcomeError, Spec, read_outcome, solver_seconds, tidy
-from service.ledger import Job, Ledger
-from service.tables.solver_errors import SolverErrors
+from wrenchbook.service.fields.store import FieldStore
+from wrenchbook.service.jobs.attempt import (
+    BadOutcomeError,
+    Spec,
+    read_outcome,
+    solver_seconds,
+    tidy,
+)
+from wrenchbook.service.ledger import Job, Ledger
+from wrenchbook.service.tables.solver_errors import SolverErrors
 
 _log = logging.getLogger(__name__)
 

@@ -5,9 +5,9 @@ import logging
 import time
 from collections.abc import Callable
 
-from service.jobs.engines.engine import Engine
-from service.jobs.lease import Lease
-from service.ledger import Job, Ledger, StaleAttemptError
+from wrenchbook.service.jobs.engines.engine import Engine
+from wrenchbook.service.jobs.lease import Lease
+from wrenchbook.service.ledger import Job, Ledger, StaleAttemptError
 
 _log = logging.getLogger(__name__)
 

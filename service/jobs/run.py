@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.jobs.attempt import solver_began
-from service.jobs.engines.engine import Attempt
-from service.ledger import Job
+from wrenchbook.service.jobs.attempt import solver_began
+from wrenchbook.service.jobs.engines.engine import Attempt
+from wrenchbook.service.ledger import Job
 
 
 @dataclass

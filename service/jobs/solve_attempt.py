@@ -1,4 +1,4 @@
-"""Solve what an attempt's folder asks for: ``python -m service.jobs.solve_attempt FOLDER``.
+"""Solve what an attempt's folder asks for: ``python -m wrenchbook.service.jobs.solve_attempt FOLDER``.
 
 Every engine runs this, and it is where a component and the service meet. However the solve
 ends, ``result.json`` says so: ``done`` with the numbers, ``failed`` with kind, message and
@@ -26,9 +26,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from service.fields.record import leave
-from service.files import lock as flock
-from service.jobs.attempt import (
+from wrenchbook.service.fields.record import leave
+from wrenchbook.service.files import lock as flock
+from wrenchbook.service.jobs.attempt import (
     LOCK,
     PROGRESS,
     Progress,
@@ -104,7 +104,7 @@ def _write_patiently(folder: Path, spec: Spec, outcome: Mapping[str, Any]) -> No
 
 def solve_embedded(spec: Spec, report: Report, folder: Path | None = None) -> Mapping[str, Any]:
     """Solve with the finite elements of this project, or a deck's solver in `folder`."""
-    from fea.bundle.read import read_bundle
+    from wrenchbook.fea.bundle.read import read_bundle
 
     bundle = read_bundle(Path(spec.bundle))
     require_same(spec, bundle.fingerprint)
@@ -126,7 +126,7 @@ def solve_ready(
     ready: Any, spec: Spec, report: Report, folder: Path | None = None
 ) -> dict[str, Any]:
     """Solve a bundle, or the solver made ready for it, and return what an outcome tells."""
-    from fea.solve import solve
+    from wrenchbook.fea.solve import solve
 
     keep = None if folder is None else functools.partial(_leave_fields, folder, spec)
     solution = solve(ready, spec.wrench, progress=report, folder=folder, on_fields=keep)
@@ -146,9 +146,9 @@ def _own_error(ready: Any) -> dict[str, Any]:
 
     An answer is worth having without it, so what goes wrong here is told and not raised.
     """
-    from fea.accuracy.estimate import accuracy_or_why, unknown_of_deck
-    from fea.solve import Solver
-    from fea.spec.schema import Bundle
+    from wrenchbook.fea.accuracy.estimate import accuracy_or_why, unknown_of_deck
+    from wrenchbook.fea.solve import Solver
+    from wrenchbook.fea.spec.schema import Bundle
 
     if not isinstance(ready, Bundle):
         return accuracy_or_why(ready)
@@ -276,7 +276,7 @@ def command_line(arguments: Sequence[str] | None = None) -> int:
     """Run as the program: hold the lock, end on SIGTERM."""
     keep_sigterm_waiting()
     parser = argparse.ArgumentParser(
-        prog="python -m service.jobs.solve_attempt", description=__doc__
+        prog="python -m wrenchbook.service.jobs.solve_attempt", description=__doc__
     )
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args(arguments).folder

@@ -3,7 +3,7 @@
 import time
 from dataclasses import dataclass
 
-from service.ledger import Job, Ledger
+from wrenchbook.service.ledger import Job, Ledger
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A solver that lives: ``python -m service.jobs.warm_solver --line DESCRIPTOR``.
+"""A solver that lives: ``python -m wrenchbook.service.jobs.warm_solver --line DESCRIPTOR``.
 
 The engine `local` starts it with one end of a socket pair, over which attempts come one after the
 other (`service.jobs.engines.solver_pool`). Each is solved as `service.jobs.solve_attempt` does; the
@@ -19,9 +19,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.jobs import solve_attempt
-from service.jobs.solve_attempt import CANCELLED, SOLVE_VARIABLE, begin, keep_sigterm_waiting
-from service.jobs.solver_memory import Growth, limit_memory
+from wrenchbook.service.jobs import solve_attempt
+from wrenchbook.service.jobs.solve_attempt import (
+    CANCELLED,
+    SOLVE_VARIABLE,
+    begin,
+    keep_sigterm_waiting,
+)
+from wrenchbook.service.jobs.solver_memory import Growth, limit_memory
 
 TAKEN, FREE, LEAVES = b"t", b"e", b"r"
 
@@ -102,7 +107,7 @@ class WarmSolver:
     def _embedded(self):
         """Return the keeper of the component; its import is half a second, paid when needed."""
         if self._kept is None:
-            from service.jobs.kept_component import KeptComponent
+            from wrenchbook.service.jobs.kept_component import KeptComponent
 
             self._kept = KeptComponent()
         return self._kept
@@ -149,7 +154,9 @@ def _hear_nothing_old() -> None:
 def command_line(arguments: Sequence[str] | None = None) -> None:
     """Run as the program: lower the priority, solve what comes."""
     keep_sigterm_waiting()
-    parser = argparse.ArgumentParser(prog="python -m service.jobs.warm_solver", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m wrenchbook.service.jobs.warm_solver", description=__doc__
+    )
     parser.add_argument("--line", type=int, required=True, help="open socket, the solver's end")
     parser.add_argument("--lives", type=int, required=True, help="attempts before it ends")
     parser.add_argument("--niceness", type=int, default=0)

@@ -1,6 +1,6 @@
 """Who may ask this server: keys, kept hashed in the data directory."""
 
-from service.keys.keyring import FILE, Keyring, KeysError
-from service.keys.record import SCOPES, Key, Scope, digest_of
+from wrenchbook.service.keys.keyring import FILE, Keyring, KeysError
+from wrenchbook.service.keys.record import SCOPES, Key, Scope, digest_of
 
 __all__ = ["FILE", "SCOPES", "Key", "Keyring", "KeysError", "Scope", "digest_of"]

@@ -16,9 +16,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from service.files.durable import sync_folder
-from service.files.lock import take
-from service.keys.record import MEGABYTES, RATE, Key, Scope, checked, digest_of, new_secret
+from wrenchbook.service.files.durable import sync_folder
+from wrenchbook.service.files.lock import take
+from wrenchbook.service.keys.record import (
+    MEGABYTES,
+    RATE,
+    Key,
+    Scope,
+    checked,
+    digest_of,
+    new_secret,
+)
 
 log = logging.getLogger(__name__)
 

@@ -1,6 +1,6 @@
 """The durable record of jobs and rows; see `Ledger`."""
 
-from service.ledger.errors import (
+from wrenchbook.service.ledger.errors import (
     BlockKeyError,
     DamagedRowError,
     ImportRunningError,
@@ -16,11 +16,11 @@ from service.ledger.errors import (
     UnknownRowError,
     UnknownVersionError,
 )
-from service.ledger.gathered import Block, Kept, Kind, Tally, block_of
-from service.ledger.imports import About, Import
-from service.ledger.ledger import Ledger
-from service.ledger.packing import PackedRow, packed, packed_columns, unpacked
-from service.ledger.records import (
+from wrenchbook.service.ledger.gathered import Block, Kept, Kind, Tally, block_of
+from wrenchbook.service.ledger.imports import About, Import
+from wrenchbook.service.ledger.ledger import Ledger
+from wrenchbook.service.ledger.packing import PackedRow, packed, packed_columns, unpacked
+from wrenchbook.service.ledger.records import (
     FINAL,
     STATUSES,
     Beat,

@@ -7,15 +7,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from service.files.lock import take
-from service.ledger import imports, rows
-from service.ledger.connections import Connections
-from service.ledger.errors import ImportRunningError
-from service.ledger.imports import About, Import
-from service.ledger.listeners import Listeners
-from service.ledger.packing import PackedRow
-from service.ledger.records import Change
-from service.ledger.table_at import known_keys
+from wrenchbook.service.files.lock import take
+from wrenchbook.service.ledger import imports, rows
+from wrenchbook.service.ledger.connections import Connections
+from wrenchbook.service.ledger.errors import ImportRunningError
+from wrenchbook.service.ledger.imports import About, Import
+from wrenchbook.service.ledger.listeners import Listeners
+from wrenchbook.service.ledger.packing import PackedRow
+from wrenchbook.service.ledger.records import Change
+from wrenchbook.service.ledger.table_at import known_keys
 
 _log = logging.getLogger(__name__)
 

@@ -4,11 +4,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from service.ledger import healing
-from service.ledger.acknowledged import Acknowledged, Numbers
-from service.ledger.connections import Connections
-from service.ledger.records import LedgerRow, NewRow
-from service.ledger.statistics import Statistics, recent_seconds, statistics
+from wrenchbook.service.ledger import healing
+from wrenchbook.service.ledger.acknowledged import Acknowledged, Numbers
+from wrenchbook.service.ledger.connections import Connections
+from wrenchbook.service.ledger.records import LedgerRow, NewRow
+from wrenchbook.service.ledger.statistics import Statistics, recent_seconds, statistics
 
 
 class Ahead(NamedTuple):

@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from service.ledger.acknowledged import SEQUENCES, Acknowledged, Numbers
-from service.ledger.errors import (
+from wrenchbook.service.ledger.acknowledged import SEQUENCES, Acknowledged, Numbers
+from wrenchbook.service.ledger.errors import (
     LedgerError,
     LedgerFileError,
     LedgerFullError,
     LedgerUnavailableError,
 )
-from service.ledger.schema import (
+from wrenchbook.service.ledger.schema import (
     USE_ERRORS,
     Connection,
     begin,

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable
 
-from service.ledger.records import RowEdit
-from service.ledger.rows import edit, is_withdrawn
-from service.ledger.schema import Connection
+from wrenchbook.service.ledger.records import RowEdit
+from wrenchbook.service.ledger.rows import edit, is_withdrawn
+from wrenchbook.service.ledger.schema import Connection
 
 
 def newest_edits(db: Connection, component: str, until: int) -> list[RowEdit]:

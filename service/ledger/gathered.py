@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
-from service.ledger.errors import BlockKeyError
-from service.ledger.records import content_key
-from service.ledger.schema import Connection
+from wrenchbook.service.ledger.errors import BlockKeyError
+from wrenchbook.service.ledger.records import content_key
+from wrenchbook.service.ledger.schema import Connection
 
 Kind = Literal["recording", "envelope"]
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
-from service.ledger import gathered
-from service.ledger.connections import Connections
-from service.ledger.gathered import Block, Kept, Kind, Tally
+from wrenchbook.service.ledger import gathered
+from wrenchbook.service.ledger.connections import Connections
+from wrenchbook.service.ledger.gathered import Block, Kept, Kind, Tally
 
 
 class Gatherings:

@@ -3,10 +3,10 @@
 import time
 from collections.abc import Sequence
 
-from service.ledger import rows
-from service.ledger.jobs import MOST_VALUES
-from service.ledger.records import LedgerRow, NewRow
-from service.ledger.schema import Connection
+from wrenchbook.service.ledger import rows
+from wrenchbook.service.ledger.jobs import MOST_VALUES
+from wrenchbook.service.ledger.records import LedgerRow, NewRow
+from wrenchbook.service.ledger.schema import Connection
 
 
 def attempts(db: Connection, job_ids: list[int]) -> dict[int, tuple[str, int, float | None]]:

@@ -8,7 +8,7 @@ a killed process has left hidden is deleted: it was never told to anybody.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from service.ledger.schema import Connection
+from wrenchbook.service.ledger.schema import Connection
 
 # Parts do not overlap, so the one that begins last before a row is the only one that can hold it.
 SHOWN = (

@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Iterable
 
-from service.ledger.records import Job
+from wrenchbook.service.ledger.records import Job
 
 _log = logging.getLogger(__name__)
 

@@ -4,10 +4,10 @@ import json
 import time
 from collections.abc import Iterable
 
-from service.ledger import rows, states
-from service.ledger.errors import UnknownJobError
-from service.ledger.records import STATUSES, Job, OpenJob, pack6, unpack6
-from service.ledger.schema import Connection
+from wrenchbook.service.ledger import rows, states
+from wrenchbook.service.ledger.errors import UnknownJobError
+from wrenchbook.service.ledger.records import STATUSES, Job, OpenJob, pack6, unpack6
+from wrenchbook.service.ledger.schema import Connection
 
 MOST_VALUES = 500  # of one statement; SQLite before 3.32 takes 999
 

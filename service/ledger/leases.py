@@ -3,10 +3,10 @@
 import time
 from collections.abc import Mapping
 
-from service.ledger import jobs, states
-from service.ledger.connections import Connections
-from service.ledger.records import Beat, Job
-from service.ledger.schema import Connection
+from wrenchbook.service.ledger import jobs, states
+from wrenchbook.service.ledger.connections import Connections
+from wrenchbook.service.ledger.records import Beat, Job
+from wrenchbook.service.ledger.schema import Connection
 
 # Owners that were killed while they had nothing to look after; one that lives beats again.
 FORGOTTEN_SECONDS = 24 * 3600.0

@@ -4,16 +4,16 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from service.ledger import jobs, rows, states
-from service.ledger.bulk import Imports
-from service.ledger.care import Care
-from service.ledger.connections import Connections
-from service.ledger.gatherings import Gatherings
-from service.ledger.job_log import log_jobs
-from service.ledger.leases import Leases, write_beat
-from service.ledger.listeners import Listener, Listeners
-from service.ledger.records import Change, Job, LedgerRow, NewRow, OpenJob, Status, pack6
-from service.ledger.table_rows import TableRows
+from wrenchbook.service.ledger import jobs, rows, states
+from wrenchbook.service.ledger.bulk import Imports
+from wrenchbook.service.ledger.care import Care
+from wrenchbook.service.ledger.connections import Connections
+from wrenchbook.service.ledger.gatherings import Gatherings
+from wrenchbook.service.ledger.job_log import log_jobs
+from wrenchbook.service.ledger.leases import Leases, write_beat
+from wrenchbook.service.ledger.listeners import Listener, Listeners
+from wrenchbook.service.ledger.records import Change, Job, LedgerRow, NewRow, OpenJob, Status, pack6
+from wrenchbook.service.ledger.table_rows import TableRows
 
 
 class Ledger(TableRows, Imports, Gatherings, Leases, Care):

@@ -4,7 +4,7 @@ import logging
 import threading
 from collections.abc import Callable
 
-from service.ledger.records import Change
+from wrenchbook.service.ledger.records import Change
 
 _log = logging.getLogger(__name__)
 

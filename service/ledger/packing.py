@@ -9,7 +9,7 @@ from hashlib import blake2b
 
 import numpy as np
 
-from service.ledger.records import seal
+from wrenchbook.service.ledger.records import seal
 
 PackedRow = tuple[object, ...]
 _NAN = np.float64(np.nan)

@@ -9,9 +9,9 @@ from dataclasses import replace
 from hashlib import blake2b
 from typing import Any
 
-from service.ledger import imports
-from service.ledger.errors import DamagedRowError, RowStatusError, UnknownRowError
-from service.ledger.records import (
+from wrenchbook.service.ledger import imports
+from wrenchbook.service.ledger.errors import DamagedRowError, RowStatusError, UnknownRowError
+from wrenchbook.service.ledger.records import (
     LedgerRow,
     NewRow,
     News,
@@ -22,7 +22,7 @@ from service.ledger.records import (
     unpack6,
     unpack36,
 )
-from service.ledger.schema import Connection
+from wrenchbook.service.ledger.schema import Connection
 
 COLUMNS = (
     "seq, component, fingerprint, source, wrench, displacement, compliance, uncertainty, "

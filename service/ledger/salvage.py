@@ -4,10 +4,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.ledger import rows
-from service.ledger.acknowledged import Acknowledged
-from service.ledger.records import NewRow
-from service.ledger.schema import (
+from wrenchbook.service.ledger import rows
+from wrenchbook.service.ledger.acknowledged import Acknowledged
+from wrenchbook.service.ledger.records import NewRow
+from wrenchbook.service.ledger.schema import (
     USE_ERRORS,
     Connection,
     connect,

@@ -10,10 +10,10 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from service.files.durable import sync_folder
-from service.ledger.errors import LedgerDamagedError, LedgerFileError
-from service.ledger.records import seal
-from service.ledger.versions import APPLICATION_ID, SCRIPTS
+from wrenchbook.service.files.durable import sync_folder
+from wrenchbook.service.ledger.errors import LedgerDamagedError, LedgerFileError
+from wrenchbook.service.ledger.records import seal
+from wrenchbook.service.ledger.versions import APPLICATION_ID, SCRIPTS
 
 Connection = sqlite3.Connection
 # What using a file can come to; a damaged text need be no UTF-8.

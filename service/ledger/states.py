@@ -6,8 +6,8 @@ Pure functions from a job to the job after an event; nothing here reads or write
 import secrets
 from dataclasses import replace
 
-from service.ledger.errors import InvalidTransitionError, StaleAttemptError
-from service.ledger.records import Job, Status
+from wrenchbook.service.ledger.errors import InvalidTransitionError, StaleAttemptError
+from wrenchbook.service.ledger.records import Job, Status
 
 # Seconds a job waits after its solver's first, second and third death; the fourth ends it.
 # What kills solvers, memory for one, is often over a minute or two later.

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from service.ledger.jobs import counts
-from service.ledger.schema import Connection
+from wrenchbook.service.ledger.jobs import counts
+from wrenchbook.service.ledger.schema import Connection
 
 # Upper ends of the histogram of solves, s: a small plate in a warm solver, a large nonlinear one.
 SOLVE_EDGES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 1800.0, 7200.0)

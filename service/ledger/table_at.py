@@ -3,10 +3,10 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from service.ledger import imports
-from service.ledger.records import LedgerRow
-from service.ledger.rows import COLUMNS, LIVE, sound
-from service.ledger.schema import Connection
+from wrenchbook.service.ledger import imports
+from wrenchbook.service.ledger.records import LedgerRow
+from wrenchbook.service.ledger.rows import COLUMNS, LIVE, sound
+from wrenchbook.service.ledger.schema import Connection
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,13 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
-from service.ledger import edits, rows
-from service.ledger.connections import Connections
-from service.ledger.errors import UnknownVersionError
-from service.ledger.listeners import Listeners
-from service.ledger.records import Change, LedgerRow, NewRow, News, RowEdit
-from service.ledger.schema import Connection
-from service.ledger.table_at import TableAt, at_version, known_blocks
+from wrenchbook.service.ledger import edits, rows
+from wrenchbook.service.ledger.connections import Connections
+from wrenchbook.service.ledger.errors import UnknownVersionError
+from wrenchbook.service.ledger.listeners import Listeners
+from wrenchbook.service.ledger.records import Change, LedgerRow, NewRow, News, RowEdit
+from wrenchbook.service.ledger.schema import Connection
+from wrenchbook.service.ledger.table_at import TableAt, at_version, known_blocks
 
 _log = logging.getLogger(__name__)
 

@@ -7,16 +7,16 @@ import shutil
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-from fea.bundle.read import BundleError, Problem
-from service.files.discreet import discreet
-from service.library.bundle_zip import MAX_BUNDLE_BYTES, one_problem
-from service.sandbox import MIB, Limits, Sandbox, SandboxError, run
+from wrenchbook.fea.bundle.read import BundleError, Problem
+from wrenchbook.service.files.discreet import discreet
+from wrenchbook.service.library.bundle_zip import MAX_BUNDLE_BYTES, one_problem
+from wrenchbook.service.sandbox import MIB, Limits, Sandbox, SandboxError, run
 
 # The largest mesh of a generator, two million cells, takes 3 GB; a solve of half of that is days.
 CHECK: Final = Limits(memory=2048 * MIB, seconds=300.0, output=MAX_BUNDLE_BYTES)
 # Pieces of 1 MiB, the archive's list of files, and a component.toml that is small.
 UNPACK: Final = Limits(memory=256 * MIB, seconds=120.0, output=MAX_BUNDLE_BYTES)
-CHECKER: Final = "service.library.bundle_zip:checked"
+CHECKER: Final = "wrenchbook.service.library.bundle_zip:checked"
 _NO_REPORT: Final = "The mesh check stopped without an answer ({why})."
 DECK = "deck"
 # Places apart from those of `run`: a check may take minutes. It imports 75 MB, so none stays.
@@ -42,7 +42,7 @@ def unpack(archive: BinaryIO, incoming: Path) -> tuple[Path, bool]:
         shutil.copyfileobj(archive, file, 1 << 20)
     where = {"target": str(target)}
     try:
-        (told,) = run("service.library.bundle_zip:unpacked", kept, where, UNPACK)
+        (told,) = run("wrenchbook.service.library.bundle_zip:unpacked", kept, where, UNPACK)
     except SandboxError as error:
         raise one_problem("bundle", str(error)) from None
     kept.unlink()

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from fea.bundle.read import BundleError, Problem, read_bundle
-from service.sandbox import Part
-from surrogate.table.hdf5 import TableFileError, leads_out
+from wrenchbook.fea.bundle.read import BundleError, Problem, read_bundle
+from wrenchbook.service.sandbox import Part
+from wrenchbook.surrogate.table.hdf5 import TableFileError, leads_out
 
 MAX_BUNDLE_BYTES: Final = 512 * 1024 * 1024  # a mesh of some million cells
 MOST_FILES: Final = 1000  # a component is its component.toml, a mesh, and what a deck includes
@@ -58,7 +58,9 @@ def unpacked(archive: Path, target: str) -> Iterator[Part]:
 
 def checked(folder: Path) -> Iterator[Part]:
     """Yield a part with the ``report`` of `fea.check` on a bundle, as JSON text."""
-    check = importlib.import_module("fea.check")  # here alone: no server imports finite elements
+    check = importlib.import_module(
+        "wrenchbook.fea.check"
+    )  # here alone: no server imports finite elements
     try:
         yield Part({"report": json.dumps(check.report(folder))})
     except OSError as error:  # of the bundle's files, not of this machine's disk

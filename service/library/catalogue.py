@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_whole_bytes
 
 MOST_NOTES = 100_000  # characters
 

@@ -7,10 +7,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from fea.bundle.read import read_bundle
-from service.contract import MOMENT_POINT
-from service.library.component import Component
-from service.library.library import CHECK_FILE
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.service.contract import MOMENT_POINT
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.library.library import CHECK_FILE
 
 
 def interface_of(component: Component) -> dict[str, Any] | None:

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fea.bundle.read import FILE_NAME, Bundle
-from fea.spec.schema import FREEDOMS
-from surrogate.table.rows import LoadRange, Tolerance, acting
+from wrenchbook.fea.bundle.read import FILE_NAME, Bundle
+from wrenchbook.fea.spec.schema import FREEDOMS
+from wrenchbook.surrogate.table.rows import LoadRange, Tolerance, acting
 
 FileStamp = tuple[tuple[int, int] | None, ...]
 

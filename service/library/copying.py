@@ -6,7 +6,7 @@ import re
 import shutil
 from pathlib import Path
 
-from service.library.component import Component
+from wrenchbook.service.library.component import Component
 
 _TOP_LEVEL = re.compile(r"^\s*\[", re.MULTILINE)
 _LINE = {key: re.compile(rf"^[ \t]*{key}[ \t]*=.*$", re.MULTILINE) for key in ("name", "title")}

@@ -14,13 +14,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from fea.bundle.read import read_bundle
-from fea.bundle.shipped import SHIPPED
-from fea.bundle.tables import is_slug
-from service.files.durable import sync_folder, sync_tree
-from service.library.arrival import check_mesh, unpack
-from service.library.bundle_zip import one_problem
-from service.library.component import (
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.bundle.tables import is_slug
+from wrenchbook.service.files.durable import sync_folder, sync_tree
+from wrenchbook.service.library.arrival import check_mesh, unpack
+from wrenchbook.service.library.bundle_zip import one_problem
+from wrenchbook.service.library.component import (
     BrokenComponentError,
     Component,
     ComponentExistsError,
@@ -28,7 +28,7 @@ from service.library.component import (
     UnknownComponentError,
     component_of,
 )
-from service.library.copying import copy_bundle, toml_text
+from wrenchbook.service.library.copying import copy_bundle, toml_text
 
 log = logging.getLogger(__name__)
 

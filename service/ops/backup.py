@@ -19,11 +19,11 @@ from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
-from service.files.durable import sync, sync_folder
-from service.ledger import Ledger, LedgerError
-from service.ledger.versions import SCRIPTS
-from service.tables.coordinator_state import FOLDER as SHARED
-from surrogate.packed.format import SUFFIX
+from wrenchbook.service.files.durable import sync, sync_folder
+from wrenchbook.service.ledger import Ledger, LedgerError
+from wrenchbook.service.ledger.versions import SCRIPTS
+from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
+from wrenchbook.surrogate.packed.format import SUFFIX
 
 FORMAT = "wrenchbook backup"
 SCHEMA = 1

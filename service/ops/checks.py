@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from service.fields.codec import DamagedFieldsError
-from service.fields.record import read_geometry, read_row
-from service.keys.keyring import Keyring, KeysError
-from service.ledger import Ledger
-from service.ops.backup import LEDGER
-from surrogate.solver_error import SolverError
+from wrenchbook.service.fields.codec import DamagedFieldsError
+from wrenchbook.service.fields.record import read_geometry, read_row
+from wrenchbook.service.keys.keyring import Keyring, KeysError
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ops.backup import LEDGER
+from wrenchbook.surrogate.solver_error import SolverError
 
 REPAIR = "mend it with: wrenchbook doctor --mend"
 LITTLE_BYTES = 512 * 1024 * 1024  # a log of the ledger, a large table twice, some hundred attempts

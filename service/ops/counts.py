@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.files.durable import write_whole_bytes
-from surrogate.answer import NAMES
+from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.surrogate.answer import NAMES
 
 log = logging.getLogger(__name__)
 

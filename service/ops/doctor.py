@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from service.files.durable import sync_folder
-from service.ledger import Ledger, LedgerDamagedError, LedgerError
-from service.ledger.acknowledged import Acknowledged
-from service.ledger.salvage import Salvaged, Spare, salvage
-from service.library.component import Component
-from service.library.library import Library
-from service.ops.backup import LEDGER
-from service.ops.checks import (
+from wrenchbook.service.files.durable import sync_folder
+from wrenchbook.service.ledger import Ledger, LedgerDamagedError, LedgerError
+from wrenchbook.service.ledger.acknowledged import Acknowledged
+from wrenchbook.service.ledger.salvage import Salvaged, Spare, salvage
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.library.library import Library
+from wrenchbook.service.ops.backup import LEDGER
+from wrenchbook.service.ops.checks import (
     REPAIR,
     Finding,
     check_disk,
@@ -29,13 +29,13 @@ from service.ops.checks import (
     find_leftovers,
     move_aside,
 )
-from service.ops.restore import in_use
-from service.tables.files import TableFiles, new_row
-from service.tables.news import usable, without
-from service.tables.other_setup import unsolved
-from surrogate.table.hdf5 import TableFileError, read_table
-from surrogate.table.meta import TableMeta
-from surrogate.table.rows import Rows
+from wrenchbook.service.ops.restore import in_use
+from wrenchbook.service.tables.files import TableFiles, new_row
+from wrenchbook.service.tables.news import usable, without
+from wrenchbook.service.tables.other_setup import unsolved
+from wrenchbook.surrogate.table.hdf5 import TableFileError, read_table
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import Rows
 
 Found = dict[str, tuple[Rows, TableMeta]]
 _KEPT = "The damaged one was moved aside; a backup may have more"

@@ -18,12 +18,12 @@ from prometheus_client.core import (
 )
 from prometheus_client.registry import Collector
 
-from service.ledger import Ledger, LedgerUnavailableError
-from service.ledger.statistics import SOLVE_EDGES, Statistics
-from service.library.library import Library
-from service.ops.counts import FOLDER as COUNTS
-from service.ops.counts import Counts, SharedCounts, cumulative
-from service.tables.coordinator_state import FOLDER as SHARED
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
+from wrenchbook.service.ledger.statistics import SOLVE_EDGES, Statistics
+from wrenchbook.service.library.library import Library
+from wrenchbook.service.ops.counts import FOLDER as COUNTS
+from wrenchbook.service.ops.counts import Counts, SharedCounts, cumulative
+from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
 
 # A component is a label and adds four series; GET /v1/components has the rest.
 MOST_COMPONENTS = 200

@@ -6,12 +6,12 @@ import shutil
 import time
 from pathlib import Path
 
-from service.files import lock
-from service.files.durable import sync_folder, sync_tree
-from service.ledger import Ledger, LedgerError
-from service.ops.backup import LEDGER, BackupError, Manifest, unpack, verify
-from service.tables.coordinator_state import FOLDER as SHARED
-from service.tables.coordinator_state import LOCK
+from wrenchbook.service.files import lock
+from wrenchbook.service.files.durable import sync_folder, sync_tree
+from wrenchbook.service.ledger import Ledger, LedgerError
+from wrenchbook.service.ops.backup import LEDGER, BackupError, Manifest, unpack, verify
+from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
+from wrenchbook.service.tables.coordinator_state import LOCK
 
 _DRAFT = ".restoring"  # in the data directory, which may be a mount
 

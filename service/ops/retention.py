@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.ledger import FINAL, Ledger, LedgerError
+from wrenchbook.service.ledger import FINAL, Ledger, LedgerError
 
 _log = logging.getLogger(__name__)
 

@@ -1,4 +1,4 @@
-"""Reproduce the paper: ``python -m service.paper FOLDER [--quick]``.
+"""Reproduce the paper: ``python -m wrenchbook.service.paper FOLDER [--quick]``.
 
 Writes ``paper.html`` and ``paper.json`` into the folder, prints a table of what was found, and ends
 with status 1 if a band is missed. It runs in a process of its own, as every solve does, beside a
@@ -21,14 +21,14 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from service.client import Client
-from service.files.durable import write_whole_bytes
-from service.http.server import private_server
-from service.paper.arm import arm
-from service.paper.bar import bar
-from service.paper.page import HEAD, as_page, lines_of
-from service.paper.part import PAPER, QUICK, WHOLE, Effort, Heard
-from service.paper.spring import spring
+from wrenchbook.service.client import Client
+from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.http.server import private_server
+from wrenchbook.service.paper.arm import arm
+from wrenchbook.service.paper.bar import bar
+from wrenchbook.service.paper.page import HEAD, as_page, lines_of
+from wrenchbook.service.paper.part import PAPER, QUICK, WHOLE, Effort, Heard
+from wrenchbook.service.paper.spring import spring
 
 PARTS = {"bar": bar, "spring": spring, "arm": arm}
 SOLVERS = 2  # of the server, at once

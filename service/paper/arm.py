@@ -10,12 +10,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fea.solve import Solver
-from fea.validation.clamped import shipped
-from fea.validation.finding import Finding
-from service.client import Client
-from service.paper.part import LOADS, OUTPUTS, Curve, Effort, Heard, Mask, Part, Plot, Vector
-from service.paper.scenes import Run, move_arm
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation.clamped import shipped
+from wrenchbook.fea.validation.finding import Finding
+from wrenchbook.service.client import Client
+from wrenchbook.service.paper.part import (
+    LOADS,
+    OUTPUTS,
+    Curve,
+    Effort,
+    Heard,
+    Mask,
+    Part,
+    Plot,
+    Vector,
+)
+from wrenchbook.service.paper.scenes import Run, move_arm
 
 METHODS = (None, "griddata")  # None: the table's own choice
 # Of each output's range over the trajectory, worst output, RMS: an engineer's one per cent.

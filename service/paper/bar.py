@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from fea.component import Component
-from fea.solve import Solver
-from fea.validation.clamped import shipped
-from fea.validation.finding import Finding
-from service.client import Client
-from service.client.rotation import rotation_matrix
-from service.paper.part import PAPER, Curve, Effort, Heard, Part, Plot, Vector, apart
-from service.paper.scenes import press
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation.clamped import shipped
+from wrenchbook.fea.validation.finding import Finding
+from wrenchbook.service.client import Client
+from wrenchbook.service.client.rotation import rotation_matrix
+from wrenchbook.service.paper.part import PAPER, Curve, Effort, Heard, Part, Plot, Vector, apart
+from wrenchbook.service.paper.scenes import press
 
 LEVERS = (0.0, 0.1)  # m: as in the figure, and with a moment at the tip as well
 # Euler's bar leaves out shear and the clamp's grip on lateral contraction: 0.2 % at this length.

@@ -7,9 +7,9 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from service.paper.part import OUTPUTS
-from service.report.page import LAYOUT, STYLE, section_html
-from service.report.text import Section
+from wrenchbook.service.paper.part import OUTPUTS
+from wrenchbook.service.report.page import LAYOUT, STYLE, section_html
+from wrenchbook.service.report.text import Section
 
 # Colours that remain apart for the colour-blind (Okabe and Ito 2008).
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from service.client.mount.mujoco_checks import engine
-from service.client.mount.mujoco_mount import MujocoMount
-from service.paper.part import Mask, Vector
+from wrenchbook.service.client.mount.mujoco_checks import engine
+from wrenchbook.service.client.mount.mujoco_mount import MujocoMount
+from wrenchbook.service.paper.part import Mask, Vector
 
 _HERE = Path(__file__).resolve()
 # As with the shipped components: a wheel has the scene in this room, a checkout where users look.

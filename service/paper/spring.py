@@ -8,14 +8,24 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from fea.solve import Solver
-from fea.validation.clamped import shipped
-from fea.validation.finding import Finding
-from fea.validation.spring import PRINTED_14, Rod, rod_of
-from service.client import Client
-from service.paper.part import PAPER, Curve, Effort, Heard, Mask, Part, Plot, Vector, apart
-from service.paper.regression import Line, line_through
-from service.paper.scenes import press
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation.clamped import shipped
+from wrenchbook.fea.validation.finding import Finding
+from wrenchbook.fea.validation.spring import PRINTED_14, Rod, rod_of
+from wrenchbook.service.client import Client
+from wrenchbook.service.paper.part import (
+    PAPER,
+    Curve,
+    Effort,
+    Heard,
+    Mask,
+    Part,
+    Plot,
+    Vector,
+    apart,
+)
+from wrenchbook.service.paper.regression import Line, line_through
+from wrenchbook.service.paper.scenes import press
 
 # N/mm: what the paper found by finite elements, with its spread; its whole loop: 0.585 ± 0.003.
 BAND, BAND_WIDTH, PAPER_LOOP = 0.582, 0.001, 0.585

@@ -1,4 +1,4 @@
-"""Make a report: ``python -m service.report FOLDER``, where FOLDER holds ``order.json``.
+"""Make a report: ``python -m wrenchbook.service.report FOLDER``, where FOLDER holds ``order.json``.
 
 Writes ``report.json``, ``report.md`` and ``report.html``, whole or not at all; ``progress.json`` on
 the way; ``failure.json`` if it cannot.
@@ -13,13 +13,13 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fea.bundle.read import read_bundle
-from service.files.durable import write_whole_bytes
-from service.jobs.attempt import PROGRESS, Progress, write_whole
-from service.report.measure import measure
-from service.report.page import as_page
-from service.report.text import as_markdown
-from surrogate.table.hdf5 import read_table
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.jobs.attempt import PROGRESS, Progress, write_whole
+from wrenchbook.service.report.measure import measure
+from wrenchbook.service.report.page import as_page
+from wrenchbook.service.report.text import as_markdown
+from wrenchbook.surrogate.table.hdf5 import read_table
 
 ORDER, FAILURE = "order.json", "failure.json"
 

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from fea.failure import SolveFailed
-from fea.mesh.refine import refined
-from fea.solve import Solver
-from fea.spec.schema import FREEDOMS, Bundle
-from service.report.timing import answer_times
-from surrogate.answer import METHODS
-from surrogate.build import AnyTable, build
-from surrogate.kernel.packing import packed_of
-from surrogate.table.rows import LoadRange, Rows, acting
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.refine import refined
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
+from wrenchbook.service.report.timing import answer_times
+from wrenchbook.surrogate.answer import METHODS
+from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, acting
 
 Array = np.ndarray
 Report = Callable[[float, str], None]

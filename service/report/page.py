@@ -8,8 +8,15 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from service.report.measure import mesh_error, name_of, seconds_of, worst
-from service.report.text import OUTPUTS, Section, advice_of, sections, summary_of, title_of
+from wrenchbook.service.report.measure import mesh_error, name_of, seconds_of, worst
+from wrenchbook.service.report.text import (
+    OUTPUTS,
+    Section,
+    advice_of,
+    sections,
+    summary_of,
+    title_of,
+)
 
 STYLE = (
     "body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;"

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from service.files import lock
-from service.files.child import child_command
-from service.jobs.attempt import write_whole
-from service.library.component import Component
+from wrenchbook.service.files import lock
+from wrenchbook.service.files.child import child_command
+from wrenchbook.service.jobs.attempt import write_whole
+from wrenchbook.service.library.component import Component
 
 FILES = {"json": "report.json", "md": "report.md", "html": "report.html"}
 _LOCK = "lock"
@@ -74,7 +74,7 @@ class Reports:
             try:
                 with (folder / "log.txt").open("wb") as log:
                     self._making[component.name] = subprocess.Popen(
-                        child_command("service.report", str(folder.absolute())),
+                        child_command("wrenchbook.service.report", str(folder.absolute())),
                         stdin=subprocess.DEVNULL,
                         stdout=log,
                         stderr=subprocess.STDOUT,

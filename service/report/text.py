@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from service.report.measure import mesh_error, name_of, worst
+from wrenchbook.service.report.measure import mesh_error, name_of, worst
 
 OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 

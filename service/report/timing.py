@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kernel.binding import PackedTable
 
 TIMED_QUERIES, TIMED_SECONDS = 2000, 0.5
 

@@ -3,8 +3,8 @@
 A subprocess returns JSON and plain arrays in a file of bounded size, never a pickle.
 """
 
-from service.sandbox.parts import MIB, Limits, Part, SandboxBusyError, SandboxError
-from service.sandbox.process import Sandbox, run, warm_up
+from wrenchbook.service.sandbox.parts import MIB, Limits, Part, SandboxBusyError, SandboxError
+from wrenchbook.service.sandbox.process import Sandbox, run, warm_up
 
 __all__ = [
     "MIB",

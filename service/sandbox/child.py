@@ -22,7 +22,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Final, NoReturn
 
-from service.sandbox.parts import Limits, write_parts
+from wrenchbook.service.sandbox.parts import Limits, write_parts
 
 _OPEN_FILES: Final = 64  # pipes, the file, what an HDF5 or a zip opens in addition
 _FIELDS: Final = {"done", "kind", "message", "errno", "traceback"}

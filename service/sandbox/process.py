@@ -22,8 +22,14 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
-from service.files.child import child_command
-from service.sandbox.parts import Limits, Part, SandboxBusyError, SandboxError, read_parts
+from wrenchbook.service.files.child import child_command
+from wrenchbook.service.sandbox.parts import (
+    Limits,
+    Part,
+    SandboxBusyError,
+    SandboxError,
+    read_parts,
+)
 
 log = logging.getLogger(__name__)
 
@@ -147,7 +153,9 @@ class _ForkServer:
             self._connection, theirs = Pipe()
             with theirs:
                 self.process = subprocess.Popen(
-                    child_command("service.sandbox.child", str(theirs.fileno()), *modules),
+                    child_command(
+                        "wrenchbook.service.sandbox.child", str(theirs.fileno()), *modules
+                    ),
                     pass_fds=[theirs.fileno()],
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,

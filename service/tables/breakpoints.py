@@ -16,9 +16,9 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.io import savemat
 
-from service.contract import CONTRACT
-from service.tables.served import ServedTable
-from surrogate.table.rows import OUTPUT_UNITS, OUTPUTS
+from wrenchbook.service.contract import CONTRACT
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.surrogate.table.rows import OUTPUT_UNITS, OUTPUTS
 
 AXES = {"x": (0, 4, 5), "y": (1, 5, 3), "z": (2, 3, 4)}
 GRIDS = (5, 9, 17, 25)

@@ -11,8 +11,8 @@ import shutil
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from service.files.durable import write_whole_bytes
-from service.files.lock import is_held, take
+from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.lock import is_held, take
 
 FOLDER = "shared"  # in the data directory
 LOCK, _STATUS = "lock", "status.json"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 
-from service.ledger import About, Ledger, PackedRow, packed_columns
-from service.library.component import Component
-from service.tables.rows import export_rows, usable
+from wrenchbook.service.ledger import About, Ledger, PackedRow, packed_columns
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.rows import export_rows, usable
 
 
 def copy_rows(ledger: Ledger, source: Component, target: Component, about: About) -> int:

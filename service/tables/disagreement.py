@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from surrogate.build import AnyTable, build
-from surrogate.kernel.packing import packed_of
-from surrogate.solver_error import SolverError
-from surrogate.table.rows import LOADS, OUTPUTS, LoadRange, Rows, Tolerance
+from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.rows import LOADS, OUTPUTS, LoadRange, Rows, Tolerance
 
 MOST_ROWS = 5000  # measured ones that are compared; more are thinned evenly
 MOST_TOLD = 500

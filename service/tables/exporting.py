@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from service.formats import (
+from wrenchbook.service.formats import (
     Layout,
     UnitError,
     chosen_units,
@@ -18,10 +18,10 @@ from service.formats import (
     write_parquet,
     write_xlsx,
 )
-from service.ledger import Ledger
-from service.ledger.table_at import TableAt
-from service.library.component import Component
-from service.tables.rows import (
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ledger.table_at import TableAt
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.rows import (
     CONTRACT_WORDS,
     ExportRows,
     export_rows,
@@ -29,7 +29,7 @@ from service.tables.rows import (
     table_meta,
     usable,
 )
-from surrogate.solver_error import SolverError
+from wrenchbook.surrogate.solver_error import SolverError
 
 ExportFormat = Literal["csv", "xlsx", "parquet", "hdf5", "json"]
 IN_SI = ("parquet", "hdf5", "json")

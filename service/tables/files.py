@@ -9,13 +9,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from service.contract import CONTRACT
-from service.ledger import Ledger, LedgerUnavailableError, NewRow, News, RowEdit
-from service.library.component import Component
-from service.tables.news import usable
-from surrogate.table.hdf5 import TableFileError, read_meta, read_table, write_table
-from surrogate.table.meta import TableMeta
-from surrogate.table.rows import Rows, joined
+from wrenchbook.service.contract import CONTRACT
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, NewRow, News, RowEdit
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.news import usable
+from wrenchbook.surrogate.table.hdf5 import TableFileError, read_meta, read_table, write_table
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import Rows, joined
 
 T = TypeVar("T")
 

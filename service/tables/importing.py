@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from service.formats import Options, ReadResult, read_untrusted
-from service.ledger import About, Ledger
-from service.library.component import Component
-from service.tables.rows import packed_pieces
+from wrenchbook.service.formats import Options, ReadResult, read_untrusted
+from wrenchbook.service.ledger import About, Ledger
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.rows import packed_pieces
 
 
 @dataclass(frozen=True)

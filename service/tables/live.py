@@ -12,24 +12,24 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from service.files.cores import usable_cores
-from service.ledger import Ledger, LedgerUnavailableError
-from service.library.component import Component
-from service.library.library import Library
-from service.tables.behind import TableBehindError
-from service.tables.builders import LARGE, Builders
-from service.tables.files import TableFiles
-from service.tables.making import empty_table, make, packed_bytes
-from service.tables.memory import give_back
-from service.tables.news import usable, without
-from service.tables.other_setup import count_others
-from service.tables.packed_files import PackedFiles, origin_of
-from service.tables.served import TABLE_MEMORY, ServedTable, drop_built
-from service.tables.solver_errors import SolverErrors
-from surrogate.build import AnyTable
-from surrogate.kernel.binding import PackedTable
-from surrogate.packed.format import PackedTableError
-from surrogate.table.rows import Rows, joined
+from wrenchbook.service.files.cores import usable_cores
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.library.library import Library
+from wrenchbook.service.tables.behind import TableBehindError
+from wrenchbook.service.tables.builders import LARGE, Builders
+from wrenchbook.service.tables.files import TableFiles
+from wrenchbook.service.tables.making import empty_table, make, packed_bytes
+from wrenchbook.service.tables.memory import give_back
+from wrenchbook.service.tables.news import usable, without
+from wrenchbook.service.tables.other_setup import count_others
+from wrenchbook.service.tables.packed_files import PackedFiles, origin_of
+from wrenchbook.service.tables.served import TABLE_MEMORY, ServedTable, drop_built
+from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.packed.format import PackedTableError
+from wrenchbook.surrogate.table.rows import Rows, joined
 
 log = logging.getLogger(__name__)
 

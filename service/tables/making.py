@@ -6,15 +6,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from service.contract import CONTRACT
-from service.library.component import Component
-from service.tables.served import ServedTable
-from service.tables.solver_errors import SolverErrors
-from surrogate.build import AnyTable, build
-from surrogate.kernel.binding import PackedTable
-from surrogate.packed.writer import pack
-from surrogate.solver_error import SolverError
-from surrogate.table.rows import Rows
+from wrenchbook.service.contract import CONTRACT
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.packed.writer import pack
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.rows import Rows
 
 
 def make(

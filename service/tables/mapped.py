@@ -10,20 +10,26 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from service.ledger import Ledger, LedgerUnavailableError
-from service.library.component import Component
-from service.library.library import Library
-from service.tables.behind import TableBehindError
-from service.tables.coordinator_state import CoordinatorState, Status
-from service.tables.files import TableFiles
-from service.tables.live import START_S, SWITCH_S
-from service.tables.making import empty_table
-from service.tables.other_setup import count_others
-from service.tables.packed_files import PackedFile, PackedFiles, is_of, origin_of, setup_of
-from service.tables.served import TABLE_MEMORY, ServedTable, drop_built
-from service.tables.solver_errors import SolverErrors
-from surrogate.kernel.binding import PackedTable
-from surrogate.packed.format import PackedTableError
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.library.library import Library
+from wrenchbook.service.tables.behind import TableBehindError
+from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
+from wrenchbook.service.tables.files import TableFiles
+from wrenchbook.service.tables.live import START_S, SWITCH_S
+from wrenchbook.service.tables.making import empty_table
+from wrenchbook.service.tables.other_setup import count_others
+from wrenchbook.service.tables.packed_files import (
+    PackedFile,
+    PackedFiles,
+    is_of,
+    origin_of,
+    setup_of,
+)
+from wrenchbook.service.tables.served import TABLE_MEMORY, ServedTable, drop_built
+from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.packed.format import PackedTableError
 
 log = logging.getLogger(__name__)
 

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from service.ledger import LedgerRow, News
-from service.library.component import Component
-from surrogate.table.rows import Rows
+from wrenchbook.service.ledger import LedgerRow, News
+from wrenchbook.service.library.component import Component
+from wrenchbook.surrogate.table.rows import Rows
 
 
 def without(rows: Rows, news: News) -> Rows:

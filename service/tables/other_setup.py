@@ -10,10 +10,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from service.ledger import Ledger, packed, unpacked
-from service.library.component import Component
-from service.tables.served import ServedTable
-from surrogate.table.rows import Floats
+from wrenchbook.service.ledger import Ledger, packed, unpacked
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.surrogate.table.rows import Floats
 
 
 def count_others(ledger: Ledger, component: Component, table: ServedTable) -> None:

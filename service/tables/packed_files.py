@@ -18,13 +18,13 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-import surrogate
-from service.files.durable import write_whole_bytes
-from service.ledger import Ledger, LedgerUnavailableError
-from service.library.component import Component
-from service.tables.solver_errors import SolverErrors
-from surrogate.kernel.binding import PackedTable
-from surrogate.packed.format import SUFFIX, PackedTableError
+from wrenchbook import surrogate
+from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.packed.format import SUFFIX, PackedTableError
 
 
 class PackedFile(NamedTuple):

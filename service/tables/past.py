@@ -7,17 +7,17 @@ from collections import OrderedDict
 
 from anyio import CapacityLimiter
 
-from service.ledger import Ledger, News
-from service.library.component import Component
-from service.library.library import Library
-from service.tables.live import Tables
-from service.tables.making import in_memory, make, packed_bytes
-from service.tables.mapped import MappedTables
-from service.tables.news import usable
-from service.tables.packed_files import origin_of
-from service.tables.served import ServedTable
-from service.tables.solver_errors import SolverErrors
-from surrogate.table.rows import Rows, joined
+from wrenchbook.service.ledger import Ledger, News
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.library.library import Library
+from wrenchbook.service.tables.live import Tables
+from wrenchbook.service.tables.making import in_memory, make, packed_bytes
+from wrenchbook.service.tables.mapped import MappedTables
+from wrenchbook.service.tables.news import usable
+from wrenchbook.service.tables.packed_files import origin_of
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.surrogate.table.rows import Rows, joined
 
 # A study asks one version, or compares a few.
 MOST_TABLES = 4

@@ -10,12 +10,12 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from service.contract import CONTRACT
-from service.formats import ParsedTable
-from service.ledger import Import, LedgerRow, PackedRow, packed_columns
-from service.library.component import Component
-from surrogate.solver_error import SolverError
-from surrogate.table.meta import TableMeta
+from wrenchbook.service.contract import CONTRACT
+from wrenchbook.service.formats import ParsedTable
+from wrenchbook.service.ledger import Import, LedgerRow, PackedRow, packed_columns
+from wrenchbook.service.library.component import Component
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.meta import TableMeta
 
 MEASURED = "measured"
 CONTRACT_WORDS = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from surrogate.build import AnyTable, build
-from surrogate.kernel.binding import PackedTable
-from surrogate.kriging import Hyperparameters
-from surrogate.solver_error import SolverError
-from surrogate.table.compliance import ComplianceFit
-from surrogate.table.rows import Floats, LoadRange, Rows, Tolerance
+from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kriging import Hyperparameters
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.compliance import ComplianceFit
+from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, Tolerance
 
 ROW_DETAIL = "the displacement that a row of the table has at this wrench"
 _WHOLE = 4  # the place in the solver's flags that says whether error bars have all their parts

@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from service.files.durable import write_whole_bytes
-from surrogate.solver_error import SolverError
+from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.surrogate.solver_error import SolverError
 
 _log = logging.getLogger(__name__)
 

@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from service.client import Client, Displacement, Displacements, Table
-from service.client.replies import COVERAGE, EXACT, ROUNDED
-from surrogate.kernel import build as kernel_build
-from surrogate.kernel.binding import PackedTable
-from surrogate.kernel.replies import REPLY_SIZE, Reader, Reply
-from surrogate.packed.codes import METHODS
-from surrogate.packed.format import map_file
 from tests.service.fmu.made import Opened, answers, judged, slopes
+from wrenchbook.service.client import Client, Displacement, Displacements, Table
+from wrenchbook.service.client.replies import COVERAGE, EXACT, ROUNDED
+from wrenchbook.surrogate.kernel import build as kernel_build
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kernel.replies import REPLY_SIZE, Reader, Reply
+from wrenchbook.surrogate.packed.codes import METHODS
+from wrenchbook.surrogate.packed.format import map_file
 
 Limit = tuple[float, float] | None
 UNKNOWN = (None,) * 6

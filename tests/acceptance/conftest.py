@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from service.client import Client
+from wrenchbook.service.client import Client
 
 
 class RealServer:
@@ -20,7 +20,14 @@ class RealServer:
         self.client = None
 
     def start(self, solvers=2, options=(), environment=None):
-        command = [sys.executable, "-m", "service.cli.main", "serve", "--data", str(self.folder)]
+        command = [
+            sys.executable,
+            "-m",
+            "wrenchbook.service.cli.main",
+            "serve",
+            "--data",
+            str(self.folder),
+        ]
         command += ["--port", "0", "--solvers", str(solvers), "--log-level", "warning"]
         command += options
         variables = dict(os.environ) | (environment or {})

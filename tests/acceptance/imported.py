@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from service.client import Client
-from service.settings import Settings
-from service.workspace import Workspace
 from tests.service.live import FULL, add_rows, add_table, as_rows, full_wrenches, moved, tangents
 from tests.service.test_runjob_evidence import BUNDLE
 from tests.surrogate.kernel.kinds import clean, grid
 from tests.surrogate.softening import SOFT, column
+from wrenchbook.service.client import Client
+from wrenchbook.service.settings import Settings
+from wrenchbook.service.workspace import Workspace
 
 Rows = list[dict[str, Any]]
 LIMIT = {"translation": 1e-5, "rotation": 1e-5}  # m, rad

@@ -5,9 +5,9 @@ import threading
 import numpy as np
 import orjson
 
-from service.ops.backup import back_up
-from service.ops.doctor import examine
-from service.ops.restore import restore
+from wrenchbook.service.ops.backup import back_up
+from wrenchbook.service.ops.doctor import examine
+from wrenchbook.service.ops.restore import restore
 
 RANGE = {"force": [100.0] * 3, "moment": [10.0] * 3}
 ROWS, ASKED = 20, [[0.0, 0.0, z, 0.0, 0.0, 0.0] for z in np.linspace(-90, 90, 7).tolist()]

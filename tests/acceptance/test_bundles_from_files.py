@@ -9,8 +9,8 @@ import zipfile
 import numpy as np
 import pytest
 
-from service.client import ProblemError
 from tests.fea.geometry import draw_bracket
+from wrenchbook.service.client import ProblemError
 
 YOUNG = 210e9
 LENGTH, SIDE = 0.2, 0.02

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from service.client import ProblemError
 from tests.service.table_files import read_csv
+from wrenchbook.service.client import ProblemError
 
 HEADER = "Fx [lbf],Fz [lbf],ux [mm],uy [mm],uz [mm],rx [deg],ry [deg],rz [deg]"
 RIG = {"name": "rig", "title": "Rig", "range": {"force": [900, 900, 900], "moment": [9, 9, 9]}}

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.client import ProblemError, ServerUnreachable
-from service.client.mount import Mount, MountWarning
-from service.client.mount.mujoco_mount import MujocoMount
 from tests.service.client.scenes import made, mujoco
+from wrenchbook.service.client import ProblemError, ServerUnreachable
+from wrenchbook.service.client.mount import Mount, MountWarning
+from wrenchbook.service.client.mount.mujoco_mount import MujocoMount
 
 WEIGHT = np.array([0.0, 0.0, -30.0])  # N
 LEVER = np.array([0.2, 0.0, 0.05])  # m

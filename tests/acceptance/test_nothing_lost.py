@@ -13,8 +13,8 @@ from collections import Counter
 
 import pytest
 
-from service.client.errors import ProblemError
 from tests.service.engines.cluster import SOURCES, TESTS, Cluster, kill, kill_solver
+from wrenchbook.service.client.errors import ProblemError
 
 KILLS = int(os.environ.get("WRENCHBOOK_SOAK_KILLS", "4"))
 SEEDS = range(int(os.environ.get("WRENCHBOOK_SOAK_SEEDS", "1")))

@@ -14,17 +14,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.client import Client, Scene, Table
-from service.fmu.export import NotExportableError, find_compiler, make_fmu
-from service.ops.backup import back_up
-from service.ops.restore import restore
-from surrogate.build import AnyTable
-from surrogate.kernel.binding import PackedTable
-from surrogate.packed.codes import METHODS
-from surrogate.packed.writer import pack
-from surrogate.solver_error import SolverError
-from surrogate.table.hdf5 import read_table
-from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.acceptance.callers import (
     Limit,
     Program,
@@ -43,6 +32,17 @@ from tests.service.test_crew import Crew, clients_of_each
 from tests.surrogate.kernel.kinds import SIGMA, SIGMA_AT_ROWS, asked_of, assert_law, clean, six
 from tests.surrogate.law import build
 from tests.surrogate.softening import SOFT, column
+from wrenchbook.service.client import Client, Scene, Table
+from wrenchbook.service.fmu.export import NotExportableError, find_compiler, make_fmu
+from wrenchbook.service.ops.backup import back_up
+from wrenchbook.service.ops.restore import restore
+from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.packed.codes import METHODS
+from wrenchbook.surrogate.packed.writer import pack
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.hdf5 import read_table
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 
 class Place(NamedTuple):

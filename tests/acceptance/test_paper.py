@@ -10,7 +10,7 @@ import pytest
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
     folder = tmp_path_factory.mktemp("paper")
-    command = [sys.executable, "-m", "service.cli.main", "validate", "paper", "--quick"]
+    command = [sys.executable, "-m", "wrenchbook.service.cli.main", "validate", "paper", "--quick"]
     done = subprocess.run(
         [*command, "--out", str(folder)], capture_output=True, text=True, timeout=280, check=False
     )

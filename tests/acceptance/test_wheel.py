@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surrogate.build import build
-from surrogate.kernel.build import library_path
-from surrogate.packed.writer import write
-from surrogate.table.rows import LoadRange, Rows
+from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.kernel.build import library_path
+from wrenchbook.surrogate.packed.writer import write
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 ROOT = Path(__file__).parents[2]
 ROOMS = ("fea", "surrogate", "service", "data")

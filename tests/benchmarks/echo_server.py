@@ -11,10 +11,10 @@ from pathlib import Path
 
 from starlette.types import Receive, Scope, Send
 
-from service.http.app import create_app
-from service.http.application import Application
-from service.http.server import Server, server_config
-from service.workspace import Settings
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.application import Application
+from wrenchbook.service.http.server import Server, server_config
+from wrenchbook.service.workspace import Settings
 
 BARE = "/bare-echo"
 REPLY = b'{"told":"' + b"x" * 480 + b'"}'  # as long as an answer

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fea.mesh.reference_cell import node_places, tabulate
+from wrenchbook.fea.mesh.reference_cell import node_places, tabulate
 
 NEAR = 24  # cells tried for a place, the nearest first
 INSIDE = 1e-6  # of a cell: a place so little outside is in it

@@ -14,8 +14,8 @@ from pathlib import Path
 
 
 def _own(name: str, folder: str) -> dict[str, float]:
-    from fea.solve import Solver
     from tests.benchmarks.unstructured import part_of
+    from wrenchbook.fea.solve import Solver
 
     solver = Solver(part_of(name, Path(folder)))
     body = solver._system.body
@@ -41,8 +41,8 @@ def _own(name: str, folder: str) -> dict[str, float]:
 
 def _solve(name: str, folder: str) -> dict[str, float]:
     """Solve and no more, for the memory of it."""
-    from fea.solve import Solver
     from tests.benchmarks.unstructured import part_of
+    from wrenchbook.fea.solve import Solver
 
     imported = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     Solver(part_of(name, Path(folder))).solve([300.0, -200.0, 900.0, 3.0, -2.0, 1.0])

@@ -10,7 +10,7 @@ import warnings
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 
-from surrogate.table.rows import Rows
+from wrenchbook.surrogate.table.rows import Rows
 
 SMT_MISSING = (
     ""

@@ -15,8 +15,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrogate.kriging import Kriging
-from surrogate.kriging.settings import DEFAULTS
 from tests.surrogate.calibrating import (
     PIECEWISE,
     SOLVES,
@@ -31,6 +29,8 @@ from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, smooth
 from tests.surrogate.scenarios import SCENARIOS, asked_of, judged, shipped_truth
+from wrenchbook.surrogate.kriging import Kriging
+from wrenchbook.surrogate.kriging.settings import DEFAULTS
 
 OUTSIDE = 0.1  # of what is covered, in the worst output of the worst seed
 SEED = int(os.environ.get("CALIBRATION_SEED", secrets.randbelow(10**6)))

@@ -16,12 +16,12 @@ from tests.benchmarks.test_mesh_error import STEPS, bundle_of
 ONE = """
 import json, resource, sys, time
 from dataclasses import replace
-from fea.bundle.read import read_bundle
-from fea.bundle.shipped import SHIPPED
-from fea.check.cost import estimate
-from fea.component import build
-from fea.mesh.refine import refined
-from fea.solve import Solver
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.check.cost import estimate
+from wrenchbook.fea.component import build
+from wrenchbook.fea.mesh.refine import refined
+from wrenchbook.fea.solve import Solver
 folder, factor, nonlinear = json.loads(sys.argv[1])
 bundle = refined(read_bundle(SHIPPED / folder), factor)  # a whole path stays one
 part = build(bundle)

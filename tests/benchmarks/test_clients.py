@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from service.client import Client
 from tests.benchmarks.test_live_tables import Asking, added, as_csv, made_up
 from tests.benchmarks.test_processes import serving
+from wrenchbook.service.client import Client
 
 CLIENTS, SECONDS, IDLE_SECONDS, PAUSE_S = 8, 60.0, 5.0, 0.05
 # m and rad a unit of load, for the loads of made_up: each axis moves by its own three alone.

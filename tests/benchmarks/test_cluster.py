@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fea.bundle.read import read_bundle
-from fea.bundle.shipped import SHIPPED
-from service.jobs.attempt import Spec, prepare, read_outcome
-from service.jobs.engines.dask import DaskEngine
-from service.jobs.engines.engine import ALIVE, Attempt
 from tests.service.engines.cluster import Cluster
 from tests.service.until import until
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome
+from wrenchbook.service.jobs.engines.dask import DaskEngine
+from wrenchbook.service.jobs.engines.engine import ALIVE, Attempt
 
 SOLVES = 12  # of plate_thin, a side and a turn
 TURNS = 2

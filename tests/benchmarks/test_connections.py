@@ -17,9 +17,9 @@ import numpy as np
 import orjson
 import pytest
 
-from service.client import Client
-from service.http.server import raise_open_files
 from tests.service.live import add_table, as_rows, clean_wrenches, full_wrenches, moved
+from wrenchbook.service.client import Client
+from wrenchbook.service.http.server import raise_open_files
 
 IDLE, SLOW, POLLING = 200, 500, 2000
 ASKED = 2000
@@ -38,7 +38,7 @@ SLOW_HEAD = (
 def served(tmp_path: Path) -> Iterator[tuple[Client, int]]:
     """A server in a process of its own, with a table and a job that nobody solves."""
     raise_open_files()
-    words = [sys.executable, "-m", "service.cli.main", "serve", "--data", str(tmp_path)]
+    words = [sys.executable, "-m", "wrenchbook.service.cli.main", "serve", "--data", str(tmp_path)]
     words += ["--port", "0", "--solvers", "0", "--log-level", "warning"]
     server = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
     assert server.stdout is not None

@@ -13,9 +13,9 @@ import time
 
 import pytest
 
-from service.jobs.dispatcher import Dispatcher
-from service.ledger import Ledger
 from tests.service.simulated import SimulatedEngine
+from wrenchbook.service.jobs.dispatcher import Dispatcher
+from wrenchbook.service.ledger import Ledger
 
 WORKERS = 1000
 JOBS = 5000

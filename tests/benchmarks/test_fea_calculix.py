@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.element.equivalent_stress import von_mises
-from fea.solve import Solver
-from fea.validation import calculix
-from fea.validation.clamped import shipped
-from fea.validation.plate import WRENCH
-from fea.validation.samemesh import same_mesh
 from tests.fea import calculix as in_calculix
 from tests.fea.tets import in_tets
+from wrenchbook.fea.element.equivalent_stress import von_mises
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation import calculix
+from wrenchbook.fea.validation.clamped import shipped
+from wrenchbook.fea.validation.plate import WRENCH
+from wrenchbook.fea.validation.samemesh import same_mesh
 
 pytestmark = pytest.mark.skipif(not calculix.installed(), reason=calculix.ABSENT)
 

@@ -21,11 +21,11 @@ from statistics import median
 import numpy as np
 import pytest
 
-from fea.solve import Solver
-from fea.validation import calculix
-from fea.validation.clamped import shipped
-from fea.validation.plate import WRENCH
-from fea.validation.samemesh import LINEAR, NONLINEAR, worst_gap
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation import calculix
+from wrenchbook.fea.validation.clamped import shipped
+from wrenchbook.fea.validation.plate import WRENCH
+from wrenchbook.fea.validation.samemesh import LINEAR, NONLINEAR, worst_gap
 
 ROUNDS = int(os.environ.get("WRENCHBOOK_BENCH_ROUNDS", "3"))
 ONE_THREAD = dict.fromkeys(
@@ -38,8 +38,8 @@ COLD = """
 import json, sys, time
 started = time.perf_counter()
 from dataclasses import replace
-from fea.solve import Solver
-from fea.validation.clamped import shipped
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation.clamped import shipped
 imported = time.perf_counter()
 name, nonlinear, wrench = json.loads(sys.argv[1])
 part = replace(shipped(name), coupling="rigid")

@@ -17,13 +17,13 @@ import pytest
 from scipy.interpolate import NearestNDInterpolator, griddata
 from scipy.stats import qmc
 
-from fea.bundle.read import read_bundle
-from fea.solve import Solver
-from surrogate.design.adaptive import next_wrenches
-from surrogate.surrogate import Surrogate
-from surrogate.table.rows import LoadRange, Rows
 from tests.benchmarks.peers import SMT_MISSING, smt_kriging
 from tests.surrogate.law import build
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.solve import Solver
+from wrenchbook.surrogate.design.adaptive import next_wrenches
+from wrenchbook.surrogate.surrogate import Surrogate
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 COMPONENTS = Path(__file__).parents[2] / "data" / "components"
 ROUND = 24

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from service.fmu.export import find_compiler
 from tests.service.fmu.made import opened, solved, wrenches_of
+from wrenchbook.service.fmu.export import find_compiler
 
 DRIVER = Path(__file__).parents[1] / "service" / "fmu" / "rate.c"
 TARGET = 100_000  # a second

@@ -17,8 +17,8 @@ import numpy as np
 import orjson
 import pytest
 
-from service.client import Client
 from tests.benchmarks.echo_server import BARE
+from wrenchbook.service.client import Client
 
 ROUNDS, REQUESTS, BUSY = 15, 400, 8
 FORCE, MOMENT = [120.0, -80.0, -700.0], [15.0, 25.0, 4.0]

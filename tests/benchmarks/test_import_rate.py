@@ -10,8 +10,8 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-from service.ledger import Ledger
 from tests.benchmarks.test_live_tables import added, as_csv, made_up, serving, waited
+from wrenchbook.service.ledger import Ledger
 
 CORNERS = 24  # of three axes: every table that is made up has the same
 PAUSE_S = 0.02  # between two writes into the ledger

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from scipy.interpolate import LinearNDInterpolator
 
-from surrogate.build import AnyTable
-from surrogate.kernel.binding import PackedTable
-from surrogate.kernel.build import compiler_command, ready_library
-from surrogate.packed.writer import pack
 from tests.service.fmu.made import solved, wrenches_of
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
+from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kernel.build import compiler_command, ready_library
+from wrenchbook.surrogate.packed.writer import pack
 
 DRIVER = Path(__file__).parent / "kernel_rate.c"
 SINGLE = 20_000

@@ -8,12 +8,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from surrogate.kriging import Kriging
-from surrogate.kriging.equations import equations_of, scaling_of, within
-from surrogate.kriging.estimate import estimated
-from surrogate.kriging.settings import DEFAULTS
 from tests.surrogate.kriging.responses import RESPONSES, solved, spread_wrenches
 from tests.surrogate.responses import RANGE
+from wrenchbook.surrogate.kriging import Kriging
+from wrenchbook.surrogate.kriging.equations import equations_of, scaling_of, within
+from wrenchbook.surrogate.kriging.estimate import estimated
+from wrenchbook.surrogate.kriging.settings import DEFAULTS
 
 RESPONSE = RESPONSES["strongly_coupled"]
 

@@ -18,11 +18,11 @@ import numpy as np
 import orjson
 import pytest
 
-from service.client import Client
-from service.files.child import child_command
-from service.formats import write_hdf5
-from surrogate.table.meta import TableMeta
-from surrogate.table.rows import LoadRange, Rows
+from wrenchbook.service.client import Client
+from wrenchbook.service.files.child import child_command
+from wrenchbook.service.formats import write_hdf5
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 AXES = ((0, 4, 5), (1, 5, 3), (2, 3, 4))
 ASKED = {"force": [120.0, -80.0, -700.0], "moment": [15.0, 25.0, 4.0], "on_thin": "estimate"}
@@ -60,7 +60,9 @@ def as_hdf5(wrenches: np.ndarray, displacements: np.ndarray) -> bytes:
 @contextmanager
 def serving(folder: Path) -> Iterator[tuple[Client, int, int]]:
     """Serve a folder in a process of its own; give a client, its port and the process' number."""
-    command = child_command("service.cli.main", "serve", "--data", str(folder), "--port", "0")
+    command = child_command(
+        "wrenchbook.service.cli.main", "serve", "--data", str(folder), "--port", "0"
+    )
     server = subprocess.Popen(
         [*command, "--solvers", "0", "--log-level", "warning"], stdout=subprocess.PIPE, text=True
     )

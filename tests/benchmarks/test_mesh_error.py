@@ -9,13 +9,13 @@ thin plate, whose answers are far from linear, nonlinear solves are compared too
 import numpy as np
 import pytest
 
-from fea.accuracy.estimate import accuracy_of
-from fea.bundle.read import read_bundle
-from fea.bundle.shipped import SHIPPED
-from fea.mesh.refine import refined
-from fea.solve import Solver
 from tests.fea.accuracy.test_accuracy import BRACKET
 from tests.fea.geometry import draw_bracket, drawing
+from wrenchbook.fea.accuracy.estimate import accuracy_of
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.mesh.refine import refined
+from wrenchbook.fea.solve import Solver
 
 SHARE, RATIO = 0.9, 5.0
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surrogate.answer import METHODS
-from surrogate.table.rows import OUTPUTS, Rows
 from tests.benchmarks.peers import SMT_MISSING, radial, smt_kriging
 from tests.surrogate.calibrating import Shipped, shipped
 from tests.surrogate.law import build
+from wrenchbook.surrogate.answer import METHODS
+from wrenchbook.surrogate.table.rows import OUTPUTS, Rows
 
 
 def percent(component: Shipped, moved: np.ndarray) -> np.ndarray:

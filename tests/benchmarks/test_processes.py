@@ -24,8 +24,6 @@ import orjson
 import psutil
 import pytest
 
-from service.client import Client
-from service.files.child import child_command
 from tests.benchmarks.test_http_rate import _tables
 from tests.benchmarks.test_live_tables import (
     Asking,
@@ -34,6 +32,8 @@ from tests.benchmarks.test_live_tables import (
     made_up,
     told,
 )
+from wrenchbook.service.client import Client
+from wrenchbook.service.files.child import child_command
 
 ROUNDS, REQUESTS, CONNECTIONS, PROCESSES = 15, 4000, 16, 2
 ASKED = {"force": [120.0, -80.0, -700.0], "moment": [15.0, 25.0, 4.0]}
@@ -67,7 +67,9 @@ class Served:
 
 @contextmanager
 def serving(folder: Path, processes: int, solvers: int = 0) -> Iterator[Served]:
-    command = child_command("service.cli.main", "serve", "--data", str(folder), "--port", "0")
+    command = child_command(
+        "wrenchbook.service.cli.main", "serve", "--data", str(folder), "--port", "0"
+    )
     words = ["--solvers", str(solvers), "--log-level", "error", "--processes", str(processes)]
     server = subprocess.Popen([*command, *words], stdout=subprocess.PIPE, text=True)
     assert server.stdout is not None
@@ -150,7 +152,7 @@ def test_queries_a_second_of_one_and_of_two_processes(tmp_path: Path) -> None:
         established = [
             sum(found.status == psutil.CONN_ESTABLISHED for found in process.net_connections())
             for process in two.processes()
-            if "service.crew.answering" in process.cmdline()
+            if "wrenchbook.service.crew.answering" in process.cmdline()
         ]
         for connection in (*open_ones[0], *open_ones[1]):
             connection.close()

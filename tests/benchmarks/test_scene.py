@@ -15,16 +15,16 @@ from statistics import median
 import numpy as np
 import pytest
 
-from surrogate.build import build
-from surrogate.kernel.binding import PackedTable
-from surrogate.packed.writer import pack
-from surrogate.scene.cut import cut
-from surrogate.scene.need import Need, need_of
-from surrogate.scene.plan import design_of, plan_of
-from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.calibrating import shipped
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import HIGH, RANGE
+from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.packed.writer import pack
+from wrenchbook.surrogate.scene.cut import cut
+from wrenchbook.surrogate.scene.need import Need, need_of
+from wrenchbook.surrogate.scene.plan import design_of, plan_of
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 PLANAR, ALL = np.isin(np.arange(6), (0, 2, 4)), np.ones(6, dtype=bool)
 ROWS, ASKED, RUNS, ROUND = 60, 2000, 3, 16

@@ -12,12 +12,12 @@ import time
 
 import pytest
 
-from service.files.cores import usable_cores
-from service.jobs.dispatcher import Dispatcher
-from service.jobs.engines.local import LocalEngine
-from service.ledger import Ledger
-from service.workspace import Settings, Workspace
-from surrogate.table.rows import Tolerance
+from wrenchbook.service.files.cores import usable_cores
+from wrenchbook.service.jobs.dispatcher import Dispatcher
+from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.workspace import Settings, Workspace
+from wrenchbook.surrogate.table.rows import Tolerance
 
 COMPONENT, BUDGET = "plate_thin", 60
 TIGHT = Tolerance(1e-9, 1e-9)  # m, rad: no round is the last one before all 60 are asked for

@@ -19,11 +19,11 @@ import numpy as np
 import psutil
 import pytest
 
-from service.client import Client
-from service.files.child import child_command
-from service.ledger import Ledger, NewRow
-from service.library.library import Library
 from tests.benchmarks.test_live_tables import SPAN, made_up
+from wrenchbook.service.client import Client
+from wrenchbook.service.files.child import child_command
+from wrenchbook.service.ledger import Ledger, NewRow
+from wrenchbook.service.library.library import Library
 
 COMPONENTS = int(os.environ.get("COMPONENTS", "4"))
 ROWS = int(os.environ.get("ROWS", "5000"))
@@ -59,7 +59,9 @@ def started(folder: Path, processes: int) -> Iterator[tuple[Client, psutil.Proce
 
     With several processes the first one that answers tells that.
     """
-    command = child_command("service.cli.main", "serve", "--data", str(folder), "--port", "0")
+    command = child_command(
+        "wrenchbook.service.cli.main", "serve", "--data", str(folder), "--port", "0"
+    )
     words = ["--solvers", "0", "--log-level", "warning", "--processes", str(processes)]
     began = time.perf_counter()
     server = subprocess.Popen([*command, *words], stdout=subprocess.PIPE, text=True)

@@ -10,14 +10,14 @@ of a node's own displacement that the energies tell, for which the shares are a 
 import numpy as np
 import pytest
 
-from fea.accuracy.estimate import accuracy_of
-from fea.mesh.refine import refined
-from fea.recovery.surface import surface_of
-from fea.solve import Solver
-from service.fields.solver_share import error_parts, following
-from surrogate.solver_error import SolverError
 from tests.benchmarks.located import Located
 from tests.benchmarks.test_mesh_error import SHARE, bundle_of, wrenches_of
+from wrenchbook.fea.accuracy.estimate import accuracy_of
+from wrenchbook.fea.mesh.refine import refined
+from wrenchbook.fea.recovery.surface import surface_of
+from wrenchbook.fea.solve import Solver
+from wrenchbook.service.fields.solver_share import error_parts, following
+from wrenchbook.surrogate.solver_error import SolverError
 
 RATIO = 6.0  # of one part; of all together 5
 STILL = 1e-3  # of the largest displacement: a node that moves less is held

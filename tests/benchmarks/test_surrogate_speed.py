@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from surrogate.build import build
-from surrogate.kernel.packing import packed_of
-from surrogate.table.axes import AXES
-from surrogate.table.rows import Tolerance
 from tests.benchmarks.test_kernel_speed import spent
 from tests.surrogate.responses import RANGE, clean_wrenches, full_wrenches, smooth, table
+from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.table.axes import AXES
+from wrenchbook.surrogate.table.rows import Tolerance
 
 
 @pytest.mark.timeout(300)

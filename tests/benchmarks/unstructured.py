@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.component import Component
-from fea.mesh.cad.session import start
-from fea.mesh.facets import facets_within, outer_surface
-from fea.mesh.io.read import read_mesh
-from fea.mesh.mesh import FacetGroup, Mesh
-from fea.validation.boxes import box
-from fea.validation.clamped import clamped, shipped
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.mesh.cad.session import start
+from wrenchbook.fea.mesh.facets import facets_within, outer_surface
+from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.mesh.mesh import FacetGroup, Mesh
+from wrenchbook.fea.validation.boxes import box
+from wrenchbook.fea.validation.clamped import clamped, shipped
 
 NAMES = ("flange", "cheese", "box", "plate", "block")
 

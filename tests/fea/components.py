@@ -6,11 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from fea.assembly.blocks import filled_cells
-from fea.assembly.body import Body
-from fea.component import Component
-from fea.coupling.section import section_of_facets
-from fea.spec.schema import Analysis, Material
+from wrenchbook.fea.assembly.blocks import filled_cells
+from wrenchbook.fea.assembly.body import Body
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.coupling.section import section_of_facets
+from wrenchbook.fea.spec.schema import Analysis, Material
 
 
 def body_of(mesh, free, young=1e9, poisson=0.3, integration="reduced"):

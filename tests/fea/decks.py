@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from fea.bundle.read import bundle_of
+from wrenchbook.fea.bundle.read import bundle_of
 
 READ = """
 import sys, os, time, signal, subprocess

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from fea.mesh.cad.session import start
+from wrenchbook.fea.mesh.cad.session import start
 
 
 def require_gmsh():

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import brentq
 
-from fea.bundle.read import read_bundle
-from fea.component import build
-from fea.failure import SolveFailed
-from fea.solve import Solver
-from fea.spec.schema import Material
-from fea.validation.spring import Rod
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.test_failures import arch
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.component import build
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import Material
+from wrenchbook.fea.validation.spring import Rod
 
 YOUNG = 210e9
 RUBBER = 3e6

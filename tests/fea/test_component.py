@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fea.bundle.read import BundleError, bundle_of, read_bundle
-from fea.component import build
-from fea.coupling.section import section_of_facets
+from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
+from wrenchbook.fea.component import build
+from wrenchbook.fea.coupling.section import section_of_facets
 
 SHIPPED = Path(__file__).parents[2] / "data" / "components"
 FILES = Path(__file__).parent / "mesh" / "meshfiles"

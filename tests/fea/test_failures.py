@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.failure import SolveFailed, not_converged
-from fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
-from fea.solve import Solver
 from tests.fea.boxes import box
 from tests.fea.components import component
+from wrenchbook.fea.failure import SolveFailed, not_converged
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.solve import Solver
 
 
 def failure_of(part, wrench=(1, 1, 1, 1, 1, 1)):

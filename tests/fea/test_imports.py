@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-import fea
+from wrenchbook import fea
 
 ROOM = Path(fea.__file__).parent
 LATE = {"fea/mesh/cad/session.py": {"gmsh"}}
@@ -43,5 +43,12 @@ def test_reading_a_bundle_loads_neither_finite_elements_nor_mesh_readers():
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     loaded = set(done.stdout.split())
-    assert "fea.bundle.read" in loaded
-    assert not loaded & {"skfem", "meshio", "scipy", "gmsh", "fea.solve", "fea.component"}
+    assert "wrenchbook.fea.bundle.read" in loaded
+    assert not loaded & {
+        "skfem",
+        "meshio",
+        "scipy",
+        "gmsh",
+        "wrenchbook.fea.solve",
+        "wrenchbook.fea.component",
+    }

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-import fea
+from wrenchbook import fea
 
 ROOM = Path(fea.__file__).parent
 FILES = [str(path.relative_to(ROOM.parent)) for path in sorted(ROOM.rglob("*.py"))]

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fea.coupling.section import section_of_facets
-from fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.coupling.section import section_of_facets
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 
 # The faces of a hexahedron by its corners, counter-clockwise seen from within it.
 _FACES = [(0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)]

@@ -26,9 +26,9 @@ from hypothesis.stateful import run_state_machine_as_test
 from schemathesis.checks import CHECKS
 from schemathesis.generation import GenerationMode
 
-from service.client import Client
-from service.files.child import child_command
 from tests.service.live import add_table, as_rows, clean_wrenches, full_wrenches, moved
+from wrenchbook.service.client import Client
+from wrenchbook.service.files.child import child_command
 
 MEMORY = 2 << 30
 NAMED = (
@@ -69,7 +69,9 @@ REAL: dict[tuple[str, str], Any] = {
 @contextmanager
 def server(folder: Path) -> Iterator[tuple[subprocess.Popen[str], Client]]:
     """Run a server that may take 2 GB of address space, with tables to ask about."""
-    words = child_command("service.cli.main", "serve", "--data", str(folder), "--port", "0")
+    words = child_command(
+        "wrenchbook.service.cli.main", "serve", "--data", str(folder), "--port", "0"
+    )
     words += ["--solvers", "0", "--log-level", "warning"]
     limit = f"import os,resource,sys; resource.setrlimit(resource.RLIMIT_AS, ({MEMORY},) * 2); "
     child = subprocess.Popen(

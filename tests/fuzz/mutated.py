@@ -15,18 +15,18 @@ import openpyxl
 import pyarrow as arrow
 from pyarrow.parquet import write_table as write_parquet
 
-from fea.bundle.read import BundleError, read_bundle
-from fea.bundle.shipped import SHIPPED
-from fea.mesh.io.abaqus import MeshFileError, read_inp
-from fea.mesh.io.read import read_mesh
-from service.formats import Options, ParsedTable, write_hdf5
-from service.formats.options import ReadReport
-from service.formats.table_file import read_table_file
-from service.library.bundle_zip import extract
-from service.sandbox import Part
-from surrogate.table.meta import TableMeta
-from surrogate.table.rows import LoadRange, Rows
 from tests.service.table_files import read_csv, read_hdf5, read_json, write_csv, write_json
+from wrenchbook.fea.bundle.read import BundleError, read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.mesh.io.abaqus import MeshFileError, read_inp
+from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.service.formats import Options, ParsedTable, write_hdf5
+from wrenchbook.service.formats.options import ReadReport
+from wrenchbook.service.formats.table_file import read_table_file
+from wrenchbook.service.library.bundle_zip import extract
+from wrenchbook.service.sandbox import Part
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 TOKENS = (b"1e999", b"nan", b"-", b"'", b'"', b"\0", b"\xff", b"[", b"{", b",", b";", b"\r", b"#")
 TOKENS += (

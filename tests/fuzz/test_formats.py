@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from service.sandbox import MIB, Limits, Sandbox
+from wrenchbook.service.sandbox import MIB, Limits, Sandbox
 
 ROOT = Path(__file__).parents[2]
 COUNT = 100 * int(os.environ.get("WRENCHBOOK_FUZZ", "3"))

@@ -1,7 +1,7 @@
 """Attempts as a dispatcher hands them to an engine."""
 
-from service.jobs.attempt import read_spec
-from service.jobs.engines.engine import ALIVE, Attempt
+from wrenchbook.service.jobs.attempt import read_spec
+from wrenchbook.service.jobs.engines.engine import ALIVE, Attempt
 
 
 def asked(folder, **needs):

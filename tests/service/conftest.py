@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from service.http.app import create_app
-from service.workspace import Settings
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.workspace import Settings
 
 HERE = Path(__file__).parent
 SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import uvicorn
 
-from service.client import Client
-from service.http.app import create_app
-from service.http.server import server_config
-from service.workspace import Settings
+from wrenchbook.service.client import Client
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.server import server_config
+from wrenchbook.service.workspace import Settings
 
 FULL = np.array([100.0] * 3 + [10.0] * 3)  # N and N·m: the load range of the made-up tables
 

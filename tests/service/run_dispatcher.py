@@ -6,9 +6,9 @@ It has a dispatcher, and answers each line of six loads with the number of the j
 import sys
 from pathlib import Path
 
-from service.jobs.dispatcher import Dispatcher
-from service.jobs.engines.local import LocalEngine
-from service.ledger import Ledger
+from wrenchbook.service.jobs.dispatcher import Dispatcher
+from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.ledger import Ledger
 
 data = Path(sys.argv[1])
 ledger = Ledger(data / "ledger.sqlite")

@@ -7,8 +7,8 @@ import sys
 import time
 from pathlib import Path
 
-from service.jobs.engines.local import LocalEngine
 from tests.service.attempts import asked, ended
+from wrenchbook.service.jobs.engines.local import LocalEngine
 
 engine = LocalEngine(1)
 for folder in map(Path, sys.argv[1:]):

@@ -5,7 +5,7 @@ import itertools
 import threading
 import time
 
-from service.jobs.attempt import OUTCOME, write_outcome
+from wrenchbook.service.jobs.attempt import OUTCOME, write_outcome
 
 
 class SimulatedEngine:

@@ -6,7 +6,7 @@ import subprocess
 import time
 from pathlib import Path
 
-from service.jobs.attempt import write_outcome
+from wrenchbook.service.jobs.attempt import write_outcome
 
 
 def displacement(wrench):

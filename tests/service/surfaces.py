@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.bundle.read import read_bundle
-from fea.recovery.fields import SolveFields
-from fea.solve import Solver
-from service.fields.record import leave
-from service.fields.store import FieldStore
-from service.library.component import Component, component_of
-from surrogate.table.rows import Rows
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.recovery.fields import SolveFields
+from wrenchbook.fea.solve import Solver
+from wrenchbook.service.fields.record import leave
+from wrenchbook.service.fields.store import FieldStore
+from wrenchbook.service.library.component import Component, component_of
+from wrenchbook.surrogate.table.rows import Rows
 
 BUNDLE = """
 name = "{name}"

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from service.cli.main import app
-from service.ledger import Ledger, NewRow
-from service.ops.backup import MANIFEST, BackupError, back_up, verify
-from service.ops.restore import restore
-from service.tables.solver_errors import SolverErrors
 from tests.service.test_durable_tables import Site
+from wrenchbook.service.cli.main import app
+from wrenchbook.service.ledger import Ledger, NewRow
+from wrenchbook.service.ops.backup import MANIFEST, BackupError, back_up, verify
+from wrenchbook.service.ops.restore import restore
+from wrenchbook.service.tables.solver_errors import SolverErrors
 
 
 def new_rows(count, first=0):
@@ -175,7 +175,7 @@ def test_a_backup_that_cannot_be_written_is_told_and_leaves_nothing(folder, tmp_
 
 
 def test_a_directory_whose_jobs_are_being_run_is_not_restored_into(backup, tmp_path):
-    from service.jobs.lease import Lease
+    from wrenchbook.service.jobs.lease import Lease
 
     lease = Lease(tmp_path / "busy" / "jobs" / "owners")
     with pytest.raises(BackupError, match="stop it first"):

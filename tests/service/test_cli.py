@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from service.cli.main import main
 from tests.service.stub_server import Answer, Stub, running_stub
 from tests.service.test_client_calls import COVERED, QUEUED
+from wrenchbook.service.cli.main import main
 
 Run = Callable[..., tuple[int, str, str]]
 

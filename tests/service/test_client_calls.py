@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.client import Client, Job, ProblemError, ServerTimeout
 from tests.service.live import served
 from tests.service.stub_server import Answer, Stub, running_stub
+from wrenchbook.service.client import Client, Job, ProblemError, ServerTimeout
 
 COVERED = {
     "component": "plate",

@@ -10,8 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from service.client import Client, ServerTimeout, ServerUnreachable
 from tests.service.stub_server import Answer, Stub, running_stub
+from wrenchbook.service.client import Client, ServerTimeout, ServerUnreachable
 
 DONE = {"id": 1, "status": "done"}
 

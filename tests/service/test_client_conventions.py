@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from service.client import Displacement
-from service.client import conventions as conv
-from service.client.rotation import quaternion, rotation_matrix
+from wrenchbook.service.client import Displacement
+from wrenchbook.service.client import conventions as conv
+from wrenchbook.service.client.rotation import quaternion, rotation_matrix
 
 WRENCH = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
 vectors = st.lists(st.floats(-3, 3), min_size=3, max_size=3).map(np.array)

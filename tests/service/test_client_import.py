@@ -27,7 +27,7 @@ def test_importing_the_client_loads_nothing_of_the_server():
         "import sys, service.client, service.client.conventions\n"
         f"print([name for name in {SERVER_STACK!r} if name in sys.modules])\n"
         "print(sorted(name for name in sys.modules if name.startswith('service.')\n"
-        "             and not name.startswith('service.client')))"
+        "             and not name.startswith('wrenchbook.service.client')))"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.split("\n")[:2] == ["[]", "[]"]

@@ -9,9 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.client import Client, ProblemError, Recorder, RecorderError, ServerTimeout, spill
-from service.client.spill import Blocks
 from tests.service.stub_server import Answer, running_stub
+from wrenchbook.service.client import (
+    Client,
+    ProblemError,
+    Recorder,
+    RecorderError,
+    ServerTimeout,
+    spill,
+)
+from wrenchbook.service.client.spill import Blocks
 
 ROOT = Path(__file__).parents[2]
 WRENCH = [1.0, 2, 3, 4, 5, 6]
@@ -225,7 +232,7 @@ def test_a_full_file_refuses_the_wrench_that_has_no_place_and_keeps_all_others(b
 
 FORGETFUL = """
 import sys
-from service.client import Client, Recorder
+from wrenchbook.service.client import Client, Recorder
 recorder = Recorder(Client(sys.argv[1], timeout=5), "plate")
 recorder.add([1.0, 2, 3, 4, 5, 6])
 """

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.client import Client, Displacement, Table
 from tests.service.live import (
     FULL,
     add_rows,
@@ -21,6 +20,7 @@ from tests.service.live import (
     served,
     tangents,
 )
+from wrenchbook.service.client import Client, Displacement, Table
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ from urllib.parse import parse_qsl
 import pytest
 from typer.testing import CliRunner
 
-from service.cli.main import app
-from service.client import Client, ProblemError
-from service.client.library import table_format
 from tests.service.stub_server import Answer, Stub, running_stub
+from wrenchbook.service.cli.main import app
+from wrenchbook.service.client import Client, ProblemError
+from wrenchbook.service.client.library import table_format
 
 
 @pytest.fixture

@@ -6,10 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from starlette.testclient import TestClient
 
-from fea.bundle.shipped import SHIPPED
-from service.http.app import create_app
-from service.ops.doctor import examine
-from service.workspace import Settings
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.ops.doctor import examine
+from wrenchbook.service.workspace import Settings
 
 CALL = "/v1/components/mine"
 WRENCH = {"force": [10.0, 0.0, -20.0], "moment": [0.0, 3.0, 0.0]}

@@ -6,8 +6,8 @@ from contextlib import ExitStack
 
 import pytest
 
-from service.crew import sharing
-from service.crew.sharing import LEAVE_S, OpenCounts, Taker
+from wrenchbook.service.crew import sharing
+from wrenchbook.service.crew.sharing import LEAVE_S, OpenCounts, Taker
 
 
 class Side:

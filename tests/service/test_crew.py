@@ -17,15 +17,15 @@ import psutil
 import pytest
 from rich.console import Console
 
-from service.cli.follow import follow_jobs
-from service.client import Client, ProblemError
-from service.crew import pulse
-from service.crew.supervisor import Member
-from service.files.child import child_command
-from service.keys import Keyring
-from service.ledger import Ledger
 from tests.service.live import FULL, add_table, as_rows, clean_wrenches, moved
 from tests.service.until import until
+from wrenchbook.service.cli.follow import follow_jobs
+from wrenchbook.service.client import Client, ProblemError
+from wrenchbook.service.crew import pulse
+from wrenchbook.service.crew.supervisor import Member
+from wrenchbook.service.files.child import child_command
+from wrenchbook.service.keys import Keyring
+from wrenchbook.service.ledger import Ledger
 
 HERE = Path(__file__).parent
 LIMIT_S = 60.0
@@ -37,7 +37,9 @@ class Crew:
 
     def __init__(self, folder, solvers=1):
         self.folder = folder
-        command = child_command("service.cli.main", "serve", "--data", str(folder), "--port", "0")
+        command = child_command(
+            "wrenchbook.service.cli.main", "serve", "--data", str(folder), "--port", "0"
+        )
         paths = f"{HERE}:{HERE.parents[1]}"
         self.supervisor = subprocess.Popen(
             [*command, "--processes", "2", "--solvers", str(solvers), "--log-level", "error"],
@@ -54,7 +56,7 @@ class Crew:
         found = []
         for one in self.seen.children():
             with suppress(psutil.Error):  # it has ended just now
-                found += [one] if f"service.crew.{word}" in one.cmdline() else []
+                found += [one] if f"wrenchbook.service.crew.{word}" in one.cmdline() else []
         return found
 
     def client(self):

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.fields.deformed import DeformedShapes, NoFieldsError, TooFarError
-from service.fields.store import FieldStore, key_of
-from surrogate.build import build
-from surrogate.table.rows import Rows, Tolerance
 from tests.service.surfaces import keep, sheet, solved, solver, wrenches, write_bundle
+from wrenchbook.service.fields.deformed import DeformedShapes, NoFieldsError, TooFarError
+from wrenchbook.service.fields.store import FieldStore, key_of
+from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 ROWS, CHECKS = 24, 8
 
@@ -250,7 +250,7 @@ def test_the_memory_of_large_surfaces_is_bounded_by_fewer_rows(plate, store, sha
     filled(store, plate)
     row = store.row(component.name, component.fingerprint, rows.wrench[0])
     size = 56 * (row.displacement.size + row.stress.size)
-    monkeypatch.setattr("service.fields.deformed.BLEND_BYTES", 10 * size)
+    monkeypatch.setattr("wrenchbook.service.fields.deformed.BLEND_BYTES", 10 * size)
     found = shapes.answer(component, rows, asked[0])
     assert len(found.rows) == 10
     assert sum(kept[1].values.nbytes for kept in shapes._kept.values()) <= 10 * size

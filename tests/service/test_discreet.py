@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.files.discreet import discreet, discreetly
+from wrenchbook.service.files.discreet import discreet, discreetly
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.attempt import attempt_folder
-from service.jobs.dispatcher import Dispatcher
-from service.jobs.engines.engine import EngineError
-from service.jobs.engines.local import LocalEngine
-from service.ledger import Ledger, LedgerUnavailableError
 from tests.service.until import until
+from wrenchbook.service.jobs.attempt import attempt_folder
+from wrenchbook.service.jobs.dispatcher import Dispatcher
+from wrenchbook.service.jobs.engines.engine import EngineError
+from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 
 HERE = Path(__file__).parent
 SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
@@ -63,9 +63,9 @@ class Bench:
 
 @pytest.fixture
 def bench(tmp_path, monkeypatch):
-    monkeypatch.setattr("service.ledger.states.BACKOFF_SECONDS", (0.01, 0.01, 0.01))
-    monkeypatch.setattr("service.jobs.dispatcher.OUTLIVE_SECONDS", 0.05)
-    monkeypatch.setattr("service.jobs.dispatcher.RECOVER_SECONDS", 0.1)
+    monkeypatch.setattr("wrenchbook.service.ledger.states.BACKOFF_SECONDS", (0.01, 0.01, 0.01))
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.OUTLIVE_SECONDS", 0.05)
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.RECOVER_SECONDS", 0.1)
     bench = Bench(tmp_path)
     yield bench
     bench.close()
@@ -138,7 +138,7 @@ def test_a_solver_that_dies_twice_is_in_time_with_the_third_attempt(bench):
 
 def test_an_interpreter_that_cannot_start_is_no_dead_solver(bench, monkeypatch):
     """Three such starts, in three seconds, ended an accepted job as failed."""
-    monkeypatch.setattr("service.jobs.dispatcher.START_AGAIN_SECONDS", 0.1)
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.START_AGAIN_SECONDS", 0.1)
     monkeypatch.setenv("PYTHONHOME", "/nowhere")
     dispatcher = bench.start()
     job = bench.accept()
@@ -165,7 +165,7 @@ def test_solver_and_dispatcher_killed_together_again_and_again_never_fail_a_job(
 
 
 def test_a_dispatcher_killed_right_after_its_solver_has_not_seen_it_die(bench, monkeypatch):
-    monkeypatch.setattr("service.jobs.dispatcher.OUTLIVE_SECONDS", 5.0)
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.OUTLIVE_SECONDS", 5.0)
     job = bench.accept()
     for attempt in range(1, 6):
         dispatcher = bench.start("endless")
@@ -321,7 +321,7 @@ class Unwilling(LocalEngine):
 def test_a_job_the_engine_could_not_start_waits_and_is_not_counted_as_lost(bench, monkeypatch):
     monkeypatch.setenv("WRENCHBOOK_SOLVE", "stand_in:quick")
     monkeypatch.setenv("PYTHONPATH", SOLVERS)
-    monkeypatch.setattr("service.jobs.dispatcher.TROUBLE_SECONDS", 0.2)
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.TROUBLE_SECONDS", 0.2)
     dispatcher = bench.start(engine=Unwilling(2))
     job = bench.accept()
     until(lambda: dispatcher.trouble)
@@ -332,7 +332,7 @@ def test_a_job_the_engine_could_not_start_waits_and_is_not_counted_as_lost(bench
 
 
 def test_an_answer_the_ledger_cannot_take_now_is_taken_later(bench, monkeypatch):
-    monkeypatch.setattr("service.jobs.dispatcher.TROUBLE_SECONDS", 0.1)
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.TROUBLE_SECONDS", 0.1)
     commit, refused = bench.ledger.commit, []
 
     def full(*arguments, **options):

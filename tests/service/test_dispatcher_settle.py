@@ -2,9 +2,9 @@
 
 import pytest
 
-from service.jobs.attempt import prepare, write_outcome
-from service.jobs.record_outcome import settle, spec_of
-from service.ledger import Ledger, StaleAttemptError
+from wrenchbook.service.jobs.attempt import prepare, write_outcome
+from wrenchbook.service.jobs.record_outcome import settle, spec_of
+from wrenchbook.service.ledger import Ledger, StaleAttemptError
 
 WRENCH = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -7,11 +7,11 @@ import sqlite3
 import pytest
 from typer.testing import CliRunner
 
-from service.cli.main import app
-from service.ledger import Ledger
-from service.ops.doctor import examine
-from surrogate.table.hdf5 import read_table
 from tests.service.test_durable_tables import Site, new_rows
+from wrenchbook.service.cli.main import app
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ops.doctor import examine
+from wrenchbook.surrogate.table.hdf5 import read_table
 
 
 @pytest.fixture
@@ -239,7 +239,7 @@ def test_jobs_that_a_damaged_ledger_still_tells_are_in_the_new_one(folder):
 
 
 def test_a_damaged_ledger_in_use_is_not_replaced(folder):
-    from service.jobs.lease import Lease
+    from wrenchbook.service.jobs.lease import Lease
 
     overwrite(folder / "ledger.sqlite", 4096, 8192)
     before = (folder / "ledger.sqlite").read_bytes()

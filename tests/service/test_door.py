@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from service.client import Client
-from service.http.app import create_app
-from service.http.body import counted as counted_
-from service.http.door import Opening
-from service.http.door.opening import is_loopback, opening_for
-from service.http.problems import ProblemError
-from service.keys import Keyring
-from service.workspace import Settings
+from wrenchbook.service.client import Client
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.body import counted as counted_
+from wrenchbook.service.http.door import Opening
+from wrenchbook.service.http.door.opening import is_loopback, opening_for
+from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.keys import Keyring
+from wrenchbook.service.workspace import Settings
 
 TABLE_ONLY = {"name": "rig", "title": "rig", "range": {"force": [1, 2, 3], "moment": [1, 1, 1]}}
 ASK = "/v1/components/bar/displacement"

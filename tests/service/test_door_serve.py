@@ -3,13 +3,13 @@
 import pytest
 from typer.testing import CliRunner
 
-from service.cli.keys import make_first_key
-from service.cli.main import app
-from service.http import server
-from service.http.door.opening import KeysNeededError
-from service.http.server import serve
-from service.keys import Keyring
-from service.workspace import Settings
+from wrenchbook.service.cli.keys import make_first_key
+from wrenchbook.service.cli.main import app
+from wrenchbook.service.http import server
+from wrenchbook.service.http.door.opening import KeysNeededError
+from wrenchbook.service.http.server import serve
+from wrenchbook.service.keys import Keyring
+from wrenchbook.service.workspace import Settings
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.1"])

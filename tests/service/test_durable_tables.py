@@ -10,15 +10,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.ledger import Ledger, LedgerUnavailableError, NewRow
-from service.library.component import BrokenComponentError
-from service.library.library import Library
-from service.tables import live
-from service.tables.behind import TableBehindError
-from service.tables.live import Tables
-from service.tables.served import drop_built
-from surrogate.table.hdf5 import read_table, write_table
 from tests.surrogate.law import Law
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, NewRow
+from wrenchbook.service.library.component import BrokenComponentError
+from wrenchbook.service.library.library import Library
+from wrenchbook.service.tables import live
+from wrenchbook.service.tables.behind import TableBehindError
+from wrenchbook.service.tables.live import Tables
+from wrenchbook.service.tables.served import drop_built
+from wrenchbook.surrogate.table.hdf5 import read_table, write_table
 
 RANGE = [[-10.0, 10.0]] * 3
 
@@ -472,7 +472,7 @@ def test_a_full_disk_leaves_answers_from_memory_and_the_file_is_written_later(si
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("service.tables.packed_files.write_whole_bytes", full)
+    monkeypatch.setattr("wrenchbook.service.tables.packed_files.write_whole_bytes", full)
     site.insert(30)
     assert answer_of(site).outputs is not None
     assert packed_files(site) == [] or packed_files(site)[0].name == "rig-0.wbt"

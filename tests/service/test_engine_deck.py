@@ -4,12 +4,12 @@ import subprocess
 
 import pytest
 
-from fea.deck import solving
-from service.jobs.attempt import DECK, Spec, prepare, read_outcome, tidy
-from service.jobs.engines.local import LocalEngine
 from tests.fea.decks import SOFT, WRENCH, component
 from tests.service.attempts import asked, ended
 from tests.service.until import until
+from wrenchbook.fea.deck import solving
+from wrenchbook.service.jobs.attempt import DECK, Spec, prepare, read_outcome, tidy
+from wrenchbook.service.jobs.engines.local import LocalEngine
 
 ENDLESS = (
     "open('pid.part', 'w').write(str(os.getpid()))\nos.rename('pid.part', 'pid')\ntime.sleep(60)"

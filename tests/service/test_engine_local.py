@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from service.files import lock as flock
-from service.jobs.attempt import Spec, prepare, read_outcome, read_progress
-from service.jobs.engines.engine import ALIVE, EngineError
-from service.jobs.engines.local import LocalEngine
-from service.jobs.engines.registry import open_engine
 from tests.service.attempts import asked, ended
 from tests.service.until import until
+from wrenchbook.service.files import lock as flock
+from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome, read_progress
+from wrenchbook.service.jobs.engines.engine import ALIVE, EngineError
+from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.jobs.engines.registry import open_engine
 
 HERE = Path(__file__).parent
 SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
@@ -97,7 +97,7 @@ def test_a_second_solver_in_the_same_folder_is_refused(tmp_path):
     engine.submit(asked(folder))
     with pytest.raises(EngineError, match="at work"):
         engine.submit(asked(folder))
-    command = [sys.executable, "-m", "service.jobs.solve_attempt", str(folder)]
+    command = [sys.executable, "-m", "wrenchbook.service.jobs.solve_attempt", str(folder)]
     second = subprocess.run(command, capture_output=True, text=True, timeout=30)
     assert (second.returncode, "at work" in second.stderr) == (75, True)
     engine.cancel(asked(folder))

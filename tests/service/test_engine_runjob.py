@@ -7,8 +7,8 @@ import types
 import numpy as np
 import pytest
 
-from service.jobs import solve_attempt as runjob
-from service.jobs.attempt import (
+from wrenchbook.service.jobs import solve_attempt as runjob
+from wrenchbook.service.jobs.attempt import (
     BadOutcomeError,
     Progress,
     Spec,
@@ -151,8 +151,8 @@ def embedded(monkeypatch, fingerprint, fields=None):
         return solution
 
     solving = types.SimpleNamespace(solve=solve)
-    monkeypatch.setitem(sys.modules, "fea.bundle.read", reading)
-    monkeypatch.setitem(sys.modules, "fea.solve", solving)
+    monkeypatch.setitem(sys.modules, "wrenchbook.fea.bundle.read", reading)
+    monkeypatch.setitem(sys.modules, "wrenchbook.fea.solve", solving)
     monkeypatch.delenv("WRENCHBOOK_SOLVE", raising=False)
 
 

@@ -7,11 +7,11 @@ import time
 
 import pytest
 
-from service.client import ProblemError, ServerUnreachable
-from service.client.event_calls import read_events
-from service.events import feed as feed_module
-from service.events.feed import Feed, TooManyListenersError
 from tests.service.live import add_rows, add_table, as_rows, clean_wrenches, moved, served
+from wrenchbook.service.client import ProblemError, ServerUnreachable
+from wrenchbook.service.client.event_calls import read_events
+from wrenchbook.service.events import feed as feed_module
+from wrenchbook.service.events.feed import Feed, TooManyListenersError
 
 ROWS = as_rows(clean_wrenches(), moved(clean_wrenches()))
 
@@ -95,7 +95,7 @@ def test_listeners_are_bounded_and_a_place_that_is_left_is_free():
 
 
 def test_one_who_does_not_read_is_let_go_and_its_place_is_free(monkeypatch):
-    from service.http.routes import events as route
+    from wrenchbook.service.http.routes import events as route
 
     monkeypatch.setattr(route, "SEND_S", 0.05)
     feed = Feed()
@@ -145,7 +145,7 @@ def test_a_new_version_of_a_table_is_told_to_who_listens(tmp_path):
 
 def test_the_life_of_jobs_is_told_whoever_changes_them(tmp_path):
     """Another process claims and ends a job; its steps are told all the same."""
-    from service.ledger import Ledger
+    from wrenchbook.service.ledger import Ledger
 
     with served(tmp_path) as client:
         events = client.events("plate_thin", timeout_s=30)
@@ -167,7 +167,7 @@ def test_the_life_of_jobs_is_told_whoever_changes_them(tmp_path):
 def test_what_happens_right_after_the_greeting_is_told_however_slow_the_first_look(
     tmp_path, monkeypatch
 ):
-    from service.events import watch
+    from wrenchbook.service.events import watch
 
     looked = watch.look
 
@@ -186,7 +186,7 @@ def test_what_happens_right_after_the_greeting_is_told_however_slow_the_first_lo
 
 
 def test_heartbeats_do_not_keep_an_iteration_going_beyond_its_time(tmp_path, monkeypatch):
-    from service.http.routes import events as route
+    from wrenchbook.service.http.routes import events as route
 
     monkeypatch.setattr(route, "HEARTBEAT_S", 0.1)
     with served(tmp_path) as client:
@@ -245,7 +245,7 @@ def test_one_listener_too_many_is_503_and_a_place_is_free_when_one_goes(tmp_path
 
 
 def test_heartbeats_come_while_nothing_happens(tmp_path, monkeypatch):
-    from service.http.routes import events as route
+    from wrenchbook.service.http.routes import events as route
 
     monkeypatch.setattr(route, "HEARTBEAT_S", 0.1)
     with served(tmp_path) as client:

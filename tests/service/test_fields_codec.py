@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.fields.codec import Column, DamagedFieldsError, pack, read_meta, unpack
+from wrenchbook.service.fields.codec import Column, DamagedFieldsError, pack, read_meta, unpack
 
 FIELD = np.random.default_rng(1).standard_normal((50, 3)) * [1e-3, 1.0, 1e6]
 NAMES = np.arange(12, dtype=np.int32).reshape(4, 3)

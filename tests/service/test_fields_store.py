@@ -6,9 +6,9 @@ import types
 import numpy as np
 import pytest
 
-from service.fields.codec import DamagedFieldsError
-from service.fields.record import GEOMETRY, ROW, leave
-from service.fields.store import FieldStore, key_of
+from wrenchbook.service.fields.codec import DamagedFieldsError
+from wrenchbook.service.fields.record import GEOMETRY, ROW, leave
+from wrenchbook.service.fields.store import FieldStore, key_of
 
 WRENCH = (1.0, -2.0, 0.1, 0.0, 0.0, 1e-300)
 

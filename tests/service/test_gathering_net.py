@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial import KDTree
 
-from service.gathering import net as net_module
-from service.gathering.net import Net, farthest_first, scaled_loads, spaced, take
-from service.ledger import packed
+from wrenchbook.service.gathering import net as net_module
+from wrenchbook.service.gathering.net import Net, farthest_first, scaled_loads, spaced, take
+from wrenchbook.service.ledger import packed
 
 ONE = np.ones(6)
 

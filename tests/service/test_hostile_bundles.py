@@ -13,13 +13,13 @@ import meshio
 import numpy as np
 import pytest
 
-from fea.bundle.read import BundleError, read_bundle
-from fea.bundle.shipped import SHIPPED
-from fea.mesh.io.abaqus import MeshFileError, read_inp
-from fea.mesh.io.read import read_mesh
-from service.library import arrival, bundle_zip
-from service.library.arrival import check_mesh, unpack
-from service.library.copying import toml_text
+from wrenchbook.fea.bundle.read import BundleError, read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.mesh.io.abaqus import MeshFileError, read_inp
+from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.service.library import arrival, bundle_zip
+from wrenchbook.service.library.arrival import check_mesh, unpack
+from wrenchbook.service.library.copying import toml_text
 
 BAR = (SHIPPED / "bar" / "component.toml").read_text().replace('"bar"', '"beam"', 1)
 
@@ -83,7 +83,7 @@ def test_a_broken_archive_is_refused_and_nothing_of_it_stays(tmp_path, what):
 
 def test_an_archive_that_lies_about_its_size_is_cut_off_where_the_limit_is(tmp_path, monkeypatch):
     bomb = zipped(("component.toml", BAR), ("zeros", bytes(64 << 20)))
-    monkeypatch.setattr("service.library.bundle_zip.MAX_BUNDLE_BYTES", 1 << 20)
+    monkeypatch.setattr("wrenchbook.service.library.bundle_zip.MAX_BUNDLE_BYTES", 1 << 20)
     path = tmp_path / "bomb.zip"
     path.write_bytes(edited(bomb, 24, CENTRAL, 10, "<I"))
     (tmp_path / "out").mkdir()

@@ -5,11 +5,11 @@ import zipfile
 import pytest
 from starlette.testclient import TestClient
 
-from fea.bundle.shipped import SHIPPED
-from service.http.app import create_app
-from service.library.library import Library
-from service.workspace import Settings
 from tests.service.document import document
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.library.library import Library
+from wrenchbook.service.workspace import Settings
 
 TABLE_ONLY = {"name": "rig", "title": "rig", "range": {"force": [1, 2, 3], "moment": [1, 1, 1]}}
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from service.answering.refusals import SolveFailedError
-from service.http.app import create_app
-from service.workspace import Settings
-from surrogate.answer import METHODS
-from surrogate.kernel.binding import PackedTable
 from tests.service.following import wait_for_version
+from wrenchbook.service.answering.refusals import SolveFailedError
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.workspace import Settings
+from wrenchbook.surrogate.answer import METHODS
+from wrenchbook.surrogate.kernel.binding import PackedTable
 
 CALL = "/v1/components/plate_thin/displacement"
 WRENCH = {"force": [10.0, 0.0, -20.0], "moment": [0.0, 3.0, 0.0]}

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from service.http.app import create_app
-from service.ledger import Ledger
-from service.workspace import Settings
 from tests.service.live import FULL, add_table, as_rows, clean_wrenches, full_wrenches, served
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.workspace import Settings
 
 PLATE = "/v1/components/plate_thin"  # plus and minus 1000 1000 2000 N, 100 100 100 N·m
 BAR = "/v1/components/bar"  # linear
@@ -316,7 +316,7 @@ def test_the_bound_of_an_envelope_is_the_largest_answer_in_its_box(tmp_path):
 
 
 def test_the_bound_over_a_box_of_a_matrix_is_the_largest_at_its_corners():
-    from service.gathering.bound import _corners, _over_box
+    from wrenchbook.service.gathering.bound import _corners, _over_box
 
     low, high = -full_wrenches(1, 4)[0].__abs__(), FULL
     matrix = np.random.default_rng(5).normal(size=(6, 6))

@@ -6,8 +6,8 @@ from functools import partial
 import pytest
 from starlette.testclient import TestClient
 
-from service.http.app import create_app
-from service.workspace import Settings
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.workspace import Settings
 
 
 @pytest.fixture
@@ -71,7 +71,7 @@ def test_a_waiting_job_says_what_is_ahead_of_it_and_that_nobody_solves_here(idle
 
 
 def test_the_expected_time_is_what_is_ahead_shared_by_the_slots(idle):
-    from service.jobs.waiting import why_waiting
+    from wrenchbook.service.jobs.waiting import why_waiting
 
     ids = accept(idle, 9)
     ledger = idle.app.state.workspace.ledger

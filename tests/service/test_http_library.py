@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from service.http.app import create_app
-from service.ledger import NewRow
-from service.workspace import Settings
 from tests.service.following import wait_for_version
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.ledger import NewRow
+from wrenchbook.service.workspace import Settings
 
 RIG = {
     "name": "rig",
@@ -211,9 +211,9 @@ def test_the_demand_map_outlives_the_server(http, tmp_path):
 
 
 def test_the_demand_map_does_not_grow_without_bound(tmp_path):
-    from service.demand.counts import MOST_CELLS
-    from service.demand.demand import Demand
-    from surrogate.table.rows import LoadRange
+    from wrenchbook.service.demand.counts import MOST_CELLS
+    from wrenchbook.service.demand.demand import Demand
+    from wrenchbook.surrogate.table.rows import LoadRange
 
     demand, span = Demand(tmp_path / "demand.json"), LoadRange(-np.ones(6), np.ones(6))
     wrenches = np.random.default_rng(1).uniform(-3, 3, (20_000, 6))
@@ -227,8 +227,8 @@ def test_the_demand_map_does_not_grow_without_bound(tmp_path):
 
 def test_the_demand_map_of_two_processes_is_their_sum(tmp_path):
     """Each had counts of its own, and who stopped last wrote over those of the others."""
-    from service.demand.demand import Demand
-    from surrogate.table.rows import LoadRange
+    from wrenchbook.service.demand.demand import Demand
+    from wrenchbook.surrogate.table.rows import LoadRange
 
     path, span = tmp_path / "demand.json", LoadRange(-np.ones(6), np.ones(6))
     first, second = Demand(path), Demand(path)
@@ -244,8 +244,8 @@ def test_the_demand_map_of_two_processes_is_their_sum(tmp_path):
 
 
 def test_a_demand_map_that_cannot_be_written_goes_on_counting(tmp_path):
-    from service.demand.demand import Demand
-    from surrogate.table.rows import LoadRange
+    from wrenchbook.service.demand.demand import Demand
+    from wrenchbook.surrogate.table.rows import LoadRange
 
     demand, span = Demand(tmp_path / "gone" / "demand.json"), LoadRange(-np.ones(6), np.ones(6))
     for _ in range(2):
@@ -259,7 +259,7 @@ def test_breakpoints_for_lookup_blocks_answer_as_the_table_within_the_stated_err
 
     from scipy.io import loadmat
 
-    from service.tables.breakpoints import composed
+    from wrenchbook.service.tables.breakpoints import composed
 
     corners = []
     for loads in ((0, 4, 5), (1, 5, 3), (2, 3, 4)):

@@ -3,8 +3,8 @@
 import pytest
 from starlette.testclient import TestClient
 
-from service.http.app import create_app
-from service.workspace import Settings
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.workspace import Settings
 
 COMPONENT = "/v1/components/{name}"
 BODIES = {
@@ -213,5 +213,5 @@ def test_the_document_is_sent_once_to_a_caller_that_keeps_it(http):
 
 def test_the_document_is_not_rendered_anew_at_each_get(http, monkeypatch):
     first = http.get("/openapi.json").content
-    monkeypatch.setattr("service.http.openapi.get_openapi", None)
+    monkeypatch.setattr("wrenchbook.service.http.openapi.get_openapi", None)
     assert http.get("/openapi.json").content == first

@@ -8,14 +8,14 @@ import pytest
 from fastapi import FastAPI
 from starlette.testclient import TestClient
 
-from service.http import problems
-from service.http.app import create_app
-from service.http.routes.jobs import MOST_LOG_BYTES
-from service.http.routes.page import FOLDER, router
-from service.jobs.attempt import LOG
-from service.workspace import Settings
 from tests.service.conftest import SOLVERS
 from tests.service.live import FULL, as_rows, clean_wrenches, full_wrenches, moved
+from wrenchbook.service.http import problems
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.routes.jobs import MOST_LOG_BYTES
+from wrenchbook.service.http.routes.page import FOLDER, router
+from wrenchbook.service.jobs.attempt import LOG
+from wrenchbook.service.workspace import Settings
 
 RIG = "/v1/components/rig"
 MODULES = sorted((FOLDER / "js").glob("*.js"))

@@ -9,11 +9,11 @@ import numpy as np
 import orjson
 import pytest
 
-from service.http.application import Application
-from service.http.door import Grant
-from service.http.protocol import FastPathProtocol
-from service.keys import Keyring
 from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, served, tangents
+from wrenchbook.service.http.application import Application
+from wrenchbook.service.http.door import Grant
+from wrenchbook.service.http.protocol import FastPathProtocol
+from wrenchbook.service.keys import Keyring
 
 PATH = "/v1/components/solved/displacement"
 PLAIN = {"force": [10.0, -20.0, 30.0], "moment": [1.0, 2.0, -3.0]}

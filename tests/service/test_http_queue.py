@@ -9,10 +9,10 @@ import pytest
 from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
-from service.cli.main import app
-from service.http.app import create_app
-from service.tables.live import Tables
-from service.workspace import Settings
+from wrenchbook.service.cli.main import app
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.tables.live import Tables
+from wrenchbook.service.workspace import Settings
 
 CALL = "/v1/components/plate_thin/displacement"
 
@@ -170,7 +170,9 @@ def test_many_waiting_jobs_are_cancelled_by_one_call_that_says_how_many(folder, 
 
 def test_serve_takes_the_queue_limit_and_the_memory_of_tables(monkeypatch, tmp_path):
     served = []
-    monkeypatch.setattr("service.http.server.serve", lambda settings, *_: served.append(settings))
+    monkeypatch.setattr(
+        "wrenchbook.service.http.server.serve", lambda settings, *_: served.append(settings)
+    )
     words = ["serve", "--data", str(tmp_path), "--queue-limit", "7", "--table-memory", "50"]
     reply = CliRunner().invoke(app, words)
     assert reply.exit_code == 0, reply.output

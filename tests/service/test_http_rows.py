@@ -22,10 +22,10 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from service.http.app import create_app
-from service.ledger import NewRow
-from service.workspace import Settings
 from tests.service.test_http_components import TABLE_ONLY, bar_text
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.ledger import NewRow
+from wrenchbook.service.workspace import Settings
 
 ROOT = Path(__file__).parents[2]
 
@@ -133,7 +133,7 @@ def test_fill_never_pays_for_a_wrench_it_has_asked_for(http):
 
 def test_fill_says_so_when_the_table_is_behind_rather_than_design_on_it(http, monkeypatch):
     workspace = http.app.state.workspace
-    monkeypatch.setattr("service.workspace.CATCH_UP_S", 0.1)
+    monkeypatch.setattr("wrenchbook.service.workspace.CATCH_UP_S", 0.1)
     monkeypatch.setattr(workspace.tables, "_bring_up", lambda name: None)
     body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 20}
     assert http.post("/v1/components/plate_thin/solve", json=body).status_code == 200
@@ -217,7 +217,7 @@ def test_a_component_on_a_full_disk_is_507_and_leaves_nothing(http, folder, monk
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("service.library.library.sync_tree", full)
+    monkeypatch.setattr("wrenchbook.service.library.library.sync_tree", full)
     reply = http.post("/v1/components", json=TABLE_ONLY)
     assert (reply.status_code, "No space left" in reply.json()["detail"]) == (507, True)
     assert list((folder / "components").iterdir()) == []
@@ -236,8 +236,8 @@ import sys, uvicorn
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
-from service.http.app import create_app
-from service.workspace import Settings
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.workspace import Settings
 uvicorn.run(create_app(Settings(Path(sys.argv[1]), solvers=1)), port=int(sys.argv[2]))
 """
 

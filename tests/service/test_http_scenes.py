@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.client import Client, ProblemError, Scene, SceneError, Table
-from service.client.mount import DisplacementUnknown, Mount, MountWarning
 from tests.service.live import (
     FULL,
     add_rows,
@@ -22,6 +20,8 @@ from tests.service.live import (
     served,
     tangents,
 )
+from wrenchbook.service.client import Client, ProblemError, Scene, SceneError, Table
+from wrenchbook.service.client.mount import DisplacementUnknown, Mount, MountWarning
 
 CALL = "/v1/scenes/plan"
 NONE = [[0.0, 0.0]] * 3

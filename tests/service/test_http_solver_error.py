@@ -6,24 +6,24 @@ import json
 import numpy as np
 import pytest
 
-from service.answering.one import answered
-from service.answering.queries import Query
-from service.cli.render import answer_table, own_error_lines
-from service.jobs import solve_attempt
-from service.jobs.attempt import Spec, prepare, read_outcome
-from service.library.component import LibraryUnavailableError
-from service.settings import Settings
-from service.tables import solver_errors
-from service.tables.making import in_memory
-from service.tables.solver_errors import SolverErrors
-from service.workspace import Workspace
-from surrogate.build import build
-from surrogate.packed.writer import pack
-from surrogate.solver_error import SolverError
-from surrogate.table.hdf5 import read_table
-from surrogate.table.rows import Tolerance
 from tests.service.live import add_table, as_rows, full_wrenches, moved, served
 from tests.service.test_runjob_evidence import BUNDLE
+from wrenchbook.service.answering.one import answered
+from wrenchbook.service.answering.queries import Query
+from wrenchbook.service.cli.render import answer_table, own_error_lines
+from wrenchbook.service.jobs import solve_attempt
+from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome
+from wrenchbook.service.library.component import LibraryUnavailableError
+from wrenchbook.service.settings import Settings
+from wrenchbook.service.tables import solver_errors
+from wrenchbook.service.tables.making import in_memory
+from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.packed.writer import pack
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.hdf5 import read_table
+from wrenchbook.surrogate.table.rows import Tolerance
 
 WRENCH = [400.0, -30.0, 20.0, 5.0, -6.0, 7.0]
 DETAIL = {"force": WRENCH[:3], "moment": WRENCH[3:], "detail": True}
@@ -154,7 +154,7 @@ def test_a_copy_keeps_what_a_solve_has_told_since_the_check(tmp_path, monkeypatc
     workspace = Workspace(Settings(tmp_path, solvers=0))
     newer = WHOLE | {"mesh_basis": "newer"}
     workspace.errors.settle("plate", workspace.library["plate"].fingerprint, newer)
-    monkeypatch.setattr("service.workspace.solver_error_of", lambda *_: WHOLE)
+    monkeypatch.setattr("wrenchbook.service.workspace.solver_error_of", lambda *_: WHOLE)
     made = workspace.library.add_copy("plate", "second", None)
     assert workspace.errors.read("second", made.fingerprint).told == newer
     workspace.close()
@@ -176,7 +176,7 @@ def test_a_measured_table_has_no_mesh_part(client):
 
 
 def test_an_attempt_estimates_only_if_it_is_asked_to(tmp_path, monkeypatch):
-    from fea.bundle.read import read_bundle
+    from wrenchbook.fea.bundle.read import read_bundle
 
     monkeypatch.delenv(solve_attempt.SOLVE_VARIABLE, raising=False)
     bundle = tmp_path / "block"

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from service.http.app import create_app
-from service.http.routes import table
-from service.ledger import NewRow
-from service.sandbox import SandboxBusyError
-from service.tables import live
-from service.workspace import Settings
 from tests.service.following import wait_for_version
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.routes import table
+from wrenchbook.service.ledger import NewRow
+from wrenchbook.service.sandbox import SandboxBusyError
+from wrenchbook.service.tables import live
+from wrenchbook.service.workspace import Settings
 
 RIG = {"name": "rig", "title": "rig", "range": {"force": [900] * 3, "moment": [90] * 3}}
 CALL = "/v1/components/rig/table"
@@ -388,7 +388,7 @@ def test_two_slow_tables_of_one_key_do_not_block_the_imports_of_others(monkeypat
 
 
 def test_a_table_that_is_too_large_is_413_without_a_declared_length(rig, monkeypatch):
-    monkeypatch.setattr("service.http.body.MOST_TABLE_BYTES", 1 << 20)
+    monkeypatch.setattr("wrenchbook.service.http.body.MOST_TABLE_BYTES", 1 << 20)
     pieces = (b"#" * 65536 for _ in range(17))
     reply = rig.post(CALL, content=pieces, headers={"content-type": "text/csv"})
     assert reply.status_code == 413

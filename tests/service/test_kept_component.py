@@ -5,18 +5,18 @@ import json
 import numpy as np
 import pytest
 
-from fea.bundle.read import read_bundle
-from fea.bundle.shipped import SHIPPED
-from service.fields.record import GEOMETRY, ROW
-from service.jobs import kept_component, solve_attempt
-from service.jobs.attempt import Spec, prepare, read_outcome, read_spec
-from service.jobs.engines.local import LocalEngine
 from tests.fea.decks import SOFT
 from tests.fea.decks import component as deck_component
 from tests.service.attempts import asked
 from tests.service.test_engine_deck import write_table
 from tests.service.test_runjob_evidence import BUNDLE
 from tests.service.test_warm_solver import until
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.service.fields.record import GEOMETRY, ROW
+from wrenchbook.service.jobs import kept_component, solve_attempt
+from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome, read_spec
+from wrenchbook.service.jobs.engines.local import LocalEngine
 
 LOAD = np.array([2e3, 1e3, 1e3, 50.0, 50.0, 50.0])
 

@@ -5,8 +5,8 @@ import stat
 
 import pytest
 
-from service.keys import FILE, Keyring, KeysError
-from service.keys.record import PREFIX
+from wrenchbook.service.keys import FILE, Keyring, KeysError
+from wrenchbook.service.keys.record import PREFIX
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.attempt import LOCK, attempt_folder, solver_began
-from service.ledger import Ledger
+from wrenchbook.service.jobs.attempt import LOCK, attempt_folder, solver_began
+from wrenchbook.service.ledger import Ledger
 
 HERE = Path(__file__).parent
 SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test

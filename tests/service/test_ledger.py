@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from service.ledger import (
+from wrenchbook.service.ledger import (
     Change,
     InvalidTransitionError,
     Ledger,
@@ -15,7 +15,7 @@ from service.ledger import (
     StaleAttemptError,
     UnknownJobError,
 )
-from service.ledger.states import BACKOFF_SECONDS
+from wrenchbook.service.ledger.states import BACKOFF_SECONDS
 
 WRENCH = (1.0, -2.0, 3.5, 0.0, 0.0, 1e-3)
 ANSWER = (1e-6, 2e-6, 3e-6, 4e-6, 5e-6, 6e-6)
@@ -24,7 +24,7 @@ ERROR = {"kind": "not_converged", "message": "no equilibrium", "remedy": "smalle
 
 @pytest.fixture
 def no_backoff(monkeypatch):
-    monkeypatch.setattr("service.ledger.states.BACKOFF_SECONDS", (0.0, 0.0, 0.0))
+    monkeypatch.setattr("wrenchbook.service.ledger.states.BACKOFF_SECONDS", (0.0, 0.0, 0.0))
 
 
 @pytest.fixture
@@ -203,7 +203,7 @@ def test_a_job_whose_solver_died_is_not_started_again_at_once(ledger, monkeypatc
     """Three deaths in three seconds, all of one cause, ended an accepted job."""
     job = accept(ledger)
     now = time.time()
-    monkeypatch.setattr("service.ledger.ledger.time.time", lambda: now)
+    monkeypatch.setattr("wrenchbook.service.ledger.ledger.time.time", lambda: now)
     for attempt, delay in enumerate(BACKOFF_SECONDS, 1):
         assert ledger.claim("me").not_before is None
         lost = ledger.lose(job.id, attempt)

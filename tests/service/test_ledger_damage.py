@@ -5,9 +5,9 @@ import random
 import pytest
 from starlette.testclient import TestClient
 
-from service.http.app import create_app
-from service.ledger import Ledger, LedgerUnavailableError, NewRow
-from service.workspace import Settings
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, NewRow
+from wrenchbook.service.workspace import Settings
 
 PAGE = 4096  # bytes, SQLite's
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from service.ledger import BlockKeyError, Kept, Ledger, block_of, gathered
-from service.ledger import versions as schema
-from service.ledger.records import pack6
+from wrenchbook.service.ledger import BlockKeyError, Kept, Ledger, block_of, gathered
+from wrenchbook.service.ledger import versions as schema
+from wrenchbook.service.ledger.records import pack6
 
 WRENCH = pack6((1.0, 2, 3, 4, 5, 6))
 

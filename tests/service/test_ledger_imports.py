@@ -5,8 +5,8 @@ import threading
 import numpy as np
 import pytest
 
-from service.ledger import About, Ledger, NewRow, UnknownRowError, packed_columns
-from service.ledger.rows import packed
+from wrenchbook.service.ledger import About, Ledger, NewRow, UnknownRowError, packed_columns
+from wrenchbook.service.ledger.rows import packed
 
 SOLVE = ("plate", "f1", (1.0, 0, 0, 0, 0, 0))
 

@@ -4,7 +4,7 @@ import sqlite3
 
 import pytest
 
-from service.ledger import Ledger, schema
+from wrenchbook.service.ledger import Ledger, schema
 
 WRENCH = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -97,7 +97,7 @@ def test_as_many_jobs_as_asked_for_are_claimed_the_most_urgent_first(ledger):
 
 
 def test_the_cause_of_the_last_death_is_in_the_failure(ledger, monkeypatch):
-    monkeypatch.setattr("service.ledger.states.BACKOFF_SECONDS", (0.0, 0.0, 0.0))
+    monkeypatch.setattr("wrenchbook.service.ledger.states.BACKOFF_SECONDS", (0.0, 0.0, 0.0))
     job = accepted(ledger, 1)[0]
     for attempt in range(1, 5):
         ledger.claim("me")

@@ -9,7 +9,13 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from service.ledger import InvalidTransitionError, Ledger, NewRow, StaleAttemptError, states
+from wrenchbook.service.ledger import (
+    InvalidTransitionError,
+    Ledger,
+    NewRow,
+    StaleAttemptError,
+    states,
+)
 
 LOADS = st.sampled_from([-1.0, -0.0, 0.0, 1.0])
 WRENCHES = st.tuples(LOADS, LOADS, *[st.just(0.0)] * 4)

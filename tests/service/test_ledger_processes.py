@@ -3,11 +3,11 @@
 import subprocess
 import sys
 
-from service.ledger import Ledger, NewRow
+from wrenchbook.service.ledger import Ledger, NewRow
 
 WORK = """
 import sys
-from service.ledger import Ledger
+from wrenchbook.service.ledger import Ledger
 print("ready", flush=True)
 sys.stdin.readline()
 ledger = Ledger(sys.argv[1])
@@ -70,7 +70,7 @@ def test_a_process_killed_in_the_middle_of_its_writing_leaves_a_ledger_that_open
     path = tmp_path / "ledger.sqlite"
     endless = """
 import sys
-from service.ledger import Ledger
+from wrenchbook.service.ledger import Ledger
 ledger = Ledger(sys.argv[1])
 load = 0
 while True:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.ledger import (
+from wrenchbook.service.ledger import (
     DamagedRowError,
     Ledger,
     LedgerFileError,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from service.ledger import STATUSES, InvalidTransitionError, Job, states
+from wrenchbook.service.ledger import STATUSES, InvalidTransitionError, Job, states
 
 EVENTS = {
     "claim": lambda job: states.claimed(job, "me", "local", 5.0),

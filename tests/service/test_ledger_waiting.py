@@ -5,9 +5,9 @@ import threading
 
 import pytest
 
-from service.ledger import About, Ledger, schema
-from service.ledger.connections import Connections
-from service.ledger.errors import LedgerUnavailableError
+from wrenchbook.service.ledger import About, Ledger, schema
+from wrenchbook.service.ledger.connections import Connections
+from wrenchbook.service.ledger.errors import LedgerUnavailableError
 
 WRENCH = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

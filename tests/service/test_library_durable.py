@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from fea.bundle.read import BundleError
-from service.library.component import (
+from wrenchbook.fea.bundle.read import BundleError
+from wrenchbook.service.library.component import (
     ComponentExistsError,
     LibraryUnavailableError,
     UnknownComponentError,
 )
-from service.library.library import Library
+from wrenchbook.service.library.library import Library
 
 TEXT = 'name = "rig"\ntitle = "rig"\n[range]\nforce = [1, 1, 1]\nmoment = [1, 1, 1]\n'
 
@@ -45,9 +45,9 @@ def test_every_file_of_a_bundle_is_synced_before_it_is_moved_in(library, tmp_pat
         events.append("moved")
         return rename(*places)
 
-    monkeypatch.setattr("service.files.durable.os.fsync", recorded)
+    monkeypatch.setattr("wrenchbook.service.files.durable.os.fsync", recorded)
     monkeypatch.setattr(Path, "rename", moved)
-    monkeypatch.setattr("service.library.library.check_mesh", lambda folder: {})
+    monkeypatch.setattr("wrenchbook.service.library.library.check_mesh", lambda folder: {})
     library.add_zip(rig_zip())
     before = events[: events.index("moved")]
     assert {"component.toml", "notes", "read.me", "rig"} <= set(before)
@@ -63,8 +63,8 @@ def test_a_bundle_that_cannot_be_written_is_refused_by_name_and_leaves_nothing(
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("service.library.library.check_mesh", lambda folder: {})
-    monkeypatch.setattr(f"service.library.library.{write}", full)
+    monkeypatch.setattr("wrenchbook.service.library.library.check_mesh", lambda folder: {})
+    monkeypatch.setattr(f"wrenchbook.service.library.library.{write}", full)
     with pytest.raises(
         LibraryUnavailableError, match=r"No space left on device\. Nothing was added"
     ):
@@ -72,7 +72,7 @@ def test_a_bundle_that_cannot_be_written_is_refused_by_name_and_leaves_nothing(
     assert list((tmp_path / "components").iterdir()) == []
     assert library.names() == []
     monkeypatch.undo()
-    monkeypatch.setattr("service.library.library.check_mesh", lambda folder: {})
+    monkeypatch.setattr("wrenchbook.service.library.library.check_mesh", lambda folder: {})
     assert library.add_zip(rig_zip()).name == "rig"
 
 
@@ -104,7 +104,7 @@ def test_two_servers_that_add_one_name_at_the_same_moment_add_it_once(
     library, tmp_path, monkeypatch
 ):
     """The other's folder appears between the look and the rename."""
-    monkeypatch.setattr("service.library.library.os.path.lexists", lambda path: False)
+    monkeypatch.setattr("wrenchbook.service.library.library.os.path.lexists", lambda path: False)
     library.add_table_only("two", "first", [[-9, 9]] * 3, [[-9, 9]] * 3, None)
     second = Library(tmp_path / "components", tmp_path / "none")
     second._components = {}

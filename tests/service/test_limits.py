@@ -12,17 +12,17 @@ import orjson
 import pytest
 from starlette.testclient import TestClient
 
-from service.client import ProblemError as Refused
-from service.http import batch, protocol
-from service.http import body as bodies
-from service.http.app import create_app
-from service.http.batch import batch_parts
-from service.http.problems import ProblemError
-from service.jobs import polls
-from service.jobs.attempt_zip import zipped
-from service.jobs.polls import Polls, TooManyPollsError
-from service.workspace import Settings
 from tests.service.live import add_table, as_rows, clean_wrenches, full_wrenches, moved, served
+from wrenchbook.service.client import ProblemError as Refused
+from wrenchbook.service.http import batch, protocol
+from wrenchbook.service.http import body as bodies
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.batch import batch_parts
+from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.jobs import polls
+from wrenchbook.service.jobs.attempt_zip import zipped
+from wrenchbook.service.jobs.polls import Polls, TooManyPollsError
+from wrenchbook.service.workspace import Settings
 
 RIG = "/v1/components/rig"
 
@@ -114,7 +114,7 @@ def test_a_table_full_of_mistakes_has_at_most_a_thousand_and_one_listed(asked):
 
 
 def test_a_json_batch_has_as_many_wrenches_as_a_binary_one(monkeypatch):
-    monkeypatch.setattr("service.http.batch.MAX_BATCH", 10)
+    monkeypatch.setattr("wrenchbook.service.http.batch.MAX_BATCH", 10)
     assert len(batch_parts(orjson.dumps({"wrenches": [[0.0] * 6] * 10}))[1]) == 10
     with pytest.raises(ProblemError, match="at most 10 wrenches"):
         batch_parts(orjson.dumps({"wrenches": [[0.0] * 6] * 11}))
@@ -126,7 +126,7 @@ def test_a_large_batch_is_read_in_a_file_and_answered_as_a_small_one_is(live, mo
     wrenches = full_wrenches(7)
     small = live.displacements("rig", wrenches, on_thin="estimate")
     monkeypatch.setattr(bodies, "PIECE", 64)
-    monkeypatch.setattr("service.http.replies.PIECE", 3)
+    monkeypatch.setattr("wrenchbook.service.http.replies.PIECE", 3)
     asked = {"wrenches": wrenches.tolist(), "on_thin": "estimate", "derivatives": True}
     reply = live.call_json("POST", f"{RIG}/displacements", asked)
     np.testing.assert_array_equal(np.array(reply["displacements"]), small.displacements)

@@ -5,12 +5,12 @@ import time
 
 import pytest
 
-from service.ledger import Ledger, NewRow
-from service.library.library import Library
-from service.tables import builders, live
-from service.tables.behind import TableBehindError
-from service.tables.builders import Builders
-from service.tables.live import Tables
+from wrenchbook.service.ledger import Ledger, NewRow
+from wrenchbook.service.library.library import Library
+from wrenchbook.service.tables import builders, live
+from wrenchbook.service.tables.behind import TableBehindError
+from wrenchbook.service.tables.builders import Builders
+from wrenchbook.service.tables.live import Tables
 
 RANGE = [[-10.0, 10.0]] * 3
 

@@ -6,8 +6,8 @@ import logging
 
 import pytest
 
-from service.ledger import Ledger
-from service.ops.logs import JsonLines, TextLines
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ops.logs import JsonLines, TextLines
 
 
 @pytest.fixture

@@ -5,13 +5,13 @@ from contextlib import contextmanager
 
 import pytest
 
-from service.ledger import Ledger, NewRow
-from service.library.library import Library
-from service.tables import live
-from service.tables.behind import TableBehindError
-from service.tables.coordinator_state import CoordinatorState, Status
-from service.tables.live import Tables
-from service.tables.mapped import MappedTables
+from wrenchbook.service.ledger import Ledger, NewRow
+from wrenchbook.service.library.library import Library
+from wrenchbook.service.tables import live
+from wrenchbook.service.tables.behind import TableBehindError
+from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
+from wrenchbook.service.tables.live import Tables
+from wrenchbook.service.tables.mapped import MappedTables
 
 RANGE = [[-10.0, 10.0]] * 3
 
@@ -157,7 +157,7 @@ def test_files_of_no_component_and_of_other_versions_go_at_a_start(tmp_path):
 
 def test_a_component_that_was_unreadable_for_a_moment_is_built_again(both, tmp_path, monkeypatch):
     """Only what answers looked at it again; the building process never did."""
-    monkeypatch.setattr("service.library.library.LOOK_SECONDS", 0.0)
+    monkeypatch.setattr("wrenchbook.service.library.library.LOOK_SECONDS", 0.0)
     _, reader = both
     reader.add("new", 4)
     assert reader.tables.catch_up("new", 20)

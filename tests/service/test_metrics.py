@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from service.ops.counts import EDGES, Counts
 from tests.service.live import as_rows, clean_wrenches, moved
+from wrenchbook.service.ops.counts import EDGES, Counts
 
 RANGE = {"force": [100.0] * 3, "moment": [10.0] * 3}
 
@@ -124,16 +124,16 @@ def test_metrics_are_told_while_the_ledger_cannot_be_used(rig, folder):
 
 
 def test_no_more_than_a_bounded_number_of_components_becomes_labels(rig, monkeypatch):
-    monkeypatch.setattr("service.ops.metrics.MOST_COMPONENTS", 2)
+    monkeypatch.setattr("wrenchbook.service.ops.metrics.MOST_COMPONENTS", 2)
     found = samples(rig)
     assert sum(name == "wrenchbook_table_version" for name, *_ in found) <= 2
     assert found["wrenchbook_components",] == len(rig.app.state.workspace.library.names())
 
 
 def test_kinds_of_failures_beyond_a_number_are_told_together(tmp_path, monkeypatch):
-    from service.ledger import Ledger
+    from wrenchbook.service.ledger import Ledger
 
-    monkeypatch.setattr("service.ledger.statistics.MOST_KINDS", 3)
+    monkeypatch.setattr("wrenchbook.service.ledger.statistics.MOST_KINDS", 3)
     ledger = Ledger(tmp_path / "ledger.sqlite")
     for number in range(6):
         ledger.accept("a", "f", [float(number)] * 6)

@@ -5,9 +5,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from service.ledger import Ledger
-from service.library.library import Library
-from service.ordering import GRAINS, Orders, spread
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.library.library import Library
+from wrenchbook.service.ordering import GRAINS, Orders, spread
 
 NAME = "plate_thin"
 

@@ -1,8 +1,8 @@
 """What people see while solves go on."""
 
-from service.cli.follow import event_line
-from service.cli.pace import Pace, error_bars
-from service.client import Event
+from wrenchbook.service.cli.follow import event_line
+from wrenchbook.service.cli.pace import Pace, error_bars
+from wrenchbook.service.client import Event
 
 
 class Clock:

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from service.http.app import create_app
-from service.http.routes import table as table_route
-from service.tables import past
-from service.workspace import Settings
 from tests.service.following import wait_for_version
 from tests.service.test_http_library import RIG, load, rows
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.routes import table as table_route
+from wrenchbook.service.tables import past
+from wrenchbook.service.workspace import Settings
 
 WRENCH = {"force": [100.0, -50.0, 300.0], "moment": [10.0, 5.0, -7.0]}
 BEYOND = {"force": [0.0, 0.0, 1700.0], "moment": [0.0, 0.0, 0.0]}

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.client import Client, Recorder
+from wrenchbook.service.client import Client, Recorder
 
 HERE = Path(__file__).parent
 SECONDS = float(os.environ.get("WRENCHBOOK_SOAK", "3"))

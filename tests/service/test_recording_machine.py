@@ -10,9 +10,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from service.gathering.gathering import Gathering
-from service.ledger import BlockKeyError, Ledger, block_of, packed
-from surrogate.table.rows import LoadRange
+from wrenchbook.service.gathering.gathering import Gathering
+from wrenchbook.service.ledger import BlockKeyError, Ledger, block_of, packed
+from wrenchbook.surrogate.table.rows import LoadRange
 
 RANGE = LoadRange(np.array([-10.0] * 6), np.array([10.0] * 6))
 # Within 1e-6 of the range of each other, apart, and outside the range.

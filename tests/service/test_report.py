@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.bundle.read import read_bundle
-from fea.mesh.refine import refined
-from fea.solve import Solver
-from service.library.library import SHIPPED
-from service.report.measure import errors, measure, pareto
-from service.report.page import as_page
-from service.report.text import as_markdown
-from surrogate.table.rows import LoadRange, Rows
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.mesh.refine import refined
+from wrenchbook.fea.solve import Solver
+from wrenchbook.service.library.library import SHIPPED
+from wrenchbook.service.report.measure import errors, measure, pareto
+from wrenchbook.service.report.page import as_page
+from wrenchbook.service.report.text import as_markdown
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 
 @pytest.fixture(scope="module")

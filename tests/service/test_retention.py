@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from service.ledger import Ledger
-from service.ops.retention import DAY, Keep, prune, shorten_log
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ops.retention import DAY, Keep, prune, shorten_log
 
 
 @pytest.fixture

@@ -5,9 +5,9 @@ import json
 import meshio
 import pytest
 
-from fea.bundle.read import read_bundle
-from service.jobs import solve_attempt as runjob
-from service.jobs.attempt import Spec, prepare, read_outcome
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.service.jobs import solve_attempt as runjob
+from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome
 
 BUNDLE = """
 name = "block"

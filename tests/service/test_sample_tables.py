@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from service.http.app import create_app
-from service.workspace import Settings
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.workspace import Settings
 
 FOLDER = Path(__file__).parents[2] / "data" / "tables"
 REPLIES = json.loads((FOLDER / "replies.json").read_text(encoding="utf-8"))

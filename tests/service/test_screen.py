@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.table import Table
 
-from service.cli.screen import Screen
+from wrenchbook.service.cli.screen import Screen
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from service.cli.local import serve
-from service.cli.main import app
-from service.cli.settings import OTHERS, PREFIX, _fields
+from wrenchbook.service.cli.local import serve
+from wrenchbook.service.cli.main import app
+from wrenchbook.service.cli.settings import OTHERS, PREFIX, _fields
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.tables.making import in_memory, make, packed_bytes, row_table
-from service.tables.served import ServedTable
-from surrogate.solver_error import SolverError
-from surrogate.table.rows import LoadRange, Rows, joined
+from wrenchbook.service.tables.making import in_memory, make, packed_bytes, row_table
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, joined
 
 SCALE = np.array([100.0, 100, 500, 20, 20, 5])
 RANGE = LoadRange(-SCALE, SCALE)

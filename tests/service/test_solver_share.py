@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.accuracy.estimate import accuracy_of
-from fea.solve import Solver
-from service.fields.deformed import DeformedShapes
-from service.fields.solver_share import LOCAL, NOT_FOLLOWED, error_parts, following
-from service.fields.store import FieldStore
-from service.fields.vtu import write_vtu
-from surrogate.solver_error import UNKNOWN, SolverError
-from surrogate.table.rows import Rows, Tolerance
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.service.surfaces import keep, sheet, solved, solver, wrenches, write_bundle
+from wrenchbook.fea.accuracy.estimate import accuracy_of
+from wrenchbook.fea.solve import Solver
+from wrenchbook.service.fields.deformed import DeformedShapes
+from wrenchbook.service.fields.solver_share import LOCAL, NOT_FOLLOWED, error_parts, following
+from wrenchbook.service.fields.store import FieldStore
+from wrenchbook.service.fields.vtu import write_vtu
+from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
+from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 POINTS = np.array([[0.0, 0, 0], [0.2, -0.1, 0.3], [1.0, 0, 0]])
 LOADS = [10.0] * 3 + [1.0] * 3

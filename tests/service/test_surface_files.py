@@ -6,10 +6,10 @@ import meshio
 import numpy as np
 import pytest
 
-from service.fields.gltf import write_gltf
-from service.fields.record import Geometry
-from service.fields.shape import Deformed, Stress
-from service.fields.vtu import write_vtu
+from wrenchbook.service.fields.gltf import write_gltf
+from wrenchbook.service.fields.record import Geometry
+from wrenchbook.service.fields.shape import Deformed, Stress
+from wrenchbook.service.fields.vtu import write_vtu
 
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]) / 3
 TRIANGLES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], dtype=np.int32)

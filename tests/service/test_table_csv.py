@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 import pytest
 
-from service.formats.column_names import COMPLIANCE
-from service.formats.options import RowMistake
-from surrogate.table.rows import LoadRange
 from tests.service import table_files
 from tests.service.table_files import ReadTable
+from wrenchbook.service.formats.column_names import COMPLIANCE
+from wrenchbook.service.formats.options import RowMistake
+from wrenchbook.surrogate.table.rows import LoadRange
 
 SI = (
     "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],"

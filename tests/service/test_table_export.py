@@ -1,9 +1,9 @@
 """What an export holds of a table that the ledger tells in parts."""
 
-from service.ledger import Ledger, NewRow
-from service.ledger.table_rows import MOST_NEWS
-from service.library.library import Library
-from service.tables.exporting import Wanted, export_table
+from wrenchbook.service.ledger import Ledger, NewRow
+from wrenchbook.service.ledger.table_rows import MOST_NEWS
+from wrenchbook.service.library.library import Library
+from wrenchbook.service.tables.exporting import Wanted, export_table
 
 RANGE = [[-10.0, 10.0]] * 3
 

@@ -16,14 +16,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from service.formats import Options, csv_table, options, write_hdf5, xlsx_table
-from service.formats.cells import guard_formula, unguard_formula
-from service.formats.options import ReadReport
-from service.formats.parquet_table import write_parquet
-from service.formats.table_file import ContentError, read_table_file, unpack
-from service.formats.xlsx_table import ZipBoundsError, escape, member_sizes, unescape, write_xlsx
-from surrogate.table.meta import TableMeta
-from surrogate.table.rows import LoadRange
 from tests.service.table_files import (
     ReadTable,
     layout_of,
@@ -33,6 +25,20 @@ from tests.service.table_files import (
     write_json,
 )
 from tests.service.test_table_roundtrip import any_units, same, tables, texts
+from wrenchbook.service.formats import Options, csv_table, options, write_hdf5, xlsx_table
+from wrenchbook.service.formats.cells import guard_formula, unguard_formula
+from wrenchbook.service.formats.options import ReadReport
+from wrenchbook.service.formats.parquet_table import write_parquet
+from wrenchbook.service.formats.table_file import ContentError, read_table_file, unpack
+from wrenchbook.service.formats.xlsx_table import (
+    ZipBoundsError,
+    escape,
+    member_sizes,
+    unescape,
+    write_xlsx,
+)
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import LoadRange
 
 HEADER = "fx [N],fy [N],fz [N],mx [N*m],my [N*m],mz [N*m],uz [m]"
 ZERO = Options(missing_loads="zero")

@@ -6,10 +6,10 @@ import h5py
 import numpy as np
 import pytest
 
-from service.formats import write_hdf5
-from surrogate.table.meta import TableMeta
-from surrogate.table.rows import LoadRange, Rows
 from tests.service.table_files import ReadTable, read_hdf5
+from wrenchbook.service.formats import write_hdf5
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 RANGE = LoadRange(-np.ones(6), np.ones(6))
 META = TableMeta("plate", 9, RANGE)

@@ -14,12 +14,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.formats import UnitError, write_hdf5
-from service.formats.units import QUANTITIES, in_unit, si_factor, to_si
-from surrogate.table.meta import TableMeta
-from surrogate.table.rows import LoadRange
 from tests.service import table_files
 from tests.service.table_files import ReadTable, read_hdf5, read_json, write_csv, write_json
+from wrenchbook.service.formats import UnitError, write_hdf5
+from wrenchbook.service.formats.units import QUANTITIES, in_unit, si_factor, to_si
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import LoadRange
 
 # These files have the columns that they are about; loads they do not name were zero.
 read_csv = partial(table_files.read_csv, missing_loads="zero")

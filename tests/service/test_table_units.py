@@ -5,7 +5,7 @@ from decimal import Decimal
 
 import pytest
 
-from service.formats.units import (
+from wrenchbook.service.formats.units import (
     FORCE,
     MOMENT,
     ROTATION,

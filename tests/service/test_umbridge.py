@@ -10,11 +10,11 @@ import orjson
 import pytest
 from starlette.testclient import TestClient
 
-from service.http.app import create_app
-from service.workspace import Settings
 from tests.service.document import document
 from tests.service.following import wait_for_version
 from tests.service.live import FULL, as_rows, full_wrenches, moved, served, tangents
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.workspace import Settings
 
 LOADS = [10.0, 3.0, -20.0, 1.0, 3.0, -2.0]
 

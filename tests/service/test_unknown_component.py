@@ -1,6 +1,6 @@
 """What is said of a name that the library has not."""
 
-from service.library.component import MOST_NAMES, UnknownComponentError
+from wrenchbook.service.library.component import MOST_NAMES, UnknownComponentError
 
 
 def test_a_small_library_is_told_as_a_whole():

@@ -7,13 +7,13 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from fea.bundle.shipped import SHIPPED
-from service.cli import local, main
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.service.cli import local, main
 
 
 def command(*words):
     return subprocess.run(
-        [sys.executable, "-m", "service.cli.main", "validate", *words],
+        [sys.executable, "-m", "wrenchbook.service.cli.main", "validate", *words],
         capture_output=True,
         text=True,
         timeout=120,
@@ -66,7 +66,7 @@ def test_wrenches_go_to_the_second_opinion_with_their_signs(monkeypatch):
     ]
     assert CliRunner().invoke(main.app, words).exit_code == 1
     assert ran[-4:-1] == ["--wrench=-1,0,0,0,0,0", "--wrench=2,0,0,0,0,0", "--"]
-    assert "fea.validation.second_opinion" in ran
+    assert "wrenchbook.fea.validation.second_opinion" in ran
 
 
 def test_a_wrench_without_a_second_solver_is_refused():

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs import solve_attempt
-from service.jobs.attempt import Spec, prepare, read_outcome, read_spec
-from service.jobs.engines.engine import ALIVE
-from service.jobs.engines.local import LocalEngine
 from tests.service.attempts import asked, ended
 from tests.service.until import until
+from wrenchbook.service.jobs import solve_attempt
+from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome, read_spec
+from wrenchbook.service.jobs.engines.engine import ALIVE
+from wrenchbook.service.jobs.engines.local import LocalEngine
 
 HERE = Path(__file__).parent
 SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
@@ -115,7 +115,7 @@ def test_a_solver_killed_between_attempts_costs_none(site):
 
 
 def test_a_solver_stopped_between_attempts_is_replaced(site, monkeypatch):
-    monkeypatch.setattr("service.jobs.engines.solver_pool.TAKEN_SECONDS", 0.3)
+    monkeypatch.setattr("wrenchbook.service.jobs.engines.solver_pool.TAKEN_SECONDS", 0.3)
     engine = site.engine()
     first = site.seen(engine, 1)["pid"]
     os.kill(first, signal.SIGSTOP)

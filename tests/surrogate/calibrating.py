@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surrogate.design.adaptive import next_wrenches
-from surrogate.surrogate import Surrogate
-from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.kriging.responses import Response, noisy_rows, solved, spread_wrenches
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, smooth, table
+from wrenchbook.surrogate.design.adaptive import next_wrenches
+from wrenchbook.surrogate.surrogate import Surrogate
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 TABLES = Path(__file__).parent / "tables"
 ASKED = 1000

@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from surrogate.composition.build import build_composition
-from surrogate.methods.interaction import interaction_of
-from surrogate.table.axes import AXES
-from surrogate.table.compliance import fit_compliance
-from surrogate.table.merging import merge
-from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.law.methods import AxesReference, StraightDirection
+from wrenchbook.surrogate.composition.build import build_composition
+from wrenchbook.surrogate.methods.interaction import interaction_of
+from wrenchbook.surrogate.table.axes import AXES
+from wrenchbook.surrogate.table.compliance import fit_compliance
+from wrenchbook.surrogate.table.merging import merge
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 HIGH = np.array([1000.0, 1000.0, 5000.0, 500.0, 500.0, 200.0])
 RANGE = LoadRange(-HIGH, HIGH)

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surrogate.build import AnyTable
-from surrogate.kriging import Kriging
-from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.calibrating import TABLES
 from tests.surrogate.kriging.responses import Response, solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE
+from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.kriging import Kriging
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 ASKED = 300  # wrenches that answers are judged at
 JOINED = 0.05  # of the range: a wrench as near to an open job joins it (DESIGN 6)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from surrogate.solver_error import SolverError
-from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.law import build
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 
 def column(pushed, stiffer=0.0):

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from surrogate.table.axes import AXES, axis_rows, clean_rows
-from surrogate.table.compliance import fit_compliance
-from surrogate.table.rows import Rows
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
+from wrenchbook.surrogate.table.axes import AXES, axis_rows, clean_rows
+from wrenchbook.surrogate.table.compliance import fit_compliance
+from wrenchbook.surrogate.table.rows import Rows
 
 COMPLIANCE = np.array(np.random.default_rng(0).normal(size=(6, 6))) * 1e-6
 

@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surrogate.build import build
-from surrogate.describe.gaps import axis_gaps
-from surrogate.table.compliance import fit_compliance
-from surrogate.table.conflicts import conflicts
-from surrogate.table.physics_checks import check_physics
-from surrogate.table.rows import Rows
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
+from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.describe.gaps import axis_gaps
+from wrenchbook.surrogate.table.compliance import fit_compliance
+from wrenchbook.surrogate.table.conflicts import conflicts
+from wrenchbook.surrogate.table.physics_checks import check_physics
+from wrenchbook.surrogate.table.rows import Rows
 
 ROOT = np.random.default_rng(3).normal(size=(6, 6)) + 3 * np.eye(6)
 SCALED = np.concatenate((np.zeros((1, 6)), clean_wrenches(30, 4), full_wrenches(20, 5)))

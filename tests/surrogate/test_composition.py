@@ -4,8 +4,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import griddata
 
-from surrogate.table.axes import AXES
-from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
@@ -16,6 +14,8 @@ from tests.surrogate.responses import (
     smooth,
     table,
 )
+from wrenchbook.surrogate.table.axes import AXES
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 
 def rest(rows: Rows) -> np.ndarray:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surrogate.build import AnyTable
-from surrogate.kriging.calibration import Level, calibrate
-from surrogate.table.rows import Rows
 from tests.surrogate.calibrating import Shipped, shipped
 from tests.surrogate.law import build
+from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.kriging.calibration import Level, calibrate
+from wrenchbook.surrogate.table.rows import Rows
 
 NOT_UZ = [0, 1, 3, 4, 5]
 

@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.calibrating import with_slopes
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 # Twenty full wrenches: rows of one axis alone show nothing of what axes do together.
 ROWS = with_slopes(smooth, np.concatenate((clean_wrenches(60, 1), full_wrenches(20, 1))))

@@ -3,17 +3,17 @@ import time
 import numpy as np
 import pytest
 
-import surrogate.kriging.dense as dense
-from surrogate.answer import allowed_by
-from surrogate.design.adaptive import ENOUGH, next_wrenches
-from surrogate.design.initial import CORNERS, Known, first_design, spread_wrenches
-from surrogate.missing_outputs import MissingOutputs
-from surrogate.surrogate import Surrogate
-from surrogate.table.axes import clean_rows
-from surrogate.table.rows import LoadRange, Rows, Tolerance
+import wrenchbook.surrogate.kriging.dense as dense
 from tests.surrogate.kriging.responses import solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, smooth, table
+from wrenchbook.surrogate.answer import allowed_by
+from wrenchbook.surrogate.design.adaptive import ENOUGH, next_wrenches
+from wrenchbook.surrogate.design.initial import CORNERS, Known, first_design, spread_wrenches
+from wrenchbook.surrogate.missing_outputs import MissingOutputs
+from wrenchbook.surrogate.surrogate import Surrogate
+from wrenchbook.surrogate.table.axes import clean_rows
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 EMPTY = build(Rows.empty(), RANGE)
 FIRST = next_wrenches(EMPTY, 100).wrenches

@@ -5,9 +5,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surrogate.bars.conformal import conformal_factor
-from surrogate.packed.reasons import ERRORS_UNKNOWN
-from surrogate.table.rows import Rows, Tolerance
 from tests.surrogate.calibrating import (
     INSIDE,
     PIECEWISE,
@@ -30,6 +27,9 @@ from tests.surrogate.responses import (
     smooth,
     table,
 )
+from wrenchbook.surrogate.bars.conformal import conformal_factor
+from wrenchbook.surrogate.packed.reasons import ERRORS_UNKNOWN
+from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 SEEDS = (31, 32, 33)
 

@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surrogate.build import AnyTable
-from surrogate.kernel.packing import packed_of
-from surrogate.table.row_index import RowIndex
-from surrogate.table.rows import Rows, Tolerance
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
 from tests.surrogate.law.derivative import derivative_at, derivatives_at
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, six
+from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.table.row_index import RowIndex
+from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 SMOOTH = RESPONSES["smooth"]
 BESIDE = (0.0, 1e-16, 1e-12, 1e-9, 1e-7, 9e-7)  # of the range

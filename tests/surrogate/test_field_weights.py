@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from surrogate.field_weights import FieldWeights, nearest_rows
-from surrogate.kriging import Kriging
-from surrogate.table.rows import LoadRange, Rows
+from wrenchbook.surrogate.field_weights import FieldWeights, nearest_rows
+from wrenchbook.surrogate.kriging import Kriging
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 RANGE = LoadRange(np.array([-100.0, -50, 0, -5, -5, -2]), np.array([100.0, 50, 400, 5, 5, 2]))
 

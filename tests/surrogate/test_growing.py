@@ -7,13 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surrogate.build import AnyTable
-from surrogate.missing_outputs import MissingOutputs
-from surrogate.surrogate import Surrogate
-from surrogate.table import thinning
-from surrogate.table.row_index import RowIndex
-from surrogate.table.rows import Rows, Tolerance
-from surrogate.table.thinning import evenly_chosen
 from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
@@ -23,6 +16,13 @@ from tests.surrogate.responses import (
     smooth,
     table,
 )
+from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.missing_outputs import MissingOutputs
+from wrenchbook.surrogate.surrogate import Surrogate
+from wrenchbook.surrogate.table import thinning
+from wrenchbook.surrogate.table.row_index import RowIndex
+from wrenchbook.surrogate.table.rows import Rows, Tolerance
+from wrenchbook.surrogate.table.thinning import evenly_chosen
 
 ASKED = np.concatenate((full_wrenches(80, 11), clean_wrenches(20, 12) * 0.9)) * HIGH
 

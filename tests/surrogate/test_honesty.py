@@ -11,11 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surrogate.answer import METHODS, UnknownMethodError
-from surrogate.interpolation.delaunay import Triangulation
-from surrogate.kernel.packing import packed_of
-from surrogate.missing_outputs import MissingOutputs
-from surrogate.table.rows import Rows, Tolerance
 from tests.surrogate.calibrating import with_slopes
 from tests.surrogate.kriging.responses import RESPONSES
 from tests.surrogate.law import build
@@ -29,6 +24,11 @@ from tests.surrogate.responses import (
     smooth,
     table,
 )
+from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
+from wrenchbook.surrogate.interpolation.delaunay import Triangulation
+from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.missing_outputs import MissingOutputs
+from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 CLEAN = clean_wrenches(25, 1)
 ASKED = full_wrenches(80, 2) * 0.9

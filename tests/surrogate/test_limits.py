@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from surrogate.answer import COVERED
-from surrogate.kernel.packing import packed_of
-from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.law import build
 from tests.surrogate.law.answer import Answer, Batch
 from tests.surrogate.law.limits import BEYOND_LIMITS, within_limits, within_limits_many
+from wrenchbook.surrogate.answer import COVERED
+from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 TURN = math.radians(20.0)
 EDGE = [

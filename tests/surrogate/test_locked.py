@@ -10,15 +10,15 @@ import h5py
 import numpy as np
 import pytest
 
-from surrogate.solver_error import SolverError
-from surrogate.table.hdf5 import read_table, write_table
-from surrogate.table.meta import TableMeta
-from surrogate.table.rows import Rows
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
 from tests.surrogate.law.derivative import derivatives_at
 from tests.surrogate.law.whole_bars import whole_bar, whole_bars
 from tests.surrogate.responses import HIGH, RANGE
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.hdf5 import read_table, write_table
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import Rows
 
 LOCKED = (0, 1, 3, 4)  # of a guide along z
 FREE = [2, 5]

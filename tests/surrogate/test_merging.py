@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from surrogate.table.merging import NEAR, close_groups, merge
-from surrogate.table.rows import LoadRange, Rows, unknown_column
+from wrenchbook.surrogate.table.merging import NEAR, close_groups, merge
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, unknown_column
 
 
 @pytest.mark.parametrize("dimensions", [1, 3, 7])

@@ -3,10 +3,6 @@
 import numpy as np
 import pytest
 
-from surrogate.answer import METHODS, UnknownMethodError
-from surrogate.kriging import Kriging
-from surrogate.methods.selection import CLEARLY, ENOUGH_FULL
-from surrogate.table.rows import Rows
 from tests.surrogate.calibrating import calibration, shipped
 from tests.surrogate.kriging.responses import LINEAR, solved, spread_wrenches
 from tests.surrogate.law import build
@@ -20,6 +16,10 @@ from tests.surrogate.responses import (
     smooth,
     table,
 )
+from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
+from wrenchbook.surrogate.kriging import Kriging
+from wrenchbook.surrogate.methods.selection import CLEARLY, ENOUGH_FULL
+from wrenchbook.surrogate.table.rows import Rows
 
 PLATE = shipped("plate_thin", 40, 60)
 PLATE_TABLE = build(PLATE.rows, PLATE.load_range)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 
-from service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
-from surrogate.describe.gaps import axis_gaps
-from surrogate.table.physics_checks import check_physics
-from surrogate.table.rows import LOADS, OUTPUTS
 from tests.surrogate.law import build
 from tests.surrogate.responses import RANGE, clean_wrenches, smooth, table
+from wrenchbook.service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
+from wrenchbook.surrogate.describe.gaps import axis_gaps
+from wrenchbook.surrogate.table.physics_checks import check_physics
+from wrenchbook.surrogate.table.rows import LOADS, OUTPUTS
 
 SYMBOLS = {name[0].upper() + "_" + name[1] for name in (*LOADS, *OUTPUTS)}
 

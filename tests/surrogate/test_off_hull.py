@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from surrogate.composition.composition import OFF_HULL
-from surrogate.kernel.packing import packed_of
-from surrogate.table.rows import Rows
 from tests.surrogate.law import Law, build
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, smooth
+from wrenchbook.surrogate.composition.composition import OFF_HULL
+from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.table.rows import Rows
 
 
 def _one_axis():

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from surrogate.missing_outputs import MissingOutputs
-from surrogate.table.rows import RowError, Rows, Tolerance, joined
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth
+from wrenchbook.surrogate.missing_outputs import MissingOutputs
+from wrenchbook.surrogate.table.rows import RowError, Rows, Tolerance, joined
 
 SCALED = clean_wrenches(40, 1)
 ASKED = full_wrenches(50, 2) * 0.8

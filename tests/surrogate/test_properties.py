@@ -6,7 +6,6 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surrogate.table.rows import Rows
 from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
@@ -17,6 +16,7 @@ from tests.surrogate.responses import (
     smooth,
     table,
 )
+from wrenchbook.surrogate.table.rows import Rows
 
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=15)

@@ -5,9 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surrogate.interpolation.delaunay import Triangulation
-from surrogate.surrogate import Surrogate
-from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
@@ -19,6 +16,9 @@ from tests.surrogate.responses import (
     smooth,
     table,
 )
+from wrenchbook.surrogate.interpolation.delaunay import Triangulation
+from wrenchbook.surrogate.surrogate import Surrogate
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 GRID = np.array(np.meshgrid(*[np.linspace(-1, 1, 5)] * 3)).reshape(3, -1).T
 

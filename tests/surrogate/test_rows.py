@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from surrogate.table.rows import LoadRange, RowError, Rows, Tolerance
+from wrenchbook.surrogate.table.rows import LoadRange, RowError, Rows, Tolerance
 
 RECORD = {"seq": 7, "wrench": [1, 0, 0, 0, 0, 0], "displacement": [1e-6, 0, 0, 0, 0, 0]}
 

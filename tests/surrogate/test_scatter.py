@@ -7,9 +7,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from surrogate.build import build
-from surrogate.kernel.packing import packed_of
-from surrogate.table.rows import LoadRange, Rows
+from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 SCALE = np.array([900.0] * 3 + [90.0] * 3)
 RANGE = LoadRange(-SCALE, SCALE)

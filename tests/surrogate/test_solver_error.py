@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from surrogate.solver_error import SolverError
-from surrogate.table.hdf5 import read_table, write_table
-from surrogate.table.meta import TableMeta
-from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.law import build
 from tests.surrogate.law.solver_share import widened, widened_many
 from tests.surrogate.law.whole_bars import solver_parts, whole_bar, whole_bars
 from tests.surrogate.softening import SHORT, SOFT, column, softening_table
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.hdf5 import read_table, write_table
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 MESH = np.abs(np.random.default_rng(5).normal(size=(6, 6))) * 1e-6
 LOADS = [1e3, 1e3, 2e3, 10.0, 10.0, 0.0]

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from surrogate.table import hdf5 as store
-from surrogate.table.hdf5 import TableFileError, read_table, write_table
-from surrogate.table.meta import SCHEMA_VERSION, TableMeta
-from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, smooth, table
+from wrenchbook.surrogate.table import hdf5 as store
+from wrenchbook.surrogate.table.hdf5 import TableFileError, read_table, write_table
+from wrenchbook.surrogate.table.meta import SCHEMA_VERSION, TableMeta
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 META = TableMeta(component="plate", last_seq=41, load_range=RANGE, fingerprint="abc", title="Plate")
 NUMBERS = st.floats(-1e9, 1e9)

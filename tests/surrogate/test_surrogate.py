@@ -3,8 +3,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surrogate.answer import METHODS, NAMES
-from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
@@ -16,6 +14,8 @@ from tests.surrogate.responses import (
     smooth,
     table,
 )
+from wrenchbook.surrogate.answer import METHODS, NAMES
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 COMPLIANCE = np.diag([1e-8, 2e-8, 3e-8, 1e-7, 2e-7, 3e-7])
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fea.mesh.cad.session import METRES, opened
+from wrenchbook.fea.mesh.cad.session import METRES, opened
 
 Array = np.ndarray
 

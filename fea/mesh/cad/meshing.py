@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from fea.mesh.cad.entities import bodies_of, faces_of
-from fea.mesh.cad.select import choose_bodies, choose_faces
-from fea.mesh.cad.session import METRES, opened, told
-from fea.mesh.generators.parameters import too_many
-from fea.mesh.io.raw import Block, RawMesh, to_mesh
-from fea.mesh.mesh import Mesh
-from fea.spec.problems import BundleError, Problem
-from fea.spec.schema import Geometry
+from wrenchbook.fea.mesh.cad.entities import bodies_of, faces_of
+from wrenchbook.fea.mesh.cad.select import choose_bodies, choose_faces
+from wrenchbook.fea.mesh.cad.session import METRES, opened, told
+from wrenchbook.fea.mesh.generators.parameters import too_many
+from wrenchbook.fea.mesh.io.raw import Block, RawMesh, to_mesh
+from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.spec.problems import BundleError, Problem
+from wrenchbook.fea.spec.schema import Geometry
 
 Array = np.ndarray
 

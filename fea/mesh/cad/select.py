@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from fea.mesh.cad.entities import Body, Face
-from fea.mesh.cad.session import METRES
-from fea.spec.problems import Problem
-from fea.spec.schema import Choice
+from wrenchbook.fea.mesh.cad.entities import Body, Face
+from wrenchbook.fea.mesh.cad.session import METRES
+from wrenchbook.fea.spec.problems import Problem
+from wrenchbook.fea.spec.schema import Choice
 
 _AXES = "xyz"
 _NEAR = 1e-3

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fea.spec.problems import BundleError, Problem
+from wrenchbook.fea.spec.problems import BundleError, Problem
 
 METRES = 1e-3
 """gmsh works in mm here: its geometry kernel's tolerances are absolute and made for mm."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from fea.mesh.generators.bar import Bar
-from fea.mesh.generators.plate import Plate
-from fea.mesh.generators.spring import Spring
-from fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.generators.bar import Bar
+from wrenchbook.fea.mesh.generators.plate import Plate
+from wrenchbook.fea.mesh.generators.spring import Spring
+from wrenchbook.fea.mesh.mesh import Mesh
 
 
 class Generator(Protocol):

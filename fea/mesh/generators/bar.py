@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.mesh.generators.parameters import count, metres, too_many
-from fea.mesh.generators.plane import rectangle
-from fea.mesh.generators.sweep import sweep
-from fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.generators.parameters import count, metres, too_many
+from wrenchbook.fea.mesh.generators.plane import rectangle
+from wrenchbook.fea.mesh.generators.sweep import sweep
+from wrenchbook.fea.mesh.mesh import Mesh
 
 Array = np.ndarray
 

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from fea.mesh.generators.parameters import count, metres, too_many
-from fea.mesh.generators.plane import (
+from wrenchbook.fea.mesh.generators.parameters import count, metres, too_many
+from wrenchbook.fea.mesh.generators.plane import (
     Section,
     bend_circle,
     grid_quads,
@@ -17,8 +17,8 @@ from fea.mesh.generators.plane import (
     ring_quads,
     round_corners,
 )
-from fea.mesh.generators.sweep import sweep
-from fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.generators.sweep import sweep
+from wrenchbook.fea.mesh.mesh import Mesh
 
 Array = np.ndarray
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.mesh.generators.parameters import count, metres, positive, too_many
-from fea.mesh.generators.plane import disc
-from fea.mesh.generators.sweep import sweep
-from fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.generators.parameters import count, metres, positive, too_many
+from wrenchbook.fea.mesh.generators.plane import disc
+from wrenchbook.fea.mesh.generators.sweep import sweep
+from wrenchbook.fea.mesh.mesh import Mesh
 
 Array = np.ndarray
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fea.mesh.generators.plane import Section
-from fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup
+from wrenchbook.fea.mesh.generators.plane import Section
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup
 
 Array = np.ndarray
 Place = Callable[[Array, Array], Array]

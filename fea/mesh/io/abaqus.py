@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.mesh.io.raw import NODES_PER_LINE, Block, MeshFileError, RawMesh
-from fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
+from wrenchbook.fea.mesh.io.raw import NODES_PER_LINE, Block, MeshFileError, RawMesh
+from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
 
 Array = np.ndarray
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fea.mesh.facets import FaceFinder
-from fea.mesh.mesh import (
+from wrenchbook.fea.mesh.facets import FaceFinder
+from wrenchbook.fea.mesh.mesh import (
     NODES_PER_CELL,
     NODES_PER_FACET,
     CellBlock,
@@ -16,7 +16,7 @@ from fea.mesh.mesh import (
     FacetGroup,
     Mesh,
 )
-from fea.mesh.quality import right_way_round
+from wrenchbook.fea.mesh.quality import right_way_round
 
 Array = np.ndarray
 Block = tuple[str, Array]

@@ -10,12 +10,12 @@ import meshio
 import numpy as np
 from meshio import _mesh
 
-from fea.mesh.io import xdmf
-from fea.mesh.io.abaqus import read_inp
-from fea.mesh.io.raw import Block, MeshFileError, RawMesh, to_mesh
-from fea.mesh.mesh import Mesh
-from fea.spec.problems import BundleError, Problem
-from fea.spec.schema import UNITS
+from wrenchbook.fea.mesh.io import xdmf
+from wrenchbook.fea.mesh.io.abaqus import read_inp
+from wrenchbook.fea.mesh.io.raw import Block, MeshFileError, RawMesh, to_mesh
+from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.spec.problems import BundleError, Problem
+from wrenchbook.fea.spec.schema import UNITS
 
 Array = np.ndarray
 

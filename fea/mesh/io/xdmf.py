@@ -5,7 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from fea.mesh.io.raw import MeshFileError
+from wrenchbook.fea.mesh.io.raw import MeshFileError
 
 ENDINGS = (".xdmf", ".xmf")
 

@@ -11,15 +11,15 @@ from typing import Final
 from starlette.types import Receive, Send
 from starlette.types import Scope as Scope_
 
-from service.http.body import counted
-from service.http.door.fields import preflight, sending
-from service.http.door.grant import GRANT, OPEN, Grant, grant_of
-from service.http.door.opening import Opening
-from service.http.door.sites import check_host, check_site, is_anybodys
-from service.http.problems import ProblemError
-from service.keys import Keyring, Scope, digest_of
-from service.keys.keyring import LOOK_S
-from service.keys.record import Key
+from wrenchbook.service.http.body import counted
+from wrenchbook.service.http.door.fields import preflight, sending
+from wrenchbook.service.http.door.grant import GRANT, OPEN, Grant, grant_of
+from wrenchbook.service.http.door.opening import Opening
+from wrenchbook.service.http.door.sites import check_host, check_site, is_anybodys
+from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.keys import Keyring, Scope, digest_of
+from wrenchbook.service.keys.keyring import LOOK_S
+from wrenchbook.service.keys.record import Key
 
 Headers = Sequence[tuple[bytes, bytes]]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from service.keys import Key, Scope
+from wrenchbook.service.keys import Key, Scope
 
 _AT_ONCE_S = 2.0  # a burst is what this many seconds allow
 GRANT = "wrenchbook.grant"  # its key in a request's scope

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from service.keys.keyring import Keyring
+from wrenchbook.service.keys.keyring import Keyring
 
 OWN_KEY = "WRENCHBOOK_OWN_KEY"  # a private server's, in its environment
 _WITHOUT_KEYS = (

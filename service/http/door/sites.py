@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from service.http.door.opening import Opening
-from service.http.problems import ProblemError
+from wrenchbook.service.http.door.opening import Opening
+from wrenchbook.service.http.problems import ProblemError
 
 # What every site may load or link to: it tells nothing about the tables.
 _ANYBODYS = ("/page/",)

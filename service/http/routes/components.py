@@ -9,27 +9,27 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.responses import Response
 
-from fea.accuracy.advice import WHERE, over_tolerance
-from service.contract import CONTRACT
-from service.files.discreet import discreet
-from service.http.bodies import FillBody, TableOnlyComponent
-from service.http.body import MOST_QUERY_BYTES, form_of, read_limited
-from service.http.door import grant_of
-from service.http.links import job_link
-from service.http.needs import need_from
-from service.http.openapi import BYTES, answers, refused, takes
-from service.http.parsing import read_body
-from service.http.problems import ProblemError, bad_body
-from service.http.replies import json_reply
-from service.http.schemas import Queued
-from service.library.bundle_zip import MAX_BUNDLE_BYTES
-from service.library.checked import interface_of, vibration_of, warnings_of
-from service.library.component import Component
-from service.tables.other_setup import warning_of
-from service.tables.served import ServedTable
-from service.workspace import Workspace
-from surrogate.solver_error import UNKNOWN, SolverError
-from surrogate.table.rows import Tolerance
+from wrenchbook.fea.accuracy.advice import WHERE, over_tolerance
+from wrenchbook.service.contract import CONTRACT
+from wrenchbook.service.files.discreet import discreet
+from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
+from wrenchbook.service.http.body import MOST_QUERY_BYTES, form_of, read_limited
+from wrenchbook.service.http.door import grant_of
+from wrenchbook.service.http.links import job_link
+from wrenchbook.service.http.needs import need_from
+from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
+from wrenchbook.service.http.parsing import read_body
+from wrenchbook.service.http.problems import ProblemError, bad_body
+from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.schemas import Queued
+from wrenchbook.service.library.bundle_zip import MAX_BUNDLE_BYTES
+from wrenchbook.service.library.checked import interface_of, vibration_of, warnings_of
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.other_setup import warning_of
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
+from wrenchbook.surrogate.table.rows import Tolerance
 
 router = APIRouter(prefix="/v1/components", tags=["components"])
 CATCH_UP_S = 25.0

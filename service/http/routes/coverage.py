@@ -8,14 +8,14 @@ from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from service.http.openapi import answers, refused
-from service.http.replies import json_reply
-from service.http.schemas import Compliance
-from service.tables.served import ServedTable
-from service.workspace import Workspace
-from surrogate.describe.gaps import axis_gaps
-from surrogate.table.physics_checks import check_physics
-from surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
+from wrenchbook.service.http.openapi import answers, refused
+from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.schemas import Compliance
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.describe.gaps import axis_gaps
+from wrenchbook.surrogate.table.physics_checks import check_physics
+from wrenchbook.surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
 CATCH_UP_S = 30.0

@@ -10,13 +10,13 @@ import numpy as np
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
-from service.fields import gltf, vtu
-from service.fields.shape import Deformed
-from service.http.openapi import BYTES, answers, refused
-from service.http.problems import bad_body
-from service.http.replies import json_reply
-from service.library.checked import interface_of
-from service.workspace import Workspace
+from wrenchbook.service.fields import gltf, vtu
+from wrenchbook.service.fields.shape import Deformed
+from wrenchbook.service.http.openapi import BYTES, answers, refused
+from wrenchbook.service.http.problems import bad_body
+from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.library.checked import interface_of
+from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(
     prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 409, 422)

@@ -12,20 +12,20 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 from starlette.types import Scope
 
-from service.answering.many import answer_or_submit_many
-from service.answering.one import answer_or_submit
-from service.answering.past import answer_at, answer_many_at
-from service.answering.queries import BatchOutcome, BatchQuery, Query
-from service.contract import CONTRACT_TEXT
-from service.http import binary
-from service.http.batch import few_large, read_batch_body
-from service.http.binary import is_binary, read_binary
-from service.http.bodies import BatchBody, DisplacementBody, SolveBody
-from service.http.body import MOST_BATCH_BYTES, Spooled, read_limited, spooled
-from service.http.door import Grant, grant_of
-from service.http.door.door import beyond_scope
-from service.http.openapi import answers, refused, takes
-from service.http.parsing import (
+from wrenchbook.service.answering.many import answer_or_submit_many
+from wrenchbook.service.answering.one import answer_or_submit
+from wrenchbook.service.answering.past import answer_at, answer_many_at
+from wrenchbook.service.answering.queries import BatchOutcome, BatchQuery, Query
+from wrenchbook.service.contract import CONTRACT_TEXT
+from wrenchbook.service.http import binary
+from wrenchbook.service.http.batch import few_large, read_batch_body
+from wrenchbook.service.http.binary import is_binary, read_binary
+from wrenchbook.service.http.bodies import BatchBody, DisplacementBody, SolveBody
+from wrenchbook.service.http.body import MOST_BATCH_BYTES, Spooled, read_limited, spooled
+from wrenchbook.service.http.door import Grant, grant_of
+from wrenchbook.service.http.door.door import beyond_scope
+from wrenchbook.service.http.openapi import answers, refused, takes
+from wrenchbook.service.http.parsing import (
     VersionQuery,
     check_version,
     read_query,
@@ -33,11 +33,11 @@ from service.http.parsing import (
     split_version,
     version_of,
 )
-from service.http.problems import ProblemError
-from service.http.replies import write_batch, write_binary, write_outcome
-from service.http.schemas import Displacement, Displacements
-from service.ops.counts import Counts
-from service.workspace import Workspace
+from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.replies import write_batch, write_binary, write_outcome
+from wrenchbook.service.http.schemas import Displacement, Displacements
+from wrenchbook.service.ops.counts import Counts
+from wrenchbook.service.workspace import Workspace
 
 Body = TypeVar("Body", bytes, Spooled)
 Asked = TypeVar("Asked", Query, BatchQuery)

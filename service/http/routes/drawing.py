@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from service.answering.drawn import grid_of, sample_of, shares_of, sweep_of
-from service.http.openapi import refused
-from service.http.replies import COVERAGE, json_reply
-from service.tables.served import ServedTable
-from service.workspace import Workspace
-from surrogate.table.axes import AXES
-from surrogate.table.rows import CLEAN, LOADS, OUTPUTS, Rows
+from wrenchbook.service.answering.drawn import grid_of, sample_of, shares_of, sweep_of
+from wrenchbook.service.http.openapi import refused
+from wrenchbook.service.http.replies import COVERAGE, json_reply
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.table.axes import AXES
+from wrenchbook.surrogate.table.rows import CLEAN, LOADS, OUTPUTS, Rows
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
 CATCH_UP_S = 25.0

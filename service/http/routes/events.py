@@ -10,11 +10,11 @@ from fastapi import APIRouter, Header, Query, Request
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from service.events.feed import Feed, Listener, TooManyListenersError
-from service.events.watch import Watch
-from service.http.openapi import refused
-from service.http.problems import ProblemError
-from service.workspace import Workspace
+from wrenchbook.service.events.feed import Feed, Listener, TooManyListenersError
+from wrenchbook.service.events.watch import Watch
+from wrenchbook.service.http.openapi import refused
+from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(prefix="/v1/events", tags=["events"], responses=refused(404, 422))
 

@@ -11,25 +11,36 @@ from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from service.contract import CONTRACT_TEXT
-from service.gathering.bound import bound_of
-from service.gathering.gathering import Envelope, Gathering, Took
-from service.gathering.start import Started, start_envelope, start_recording, start_resolving
-from service.http import binary
-from service.http import table_schemas as schemas
-from service.http.binary import is_binary, read_wrenches
-from service.http.bodies import MAX_BLOCK, BlockBody, BlockKey, EnvelopeStartBody, StartBody
-from service.http.body import read_limited
-from service.http.links import job_link
-from service.http.openapi import answers, refused, takes
-from service.http.parsing import read_block, read_body
-from service.http.problems import bad_body, plain_errors
-from service.http.replies import json_reply
-from service.http.routes.displacement import DirectRoute
-from service.ledger import Block, Tally, block_of, packed
-from service.ledger.gathered import MERGE
-from service.workspace import Workspace
-from surrogate.table.rows import Tolerance
+from wrenchbook.service.contract import CONTRACT_TEXT
+from wrenchbook.service.gathering.bound import bound_of
+from wrenchbook.service.gathering.gathering import Envelope, Gathering, Took
+from wrenchbook.service.gathering.start import (
+    Started,
+    start_envelope,
+    start_recording,
+    start_resolving,
+)
+from wrenchbook.service.http import binary
+from wrenchbook.service.http import table_schemas as schemas
+from wrenchbook.service.http.binary import is_binary, read_wrenches
+from wrenchbook.service.http.bodies import (
+    MAX_BLOCK,
+    BlockBody,
+    BlockKey,
+    EnvelopeStartBody,
+    StartBody,
+)
+from wrenchbook.service.http.body import read_limited
+from wrenchbook.service.http.links import job_link
+from wrenchbook.service.http.openapi import answers, refused, takes
+from wrenchbook.service.http.parsing import read_block, read_body
+from wrenchbook.service.http.problems import bad_body, plain_errors
+from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.routes.displacement import DirectRoute
+from wrenchbook.service.ledger import Block, Tally, block_of, packed
+from wrenchbook.service.ledger.gathered import MERGE
+from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.table.rows import Tolerance
 
 Floats = NDArray[np.float64]
 Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]

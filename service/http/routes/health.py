@@ -8,10 +8,10 @@ from fastapi import APIRouter, Request
 from prometheus_client import CONTENT_TYPE_LATEST
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 
-from service.files.discreet import discreetly
-from service.http.openapi import answers
-from service.ops.metrics import Metrics
-from service.workspace import Workspace
+from wrenchbook.service.files.discreet import discreetly
+from wrenchbook.service.http.openapi import answers
+from wrenchbook.service.ops.metrics import Metrics
+from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(tags=["health"])
 

@@ -15,14 +15,14 @@ from pydantic import AfterValidator
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
-from service.files.discreet import discreetly
-from service.http.links import job_link
-from service.http.openapi import BYTES, refused
-from service.http.problems import ProblemError
-from service.jobs.attempt import LOG
-from service.jobs.attempt_zip import pieces_of, zipped
-from service.ledger import Job, LedgerRow, Status, UnknownJobError
-from service.workspace import Workspace
+from wrenchbook.service.files.discreet import discreetly
+from wrenchbook.service.http.links import job_link
+from wrenchbook.service.http.openapi import BYTES, refused
+from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.jobs.attempt import LOG
+from wrenchbook.service.jobs.attempt_zip import pieces_of, zipped
+from wrenchbook.service.ledger import Job, LedgerRow, Status, UnknownJobError
+from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"], responses=refused(404, 422))
 # The end, where the reason stands; all of it is in the attempt's files.

@@ -9,14 +9,14 @@ from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from service.http.bodies import Body
-from service.http.body import read_limited
-from service.http.openapi import answers, refused, takes
-from service.http.parsing import read_body
-from service.http.problems import ProblemError, bad_body
-from service.http.replies import json_reply
-from service.keys import Keyring, KeysError
-from service.keys.record import MEGABYTES, RATE
+from wrenchbook.service.http.bodies import Body
+from wrenchbook.service.http.body import read_limited
+from wrenchbook.service.http.openapi import answers, refused, takes
+from wrenchbook.service.http.parsing import read_body
+from wrenchbook.service.http.problems import ProblemError, bad_body
+from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.keys import Keyring, KeysError
+from wrenchbook.service.keys.record import MEGABYTES, RATE
 
 router = APIRouter(
     prefix="/v1/keys", tags=["keys"], responses=refused(s409="this server has no keys")

@@ -8,21 +8,21 @@ from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from service.formats import text_problem
-from service.http.bodies import CopyBody, NotesBody, RenameBody
-from service.http.body import read_limited
-from service.http.door.grant import grant_of
-from service.http.openapi import answers, refused, takes
-from service.http.parsing import read_body
-from service.http.problems import ProblemError, bad_body
-from service.http.replies import json_reply
-from service.http.routes.components import component_body
-from service.http.table_schemas import Card, Demand, Disagreement, Imports
-from service.ledger import About
-from service.tables.copying import copy_rows
-from service.tables.disagreement import disagreement
-from service.tables.rows import told_time
-from service.workspace import Workspace
+from wrenchbook.service.formats import text_problem
+from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
+from wrenchbook.service.http.body import read_limited
+from wrenchbook.service.http.door.grant import grant_of
+from wrenchbook.service.http.openapi import answers, refused, takes
+from wrenchbook.service.http.parsing import read_body
+from wrenchbook.service.http.problems import ProblemError, bad_body
+from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.routes.components import component_body
+from wrenchbook.service.http.table_schemas import Card, Demand, Disagreement, Imports
+from wrenchbook.service.ledger import About
+from wrenchbook.service.tables.copying import copy_rows
+from wrenchbook.service.tables.disagreement import disagreement
+from wrenchbook.service.tables.rows import told_time
+from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["library"], responses=refused(404, 422))
 CATCH_UP_S = 25.0

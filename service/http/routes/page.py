@@ -18,7 +18,7 @@ from typing import Annotated, Final
 from fastapi import APIRouter, Header, Request
 from starlette.responses import Response
 
-from service.http.problems import ProblemError
+from wrenchbook.service.http.problems import ProblemError
 
 router = APIRouter(include_in_schema=False)
 

@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
-from service.http.openapi import JSON, TEXT, answers, refused
-from service.http.problems import ProblemError
-from service.http.replies import json_reply
-from service.ordering import NoSetupError
-from service.workspace import Workspace
+from wrenchbook.service.http.openapi import JSON, TEXT, answers, refused
+from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.ordering import NoSetupError
+from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(
     prefix="/v1/components/{name}/report", tags=["report"], responses=refused(404, 422)

@@ -8,13 +8,13 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request
 
-from fea.bundle.read import BundleError, read_bundle
-from service.http.openapi import refused
-from service.http.problems import ProblemError
-from service.ledger import LedgerRow, RowStatusError, UnknownRowError
-from service.library.component import Component
-from service.tables.rows import told_time
-from service.workspace import Workspace
+from wrenchbook.fea.bundle.read import BundleError, read_bundle
+from wrenchbook.service.http.openapi import refused
+from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.ledger import LedgerRow, RowStatusError, UnknownRowError
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.rows import told_time
+from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(
     prefix="/v1/components/{name}/table/{row}",

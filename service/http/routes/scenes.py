@@ -10,18 +10,18 @@ from fastapi import APIRouter, Header, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from service.answering.scenes import scene_file, scene_reply
-from service.http.bodies import SceneBody, SceneComponent
-from service.http.body import read_limited
-from service.http.needs import need_from
-from service.http.openapi import BYTES, refused, takes
-from service.http.parsing import read_body
-from service.http.replies import json_reply
-from service.http.routes.table import PACKED_TYPE
-from service.http.schemas import Plans
-from service.http.versions import holds, naming
-from service.workspace import Workspace
-from surrogate.scene.need import Need
+from wrenchbook.service.answering.scenes import scene_file, scene_reply
+from wrenchbook.service.http.bodies import SceneBody, SceneComponent
+from wrenchbook.service.http.body import read_limited
+from wrenchbook.service.http.needs import need_from
+from wrenchbook.service.http.openapi import BYTES, refused, takes
+from wrenchbook.service.http.parsing import read_body
+from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.routes.table import PACKED_TYPE
+from wrenchbook.service.http.schemas import Plans
+from wrenchbook.service.http.versions import holds, naming
+from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.scene.need import Need
 
 router = APIRouter(prefix="/v1", tags=["scenes"], responses=refused(404, 422))
 CATCH_UP_S = 25.0

@@ -16,26 +16,32 @@ from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
-from service.answering.past import table_at
-from service.formats import SheetFullError, UnitError
-from service.http.body import received
-from service.http.door.grant import grant_of
-from service.http.import_query import ImportQuery
-from service.http.openapi import BYTES, answers, refused, takes
-from service.http.problems import ProblemError
-from service.http.replies import json_reply
-from service.http.table_schemas import Imported, Table
-from service.http.versions import holds, naming
-from service.ledger import About
-from service.library.component import Component
-from service.sandbox import SandboxBusyError
-from service.tables.breakpoints import NoTableError, write_breakpoints
-from service.tables.exporting import ENDINGS, ExportFormat, Wanted, check_units, export_table
-from service.tables.importing import import_files
-from service.tables.packed_files import setup_of
-from service.tables.served import ServedTable
-from service.workspace import CATCH_UP_S, Workspace
-from surrogate.packed.format import SUFFIX
+from wrenchbook.service.answering.past import table_at
+from wrenchbook.service.formats import SheetFullError, UnitError
+from wrenchbook.service.http.body import received
+from wrenchbook.service.http.door.grant import grant_of
+from wrenchbook.service.http.import_query import ImportQuery
+from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
+from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.table_schemas import Imported, Table
+from wrenchbook.service.http.versions import holds, naming
+from wrenchbook.service.ledger import About
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.sandbox import SandboxBusyError
+from wrenchbook.service.tables.breakpoints import NoTableError, write_breakpoints
+from wrenchbook.service.tables.exporting import (
+    ENDINGS,
+    ExportFormat,
+    Wanted,
+    check_units,
+    export_table,
+)
+from wrenchbook.service.tables.importing import import_files
+from wrenchbook.service.tables.packed_files import setup_of
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.workspace import CATCH_UP_S, Workspace
+from wrenchbook.surrogate.packed.format import SUFFIX
 
 router = APIRouter(
     prefix="/v1/components/{name}/table", tags=["table"], responses=refused(404, 422)

@@ -13,17 +13,17 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
-from service.answering.one import answer_or_submit
-from service.http import umbridge
-from service.http.bodies import Body
-from service.http.body import read_limited
-from service.http.openapi import answers, takes
-from service.http.problems import problem_of
-from service.http.routes.displacement import DirectRoute
-from service.http.umbridge import Call, UmBridgeError
-from service.library.component import UnknownComponentError
-from service.tables.behind import TableBehindError
-from service.workspace import Workspace
+from wrenchbook.service.answering.one import answer_or_submit
+from wrenchbook.service.http import umbridge
+from wrenchbook.service.http.bodies import Body
+from wrenchbook.service.http.body import read_limited
+from wrenchbook.service.http.openapi import answers, takes
+from wrenchbook.service.http.problems import problem_of
+from wrenchbook.service.http.routes.displacement import DirectRoute
+from wrenchbook.service.http.umbridge import Call, UmBridgeError
+from wrenchbook.service.library.component import UnknownComponentError
+from wrenchbook.service.tables.behind import TableBehindError
+from wrenchbook.service.workspace import Workspace
 
 log = logging.getLogger(__name__)
 

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from service.jobs.attempt import OUTCOME, read_spec
-from service.jobs.engines.dask_cluster import Cluster
-from service.jobs.engines.dask_task import Bundles, DaskTask, key_of
-from service.jobs.engines.engine import ALIVE, Attempt, EngineError, Listener, State
+from wrenchbook.service.jobs.attempt import OUTCOME, read_spec
+from wrenchbook.service.jobs.engines.dask_cluster import Cluster
+from wrenchbook.service.jobs.engines.dask_task import Bundles, DaskTask, key_of
+from wrenchbook.service.jobs.engines.engine import ALIVE, Attempt, EngineError, Listener, State
 
 _log = logging.getLogger(__name__)
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from distributed import Client, Future
 
-from service.jobs.engines import on_worker
-from service.jobs.engines.on_worker import TOPIC, program_version
+from wrenchbook.service.jobs.engines import on_worker
+from wrenchbook.service.jobs.engines.on_worker import TOPIC, program_version
 
 _log = logging.getLogger(__name__)
 # They log each lost connection with a traceback; `Cluster` logs it in one line.

@@ -18,13 +18,19 @@ from dask._task_spec import Task
 from distributed import Client, Future, KilledWorker, fire_and_forget
 from distributed.client import ClosedClientError
 
-from service.files.durable import write_whole_bytes
-from service.jobs.attempt import LOCK, OUTCOME, PROGRESS, write_outcome, write_whole
-from service.jobs.engines import on_worker
-from service.jobs.engines.dask_cluster import Cluster, Place
-from service.jobs.engines.engine import Attempt, State
-from service.jobs.engines.on_worker import Payload
-from service.jobs.engines.payload import BUNDLE_BYTES, BadPayloadError, digest, pack, unpack
+from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.jobs.attempt import LOCK, OUTCOME, PROGRESS, write_outcome, write_whole
+from wrenchbook.service.jobs.engines import on_worker
+from wrenchbook.service.jobs.engines.dask_cluster import Cluster, Place
+from wrenchbook.service.jobs.engines.engine import Attempt, State
+from wrenchbook.service.jobs.engines.on_worker import Payload
+from wrenchbook.service.jobs.engines.payload import (
+    BUNDLE_BYTES,
+    BadPayloadError,
+    digest,
+    pack,
+    unpack,
+)
 
 _log = logging.getLogger(__name__)
 

@@ -6,11 +6,18 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from service.files import lock as flock
-from service.files.cores import usable_cores
-from service.jobs.attempt import LOCK, LOG, OUTCOME, solver_began, solver_seconds, write_outcome
-from service.jobs.engines.engine import Attempt, EngineError, Listener, State
-from service.jobs.engines.solver_pool import SolverPool, signal_group
+from wrenchbook.service.files import lock as flock
+from wrenchbook.service.files.cores import usable_cores
+from wrenchbook.service.jobs.attempt import (
+    LOCK,
+    LOG,
+    OUTCOME,
+    solver_began,
+    solver_seconds,
+    write_outcome,
+)
+from wrenchbook.service.jobs.engines.engine import Attempt, EngineError, Listener, State
+from wrenchbook.service.jobs.engines.solver_pool import SolverPool, signal_group
 
 # Several solvers share the cores, so each gets one; what the user has set is left alone.
 _THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR")

@@ -18,13 +18,17 @@ from typing import Any, TypedDict
 
 from distributed import Reschedule, Status, Worker, get_worker
 
-from service.files import lock as flock
-from service.jobs.attempt import LOCK, OUTCOME, prepare, read_progress, solver_seconds
-from service.jobs.engines import worker_folder as folders
-from service.jobs.engines.engine import ALIVE, Attempt
-from service.jobs.engines.local import LocalEngine
-from service.jobs.engines.payload import BadPayloadError, Files, artifacts, place
-from service.jobs.engines.worker_folder import WorkerFolderError, attempt_folder, worker_folder
+from wrenchbook.service.files import lock as flock
+from wrenchbook.service.jobs.attempt import LOCK, OUTCOME, prepare, read_progress, solver_seconds
+from wrenchbook.service.jobs.engines import worker_folder as folders
+from wrenchbook.service.jobs.engines.engine import ALIVE, Attempt
+from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.jobs.engines.payload import BadPayloadError, Files, artifacts, place
+from wrenchbook.service.jobs.engines.worker_folder import (
+    WorkerFolderError,
+    attempt_folder,
+    worker_folder,
+)
 
 TOPIC = "wrenchbook-progress"
 """The scheduler's topic of the workers' progress events."""

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from hashlib import blake2b
 from pathlib import Path, PurePosixPath
 
-from service.files.durable import write_whole_bytes
-from service.jobs.attempt import LOCK, LOG, OUTCOME, PROGRESS, SPEC, Spec, write_outcome
+from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.jobs.attempt import LOCK, LOG, OUTCOME, PROGRESS, SPEC, Spec, write_outcome
 
 Files = dict[str, bytes]
 """Path of each file in its folder, with forward slashes, and its bytes."""

@@ -2,8 +2,8 @@
 
 from importlib.util import find_spec
 
-from service.jobs.engines.engine import Engine
-from service.jobs.engines.local import LocalEngine
+from wrenchbook.service.jobs.engines.engine import Engine
+from wrenchbook.service.jobs.engines.local import LocalEngine
 
 ENGINES = ("local", "dask")
 _SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")  # that Dask connects to other machines by
@@ -37,7 +37,7 @@ def open_engine(
     if name == "local":
         return LocalEngine(slots)
     # Only a server with a cluster has Dask, and waits for its import.
-    from service.jobs.engines.dask import DaskEngine
+    from wrenchbook.service.jobs.engines.dask import DaskEngine
 
     return DaskEngine(scheduler or "")
 

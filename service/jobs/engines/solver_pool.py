@@ -16,9 +16,9 @@ import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from service.files.child import child_command
-from service.jobs.attempt import LOG, OUTCOME
-from service.jobs.engines.engine import Attempt
+from wrenchbook.service.files.child import child_command
+from wrenchbook.service.jobs.attempt import LOG, OUTCOME
+from wrenchbook.service.jobs.engines.engine import Attempt
 
 # A solver that waits for work says at once that it took some. One that does not is stopped or
 # damaged, and another one is started in its place.
@@ -158,7 +158,9 @@ class SolverPool:
     def _start(self, attempt: Attempt, lock: int, log: int, environment: Mapping[str, str]) -> None:
         ours, theirs = socket.socketpair()
         with theirs:
-            command = child_command("service.jobs.warm_solver", "--line", str(theirs.fileno()))
+            command = child_command(
+                "wrenchbook.service.jobs.warm_solver", "--line", str(theirs.fileno())
+            )
             try:
                 process = subprocess.Popen(
                     [*command, *self._options],

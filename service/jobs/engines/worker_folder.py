@@ -16,10 +16,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from service.files import lock as flock
-from service.jobs.attempt import LOCK, Spec
-from service.jobs.engines.engine import ALIVE, Attempt
-from service.jobs.engines.local import LocalEngine
+from wrenchbook.service.files import lock as flock
+from wrenchbook.service.jobs.attempt import LOCK, Spec
+from wrenchbook.service.jobs.engines.engine import ALIVE, Attempt
+from wrenchbook.service.jobs.engines.local import LocalEngine
 
 _log = logging.getLogger(__name__)
 

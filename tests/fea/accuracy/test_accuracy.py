@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.accuracy.beyond_linear import beyond_linear
-from fea.accuracy.estimate import accuracy_of, accuracy_or_why
-from fea.accuracy.recovered import recovered_error
-from fea.accuracy.second_mesh import coarser
-from fea.bundle.read import read_bundle
-from fea.bundle.shipped import SHIPPED
-from fea.mesh.refine import refined
-from fea.solve import Solver
-from fea.spec.schema import LoadRange
-from surrogate.solver_error import SolverError
-from surrogate.table.rows import Rows
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.geometry import draw_bracket
 from tests.surrogate.law.solver_share import widened, widened_many
+from wrenchbook.fea.accuracy.beyond_linear import beyond_linear
+from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why
+from wrenchbook.fea.accuracy.recovered import recovered_error
+from wrenchbook.fea.accuracy.second_mesh import coarser
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.mesh.refine import refined
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import LoadRange
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.rows import Rows
 
 BRACKET = """name = "bracket"
 title = "B"
@@ -211,7 +211,7 @@ def test_what_the_estimate_fails_with_is_told_and_not_raised(bar, monkeypatch):
     def fails(_):
         raise MemoryError
 
-    monkeypatch.setattr("fea.accuracy.estimate.recovered_error", fails)
+    monkeypatch.setattr("wrenchbook.fea.accuracy.estimate.recovered_error", fails)
     told = accuracy_or_why(bar)
     assert told["mesh"] is None
     assert "MemoryError" in told["mesh_basis"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fea.accuracy.advice import over_tolerance
+from wrenchbook.fea.accuracy.advice import over_tolerance
 
 MESH = np.diag([0.0, 0.0, 4e-6, 0.0, 1e-5, 0.0]).tolist()
 TOLD = {"mesh": MESH, "loads": [1.0, 1.0, 100.0, 1.0, 1.0, 1.0], "cell_size": 0.008}

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.failure import SolveFailed
-from fea.solve import Solver
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.linalg.test_multifrontal import body_of, clamped, matrix_of
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.solve import Solver
 
 
 @pytest.mark.parametrize("thickness", [1.0, 0.1, 0.01])

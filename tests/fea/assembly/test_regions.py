@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from fea.component import Component
-from fea.coupling.section import section_of_facets
-from fea.solve import Solver
-from fea.spec.schema import Analysis, Material
 from tests.fea.boxes import box
+from wrenchbook.fea.component import Component
+from wrenchbook.fea.coupling.section import section_of_facets
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import Analysis, Material
 
 LENGTH, SIDE = 0.2, 0.01
 SOFT, STIFF = 10e9, 200e9

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fea.bundle.read import BundleError, Problem, bundle_of, read_bundle
+from wrenchbook.fea.bundle.read import BundleError, Problem, bundle_of, read_bundle
 
 SHIPPED = Path(__file__).parents[3] / "data" / "components"
 

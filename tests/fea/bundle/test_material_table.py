@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.bundle.material_table import read_material
-from fea.bundle.read import read_bundle
-from fea.bundle.shipped import SHIPPED
-from fea.component import build
-from fea.export.calculix import deck_of
-from fea.spec.fingerprint import fingerprint
-from fea.spec.toml_table import Keys
+from wrenchbook.fea.bundle.material_table import read_material
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.component import build
+from wrenchbook.fea.export.calculix import deck_of
+from wrenchbook.fea.spec.fingerprint import fingerprint
+from wrenchbook.fea.spec.toml_table import Keys
 
 CARBON = {
     "region": "all",

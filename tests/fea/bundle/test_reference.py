@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-import fea
-from fea.bundle import read
-from fea.bundle.read import bundle_of
-from fea.mesh.generators import GENERATORS
-from fea.readers.registry import _BUILT_IN
-from fea.spec.problems import BundleError
-from fea.spec.toml_table import Keys
+from wrenchbook import fea
+from wrenchbook.fea.bundle import read
+from wrenchbook.fea.bundle.read import bundle_of
+from wrenchbook.fea.mesh.generators import GENERATORS
+from wrenchbook.fea.readers.registry import _BUILT_IN
+from wrenchbook.fea.spec.problems import BundleError
+from wrenchbook.fea.spec.toml_table import Keys
 
 PAGE = (Path(fea.__file__).parent / "README.md").read_text(encoding="utf-8")
 NAMED_BY_THE_USER = {"mesh.groups", "mesh.regions"}

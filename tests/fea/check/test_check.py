@@ -1,4 +1,4 @@
-"""`python -m fea.check FOLDER`: one line of JSON and an exit status."""
+"""`python -m wrenchbook.fea.check FOLDER`: one line of JSON and an exit status."""
 
 import json
 import subprocess
@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from fea.check import check, main
+from wrenchbook.fea.check import check, main
 
 SHIPPED = Path(__file__).parents[3] / "data" / "components"
 
 
 def test_the_command_reports_a_good_bundle_and_ends_with_0():
     done = subprocess.run(
-        [sys.executable, "-m", "fea.check", str(SHIPPED / "plate_thin")],
+        [sys.executable, "-m", "wrenchbook.fea.check", str(SHIPPED / "plate_thin")],
         capture_output=True,
         text=True,
         check=False,
@@ -64,7 +64,13 @@ def test_a_wrong_call_ends_with_2(capsys):
 
 
 @pytest.mark.parametrize(
-    "module", ["fea", "fea.bundle.read", "fea.mesh.mesh", "fea.mesh.generators"]
+    "module",
+    [
+        "fea",
+        "wrenchbook.fea.bundle.read",
+        "wrenchbook.fea.mesh.mesh",
+        "wrenchbook.fea.mesh.generators",
+    ],
 )
 def test_reading_a_bundle_imports_neither_scikit_fem_nor_meshio(module):
     code = f"import {module}, sys; sys.exit(any(m in sys.modules for m in ('skfem', 'meshio')))"

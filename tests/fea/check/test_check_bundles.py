@@ -8,11 +8,11 @@ import sys
 import numpy as np
 import pytest
 
-from fea.check import as_text, report
 from tests.fea.boxes import box
 from tests.fea.check.test_check_findings import cubes
 from tests.fea.geometry import draw_two_bars
 from tests.fea.mesh.test_geometry import BRACKET, toml_of
+from wrenchbook.fea.check import as_text, report
 
 
 def write_inp(folder, mesh, *, supports='["root"]', section="tip", young="2e11", extra=""):
@@ -179,7 +179,7 @@ def test_bodies_that_do_not_touch_are_told_by_the_check(tmp_path):
 
 def test_the_text_is_printed_by_the_program(tmp_path):
     write_inp(tmp_path, box("hex20", (4, 2, 2), (4, 1, 1)), young="-1")
-    command = [sys.executable, "-m", "fea.check", "--text", str(tmp_path)]
+    command = [sys.executable, "-m", "wrenchbook.fea.check", "--text", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 1
     assert done.stdout.splitlines()[-1] == "1 error"

@@ -3,15 +3,20 @@
 import numpy as np
 import pytest
 
-from fea.check.motions import describe, free_motions
-from fea.failure import SolveFailed
-from fea.inspection.bodies import bodies_of, coincident_nodes
-from fea.inspection.cells import aspect_ratio, edge_curvature, jacobian_ratio, scaled_jacobian
-from fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
-from fea.mesh.reference_cell import node_places
-from fea.solve import Solver
 from tests.fea.boxes import box
 from tests.fea.components import component
+from wrenchbook.fea.check.motions import describe, free_motions
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.inspection.bodies import bodies_of, coincident_nodes
+from wrenchbook.fea.inspection.cells import (
+    aspect_ratio,
+    edge_curvature,
+    jacobian_ratio,
+    scaled_jacobian,
+)
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.mesh.reference_cell import node_places
+from wrenchbook.fea.solve import Solver
 
 
 def joined(first, second, merged=()):

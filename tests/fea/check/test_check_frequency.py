@@ -5,10 +5,10 @@ import shutil
 
 import pytest
 
-from fea.bundle.read import read_bundle
-from fea.bundle.shipped import SHIPPED
-from fea.check.reporting import main, report
-from fea.solver.vibration import Riding
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.check.reporting import main, report
+from wrenchbook.fea.solver.vibration import Riding
 
 WITH_DENSITY = "poisson_ratio = 0.3\ndensity = 7850.0\nyield_strength = 250e6\n"
 

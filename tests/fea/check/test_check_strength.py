@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.bundle.read import read_bundle
-from fea.bundle.shipped import SHIPPED
-from fea.check import as_text, report
-from fea.check.strength import strength
-from fea.component import build
-from fea.element.equivalent_stress import von_mises
-from fea.solve import Solver
-from fea.spec.schema import LoadRange
-from fea.validation.clamped import clamped
-from fea.validation.laminate import strip
 from tests.fea.boxes import box
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.check import as_text, report
+from wrenchbook.fea.check.strength import strength
+from wrenchbook.fea.component import build
+from wrenchbook.fea.element.equivalent_stress import von_mises
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import LoadRange
+from wrenchbook.fea.validation.clamped import clamped
+from wrenchbook.fea.validation.laminate import strip
 
 
 def bar(tmp_path, **changes):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from fea.check import as_text, report
-from fea.check.trial import largest
 from tests.fea.boxes import box
 from tests.fea.check.test_check_bundles import messages, write_inp
+from wrenchbook.fea.check import as_text, report
+from wrenchbook.fea.check.trial import largest
 
 BAR = """name = "bar"
 title = "B"

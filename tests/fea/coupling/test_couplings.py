@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from fea.coupling import State
-from fea.coupling.rotation import rotation
-from fea.solve import Solver
-from fea.spec.schema import FREEDOMS
 from tests.fea.boxes import box
 from tests.fea.components import component
+from wrenchbook.fea.coupling import State
+from wrenchbook.fea.coupling.rotation import rotation
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import FREEDOMS
 
 RNG = np.random.default_rng(7)
 COUPLINGS = ["rigid", "distributed"]

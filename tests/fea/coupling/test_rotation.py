@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fea.coupling.rotation import (
+from wrenchbook.fea.coupling.rotation import (
     rotation,
     rotation_less_identity,
     rotation_vector,

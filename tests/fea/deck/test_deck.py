@@ -11,16 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fea.bundle.read import BundleError
-from fea.coupling.rotation import spin_per_vector
-from fea.deck.checking import deck_report
-from fea.deck.running import filled
-from fea.failure import SolveFailed
-from fea.readers import registry
-from fea.readers.numbers import Numbers
-from fea.readers.reader import Reading
-from fea.solve import solve
 from tests.fea.decks import SOFT, WRENCH, component
+from wrenchbook.fea.bundle.read import BundleError
+from wrenchbook.fea.coupling.rotation import spin_per_vector
+from wrenchbook.fea.deck.checking import deck_report
+from wrenchbook.fea.deck.running import filled
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.readers import registry
+from wrenchbook.fea.readers.numbers import Numbers
+from wrenchbook.fea.readers.reader import Reading
+from wrenchbook.fea.solve import solve
 
 NUMBER = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -246,7 +246,7 @@ def test_what_a_solver_leaves_running_is_ended_as_well(tmp_path):
 def test_the_solver_ends_with_the_program_that_runs_it(tmp_path, how):
     component(tmp_path, ENDLESS)
     code = (
-        "import pathlib, sys; from tests.fea import decks; from fea.solve import solve\n"
+        "import pathlib, sys; from tests.fea import decks; from wrenchbook.fea.solve import solve\n"
         "folder = pathlib.Path(sys.argv[1])\n"
         "solve(decks.component(folder, decks_script := (folder / 'script').read_text()), "
         "decks.WRENCH, folder=folder / 'attempt')"
@@ -318,7 +318,7 @@ def test_a_mistake_in_the_deck_table_is_named(tmp_path, deck, where, said):
 
 
 def test_what_a_deck_would_not_heed_is_a_mistake(tmp_path):
-    from fea.bundle.read import bundle_of
+    from wrenchbook.fea.bundle.read import bundle_of
 
     component(tmp_path)
     deck = {"file": "job.inp", "command": ["x"], "output": {"reader": "numbers", "file": "f"}}

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fea.bundle.read import BundleError, bundle_of, read_bundle
-from fea.check import report
-from fea.component import build
-from fea.export import calculix as inpwriter
-from fea.failure import SolveFailed
-from fea.solve import Solver, solve
-from fea.spec.schema import Deck
 from tests.fea.calculix import require_ccx
+from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
+from wrenchbook.fea.check import report
+from wrenchbook.fea.component import build
+from wrenchbook.fea.export import calculix as inpwriter
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.solve import Solver, solve
+from wrenchbook.fea.spec.schema import Deck
 
 FOLDER = Path(__file__).parents[3] / "data" / "components" / "plate_ccx"
 CORNER = np.array([1e3, 500, -5e3, 300, -200, 100])

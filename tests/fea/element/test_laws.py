@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.coupling.rotation import rotation
-from fea.element.mapping import cell_gradients
-from fea.element.neo_hookean import NeoHookeanStiffness
-from fea.element.orthotropic import OrthotropicStiffness, turned_elasticity
-from fea.element.pressure_projection import volume_modes
-from fea.element.st_venant_kirchhoff import Stiffness
-from fea.spec.orthotropic import Orthotropic
 from tests.fea.boxes import box
+from wrenchbook.fea.coupling.rotation import rotation
+from wrenchbook.fea.element.mapping import cell_gradients
+from wrenchbook.fea.element.neo_hookean import NeoHookeanStiffness
+from wrenchbook.fea.element.orthotropic import OrthotropicStiffness, turned_elasticity
+from wrenchbook.fea.element.pressure_projection import volume_modes
+from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness
+from wrenchbook.fea.spec.orthotropic import Orthotropic
 
 RNG = np.random.default_rng(17)
 STRAIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

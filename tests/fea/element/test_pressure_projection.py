@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.element.mapping import cell_gradients
-from fea.element.pressure_projection import LARGEST_RATIO, volume_modes
-from fea.element.st_venant_kirchhoff import Stiffness
-from fea.failure import SolveFailed
-from fea.mesh.mesh import CellBlock, Mesh
-from fea.mesh.reference_cell import reference_element
-from fea.solve import Solver
-from fea.spec.schema import Material
 from tests.fea import components
 from tests.fea.boxes import box
 from tests.fea.components import component
+from wrenchbook.fea.element.mapping import cell_gradients
+from wrenchbook.fea.element.pressure_projection import LARGEST_RATIO, volume_modes
+from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.mesh.reference_cell import reference_element
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import Material
 
 RNG = np.random.default_rng(11)
 RUBBER = 3e6

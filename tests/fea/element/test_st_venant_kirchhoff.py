@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from fea.coupling.rotation import rotation
-from fea.element.mapping import cell_gradients
-from fea.element.st_venant_kirchhoff import Stiffness
 from tests.fea.boxes import box
+from wrenchbook.fea.coupling.rotation import rotation
+from wrenchbook.fea.element.mapping import cell_gradients
+from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness
 
 RNG = np.random.default_rng(5)
 

@@ -7,13 +7,13 @@ import meshio
 import numpy as np
 import pytest
 
-from fea.export.failure_record import HISTORY, LAST_STATE
-from fea.export.vtu import write_state
-from fea.failure import SolveFailed
-from fea.solve import Solver, solve
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.test_failures import arch
+from wrenchbook.fea.export.failure_record import HISTORY, LAST_STATE
+from wrenchbook.fea.export.vtu import write_state
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.solve import Solver, solve
 
 KINDS = ["hex8", "hex20", "hex27", "tet4", "tet10", "wedge6", "wedge15"]
 

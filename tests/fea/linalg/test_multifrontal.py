@@ -5,10 +5,10 @@ import pytest
 import scipy.sparse as sparse
 import scipy.sparse.linalg as sparse_linalg
 
-from fea.linalg.nested_dissection import unknowns_of
-from fea.mesh.mesh import CellBlock, Mesh
 from tests.fea import components
 from tests.fea.boxes import box
+from wrenchbook.fea.linalg.nested_dissection import unknowns_of
+from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 
 RNG = np.random.default_rng(11)
 

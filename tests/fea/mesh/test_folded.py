@@ -6,17 +6,17 @@ One of 40 with two corners swapped is 5 % off in u_z, all of them 31 %.
 import numpy as np
 import pytest
 
-from fea.bundle.read import read_bundle
-from fea.check import report
-from fea.component import build
-from fea.failure import SolveFailed
-from fea.mesh.mesh import CellBlock, Mesh
-from fea.mesh.quality import cell_problems, determinants
-from fea.solve import Solver, solve
-from fea.spec.problems import BundleError
 from tests.fea.boxes import box
 from tests.fea.check.test_check_bundles import messages, write_inp
 from tests.fea.components import component
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.check import report
+from wrenchbook.fea.component import build
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.mesh.quality import cell_problems, determinants
+from wrenchbook.fea.solve import Solver, solve
+from wrenchbook.fea.spec.problems import BundleError
 
 FOLDED = "turned inside out or flat"
 

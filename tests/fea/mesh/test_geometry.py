@@ -7,15 +7,15 @@ import sys
 import numpy as np
 import pytest
 
-from fea.bundle.read import BundleError, bundle_of
-from fea.component import build, mesh_of
-from fea.element.mapping import area_weights
-from fea.mesh.cad import list_shape, mesh_geometry
-from fea.mesh.cad.session import start
-from fea.mesh.quality import volumes
-from fea.solve import Solver
-from fea.spec.schema import Choice, Geometry
 from tests.fea.geometry import draw_bracket, draw_two_bars, require_gmsh
+from wrenchbook.fea.bundle.read import BundleError, bundle_of
+from wrenchbook.fea.component import build, mesh_of
+from wrenchbook.fea.element.mapping import area_weights
+from wrenchbook.fea.mesh.cad import list_shape, mesh_geometry
+from wrenchbook.fea.mesh.cad.session import start
+from wrenchbook.fea.mesh.quality import volumes
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import Choice, Geometry
 
 BRACKET = {
     "name": "bracket",
@@ -100,8 +100,8 @@ def test_midside_nodes_lie_on_the_curved_faces(folder):
 
 def test_another_process_makes_the_same_mesh_to_the_last_bit(folder):
     code = (
-        "import hashlib, sys; from pathlib import Path; from fea.mesh.cad import mesh_geometry;"
-        "from fea.spec.schema import Geometry;"
+        "import hashlib, sys; from pathlib import Path; from wrenchbook.fea.mesh.cad import mesh_geometry;"
+        "from wrenchbook.fea.spec.schema import Geometry;"
         "m = mesh_geometry(Path(sys.argv[1]), Geometry(0.015));"
         "print(hashlib.sha256(m.points.tobytes() + m.blocks[0].nodes.tobytes()).hexdigest())"
     )
@@ -177,7 +177,7 @@ def test_the_fingerprint_covers_the_file_and_every_key_of_its_meshing(folder):
 def test_reading_a_geometry_bundle_imports_no_gmsh(folder):
     (folder / "component.toml").write_text(toml_of(BRACKET))
     code = (
-        "import sys; from fea.bundle.read import read_bundle; read_bundle(sys.argv[1]);"
+        "import sys; from wrenchbook.fea.bundle.read import read_bundle; read_bundle(sys.argv[1]);"
         "sys.exit(any(m in sys.modules for m in ('gmsh', 'skfem', 'meshio')))"
     )
     done = subprocess.run([sys.executable, "-c", code, str(folder)], check=False, timeout=60)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from fea.bundle.read import BundleError
-from fea.coupling.section import section_of_facets
-from fea.mesh.io.read import read_mesh
-from fea.mesh.quality import volumes
+from wrenchbook.fea.bundle.read import BundleError
+from wrenchbook.fea.coupling.section import section_of_facets
+from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.mesh.quality import volumes
 
 # Two 1 x 1 x 1 cubes side by side along x, one with 8 and one with 20 nodes apart from it, and a
 # reference node of its own, as decks have them.

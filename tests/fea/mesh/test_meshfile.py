@@ -6,12 +6,12 @@ import meshio
 import numpy as np
 import pytest
 
-from fea.bundle.read import BundleError
-from fea.coupling.section import section_of_facets
-from fea.mesh.facets import FACES, outer_surface
-from fea.mesh.generators import Bar
-from fea.mesh.io.read import read_mesh
-from fea.mesh.quality import cell_problems, volumes
+from wrenchbook.fea.bundle.read import BundleError
+from wrenchbook.fea.coupling.section import section_of_facets
+from wrenchbook.fea.mesh.facets import FACES, outer_surface
+from wrenchbook.fea.mesh.generators import Bar
+from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.mesh.quality import cell_problems, volumes
 
 FILES = Path(__file__).parent / "meshfiles"
 # Two glued blocks of 10 x 10 x 10 mm side by side along x, written by gmsh 4.15.

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from fea.bundle.read import BundleError, bundle_of
-from fea.component import build
-from fea.element.mapping import area_weights
-from fea.mesh.element_order import first_order_problems, second_order
-from fea.mesh.facets import outer_surface
-from fea.mesh.mesh import CellBlock, Mesh
-from fea.mesh.quality import volumes
-from fea.solve import Solver
 from tests.fea.boxes import box
 from tests.fea.components import component
+from wrenchbook.fea.bundle.read import BundleError, bundle_of
+from wrenchbook.fea.component import build
+from wrenchbook.fea.element.mapping import area_weights
+from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
+from wrenchbook.fea.mesh.facets import outer_surface
+from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.mesh.quality import volumes
+from wrenchbook.fea.solve import Solver
 
 FIRST = ("hex8", "tet4", "wedge6")
 YOUNG, POISSON, LENGTH, SIDE = 210e9, 0.3, 0.1, 0.01

@@ -2,11 +2,11 @@
 
 import pytest
 
-from fea.failure import SolveFailed
-from fea.readers.calculix_dat import CalculixDat
-from fea.readers.reader import OutputError, Run, number
-from fea.solve import solve
 from tests.fea.decks import component
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.readers.calculix_dat import CalculixDat
+from wrenchbook.fea.readers.reader import OutputError, Run, number
+from wrenchbook.fea.solve import solve
 
 TOLD = {"point": "REF", "rotation": "ROT"}
 

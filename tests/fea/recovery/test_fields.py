@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.bundle.read import read_bundle
-from fea.bundle.shipped import SHIPPED
-from fea.component import build
-from fea.element.equivalent_stress import von_mises
-from fea.mesh.facets import outer_surface
-from fea.recovery import fields as recovery
-from fea.solve import Solver, solve
 from tests.fea import calculix
 from tests.fea.boxes import box
 from tests.fea.components import component
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.component import build
+from wrenchbook.fea.element.equivalent_stress import von_mises
+from wrenchbook.fea.mesh.facets import outer_surface
+from wrenchbook.fea.recovery import fields as recovery
+from wrenchbook.fea.solve import Solver, solve
 
 KINDS = ["hex8", "hex20", "hex27", "tet10", "wedge15"]
 WRENCH = np.array([3e3, -2e3, 4e4, 200.0, -300.0, 150.0])

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from fea.failure import SolveFailed
-from fea.solve import Solver
-from fea.solver.load_steps import LoadPath
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.solver.test_nonlinear import PLATE_WRENCH, plate
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.solver.load_steps import LoadPath
 
 YOUNG = 1e9
 GUIDE = ("ux", "uy", "rx", "ry", "rz")

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from fea.assembly import body
-from fea.linalg.multifrontal import Factor
-from fea.solve import Solver
 from tests.fea.boxes import box
 from tests.fea.components import component
+from wrenchbook.fea.assembly import body
+from wrenchbook.fea.linalg.multifrontal import Factor
+from wrenchbook.fea.solve import Solver
 
 YOUNG, POISSON = 210e9, 0.3
 

@@ -7,10 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from fea.solve import Solver
-from fea.solver import load_steps as path
 from tests.fea.boxes import box
 from tests.fea.components import component
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.solver import load_steps as path
 
 YOUNG = 70e9
 COUPLINGS = ["rigid", "distributed"]

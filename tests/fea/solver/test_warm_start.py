@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.bundle.read import read_bundle
-from fea.component import build
-from fea.failure import SolveFailed
-from fea.solve import Solver, solve
-from fea.solver.arc_length import ArcPath
-from fea.solver.newton import Equilibrium, find_equilibrium
-from fea.solver.warm_start import MOST_FILES, WarmFolder
 from tests.fea.solver.test_nonlinear import PLATE_WRENCH, plate
 from tests.fea.test_failures import arch
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.component import build
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.solve import Solver, solve
+from wrenchbook.fea.solver.arc_length import ArcPath
+from wrenchbook.fea.solver.newton import Equilibrium, find_equilibrium
+from wrenchbook.fea.solver.warm_start import MOST_FILES, WarmFolder
 
 SCALE = np.array([300.0, 150, 25, 2, 4, 3])
 

@@ -5,8 +5,8 @@ import json
 
 import pytest
 
-from fea.bundle.read import bundle_of, read_bundle
-from fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.bundle.read import bundle_of, read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
 
 BAR = {
     "name": "b",

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from fea.coupling.rotation import spin_per_vector
-from fea.solve import Solver
 from tests.fea import calculix
 from tests.fea.boxes import box
 from tests.fea.components import component
+from wrenchbook.fea.coupling.rotation import spin_per_vector
+from wrenchbook.fea.solve import Solver
 
 pytestmark = pytest.mark.ccx
 

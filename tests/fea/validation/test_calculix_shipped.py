@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.validation.clamped import shipped
-from fea.validation.plate import WRENCH
-from fea.validation.samemesh import same_mesh
 from tests.fea.calculix import require_ccx
 from tests.fea.tets import in_tets
+from wrenchbook.fea.validation.clamped import shipped
+from wrenchbook.fea.validation.plate import WRENCH
+from wrenchbook.fea.validation.samemesh import same_mesh
 
 pytestmark = pytest.mark.ccx
 

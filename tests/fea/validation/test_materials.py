@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fea.solve import Solver
-from fea.validation import calculix, laminate
-from fea.validation.finding import CASES
-from fea.validation.materials import SQUEEZE, rubber_block
-from fea.validation.samemesh import worst_gap
 from tests.fea.calculix import require_ccx
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation import calculix, laminate
+from wrenchbook.fea.validation.finding import CASES
+from wrenchbook.fea.validation.materials import SQUEEZE, rubber_block
+from wrenchbook.fea.validation.samemesh import worst_gap
 
 
 def findings(name):

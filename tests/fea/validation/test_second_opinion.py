@@ -6,10 +6,10 @@ import shutil
 import numpy as np
 import pytest
 
-from fea.bundle.shipped import SHIPPED
-from fea.validation import calculix, second_opinion
-from fea.validation.second_opinion import difference, main
 from tests.fea.calculix import require_ccx
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.validation import calculix, second_opinion
+from wrenchbook.fea.validation.second_opinion import difference, main
 
 WRENCH = "--wrench=100,50,-80,10,20,5"
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fea.bundle.read import read_bundle
-from fea.solve import Solver
 from tests.fea.solver.test_linear import beam_compliance
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.solve import Solver
 
 SHIPPED = Path(__file__).parents[3] / "data" / "components"
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fea.validation import __main__ as validate
-from fea.validation import calculix, plate
-from fea.validation.clamped import shipped
-from fea.validation.finding import CASES, TOPICS, Case, Finding, case
-from fea.validation.spring import PRINTED_14, rod_of
+from wrenchbook.fea.validation import __main__ as validate
+from wrenchbook.fea.validation import calculix, plate
+from wrenchbook.fea.validation.clamped import shipped
+from wrenchbook.fea.validation.finding import CASES, TOPICS, Case, Finding, case
+from wrenchbook.fea.validation.spring import PRINTED_14, rod_of
 
 PAGE = Path(validate.__file__).parents[1] / "README.md"
 REFERENCE = (

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from service.client import Displacement
+from wrenchbook.service.client import Displacement
 
 TOLERANCE = {"translation": 1e-6, "rotation": 1e-6}
 # A bar of steel, 20 x 20 mm, 1 m long, along x: u = F L^3 / (3 E I), and so on; m/N to rad/(N·m).

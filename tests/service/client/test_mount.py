@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from service.client import ServerTimeout, ServerUnreachable, conventions
-from service.client.mount import (
+from tests.service.client.answers import LinearTable, ScriptedTable, answer, client_with
+from wrenchbook.service.client import ServerTimeout, ServerUnreachable, conventions
+from wrenchbook.service.client.mount import (
     DisplacementUnknown,
     Mount,
     MountWarning,
     SensorError,
     require_weight,
 )
-from service.client.mount.reading import from_world
-from tests.service.client.answers import LinearTable, ScriptedTable, answer, client_with
+from wrenchbook.service.client.mount.reading import from_world
 
 TURNED = Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix()
 POINT = np.array([0.4, -0.2, 1.5])
@@ -214,7 +214,7 @@ def test_wrenches_are_saved_while_the_component_stays_rigid(monkeypatch, mode, k
         def close(self):
             made["closed"] = True
 
-    monkeypatch.setattr("service.client.mount.mount.Recorder", Recorder)
+    monkeypatch.setattr("wrenchbook.service.client.mount.mount.Recorder", Recorder)
     mount = mounted(client_with(), mode=mode, block=7)
     R, p = mount.step(WEIGHT)
     assert np.array_equal(R, TURNED)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.client.mount import CouplingDiverged, Mount
 from tests.service.client.answers import LinearTable
+from wrenchbook.service.client.mount import CouplingDiverged, Mount
 
 WEIGHT = np.array([0.0, 0.0, -100.0, 0.0, 0.0, 0.0])
 

@@ -5,9 +5,9 @@ import warnings
 import numpy as np
 import pytest
 
-from service.client.mount import Mount, MountWarning
-from service.client.mount.frequency import first_frequency
 from tests.service.client.answers import TOLERANCE, bar_compliance, client_with
+from wrenchbook.service.client.mount import Mount, MountWarning
+from wrenchbook.service.client.mount.frequency import first_frequency
 
 
 def told(frequency):

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from service.client.mount import CouplingDiverged, MountWarning, SensorError
-from service.client.mount.mujoco_mount import MujocoMount
 from tests.service.client.answers import LinearTable, bar_compliance
 from tests.service.client.scenes import GRAVITY, SENSORS, made, mujoco, pendulum_wrench
+from wrenchbook.service.client.mount import CouplingDiverged, MountWarning, SensorError
+from wrenchbook.service.client.mount.mujoco_mount import MujocoMount
 
 RIGID = np.zeros((6, 6))
 TURNED = "0.8 0.3 -0.4 0.33"

@@ -9,10 +9,10 @@ import pytest
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
-from service.client import Client, Table
-from service.client.mount import CouplingDiverged, Mount, spectral_radius, stable_factor
 from tests.service.client.answers import LinearTable, bar_compliance
 from tests.service.live import add_rows, as_rows, served
+from wrenchbook.service.client import Client, Table
+from wrenchbook.service.client.mount import CouplingDiverged, Mount, spectral_radius, stable_factor
 
 WEIGHT = np.array([0.0, 0.0, -40.0])  # N, at the end of a lever
 LEVER = np.array([0.3, 0.1, 0.05])  # m, from the bar's end, turning with it

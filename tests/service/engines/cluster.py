@@ -138,7 +138,7 @@ def kill(program):
 
 def kill_solver(lock):
     """Kill the solver that holds a lock; return whether there was one."""
-    from service.files.lock import is_held
+    from wrenchbook.service.files.lock import is_held
 
     try:
         pid = int(lock.read_text())

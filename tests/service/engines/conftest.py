@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from service.files.lock import is_held
-from service.jobs.attempt import LOCK, Spec, prepare, read_outcome
-from service.jobs.engines.dask import DaskEngine
-from service.jobs.engines.engine import ALIVE, Attempt
-from service.jobs.engines.local import LocalEngine
 from tests.service.engines.cluster import SOURCES, TESTS, Cluster
 from tests.service.until import until
+from wrenchbook.service.files.lock import is_held
+from wrenchbook.service.jobs.attempt import LOCK, Spec, prepare, read_outcome
+from wrenchbook.service.jobs.engines.dask import DaskEngine
+from wrenchbook.service.jobs.engines.engine import ALIVE, Attempt
+from wrenchbook.service.jobs.engines.local import LocalEngine
 
 
 class Bench:

@@ -5,9 +5,15 @@ import time
 
 import pytest
 
-from service.jobs.attempt import OUTCOME, last_words, read_progress, solver_began, write_outcome
-from service.jobs.engines.engine import ALIVE, EngineError
 from tests.service.until import until
+from wrenchbook.service.jobs.attempt import (
+    OUTCOME,
+    last_words,
+    read_progress,
+    solver_began,
+    write_outcome,
+)
+from wrenchbook.service.jobs.engines.engine import ALIVE, EngineError
 
 QUICK_SECONDS = 0.25  # what a dispatcher's thread may lose to a call, on a machine that is busy
 

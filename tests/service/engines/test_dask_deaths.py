@@ -3,10 +3,10 @@
 import os
 import signal
 
-from service.jobs.attempt import read_progress
-from service.jobs.engines.engine import ALIVE
 from tests.service.engines.cluster import kill
 from tests.service.until import until
+from wrenchbook.service.jobs.attempt import read_progress
+from wrenchbook.service.jobs.engines.engine import ALIVE
 
 
 def test_a_worker_that_dies_is_replaced_and_its_solver_is_found_alive(own, cluster):

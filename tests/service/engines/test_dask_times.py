@@ -4,11 +4,11 @@ import time
 
 import pytest
 
-from service.jobs.attempt import solver_began
-from service.jobs.dispatcher import Dispatcher
-from service.ledger import Ledger
 from tests.service.engines.conftest import dask_bench
 from tests.service.until import until
+from wrenchbook.service.jobs.attempt import solver_began
+from wrenchbook.service.jobs.dispatcher import Dispatcher
+from wrenchbook.service.ledger import Ledger
 
 THREADS = 2  # of the cluster's worker, which is given twice as many attempts
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from fmpy.fmi2 import FMU2Model, FMU2Slave
 
-from service.fmu.export import Fmu, find_compiler, make_fmu
-from surrogate.build import AnyTable, build
-from surrogate.kernel.binding import PackedTable
-from surrogate.packed.writer import pack
-from surrogate.table.rows import LoadRange, Rows
+from wrenchbook.service.fmu.export import Fmu, find_compiler, make_fmu
+from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.packed.writer import pack
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 LOADS, OUTPUTS, BARS = list(range(6)), list(range(6, 12)), list(range(12, 18))
 COVERAGE, TOLERANCE, WITHIN = [18], [19, 20], [21]

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from typer import BadParameter
 
-from service.cli.main import app
-from service.fmu.description import identifier_of
-from service.fmu.export import (
+from tests.service.fmu.made import LOADS, OUTPUTS, Opened, need_compiler, packed, solved
+from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, served, tangents
+from wrenchbook.service.cli.main import app
+from wrenchbook.service.fmu.description import identifier_of
+from wrenchbook.service.fmu.export import (
     FLAGS,
     CompilerError,
     Fmu,
@@ -20,11 +22,9 @@ from service.fmu.export import (
     find_compiler,
     make_fmu,
 )
-from surrogate.answer import UnknownMethodError
-from surrogate.build import build
-from surrogate.table.rows import LoadRange, Rows
-from tests.service.fmu.made import LOADS, OUTPUTS, Opened, need_compiler, packed, solved
-from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, served, tangents
+from wrenchbook.surrogate.answer import UnknownMethodError
+from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 RANGE = LoadRange(-FULL, FULL)
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from surrogate.table.rows import Tolerance
 from tests.service.fmu.made import answers, judged, opened, packed, slopes, solved, wrenches_of
 from tests.surrogate.kernel.kinds import KINDS, asked_of, six, special_of, table_of
+from wrenchbook.surrogate.table.rows import Tolerance
 
 TABLES = sorted(set(KINDS) - {"empty", "only beyond the range"})
 

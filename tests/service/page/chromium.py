@@ -18,7 +18,7 @@ from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.expected_conditions import staleness_of
 from selenium.webdriver.support.ui import WebDriverWait
 
-from service.client import Client
+from wrenchbook.service.client import Client
 
 WAIT_S = 60  # a limit for hung pages; what is waited for comes as soon as it is there
 OPTIONS = (

@@ -2,8 +2,8 @@
 
 import pytest
 
-from service.http.server import private_server
 from tests.service.page.chromium import Browser
+from wrenchbook.service.http.server import private_server
 
 
 @pytest.fixture(scope="session")

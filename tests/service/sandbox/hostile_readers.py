@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from service.sandbox import Part
+from wrenchbook.service.sandbox import Part
 
 
 def doubled(path, factor):

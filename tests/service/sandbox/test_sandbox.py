@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.sandbox import MIB, Limits, Sandbox, SandboxBusyError, SandboxError, process
+from wrenchbook.service.sandbox import MIB, Limits, Sandbox, SandboxBusyError, SandboxError, process
 
 HERE = Path(__file__).parent
 SMALL = Limits(memory=256 * MIB, seconds=20.0, output=4 * MIB)

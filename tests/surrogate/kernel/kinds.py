@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from surrogate.build import AnyTable
-from surrogate.kernel.binding import PackedTable
-from surrogate.packed.writer import pack
-from surrogate.solver_error import SolverError
-from surrogate.table.rows import LoadRange, Rows, Tolerance
 from tests.service.live import FULL, clean_wrenches, full_wrenches, moved, tangents
 from tests.surrogate.law import Law, build
 from tests.surrogate.law.whole_bars import whole_bars
 from tests.surrogate.softening import softening_table
+from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.packed.writer import pack
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 RANGE = LoadRange(-FULL, FULL)
 SOLVED = Path(__file__).parents[1] / "tables"

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surrogate.answer import UnknownMethodError
-from surrogate.kernel import build as kernel_build
-from surrogate.kernel import library
-from surrogate.kernel.binding import PackedTable
-from surrogate.kernel.replies import InverseError
-from surrogate.packed.codes import ANSWERED, COVERAGE, METHODS
-from surrogate.packed.writer import write
 from tests.surrogate.kernel.kinds import KINDS, asked_of, packed_of, special_of, table_of
+from wrenchbook.surrogate.answer import UnknownMethodError
+from wrenchbook.surrogate.kernel import build as kernel_build
+from wrenchbook.surrogate.kernel import library
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kernel.replies import InverseError
+from wrenchbook.surrogate.packed.codes import ANSWERED, COVERAGE, METHODS
+from wrenchbook.surrogate.packed.writer import write
 
 README = Path(__file__).parents[3] / "README.md"
 
@@ -147,7 +147,7 @@ def test_a_displacement_without_a_wrench_is_refused():
 
 
 def test_a_closed_table_answers_no_more():
-    from surrogate.packed.writer import pack
+    from wrenchbook.surrogate.packed.writer import pack
 
     packed = PackedTable.from_bytes(b"".join(pack(table_of("linear"))))
     packed.close()

@@ -12,13 +12,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from surrogate.answer import within_tolerance_many
-from surrogate.kernel.binding import PackedTable
-from surrogate.kernel.explain import explain
-from surrogate.missing_outputs import MissingOutputs
-from surrogate.packed.codes import METHODS
-from surrogate.packed.writer import pack
-from surrogate.table.rows import OUTPUTS, Rows, Tolerance
 from tests.service.live import moved
 from tests.surrogate import responses
 from tests.surrogate.kernel.kinds import (
@@ -41,6 +34,13 @@ from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
 from tests.surrogate.law.derivative import derivatives_at
 from tests.surrogate.responses import full_wrenches
+from wrenchbook.surrogate.answer import within_tolerance_many
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kernel.explain import explain
+from wrenchbook.surrogate.missing_outputs import MissingOutputs
+from wrenchbook.surrogate.packed.codes import METHODS
+from wrenchbook.surrogate.packed.writer import pack
+from wrenchbook.surrogate.table.rows import OUTPUTS, Rows, Tolerance
 
 LOCKED = [(), (1,), (0, 4, 5)]
 

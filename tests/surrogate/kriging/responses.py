@@ -6,8 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from surrogate.table.axes import AXES
-from surrogate.table.rows import Rows
 from tests.surrogate.responses import (
     HIGH,
     clean_wrenches,
@@ -16,6 +14,8 @@ from tests.surrogate.responses import (
     kinked,
     smooth,
 )
+from wrenchbook.surrogate.table.axes import AXES
+from wrenchbook.surrogate.table.rows import Rows
 
 Response = Callable[[np.ndarray], np.ndarray]
 

@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surrogate.kriging import Kriging
 from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spread_wrenches
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches
+from wrenchbook.surrogate.kriging import Kriging
 
 # What is wider than it should be, since bars that hold go before bars that are sharp.
 WIDE = {

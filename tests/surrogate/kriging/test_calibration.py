@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from surrogate.kriging.calibration import Calibration, Level, calibrate, groupings
-from surrogate.kriging.settings import DEFAULTS
+from wrenchbook.surrogate.kriging.calibration import Calibration, Level, calibrate, groupings
+from wrenchbook.surrogate.kriging.settings import DEFAULTS
 
 RNG = np.random.default_rng(4)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surrogate.kriging.correlation import Hyperparameters, block, covariance, matern
+from wrenchbook.surrogate.kriging.correlation import Hyperparameters, block, covariance, matern
 
 HELD = Hyperparameters.of_logarithms(np.array([-0.5, 0.3, -1.0, 0.2, -0.3, 0.6, -0.4]))
 RNG = np.random.default_rng(3)

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms
-from surrogate.kriging.equations import Equations, equations_of, scaling_of, within
-from surrogate.kriging.factor import (
+from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spread_wrenches
+from tests.surrogate.responses import RANGE
+from wrenchbook.surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms
+from wrenchbook.surrogate.kriging.equations import Equations, equations_of, scaling_of, within
+from wrenchbook.surrogate.kriging.factor import (
     Factor,
     SingularCovarianceError,
     border,
@@ -13,10 +15,8 @@ from surrogate.kriging.factor import (
     factorise,
     inverse_factor,
 )
-from surrogate.kriging.left_out import left_out
-from surrogate.kriging.settings import KrigingSettings
-from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spread_wrenches
-from tests.surrogate.responses import RANGE
+from wrenchbook.surrogate.kriging.left_out import left_out
+from wrenchbook.surrogate.kriging.settings import KrigingSettings
 
 HELD = Hyperparameters.of_logarithms(np.array([0.4, 0.6, 0.5, 0.3, 0.7, 0.2, -1.0]))
 SETTINGS = KrigingSettings(nugget=1e-8)

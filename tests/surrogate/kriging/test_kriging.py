@@ -6,14 +6,6 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from surrogate.kriging import (
-    Kriging,
-    KrigingSettings,
-    TooFewRowsError,
-    TooManyRowsError,
-)
-from surrogate.kriging.dense import Dense
-from surrogate.table.rows import LoadRange, Rows
 from tests.surrogate.kriging.responses import (
     NOISE,
     RESPONSES,
@@ -22,6 +14,14 @@ from tests.surrogate.kriging.responses import (
     spread_wrenches,
 )
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, table
+from wrenchbook.surrogate.kriging import (
+    Kriging,
+    KrigingSettings,
+    TooFewRowsError,
+    TooManyRowsError,
+)
+from wrenchbook.surrogate.kriging.dense import Dense
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 COUPLED = RESPONSES["strongly_coupled"]
 WRENCHES = spread_wrenches(6, 14, 11)

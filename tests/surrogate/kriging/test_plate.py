@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surrogate.kriging import Kriging
-from surrogate.table.rows import LoadRange, Rows
+from wrenchbook.surrogate.kriging import Kriging
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 TABLE = Path(__file__).parents[1] / "tables" / "plate_thin.npz"
 CLEAN = 168  # rows of one axis come first in the file, then those of six loads

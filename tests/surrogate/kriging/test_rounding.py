@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from surrogate.kriging import Kriging
-from surrogate.kriging.neighbourhood import Finder
-from surrogate.table.rows import Rows
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches
+from wrenchbook.surrogate.kriging import Kriging
+from wrenchbook.surrogate.kriging.neighbourhood import Finder
+from wrenchbook.surrogate.table.rows import Rows
 
 
 def _gentle(x: np.ndarray) -> np.ndarray:

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surrogate import build as product
-from surrogate.answer import COVERED, NAMES, OUTSIDE, THIN
-from surrogate.packed.reasons import (
+from wrenchbook.surrogate import build as product
+from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE, THIN
+from wrenchbook.surrogate.packed.reasons import (
     EMPTY,
     ERRORS_UNKNOWN,
     ONLY_BEYOND,
     TOO_FAR,
     UNKNOWN_ERROR,
 )  # fmt: skip
-from surrogate.surrogate import Surrogate
-from surrogate.table.rows import (
+from wrenchbook.surrogate.surrogate import Surrogate
+from wrenchbook.surrogate.table.rows import (
     LOAD_UNITS,
     LOADS,
     OUTPUTS,

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.answer import OUTSIDE
-from surrogate.table.rows import OUTPUT_UNITS, OUTPUTS, Floats
+from wrenchbook.surrogate.answer import OUTSIDE
+from wrenchbook.surrogate.table.rows import OUTPUT_UNITS, OUTPUTS, Floats
 
 
 class Answer(NamedTuple):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surrogate.table.rows import Floats, Tolerance
+from wrenchbook.surrogate.table.rows import Floats, Tolerance
 
 
 def derivative_at(

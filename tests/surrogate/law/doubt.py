@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from surrogate.doubt import Doubt
-from surrogate.methods.selection import ENOUGH_FULL
-from surrogate.packed.reasons import UNKNOWN_AT_REST, UNKNOWN_TOGETHER
-from surrogate.table.axes import AXES, clean_wrenches
-from surrogate.table.rows import CLEAN, Floats, LoadRange
+from wrenchbook.surrogate.doubt import Doubt
+from wrenchbook.surrogate.methods.selection import ENOUGH_FULL
+from wrenchbook.surrogate.packed.reasons import UNKNOWN_AT_REST, UNKNOWN_TOGETHER
+from wrenchbook.surrogate.table.axes import AXES, clean_wrenches
+from wrenchbook.surrogate.table.rows import CLEAN, Floats, LoadRange
 
 Mask = np.ndarray
 

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrogate.answer import COVERED
-from surrogate.exact_rows import STEEPER, ExactRows
-from surrogate.table.rows import Floats, LoadRange, Rows, acting, acting_one
 from tests.surrogate.law.answer import Answer, Batch, within
+from wrenchbook.surrogate.answer import COVERED
+from wrenchbook.surrogate.exact_rows import STEEPER, ExactRows
+from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, acting, acting_one
 
 
 class Beside(NamedTuple):

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from surrogate.answer import COVERED, NAMES, OUTSIDE, THIN, allowed_by
-from surrogate.composition.axis_table import SOUND
-from surrogate.composition.composition import OFF_HULL, Composition, Look
-from surrogate.table.axes import AXES, Axis
-from surrogate.table.compliance import ComplianceFit
-from surrogate.table.rows import LOADS, OUTPUTS, Floats, Rows, Tolerance
 from tests.surrogate.law.answer import Answer, over_tolerance
+from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE, THIN, allowed_by
+from wrenchbook.surrogate.composition.axis_table import SOUND
+from wrenchbook.surrogate.composition.composition import OFF_HULL, Composition, Look
+from wrenchbook.surrogate.table.axes import AXES, Axis
+from wrenchbook.surrogate.table.compliance import ComplianceFit
+from wrenchbook.surrogate.table.rows import LOADS, OUTPUTS, Floats, Rows, Tolerance
 
 from .reasons import why_axis
 

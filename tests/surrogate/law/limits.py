@@ -7,10 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from surrogate.answer import COVERED
-from surrogate.limits import LONGEST, ROTATION_LIMIT, TRANSLATION_LIMIT, is_too_far, rotation_angles
-from surrogate.table.rows import Floats
 from tests.surrogate.law.answer import Answer, Batch
+from wrenchbook.surrogate.answer import COVERED
+from wrenchbook.surrogate.limits import (
+    LONGEST,
+    ROTATION_LIMIT,
+    TRANSLATION_LIMIT,
+    is_too_far,
+    rotation_angles,
+)
+from wrenchbook.surrogate.table.rows import Floats
 
 BEYOND_LIMITS = (
     f"the estimate leaves what tables may hold, {math.degrees(ROTATION_LIMIT):g} degrees and "

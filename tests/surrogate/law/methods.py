@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from surrogate.answer import COVERED, METHODS, OUTSIDE, THIN, UnknownMethodError
-from surrogate.composition.composition import OFF_HULL, Composed, Composition
-from surrogate.kriging import Kriging
-from surrogate.surrogate import Surrogate
-from surrogate.table.axes import CLEAN
-from surrogate.table.compliance import ComplianceFit
-from surrogate.table.rows import LOADS, Floats, LoadRange, Rows, why_beyond
+from wrenchbook.surrogate.answer import COVERED, METHODS, OUTSIDE, THIN, UnknownMethodError
+from wrenchbook.surrogate.composition.composition import OFF_HULL, Composed, Composition
+from wrenchbook.surrogate.kriging import Kriging
+from wrenchbook.surrogate.surrogate import Surrogate
+from wrenchbook.surrogate.table.axes import CLEAN
+from wrenchbook.surrogate.table.compliance import ComplianceFit
+from wrenchbook.surrogate.table.rows import LOADS, Floats, LoadRange, Rows, why_beyond
 
 from .reasons import why_not
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from surrogate.bars.error_law import FEWEST
-from surrogate.composition.axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
-from surrogate.composition.composition import NO_ROWS, OFF_HULL, Composition
-from surrogate.composition.pure_moment import ON_HULL
-from surrogate.table.axes import AXES, Axis
-from surrogate.table.rows import LOAD_UNITS, LOADS, Floats
+from wrenchbook.surrogate.bars.error_law import FEWEST
+from wrenchbook.surrogate.composition.axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
+from wrenchbook.surrogate.composition.composition import NO_ROWS, OFF_HULL, Composition
+from wrenchbook.surrogate.composition.pure_moment import ON_HULL
+from wrenchbook.surrogate.table.axes import AXES, Axis
+from wrenchbook.surrogate.table.rows import LOAD_UNITS, LOADS, Floats
 
 
 def why_not(composition: Composition, wrench: Floats) -> str:

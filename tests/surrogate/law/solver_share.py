@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from surrogate.solver_error import SolverError
-from surrogate.table.rows import Floats
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.rows import Floats
 
 
 def widened(

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from surrogate.table.rows import Floats, Tolerance, acting, acting_one
 from tests.surrogate.law.answer import Answer, Batch
+from wrenchbook.surrogate.table.rows import Floats, Tolerance, acting, acting_one
 
 from .derivative import derivative_at, derivatives_at, row_tangents
 from .methods import ROUNDING

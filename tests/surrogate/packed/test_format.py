@@ -6,12 +6,12 @@ import re
 import numpy as np
 import pytest
 
-from surrogate.answer import UnknownMethodError
-from surrogate.kernel.binding import PackedTable
-from surrogate.packed import format as packed_format
-from surrogate.packed.format import PackedTableError, map_file, pieces, read, write_file
-from surrogate.packed.writer import pack, write
 from tests.surrogate.kernel.kinds import asked_of, packed_of, table_of
+from wrenchbook.surrogate.answer import UnknownMethodError
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.packed import format as packed_format
+from wrenchbook.surrogate.packed.format import PackedTableError, map_file, pieces, read, write_file
+from wrenchbook.surrogate.packed.writer import pack, write
 
 HEADER = 64
 

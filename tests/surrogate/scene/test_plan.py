@@ -10,18 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surrogate.build import AnyTable
-from surrogate.kernel.binding import PackedTable
-from surrogate.packed.reasons import UNKNOWN_ERROR
-from surrogate.packed.writer import pack
-from surrogate.scene.need import Need, NeedError, need_of
-from surrogate.scene.plan import design_of, first_solves, plan_of
-from surrogate.scene.savings import measured
-from surrogate.solver_error import SolverError
-from surrogate.table.rows import OUTPUTS, LoadRange, Rows, Tolerance
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, table
+from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.packed.reasons import UNKNOWN_ERROR
+from wrenchbook.surrogate.packed.writer import pack
+from wrenchbook.surrogate.scene.need import Need, NeedError, need_of
+from wrenchbook.surrogate.scene.plan import design_of, first_solves, plan_of
+from wrenchbook.surrogate.scene.savings import measured
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.rows import OUTPUTS, LoadRange, Rows, Tolerance
 
 TIGHT, LOOSE = Tolerance(1e-9, 1e-9), Tolerance(1.0, 1.0)
 

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surrogate.answer import UnknownMethodError
-from surrogate.build import AnyTable, build
-from surrogate.kernel.binding import PackedTable
-from surrogate.packed.writer import pack
-from surrogate.scene.cut import cut
-from surrogate.scene.need import Need, need_of
-from surrogate.solver_error import SolverError
-from surrogate.table.rows import Rows, Tolerance
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, coupled, full_wrenches, table
 from tests.surrogate.softening import softening_table
+from wrenchbook.surrogate.answer import UnknownMethodError
+from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.packed.writer import pack
+from wrenchbook.surrogate.scene.cut import cut
+from wrenchbook.surrogate.scene.need import Need, need_of
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 PLANAR = (0, 2, 4)  # fx, fz, my
 MESH = SolverError({"mesh": np.full((6, 6), 1e-9).tolist(), "loads": HIGH.tolist()})

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fea.bundle.read import read_bundle
-from fea.solution import Solution
-from fea.solve import Solver
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.solution import Solution
+from wrenchbook.fea.solve import Solver
 
 HERE = Path(__file__).parent
 COMPONENTS = HERE.parents[2] / "data" / "components"
