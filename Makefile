@@ -26,6 +26,10 @@ $(VENV)/.installed: $(BIN)/python requirements.lock pyproject.toml
 	$(PIP) install --require-hashes -r requirements.lock
 	@command -v $${CC:-cc} >/dev/null || $(PIP) install --require-hashes -r requirements-zig.lock
 	$(PIP) install --no-deps --no-build-isolation -e .
+	@# Links that show type checker and import-linter the packages as they are imported.
+	@mkdir -p $(VENV)/face/wrenchbook
+	@ln -sfn ../../../wrenchbook.py $(VENV)/face/wrenchbook/__init__.py
+	@for room in fea surrogate service; do ln -sfn ../../../$$room $(VENV)/face/wrenchbook/$$room; done
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed requirements-dev.lock
@@ -51,7 +55,7 @@ types: $(VENV)/.installed-dev  ## pyright
 	$(BIN)/pyright
 
 arch: $(VENV)/.installed-dev  ## import-linter: who may import what
-	$(BIN)/lint-imports
+	cd $(VENV)/face && ../bin/lint-imports --config ../../pyproject.toml
 
 house: $(VENV)/.installed-dev  ## files a room, circles, lengths, duplicates, what docstrings state
 	$(BIN)/python -m tests.house

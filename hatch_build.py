@@ -34,7 +34,9 @@ class CustomBuildHook(BuildHookInterface):
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{platform}"
         if version != "editable":
-            build_data["force_include"][str(library)] = str(KERNEL / library.name)
+            build_data["force_include"][str(library)] = (
+                f"wrenchbook/{KERNEL.as_posix()}/{library.name}"
+            )
 
 
 def _system(target: str) -> str:

@@ -21,6 +21,8 @@ import ast
 import io
 import re
 import statistics
+import sys
+import tempfile
 import tokenize
 import tomllib
 from collections import Counter, defaultdict
@@ -83,7 +85,20 @@ def sources() -> tuple[Source, ...]:
 @cache
 def graph() -> grimp.ImportGraph:
     """Return who imports whom, imports inside functions and under TYPE_CHECKING included."""
-    return grimp.build_graph(*ROOMS, cache_dir=None)
+    imported = sys.modules.pop("wrenchbook", None)  # one file, which grimp takes for no package
+    with tempfile.TemporaryDirectory() as folder:
+        links = Path(folder) / "wrenchbook"
+        links.mkdir()
+        (links / "__init__.py").symlink_to(ROOT / "wrenchbook.py")
+        for room in ROOMS:
+            (links / room).symlink_to(ROOT / room)
+        sys.path.insert(0, folder)
+        try:
+            return grimp.build_graph("wrenchbook", cache_dir=None)
+        finally:
+            sys.path.remove(folder)
+            if imported is not None:
+                sys.modules["wrenchbook"] = imported
 
 
 def imports() -> dict[str, set[str]]:

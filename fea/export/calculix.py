@@ -1,4 +1,6 @@
-"""Write a component as a CalculiX input deck: ``python -m wrenchbook.fea.export.calculix BUNDLE > plate.inp``.
+"""Write a component as a CalculiX input deck.
+
+``python -m wrenchbook.fea.export.calculix BUNDLE > plate.inp`` prints it.
 
 The deck is complete: mesh, materials, supports, a rigid interface and one step that takes the
 wrench from $FX $FY $FZ $MX $MY $MZ. It is the start of a ``[deck]`` that an expert then goes on

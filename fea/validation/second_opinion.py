@@ -1,4 +1,6 @@
-"""A user's own component by CalculiX too: ``python -m wrenchbook.fea.validation.second_opinion FOLDER``.
+"""A user's own component by CalculiX too.
+
+``python -m wrenchbook.fea.validation.second_opinion FOLDER`` runs it.
 
 The same mesh, materials, supports and loads, each solver on its own: a table of the differences,
 and status 1 if one is beyond its tolerance. CalculiX does not report the motion of a distributing

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
+import wrenchbook
 from wrenchbook.service.cli import plan_table, render
 from wrenchbook.service.cli.connect import (
     DEFAULT_SERVER,
@@ -28,6 +29,7 @@ from wrenchbook.service.cli.screen import Screen
 from wrenchbook.service.cli.tables import TABLE_COMMANDS
 from wrenchbook.service.client import Displacement, Job, ProblemError, Scene, ServerUnreachable
 from wrenchbook.service.client.deformed import deformed_format
+from wrenchbook.service.client.wrenches import OnThin
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -35,6 +37,24 @@ app = typer.Typer(
     help="Displacements of deformable components from tables of finite-element results.",
 )
 out = Screen()
+
+
+def print_version(asked: bool) -> None:
+    """Print the version and end, if that is asked for."""
+    if asked:
+        typer.echo(f"wrenchbook {wrenchbook.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def program(
+    version: Annotated[
+        bool, typer.Option("--version", callback=print_version, is_eager=True, help="print it")
+    ] = False,
+) -> None:
+    """Displacements of deformable components from tables of finite-element results."""
+
+
 for named, table_command in TABLE_COMMANDS.items():
     app.command(named)(table_command)
 for command in (*LOCAL_COMMANDS, *GATHERING_COMMANDS, *OPS_COMMANDS):
@@ -86,12 +106,13 @@ def query(
     data: Data = None,
 ) -> None:
     """Ask for the displacement under a wrench."""
+    word = on_thin or ("wait" if table_version is None else "estimate")
     with connected(server, data) as client:
         answer = client.displacement(
             name,
             force,
             moment,
-            on_thin=on_thin or ("wait" if table_version is None else "estimate"),
+            on_thin=cast(OnThin, word),  # the client refuses other words
             wait_s=wait_s,
             method=method,
             detail=detail,

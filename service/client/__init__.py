@@ -1,8 +1,5 @@
 """What a simulator imports, as `wrenchbook`: numpy and the standard library only.
 
-This room imports from itself relatively, so that it works under either name: `wrenchbook.client`
-in a simulator, whose own packages may have any name, and `service.client` in the server.
-
 >>> from wrenchbook import Client
 >>> with Client("http://127.0.0.1:8000") as client:            # doctest: +SKIP
 ...     answer = client.displacement("plate", [0, 0, -800], [0, 40, 0])

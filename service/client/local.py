@@ -8,14 +8,10 @@ from typing import Any
 from .connection import Connection
 from .questions import component_path
 
-# The room beside this one: `wrenchbook.surrogate` to a simulator, which may have a package of its
-# own called `surrogate`; `surrogate` in the server and its tests, where this is `service.client`.
-ROOM = "wrenchbook.surrogate" if __name__.startswith("wrenchbook.") else "surrogate"
-
 
 def room(module: str) -> Any:
     """Return a module of the surrogate package; it needs numpy alone."""
-    return importlib.import_module(f"{ROOM}.{module}")
+    return importlib.import_module(f"wrenchbook.surrogate.{module}")
 
 
 def fetched_table(

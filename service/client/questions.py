@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from .connection import Connection
 from .replies import Displacement, Displacements
-from .wrenches import Vector, many_wrenches, one_wrench, options
+from .wrenches import OnThin, Vector, many_wrenches, one_wrench, options
 
 BINARY_FROM = 1000  # wrenches from which a batch goes as float64 unless told
 
@@ -54,7 +54,7 @@ class Questions(Connection):
         force: ArrayLike,
         moment: ArrayLike | None = None,
         *,
-        on_thin: str = "queue",
+        on_thin: OnThin = "queue",
         wait_s: float | None = None,
         tolerance: Any = None,
         method: str | None = None,
@@ -99,7 +99,7 @@ class Questions(Connection):
         name: str,
         wrenches: ArrayLike,
         *,
-        on_thin: str = "queue",
+        on_thin: OnThin = "queue",
         wait_s: float | None = None,
         tolerance: Any = None,
         method: str | None = None,

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
-from typing import Any, TypeGuard
+from typing import Any, Literal, TypeGuard, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 NAMES = ("fx", "fy", "fz", "mx", "my", "mz")
-ON_THIN = ("queue", "wait", "estimate", "reject")
+OnThin = Literal["queue", "wait", "estimate", "reject"]
+ON_THIN: tuple[OnThin, ...] = get_args(OnThin)
 
 Vector = NDArray[np.float64]
 

@@ -1,4 +1,6 @@
-"""Solve what an attempt's folder asks for: ``python -m wrenchbook.service.jobs.solve_attempt FOLDER``.
+"""Solve the wrench of an attempt's folder.
+
+``python -m wrenchbook.service.jobs.solve_attempt FOLDER`` runs it.
 
 Every engine runs this, and it is where a component and the service meet. However the solve
 ends, ``result.json`` says so: ``done`` with the numbers, ``failed`` with kind, message and

@@ -33,7 +33,8 @@ PLATFORMS = {
 }
 NO_COMPILER = (
     "wrenchbook's kernel is not compiled and there is no C compiler: install one (Debian package "
-    "gcc, or `pip install ziglang`), then run `python -m wrenchbook.surrogate.kernel.build` in the checkout"
+    "gcc, or `pip install ziglang`), then run `python -m wrenchbook.surrogate.kernel.build` in the "
+    "checkout"
 )
 
 

@@ -162,12 +162,12 @@ def address(with_server: Environment, tmp_path_factory: pytest.TempPathFactory) 
         server.stdout.close()
 
 
-def test_the_wheel_puts_no_folder_named_data_among_other_packages(wheel: Path):
+def test_the_wheel_puts_nothing_but_wrenchbook_among_other_packages(wheel: Path):
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
     tops = {name.partition("/")[0] for name in names if ".dist-info/" not in name}
-    assert tops == {"fea", "service", "surrogate", "wrenchbook.py"}
-    assert "fea/bundle/components/plate_ccx/plate.inp" in names
+    assert tops == {"wrenchbook"}
+    assert "wrenchbook/fea/bundle/components/plate_ccx/plate.inp" in names
 
 
 def test_the_wheel_brings_the_compiled_kernel_its_header_and_its_platform(wheel: Path):
@@ -175,9 +175,10 @@ def test_the_wheel_brings_the_compiled_kernel_its_header_and_its_platform(wheel:
     assert wheel.name.endswith(f"-py3-none-{platform}.whl")
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
-    folder = "surrogate/kernel"
+    folder = "wrenchbook/surrogate/kernel"
     assert {f"{folder}/{library_path().name}", f"{folder}/wrenchbook.h"} <= names
     assert f"{folder}/wb_answer.c" in names
+    assert "wrenchbook/py.typed" in names
 
 
 def test_a_packed_table_answers_with_numpy_alone_and_is_not_compiled(
@@ -207,11 +208,14 @@ def test_client_and_server_work_beside_a_project_with_a_package_named_service(
     run = with_server.run("python", "simulator.py", address)
     assert run.returncode == 0, run.stderr
     told = json.loads(run.stdout)
-    assert Path(told["face"]) == with_server.packages / "wrenchbook.py"
-    assert told["client"] == "wrenchbook.client.replies"
+    assert Path(told["face"]) == with_server.packages / "wrenchbook" / "__init__.py"
+    assert told["client"] == "wrenchbook.service.client.replies"
     assert told["owners"] == ["the project"] * 3
     assert told["same"] == [True] * 5
-    assert told["table"] == ["wrenchbook.client.table", "wrenchbook.surrogate.kernel.binding"]
+    assert told["table"] == [
+        "wrenchbook.service.client.table",
+        "wrenchbook.surrogate.kernel.binding",
+    ]
     assert told["batch_uz"] == pytest.approx([1e-3, 2e-3], rel=1e-9)
     assert told["server_stack"] == []
     assert told["source"] == "fea"
@@ -228,7 +232,7 @@ def test_commands_and_their_child_processes_run_the_installed_rooms(
     listed = with_server.run("wrenchbook", "components", "--json", "--data", str(tmp_path))
     assert listed.returncode == 0, listed.stderr
     assert {"bar", "spring"} <= {one["name"] for one in json.loads(listed.stdout)}
-    bundle = with_server.packages / "fea/bundle/components/bar"
+    bundle = with_server.packages / "wrenchbook/fea/bundle/components/bar"
     for command in (["wrenchbook"], ["python", "-m", "wrenchbook"]):
         checked = with_server.run(*command, "check", str(bundle))
         assert checked.returncode == 0, checked.stderr

@@ -38,7 +38,7 @@ def test_a_file_imports_at_its_top_and_nowhere_else(path):
 
 
 def test_reading_a_bundle_loads_neither_finite_elements_nor_mesh_readers():
-    program = "import fea.bundle.read, sys; print(*sys.modules)"
+    program = "import wrenchbook.fea.bundle.read, sys; print(*sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )

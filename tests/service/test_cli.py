@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import wrenchbook
 from tests.service.stub_server import Answer, Stub, running_stub
 from tests.service.test_client_calls import COVERED, QUEUED
 from wrenchbook.service.cli.main import main
@@ -249,3 +250,7 @@ def test_resolve_queues_the_wrenches_of_another_setup(stub: Stub, run: Run):
         "/v1/components/plate/table/resolve",
     )
     assert "0 solves; 5 wrenches were solved or covered before" in out
+
+
+def test_the_command_line_tells_its_version(run: Run):
+    assert run("--version")[1] == f"wrenchbook {wrenchbook.__version__}\n"

@@ -100,7 +100,8 @@ def test_midside_nodes_lie_on_the_curved_faces(folder):
 
 def test_another_process_makes_the_same_mesh_to_the_last_bit(folder):
     code = (
-        "import hashlib, sys; from pathlib import Path; from wrenchbook.fea.mesh.cad import mesh_geometry;"
+        "import hashlib, sys; from pathlib import Path;"
+        "from wrenchbook.fea.mesh.cad import mesh_geometry;"
         "from wrenchbook.fea.spec.schema import Geometry;"
         "m = mesh_geometry(Path(sys.argv[1]), Geometry(0.015));"
         "print(hashlib.sha256(m.points.tobytes() + m.blocks[0].nodes.tobytes()).hexdigest())"
