@@ -23,9 +23,9 @@ AWAY_SECONDS = (0.2, 5.0)  # before the first reconnection, and at most
 ROSTER_SECONDS = 1.0  # between requests for the list of workers; worker events come at once
 ROSTER_SECONDS_A_WORKER = 0.002  # a reply holds some kB of each
 ANSWER_SECONDS = 10.0  # a scheduler that takes longer does not answer
-# For a look at a worker, whose imports take seconds. The call to a worker that has only just
-# registered may be lost, and is repeated at once.
-LOOK_SECONDS = 8.0
+# For a look at a worker, then it is repeated: the call to a worker that has only just registered
+# may be lost, and what a slow one has imported stays imported.
+LOOK_SECONDS = 3.0
 CLOSE_SECONDS = 2.0  # of a client whose scheduler may be gone
 LOOK_AGAIN_SECONDS = 20.0  # between looks at a worker that is not fit
 MEMORY, CORES = "wrenchbook_memory", "wrenchbook_cores"
