@@ -11,15 +11,14 @@ import json
 import os
 from collections.abc import Container
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 
-from wrenchbook import surrogate
 from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.sources import code_digest
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.solver_errors import SolverErrors
@@ -168,13 +167,9 @@ def setup_of(component: Component) -> str:
     return _short(repr(told))
 
 
-@cache
 def _program() -> str:
     """Return a digest of the code that builds tables, and of what it computes with."""
-    assert surrogate.__file__ is not None
-    sources = sorted(Path(surrogate.__file__).parent.rglob("*.py"))
-    texts = [path.read_text(encoding="utf-8") for path in sources]
-    return _short("".join([np.__version__, scipy.__version__, *texts]))
+    return _short("".join([np.__version__, scipy.__version__, code_digest("surrogate")]))
 
 
 def _short(text: str) -> str:

@@ -19,6 +19,7 @@ from typing import Any, TypedDict
 from distributed import Reschedule, Status, Worker, get_worker
 
 from wrenchbook.service.files import lock as flock
+from wrenchbook.service.files.sources import code_digest
 from wrenchbook.service.jobs.attempt import LOCK, OUTCOME, prepare, read_progress, solver_seconds
 from wrenchbook.service.jobs.engines import worker_folder as folders
 from wrenchbook.service.jobs.engines.engine import ALIVE, Attempt
@@ -59,7 +60,12 @@ class Payload(TypedDict):
 
 
 def program_version() -> str:
-    """Return the version of this program; workers of another version get no tasks."""
+    """Return version and code digest of what a worker runs; workers of others get no tasks."""
+    return f"{wrenchbook_version()} (code {code_digest('fea', 'service/jobs')})"
+
+
+def wrenchbook_version() -> str:
+    """Return the version of the installed distribution, `unknown` in a bare checkout."""
     try:
         return version("wrenchbook")
     except PackageNotFoundError:
