@@ -101,16 +101,19 @@ class DaskEngine:
 
     def _run_loop(self) -> None:
         asyncio.set_event_loop(self._loop)
-        self._loop.create_task(self._cluster.run())
+        cluster = self._loop.create_task(self._cluster.run())
         try:
             self._loop.run_forever()
         finally:
-            rest = asyncio.all_tasks(self._loop)
-            for task in rest:
-                task.cancel()
-            # Tasks of Dask's own may not hear it.
-            self._loop.run_until_complete(asyncio.wait(rest, timeout=CLOSE_SECONDS / 2))
+            self._end({cluster})  # it sends what the client has not sent yet: cancellations
+            self._end(asyncio.all_tasks(self._loop))
             self._loop.close()
+
+    def _end(self, tasks: set[asyncio.Task[Any]]) -> None:
+        for task in tasks:
+            task.cancel()
+        if tasks:  # Dask's own may not end
+            self._loop.run_until_complete(asyncio.wait(tasks, timeout=CLOSE_SECONDS / 2))
 
     def _soon(self, function: Callable[..., object], *args: object) -> None:
         with contextlib.suppress(RuntimeError):  # the engine is closed
