@@ -37,9 +37,15 @@ LONGEST = (
     "service/test_umbridge.py",
     "service/test_recording_machine.py",
 )
+# Folders of which each test starts servers, a browser or a cluster.
+STARTING = ("acceptance", "service/engines", "service/page")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Have the longest files begin first; all others keep their order."""
+    """Have the longest files begin first, the others in their order; mark slow ones."""
     place = {Path(__file__).parent / name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path, len(place)))
+    starting = [Path(__file__).parent / name for name in STARTING]
+    for item in items:
+        if item.path in place or any(item.path.is_relative_to(folder) for folder in starting):
+            item.add_marker(pytest.mark.slow)

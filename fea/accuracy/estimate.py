@@ -29,10 +29,10 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     changes and of what `recovered_error` finds; elsewhere the latter alone, with a margin. Either
     errs where the other does not: on a bracket of one tetrahedron a wall the change holds 7 errors
     of 10, on a block with round holes the recovered stresses 5. Their mean held 98 of 100 on eight
-    parts at 2.8 times the error, the larger of both 99 at 4.2 (`make bench-mesh-error`). It costs
-    a fifth to a half of a linear solve where a generator makes the mesh, 1.5 to 2.8 of one on STEP
-    parts (most of it gmsh, turning back coarse cells that curved edges fold); a linear component
-    costs two nonlinear solves besides, on the coarser mesh if there is one.
+    parts at 2.8 times the error, the larger of both 99 at 4.2 (`make bench NAME=mesh_error`). It
+    costs a fifth to a half of a linear solve where a generator makes the mesh, 1.5 to 2.8 of one on
+    STEP parts (most of it gmsh, turning back coarse cells that curved edges fold); a linear
+    component costs two nonlinear solves besides, on the coarser mesh if there is one.
 
     Returns
     -------

@@ -15,7 +15,8 @@ of a server:
     memory, nonlinear  = 100e6 + 15 x numbers + 13 x entries
     and 35e6 of the mesher's library where the mesh is a geometry's
 
-`make bench-check` prints what is told beside what a solve then took: within 1.5 on a like machine.
+`make bench NAME=check` prints these against time and memory of a solve: within 1.5 on a like
+machine.
 """
 
 from __future__ import annotations

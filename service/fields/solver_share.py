@@ -26,7 +26,7 @@ LOCAL = 0.1
 """Of the mesh's largest share on the surface, what a free vertex may be off besides: cells deform
 wrongly on their own too, by clamps and edges. On six parts 9 of 10 vertices are 3 to 18 % of the
 largest share off what follows the interface; without this 77 to 99 % of vertices are held, with it
-97 % and more (`make bench-surface-error`)."""
+97 % and more (`make bench NAME=surface_error`)."""
 
 _SINGULAR = 1e-9
 """Of the scaled compliance's largest singular value: below it are locked freedoms and roundoff."""

@@ -11,7 +11,7 @@ Floats = NDArray[np.float64]
 
 LEVEL = 0.95  # what bars are meant to hold; at least 0.9 is then held on rows not in the table
 # A quantile of h errors is uncertain by about 1 / h of itself; six times that keeps bars from 15
-# errors above 0.9 in nine of ten tables (`make bench-calibration`).
+# errors above 0.9 in nine of ten tables (`make bench NAME=calibration`).
 CAUTION = 6.0
 
 

@@ -1,6 +1,6 @@
 """Eight client processes that query, import and solve at once; each answer is checked.
 
-    make bench-clients
+    make bench NAME=clients
 
 The displacement is a linear function of the wrench, so every method must answer it exactly, however
 many rows there are meanwhile; an answer that is off by more than its bar and rounding is a failure.
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmarks.test_live_tables import Asking, added, as_csv, made_up
+from tests.benchmarks.test_live import Asking, added, as_csv, made_up
 from tests.benchmarks.test_processes import serving
 from wrenchbook.service.client import Client
 

@@ -1,6 +1,6 @@
 """The Dask engine in numbers: two workers beside one, the shortest jobs, bytes a solve.
 
-``make bench-cluster``. Ratios in one run, each side in turn; a busy machine is told.
+``make bench NAME=cluster``. Ratios in one run, each side in turn; a busy machine is told.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The mesh's share of the bars beside what two refinements say: `make bench-mesh-error`.
+"""The mesh's share of the bars beside what two refinements say: `make bench NAME=mesh_error`.
 
 Four shipped components and four parts from STEP files, each at its six loads alone and at 40
 wrenches of all six. The true error is that against cells of half the size, continued by half of

@@ -1,6 +1,6 @@
 """A server of several processes beside one of one: queries a second, new rows, builds, memory.
 
-    make bench-processes
+    make bench NAME=processes
 
 Both servers run all the time and are asked in turn, so that a busy machine slows both alike. What
 two processes can do beside one shows only where two cores are free, and the asking takes its share
@@ -24,8 +24,8 @@ import orjson
 import psutil
 import pytest
 
-from tests.benchmarks.test_http_rate import _tables
-from tests.benchmarks.test_live_tables import (
+from tests.benchmarks.test_http import _tables
+from tests.benchmarks.test_live import (
     Asking,
     added,
     as_csv,

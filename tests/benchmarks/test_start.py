@@ -1,6 +1,6 @@
 """A server's start on a directory of built tables: seconds until ready, and memory.
 
-    make bench-start    COMPONENTS=20 ROWS=20000
+    make bench NAME=start    COMPONENTS=20 ROWS=20000
 
 Printed, not asserted beyond sanity: the numbers depend on what else the machine does. The first
 start builds every table; the second one maps the packed files.
@@ -19,7 +19,7 @@ import numpy as np
 import psutil
 import pytest
 
-from tests.benchmarks.test_live_tables import SPAN, made_up
+from tests.benchmarks.test_live import SPAN, made_up
 from wrenchbook.service.client import Client
 from wrenchbook.service.files.child import child_command
 from wrenchbook.service.ledger import Ledger, NewRow

@@ -1,4 +1,4 @@
-"""The solver's share of a surface's bars beside two refinements: `make bench-surface-error`.
+"""The solver's share of a surface's bars beside two refinements: `make bench NAME=surface_error`.
 
 Shipped components and parts from STEP files, each at its six loads alone and at 40 wrenches of all
 six. The true error of a node of the surface is that against cells of half the size at the same

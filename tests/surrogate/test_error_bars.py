@@ -1,4 +1,4 @@
-"""Bars beside true errors: what holds with fixed seeds; `make bench-calibration` has fresh ones."""
+"""Error bars against true errors with fixed seeds; `make bench NAME=calibration` has fresh ones."""
 
 from functools import cache
 

@@ -4,8 +4,8 @@ Both are whole programs from cold: each round starts a new process that reads th
 deck, solves one wrench and prints the answer. In between, the solver's own part is told apart from
 what Python takes to start and import.
 
-`make bench-fea` prints the medians and their ratios. CalculiX runs with its own default tolerance,
-and with the 1e-7 that a comparison of answers needs; the answers are compared in that case.
+`make bench NAME=fea` prints the medians and their ratios. CalculiX runs with its own default
+tolerance, and with the 1e-7 that a comparison of answers needs; then answers are compared.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the check tells of time and memory beside what a solve takes: `make bench-check`.
+"""What the check tells of time and memory beside what a solve takes: `make bench NAME=check`.
 
 Each solve is a process of its own on one thread; processor seconds, without imports. The flange is
 a STEP file, drawn here; its mesh is made in the same process.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from tests.benchmarks.test_kernel_speed import spent
+from tests.benchmarks.test_kernel import spent
 from tests.surrogate.responses import RANGE, clean_wrenches, full_wrenches, smooth, table
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kernel.packing import packed_of

@@ -10,7 +10,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-from tests.benchmarks.test_live_tables import added, as_csv, made_up, serving, waited
+from tests.benchmarks.test_live import added, as_csv, made_up, serving, waited
 from wrenchbook.service.ledger import Ledger
 
 CORNERS = 24  # of three axes: every table that is made up has the same

@@ -4,7 +4,7 @@ The same 60 wrenches, designed once, through ledger, dispatcher and engine on as
 there are cores; the rows must be the same to the last digit. Processor time is that of the solver
 processes, from their first instruction to their end: it holds on a busy machine too.
 
-    make bench-solvers
+    make bench NAME=solvers
 """
 
 import resource

@@ -4,7 +4,7 @@ Each job is claimed, gets its folder, is submitted, ends after 2 to 4 s as at a 
 is committed with its row; ledger and files are real ones on this disk. One core for all of it: the
 workers' part, writing 1,000 outcomes durably, is in the same process and counted against it.
 
-    make bench-dispatcher
+    make bench NAME=dispatcher
 """
 
 import os
