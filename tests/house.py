@@ -34,6 +34,52 @@ from pathlib import Path
 import grimp
 
 ROOT = Path(__file__).resolve().parents[1]
+# Words of this project's own that names of the field take the place of.
+OLD_WORDS = frozenset(
+    [
+        "asked",
+        "bar",
+        "beside",
+        "care",
+        "copies",
+        "crew",
+        "demand",
+        "discreet",
+        "door",
+        "doubt",
+        "errand",
+        "fence",
+        "following",
+        "gathering",
+        "grant",
+        "healing",
+        "held",
+        "image",
+        "lean",
+        "member",
+        "mend",
+        "mended",
+        "net",
+        "news",
+        "opening",
+        "orders",
+        "ordering",
+        "parcel",
+        "patient",
+        "pulse",
+        "said",
+        "shelf",
+        "sites",
+        "straight",
+        "strangers",
+        "tare",
+        "told",
+        "turn",
+        "wanted",
+        "warden",
+    ]
+)
+SMALL_FILE = 40  # lines
 ROOMS = ("fea", "surrogate", "service")
 COUNTED = (
     "surrogate",
@@ -252,6 +298,54 @@ def _annotations(node: Function | ast.ClassDef) -> set[str]:
     return names | {one.attr for one in nodes if isinstance(one, ast.Attribute)}
 
 
+def old_words(among: Iterable[Source]) -> Counter[str]:
+    """Return how often names that the code binds contain each of `OLD_WORDS`."""
+    found: Counter[str] = Counter()
+    for source in among:
+        for node in ast.walk(source.tree):
+            parts = re.split(r"_|(?<=[a-z])(?=[A-Z])", _bound_name(node))
+            found.update(part.lower() for part in parts if part.lower() in OLD_WORDS)
+    return found
+
+
+def _bound_name(node: ast.AST) -> str:
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        return node.name
+    if isinstance(node, ast.arg):
+        return node.arg
+    if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+        return node.id
+    if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+        return node.attr
+    return ""
+
+
+def repeated_classes(among: Iterable[Source]) -> list[str]:
+    """Return public class names that several files have, with how many."""
+    names = Counter(
+        node.name
+        for source in among
+        for node in source.tree.body
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    return [f"{count:4d} {name}" for name, count in sorted(names.items()) if count > 1]
+
+
+def small_files() -> list[str]:
+    """Return files of fewer than `SMALL_FILE` lines that one module imports: they belong there."""
+    importers: dict[str, set[str]] = defaultdict(set)
+    for name, others in imports().items():
+        for other in others:
+            importers[other].add(name)
+    found = []
+    for source in sources():
+        name = f"wrenchbook.{source.path.removesuffix('.py').replace('/', '.')}"
+        lines = len(source.text.splitlines())
+        if lines < SMALL_FILE and len(importers[name]) == 1:
+            found.append(f"{lines:4d} {source.path}, imported by {min(importers[name])}")
+    return found
+
+
 def sizes(among: Iterable[Source]) -> dict[str, tuple[int, int]]:
     """Return how many files and lines of Python each counted room has, its own rooms included."""
     found = dict.fromkeys(COUNTED, (0, 0))
@@ -300,6 +394,15 @@ def report() -> str:
         "without",
         [name for name, is_stated in stated.items() if not is_stated],
     )
+    words = old_words(sources())
+    lines += _list(
+        f"words in names that are to go ({sum(words.values())} times)",
+        [f"{count:4d} {word}" for word, count in words.most_common()],
+    )
+    lines += _list("class names of several files", repeated_classes(sources()))
+    lines += _list(f"files under {SMALL_FILE} lines with one importer", small_files())
+    whole = sum(len(source.text.splitlines()) for source in sources())
+    lines += [f"product Python: {whole} lines in {len(sources())} files"]
     return "\n".join(lines)
 
 

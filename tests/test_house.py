@@ -46,6 +46,15 @@ def test_the_same_ten_lines_are_seen_whatever_their_layout_and_comments():
     assert house.duplicates([first, nine]) == []
 
 
+def test_words_and_classes_that_are_to_go_are_counted_by_the_names_that_bind_them():
+    among = [
+        source("first.py", "class Part: ...\ntold, row = 1, 2\n"),
+        source("second.py", "class Part: ...\ndef asked_rows(told): print(held)\n"),
+    ]
+    assert house.old_words(among) == {"told": 2, "asked": 1}
+    assert house.repeated_classes(among) == ["   2 Part"]
+
+
 def test_the_lines_of_a_room_hold_those_of_its_own_rooms():
     among = [
         source("surrogate/one.py", "a = 1\nb = 2\n"),
