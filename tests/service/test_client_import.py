@@ -17,16 +17,16 @@ SERVER_STACK = (
     "rich",
     "pint",
     "sqlite3",
-    "fea",
-    "surrogate",
+    "wrenchbook.fea",
+    "wrenchbook.surrogate",
 )
 
 
 def test_importing_the_client_loads_nothing_of_the_server():
     code = (
-        "import sys, service.client, service.client.conventions\n"
+        "import sys, wrenchbook.service.client, wrenchbook.service.client.conventions\n"
         f"print([name for name in {SERVER_STACK!r} if name in sys.modules])\n"
-        "print(sorted(name for name in sys.modules if name.startswith('service.')\n"
+        "print(sorted(name for name in sys.modules if name.startswith('wrenchbook.service.')\n"
         "             and not name.startswith('wrenchbook.service.client')))"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -34,14 +34,14 @@ def test_importing_the_client_loads_nothing_of_the_server():
 
 
 def test_importing_the_table_files_leaves_pint_for_its_first_use():
-    code = "import sys, service.formats; print('pint' in sys.modules)"
+    code = "import sys, wrenchbook.service.formats; print('pint' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "False"
 
 
 def test_opening_a_packed_table_loads_numpy_and_the_standard_library_alone():
     code = (
-        "import sys, surrogate.kernel.binding, surrogate.packed.format\n"
+        "import sys, wrenchbook.surrogate.kernel.binding, wrenchbook.surrogate.packed.format\n"
         "roots = {name.partition('.')[0] for name in sys.modules}\n"
         "print([name for name in ('scipy', 'h5py', 'threadpoolctl') if name in roots])\n"
     )

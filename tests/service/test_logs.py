@@ -16,7 +16,7 @@ def lines(request):
     stream = io.StringIO()
     shown = logging.StreamHandler(stream)
     shown.setFormatter(JsonLines())
-    log = logging.getLogger("service")
+    log = logging.getLogger("wrenchbook.service")
     before = log.level
     log.addHandler(shown)
     log.setLevel(logging.DEBUG)
