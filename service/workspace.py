@@ -34,11 +34,11 @@ from wrenchbook.service.ordering import Orders
 from wrenchbook.service.report.queue import Reports
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.behind import TableBehindError
+from wrenchbook.service.tables.changes import rows_for, table_rows
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.live import Tables
 from wrenchbook.service.tables.making import row_table
 from wrenchbook.service.tables.mapped import MappedTables
-from wrenchbook.service.tables.news import table_rows, usable
 from wrenchbook.service.tables.past import PastTables
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.tables.solver_errors import SolverErrors
@@ -156,7 +156,7 @@ class Workspace:
         The wrench has six loads, N and N·m; a row is at it within 1e-6 of the range in each.
         """
         component, after = self.library[name], self.tables.surrogate(name).version
-        found = usable(component, self.ledger.news(name, after, MOST_UNBUILT))
+        found = rows_for(component, self.ledger.row_changes(name, after, MOST_UNBUILT))
         apart = np.abs(found.wrench - np.array(wrench)) / component.load_range.scale
         near = np.flatnonzero((apart <= NEAR).all(axis=1))
         return int(found.seq[near[-1]]) if len(near) else None

@@ -102,7 +102,7 @@ def serve(
 
 def _serve(**said: Any) -> None:
     """Serve by settings as they hold."""
-    from wrenchbook.service.http.door.opening import opening_of_options, require_keys
+    from wrenchbook.service.http.access.security import require_keys, security_of_options
     from wrenchbook.service.jobs.engines.registry import EngineSettingsError, check_engine
 
     try:
@@ -115,15 +115,15 @@ def _serve(**said: Any) -> None:
     require_keys(said["host"], said["data"])
     how = said["host"], said["port"], said["log_level"], said["log_format"]
     if said["processes"] > 1:
-        from wrenchbook.service.crew.supervisor import supervise
+        from wrenchbook.service.workers.supervisor import supervise
 
         supervise(said)
     else:
         from wrenchbook.service.http.server import serve as run
         from wrenchbook.service.settings import settings_of_options
 
-        opening = opening_of_options(said)
-        run(settings_of_options(said), *how, opening)
+        security = security_of_options(said)
+        run(settings_of_options(said), *how, security)
 
 
 def _make_folder(folder: Path) -> None:

@@ -21,10 +21,10 @@ from wrenchbook.service.cli.connect import (
     print_json,
 )
 from wrenchbook.service.cli.follow import follow_jobs
-from wrenchbook.service.cli.gathering import GATHERING_COMMANDS
 from wrenchbook.service.cli.keys import keys
 from wrenchbook.service.cli.local import LOCAL_COMMANDS
 from wrenchbook.service.cli.ops import OPS_COMMANDS
+from wrenchbook.service.cli.recording import RECORDING_COMMANDS
 from wrenchbook.service.cli.screen import Screen
 from wrenchbook.service.cli.tables import TABLE_COMMANDS
 from wrenchbook.service.client import Displacement, Job, ProblemError, Scene, ServerUnreachable
@@ -57,7 +57,7 @@ def program(
 
 for named, table_command in TABLE_COMMANDS.items():
     app.command(named)(table_command)
-for command in (*LOCAL_COMMANDS, *GATHERING_COMMANDS, *OPS_COMMANDS):
+for command in (*LOCAL_COMMANDS, *RECORDING_COMMANDS, *OPS_COMMANDS):
     app.command()(command)
 app.add_typer(keys, name="keys")
 

@@ -1,4 +1,4 @@
-"""The terminal that commands print on: what strangers have named things steers nothing of it."""
+"""The terminal that commands print on; control characters in names are escaped."""
 
 from __future__ import annotations
 

@@ -9,18 +9,18 @@
 from .deformed import DeformedShape, DeformedShapes, Stress
 from .errors import ProblemError, ServerTimeout, ServerUnreachable
 from .event_calls import Event, EventCalls
-from .gathering_calls import Envelope, GatheringCalls, Recording, Started
 from .job import Job, Round
 from .job_calls import JobCalls
 from .library import Library
 from .questions import Questions
 from .recording import Recorder, RecorderError
+from .recording_calls import Envelope, Recording, RecordingCalls, Started
 from .replies import Displacement, Displacements
 from .scene import ComponentPlan, Scene, SceneError
 from .table import Downloads, Table
 
 
-class Client(Questions, DeformedShapes, JobCalls, Library, Downloads, GatheringCalls, EventCalls):
+class Client(Questions, DeformedShapes, JobCalls, Library, Downloads, RecordingCalls, EventCalls):
     """A client of one server, for any number of threads.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Gathering wrenches in a loop, without waiting for the server."""
+"""RecordingStore wrenches in a loop, without waiting for the server."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import ProblemError, ServerTimeout
-from .gathering_calls import KINDS, MOST_BLOCK, GatheringCalls, Kind, Started
+from .recording_calls import KINDS, MOST_BLOCK, Kind, RecordingCalls, Started
 from .spill import Blocks
 from .wrenches import one_wrench
 
@@ -67,7 +67,7 @@ class Recorder:
     """
 
     def __init__(
-        self, client: GatheringCalls, component: str, kind: Kind = "recording", block: int = BLOCK
+        self, client: RecordingCalls, component: str, kind: Kind = "recording", block: int = BLOCK
     ) -> None:
         if kind not in KINDS:
             raise ValueError(f"kind must be one of {', '.join(KINDS)}, not {kind!r}")

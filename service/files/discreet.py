@@ -1,4 +1,4 @@
-"""Texts without the paths of this machine: what replies say goes to strangers."""
+"""Redaction: replies name no path of this machine."""
 
 from __future__ import annotations
 

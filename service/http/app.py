@@ -12,10 +12,9 @@ from starlette.concurrency import run_in_threadpool
 
 from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.events.watch import Watch
-from wrenchbook.service.gathering.gathering import Gathering
 from wrenchbook.service.http import openapi, problems
+from wrenchbook.service.http.access import AccessControl, SecuritySettings
 from wrenchbook.service.http.application import Application
-from wrenchbook.service.http.door import Door, Opening
 from wrenchbook.service.http.routes import (
     components,
     coverage,
@@ -23,12 +22,12 @@ from wrenchbook.service.http.routes import (
     displacement,
     drawing,
     events,
-    gathering,
     health,
     jobs,
     keys,
     library,
     page,
+    recording,
     report,
     rows,
     scenes,
@@ -38,6 +37,7 @@ from wrenchbook.service.http.routes import (
 from wrenchbook.service.keys import Keyring
 from wrenchbook.service.ops.counts import Counts
 from wrenchbook.service.ops.metrics import Metrics
+from wrenchbook.service.recording.store import RecordingStore
 from wrenchbook.service.workspace import Settings, Workspace
 
 _SUMMARY = (
@@ -54,7 +54,7 @@ _PARTS = (
     rows,
     library,
     report,
-    gathering,
+    recording,
     drawing,
     scenes,
     jobs,
@@ -63,15 +63,15 @@ _PARTS = (
 )
 
 
-def create_app(settings: Settings, opening: Opening | None = None) -> Application:
+def create_app(settings: Settings, security: SecuritySettings | None = None) -> Application:
     """Return the application; its workspace is open while the server runs.
 
     Parameters
     ----------
     settings : Settings
         The workspace's.
-    opening : Opening, optional
-        How its door stands: by default without keys unless there are some, and under any name.
+    security : SecuritySettings, optional
+        How its access stands: by default without keys unless there are some, and under any name.
     """
     counts = Counts()
 
@@ -79,17 +79,17 @@ def create_app(settings: Settings, opening: Opening | None = None) -> Applicatio
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         workspace = await run_in_threadpool(Workspace, settings)
         app.state.workspace = workspace
-        app.state.gathering = Gathering(workspace)
+        app.state.recording_store = RecordingStore(workspace)
         app.state.watch = watch = Watch(workspace)
         app.state.metrics = metered = Metrics(workspace, counts, lambda: watch.feed.listeners)
         loop = asyncio.get_running_loop()
-        at_the_door = asyncio.create_task(app.state.door.watch())
+        key_watch = asyncio.create_task(app.state.access.watch())
         try:
             watch.start(loop)
             await run_in_threadpool(workspace.start, loop)
             yield
         finally:
-            at_the_door.cancel()
+            key_watch.cancel()
             await watch.stop()
             await run_in_threadpool(metered.stop)
             await run_in_threadpool(workspace.close)
@@ -106,7 +106,7 @@ def create_app(settings: Settings, opening: Opening | None = None) -> Applicatio
         redoc_url=None,
     )
     app.state.counts = counts
-    app.state.door = Door(Keyring(settings.folder), opening or Opening())
+    app.state.access = AccessControl(Keyring(settings.folder), security or SecuritySettings())
     return _with_routes(app)
 
 

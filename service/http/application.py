@@ -18,9 +18,9 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from wrenchbook.service.answering.one import answer_at_once
+from wrenchbook.service.http.access import AccessControl
+from wrenchbook.service.http.access.permission import PERMISSION
 from wrenchbook.service.http.body import read_limited
-from wrenchbook.service.http.door import Door
-from wrenchbook.service.http.door.grant import GRANT
 from wrenchbook.service.http.parsing import read_plain_query
 from wrenchbook.service.http.problems import crash_of, problem_of
 from wrenchbook.service.http.replies import plain_content
@@ -33,12 +33,12 @@ class Application(FastAPI):
     """The web application; single displacement queries bypass the framework."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request that the door lets in, or run the lifespan."""
+        """Answer a request that the access lets in, or run the lifespan."""
         if scope["type"] != "http":
             await super().__call__(scope, receive, send)
             return
-        door: Door = self.state.door
-        passed = await door.pass_on(scope, receive, send)
+        access: AccessControl = self.state.access
+        passed = await access.pass_on(scope, receive, send)
         if passed is not None:
             await self._inside(scope, *passed)
 
@@ -61,10 +61,10 @@ class Application(FastAPI):
 
         Any problem with the query is left to the request. The headers are as those of a scope.
         """
-        grant = query = None
+        permission = query = None
         try:
-            grant = self.state.door.admit(headers)
-            query = read_plain_query(body) if grant is not None else None
+            permission = self.state.access.admit(headers)
+            query = read_plain_query(body) if permission is not None else None
             if query is not None:
                 outcome = answer_at_once(self.state.workspace, name, query)
                 if outcome is not None:
@@ -72,7 +72,7 @@ class Application(FastAPI):
                     return plain_content(outcome)
         except Exception:
             query = None  # the request meets the error again, and answers it
-        return {} if grant is None else {GRANT: grant, QUERY: query}
+        return {} if permission is None else {PERMISSION: permission, QUERY: query}
 
     async def _answered(
         self, scope: Scope, receive: Receive, name: str

@@ -97,10 +97,10 @@ def install(app: FastAPI) -> None:
     made: dict[tuple[bool, str], tuple[bytes, str]] = {}
 
     def document() -> dict[str, Any]:
-        return _document(app, app.state.door.keys_needed, "")
+        return _document(app, app.state.access.keys_needed, "")
 
     def serve(request: Request) -> Response:
-        which = app.state.door.keys_needed, request.scope.get("root_path", "")
+        which = app.state.access.keys_needed, request.scope.get("root_path", "")
         if which not in made:
             content = orjson.dumps(_document(app, *which))
             made[which] = content, f'"{hashlib.blake2b(content, digest_size=12).hexdigest()}"'

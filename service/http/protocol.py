@@ -21,7 +21,7 @@ from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.server import ServerState
 
-from wrenchbook.service.http.door.fields import PLAIN
+from wrenchbook.service.http.access.headers import PLAIN
 from wrenchbook.service.http.problems import ProblemError
 
 log = logging.getLogger(__name__)

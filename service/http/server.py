@@ -24,10 +24,10 @@ import uvicorn
 
 from wrenchbook.service.client import Client
 from wrenchbook.service.files.child import child_command
+from wrenchbook.service.http.access import SecuritySettings
+from wrenchbook.service.http.access.security import OWN_KEY, require_keys, security_settings
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.application import Application
-from wrenchbook.service.http.door import Opening
-from wrenchbook.service.http.door.opening import OWN_KEY, opening_for, require_keys
 from wrenchbook.service.http.listen import bind_to
 from wrenchbook.service.http.protocol import FastPathProtocol
 from wrenchbook.service.ops.logs import LogFormat, set_up
@@ -58,7 +58,7 @@ def serve(
     port: int,
     log_level: str = "info",
     log_format: LogFormat = "text",
-    opening: Opening | None = None,
+    security: SecuritySettings | None = None,
 ) -> None:
     """Serve until SIGINT or SIGTERM; port 0 takes a free one. Its address is printed once up.
 
@@ -72,16 +72,16 @@ def serve(
     KeysNeededError
         If it is reached from elsewhere, and there is no key.
     """
-    opening = opening or opening_for(host, None, None, os.environ.get(OWN_KEY))
+    security = security or security_settings(host, None, None, os.environ.get(OWN_KEY))
     require_keys(host, settings.folder)
-    app = create_app(settings, opening)
+    app = create_app(settings, security)
     raise_open_files()
     bound, address = bind_to(host, port)
     set_up(log_level, log_format)
     config = server_config(app, log_level, log_config=None)
     server = Server(config)
     server.address = address
-    if opening.own_key is None:  # a command's own server ends before that pays
+    if security.own_key is None:  # a command's own server ends before that pays
         warm_up(
             "wrenchbook.service.library.bundle_zip",
             "wrenchbook.service.formats.table_file",

@@ -102,7 +102,7 @@ class Dispatcher:
         if self._thread is not None:
             raise RuntimeError("the dispatcher runs already")
         self._stopping.clear()
-        self._seen, self._may_claim, self._news = None, True, True
+        self._seen, self._may_claim, self._changed = None, True, True
         self._next_look = self._next_sweep = self._next_beat = 0.0
         self._orphans_stopped = False
         self._ends = self._ledger.on_change(self._on_change), self._engine.listen(self._on_end)
@@ -138,7 +138,7 @@ class Dispatcher:
 
     def _on_change(self, change: Change) -> None:
         if threading.current_thread() is not self._thread:
-            self._news = True
+            self._changed = True
             self._wake.set()
 
     def _on_end(self, task: str) -> None:
@@ -169,8 +169,8 @@ class Dispatcher:
         if now >= self._next_sweep:
             self._sweep(lease)
             self._next_sweep = now + RECOVER_SECONDS
-        if self._news or now >= self._next_look:
-            self._read_news(lease)
+        if self._changed or now >= self._next_look:
+            self._read_changes(lease)
             self._next_look = now + LOOK_SECONDS
         while self._heard:
             run = self._tasks.get(self._heard.popleft())
@@ -203,8 +203,8 @@ class Dispatcher:
         self._begun.clear()
         self._next_beat = time.monotonic() + BEAT_SECONDS
 
-    def _read_news(self, lease: Lease) -> None:
-        self._news = False
+    def _read_changes(self, lease: Lease) -> None:
+        self._changed = False
         version = self._ledger.version()
         if version != self._seen:
             self._seen, self._may_claim = version, True

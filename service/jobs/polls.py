@@ -41,7 +41,7 @@ class Polls:
         self._ledger = ledger
         self._waiters: set[_Waiter] = set()
         self._wanted: Counter[int] = Counter()
-        self._news: asyncio.Event | None = None
+        self._changed: asyncio.Event | None = None
         self._looking: asyncio.Task[None] | None = None
         self._let_go = False
 
@@ -75,8 +75,8 @@ class Polls:
 
     def tell(self) -> None:
         """Look soon: something was committed. For the loop."""
-        if self._news is not None:
-            self._news.set()
+        if self._changed is not None:
+            self._changed.set()
 
     def let_go(self) -> None:
         """Let all who wait have their jobs as they are: the server stops. For the loop."""
@@ -91,7 +91,7 @@ class Polls:
         self._waiters.add(waiter)
         self._wanted.update(waiter.open_jobs)
         if self._looking is None or self._looking.done():
-            self._news = asyncio.Event()
+            self._changed = asyncio.Event()
             self._looking = asyncio.create_task(self._look())
 
     def _leave(self, waiter: _Waiter) -> None:
@@ -103,10 +103,10 @@ class Polls:
 
     async def _look(self) -> None:
         """Look for jobs that have ended, for as long as anybody waits."""
-        news = self._news
-        assert news is not None
+        changed = self._changed
+        assert changed is not None
         while self._waiters:
-            news.clear()
+            changed.clear()
             try:
                 ended = await run_in_threadpool(self._ledger.ended, list(self._wanted))
             except LedgerUnavailableError:
@@ -115,6 +115,6 @@ class Polls:
                 if waiter.open_jobs <= ended:
                     waiter.ended.set()
             try:
-                await asyncio.wait_for(news.wait(), LOOK_S)
+                await asyncio.wait_for(changed.wait(), LOOK_S)
             except TimeoutError:
                 continue

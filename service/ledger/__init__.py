@@ -16,10 +16,10 @@ from wrenchbook.service.ledger.errors import (
     UnknownRowError,
     UnknownVersionError,
 )
-from wrenchbook.service.ledger.gathered import Block, Kept, Kind, Tally, block_of
 from wrenchbook.service.ledger.imports import About, Import
 from wrenchbook.service.ledger.ledger import Ledger
 from wrenchbook.service.ledger.packing import PackedRow, packed, packed_columns, unpacked
+from wrenchbook.service.ledger.recorded import Block, Kept, Kind, Tally, block_of
 from wrenchbook.service.ledger.records import (
     FINAL,
     STATUSES,
@@ -28,8 +28,8 @@ from wrenchbook.service.ledger.records import (
     Job,
     LedgerRow,
     NewRow,
-    News,
     OpenJob,
+    RowChanges,
     RowEdit,
     Status,
 )
@@ -57,9 +57,9 @@ __all__ = [
     "LedgerRow",
     "LedgerUnavailableError",
     "NewRow",
-    "News",
     "OpenJob",
     "PackedRow",
+    "RowChanges",
     "RowEdit",
     "RowStatusError",
     "StaleAttemptError",

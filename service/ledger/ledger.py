@@ -8,15 +8,15 @@ from wrenchbook.service.ledger import jobs, rows, states
 from wrenchbook.service.ledger.bulk import Imports
 from wrenchbook.service.ledger.care import Care
 from wrenchbook.service.ledger.connections import Connections
-from wrenchbook.service.ledger.gatherings import Gatherings
 from wrenchbook.service.ledger.job_log import log_jobs
 from wrenchbook.service.ledger.leases import Leases, write_beat
 from wrenchbook.service.ledger.listeners import Listener, Listeners
+from wrenchbook.service.ledger.recordings import LedgerRecordings
 from wrenchbook.service.ledger.records import Change, Job, LedgerRow, NewRow, OpenJob, Status, pack6
 from wrenchbook.service.ledger.table_rows import TableRows
 
 
-class Ledger(TableRows, Imports, Gatherings, Leases, Care):
+class Ledger(TableRows, Imports, LedgerRecordings, Leases, Care):
     """Jobs, rows and recordings in one SQLite file, for many threads and several processes at once.
 
     A method that returned has committed to disk; one that raised changed nothing.

@@ -171,7 +171,7 @@ class RowEdit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class News:
+class RowChanges:
     """What happened to a component's rows after some seq, as one committed state.
 
     Attributes

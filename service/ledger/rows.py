@@ -14,7 +14,7 @@ from wrenchbook.service.ledger.errors import DamagedRowError, RowStatusError, Un
 from wrenchbook.service.ledger.records import (
     LedgerRow,
     NewRow,
-    News,
+    RowChanges,
     content_key,
     pack6,
     pack36,
@@ -122,10 +122,12 @@ def listed(
     return sound(db.execute(f"SELECT {COLUMNS} FROM rows {where} ORDER BY seq", values))
 
 
-def news(db: Connection, component: str, after: int, most: int) -> tuple[News, list[int]]:
+def row_changes(
+    db: Connection, component: str, after: int, most: int
+) -> tuple[RowChanges, list[int]]:
     """Return what happened to a component's rows above a seq, and the seqs of damaged ones.
 
-    Of new rows only the first `most`; the news then end with the last of them.
+    Of new rows only the first `most`; the row_changes then end with the last of them.
     """
     told = last_seq(db, component)
     values = {"component": component, "after": after, "most": most, "until": told}
@@ -140,7 +142,7 @@ def news(db: Connection, component: str, after: int, most: int) -> tuple[News, l
     new, damaged = sound(db.execute(fresh, values))
     whole = len(new) + len(damaged) < most
     until = told if whole else max(damaged + [row.seq for row in new[-1:]])
-    return News(old + new, gone, until, whole), broken + damaged
+    return RowChanges(old + new, gone, until, whole), broken + damaged
 
 
 def last_seq(db: Connection, component: str | None) -> int:

@@ -9,13 +9,13 @@ from wrenchbook.service.ledger import edits, rows
 from wrenchbook.service.ledger.connections import Connections
 from wrenchbook.service.ledger.errors import UnknownVersionError
 from wrenchbook.service.ledger.listeners import Listeners
-from wrenchbook.service.ledger.records import Change, LedgerRow, NewRow, News, RowEdit
+from wrenchbook.service.ledger.records import Change, LedgerRow, NewRow, RowChanges, RowEdit
 from wrenchbook.service.ledger.schema import Connection
 from wrenchbook.service.ledger.table_at import TableAt, at_version, known_blocks
 
 _log = logging.getLogger(__name__)
 
-MOST_NEWS = 20_000  # rows told at once: 30 MB as Python holds them
+MOST_CHANGES = 20_000  # rows told at once: 30 MB as Python holds them
 
 
 class TableRows:
@@ -90,13 +90,13 @@ class TableRows:
         self._note(component, damaged)
         return found
 
-    def news(self, component: str, after: int, most: int = MOST_NEWS) -> News:
+    def row_changes(self, component: str, after: int, most: int = MOST_CHANGES) -> RowChanges:
         """Return what happened to a component's rows after a seq; as `rows` leaves rows out.
 
         New rows are told `most` at a time.
         """
         with self._db.reading() as db:
-            found, damaged = rows.news(db, component, after, most)
+            found, damaged = rows.row_changes(db, component, after, most)
         self._note(component, damaged)
         return found
 
@@ -120,7 +120,7 @@ class TableRows:
             yield TableAt(until, known, self._lots(db, component, until))
 
     def _lots(self, db: Connection, component: str, until: int) -> Iterator[list[LedgerRow]]:
-        for found, damaged in at_version(db, component, until, MOST_NEWS):
+        for found, damaged in at_version(db, component, until, MOST_CHANGES):
             self._note(component, damaged)
             yield found
 

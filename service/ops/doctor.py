@@ -30,8 +30,8 @@ from wrenchbook.service.ops.checks import (
     move_aside,
 )
 from wrenchbook.service.ops.restore import in_use
+from wrenchbook.service.tables.changes import rows_for, without
 from wrenchbook.service.tables.files import TableFiles, new_row
-from wrenchbook.service.tables.news import usable, without
 from wrenchbook.service.tables.other_setup import unsolved
 from wrenchbook.surrogate.table.hdf5 import TableFileError, read_table
 from wrenchbook.surrogate.table.meta import TableMeta
@@ -298,7 +298,10 @@ def _whole_table(ledger: Ledger, component: Component) -> tuple[Rows, int]:
     """Return all rows that the ledger has of a component, and its newest change."""
     rows, after = Rows.empty(), 0
     while True:
-        news = ledger.news(component.name, after)
-        rows, after = without(rows, news) + usable(component, news), news.last_seq
-        if news.whole:
+        row_changes = ledger.row_changes(component.name, after)
+        rows, after = (
+            without(rows, row_changes) + rows_for(component, row_changes),
+            row_changes.last_seq,
+        )
+        if row_changes.whole:
             return rows, after

@@ -109,8 +109,8 @@ class Metrics(Collector):
 
     def _of_ledger(self) -> Iterator[Metric]:
         found = self._statistics()
-        text, usable = "1 if the ledger can be used now", int(found is not None)
-        yield GaugeMetricFamily("wrenchbook_ledger_usable", text, value=usable)
+        text, rows_for = "1 if the ledger can be used now", int(found is not None)
+        yield GaugeMetricFamily("wrenchbook_ledger_usable", text, value=rows_for)
         if found is None:
             return
         yield _gauges("wrenchbook_jobs", "jobs as they stand", "status", found.jobs)

@@ -10,7 +10,7 @@ SMALL_LANES = 2  # small builds at once beside a large one: all share one interp
 
 
 class Builders:
-    """Lanes that bring up whatever table has news, each table in one lane at a time.
+    """Lanes that bring up whatever table has row_changes, each table in one lane at a time.
 
     What is asked for while its table is being built is built once more, after that, however often
     it was asked for. Large tables have one lane, since two at once would each take twice as long;

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 
 from wrenchbook.service.ledger import About, Ledger, PackedRow, packed_columns
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.rows import export_rows, usable
+from wrenchbook.service.tables.rows import export_rows, rows_for
 
 
 def copy_rows(ledger: Ledger, source: Component, target: Component, about: About) -> int:
-    """Copy the usable rows that a component has now; returns how many.
+    """Copy the rows_for rows that a component has now; returns how many.
 
     Raises
     ------
@@ -22,7 +22,7 @@ def copy_rows(ledger: Ledger, source: Component, target: Component, about: About
 
         def blocks() -> Iterator[list[PackedRow]]:
             for lot in table.lots:
-                rows = export_rows(usable(lot, source), ())
+                rows = export_rows(rows_for(lot, source), ())
                 columns = rows.wrench, rows.displacement, rows.uncertainty, rows.compliance
                 texts = rows.source, rows.fingerprint, rows.note
                 yield packed_columns(target.name, columns, texts, time.time())

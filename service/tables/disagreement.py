@@ -30,7 +30,7 @@ def disagreement(
     Parameters
     ----------
     rows : Rows
-        All of a component's usable rows.
+        All of a component's rows_for rows.
     span : LoadRange, N and N·m
     tolerance : Tolerance or None, m and rad
     linear : bool

@@ -18,10 +18,10 @@ from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables.behind import TableBehindError
 from wrenchbook.service.tables.builders import LARGE, Builders
+from wrenchbook.service.tables.changes import rows_for, without
 from wrenchbook.service.tables.files import TableFiles
 from wrenchbook.service.tables.making import empty_table, make, packed_bytes
 from wrenchbook.service.tables.memory import give_back
-from wrenchbook.service.tables.news import usable, without
 from wrenchbook.service.tables.other_setup import count_others
 from wrenchbook.service.tables.packed_files import PackedFiles, origin_of
 from wrenchbook.service.tables.served import TABLE_MEMORY, ServedTable, drop_built
@@ -297,12 +297,12 @@ class Tables:
         """Return rows with all that the ledger says of them after a seq, and up to which seq."""
         fresh = [rows]  # joined at the end: a table of a million rows comes in fifty parts
         while True:
-            news = self._ledger.news(component.name, after)
-            if news.gone:
-                fresh = [without(joined(fresh), news)]
-            fresh.append(usable(component, news))
-            after = news.last_seq
-            if news.whole:
+            row_changes = self._ledger.row_changes(component.name, after)
+            if row_changes.gone:
+                fresh = [without(joined(fresh), row_changes)]
+            fresh.append(rows_for(component, row_changes))
+            after = row_changes.last_seq
+            if row_changes.whole:
                 return joined(fresh), after
 
     def _unchecked(self, component: Component) -> tuple[Rows, int]:

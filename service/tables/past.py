@@ -7,13 +7,13 @@ from collections import OrderedDict
 
 from anyio import CapacityLimiter
 
-from wrenchbook.service.ledger import Ledger, News
+from wrenchbook.service.ledger import Ledger, RowChanges
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
+from wrenchbook.service.tables.changes import rows_for
 from wrenchbook.service.tables.live import Tables
 from wrenchbook.service.tables.making import in_memory, make, packed_bytes
 from wrenchbook.service.tables.mapped import MappedTables
-from wrenchbook.service.tables.news import usable
 from wrenchbook.service.tables.packed_files import origin_of
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.tables.solver_errors import SolverErrors
@@ -111,7 +111,7 @@ class PastTables:
                         "too many to be built for a question. Export it with table_version, import "
                         "it into a component of its own, and ask that"
                     )
-                pieces.append(usable(component, News(lot, frozenset(), version)))
+                pieces.append(rows_for(component, RowChanges(lot, frozenset(), version)))
         self._check_whole(component.name, version)
         origin = origin_of(self._ledger, component, version, self._errors)
         table = make(component, joined(pieces), version, errors=self._errors)

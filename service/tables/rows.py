@@ -23,7 +23,7 @@ CONTRACT_WORDS = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.it
 
 @dataclass(frozen=True)
 class ExportRows:
-    """A component's usable rows as table files hold them.
+    """A component's rows_for rows as table files hold them.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ def joined_rows(pieces: Sequence[ExportRows]) -> ExportRows:
     return ExportRows(**columns)
 
 
-def usable(rows: Sequence[LedgerRow], component: Component) -> list[LedgerRow]:
+def rows_for(rows: Sequence[LedgerRow], component: Component) -> list[LedgerRow]:
     """Return those of a component's rows that are of its present setup, or measured."""
     return [row for row in rows if row.fingerprint in ("", component.fingerprint)]
 

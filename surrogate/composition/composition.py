@@ -281,10 +281,10 @@ class Composition:
             reading = cut.read(amounts)
             better = np.flatnonzero((part.state >= OFF_HULL) & (reading.state < part.state))
             outputs, bends, rest, slopes, bent = (column[better] for column in reading[:5])
-            news = _Part(
+            better_part = _Part(
                 outputs, bends, rest, slopes[..., None], bent[..., None], reading.state[better]
             )
-            part.put(better, news)
+            part.put(better, better_part)
         return part
 
 

@@ -28,7 +28,7 @@ from tests.acceptance.callers import (
 from tests.acceptance.imported import KINDS, load, prepare
 from tests.service.fmu.made import Opened, need_compiler
 from tests.service.live import FULL, moved, served, tangents
-from tests.service.test_crew import Crew, clients_of_each
+from tests.service.test_workers import Crew, clients_of_each
 from tests.surrogate.kernel.kinds import SIGMA, SIGMA_AT_ROWS, asked_of, assert_law, clean, six
 from tests.surrogate.law import build
 from tests.surrogate.softening import SOFT, column

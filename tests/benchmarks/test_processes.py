@@ -152,7 +152,7 @@ def test_queries_a_second_of_one_and_of_two_processes(tmp_path: Path) -> None:
         established = [
             sum(found.status == psutil.CONN_ESTABLISHED for found in process.net_connections())
             for process in two.processes()
-            if "wrenchbook.service.crew.answering" in process.cmdline()
+            if "wrenchbook.service.workers.web_worker" in process.cmdline()
         ]
         for connection in (*open_ones[0], *open_ones[1]):
             connection.close()

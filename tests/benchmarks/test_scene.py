@@ -104,7 +104,7 @@ def test_what_a_planar_scene_saves() -> None:
         ("first solves, asked for", (whole_first, scene_first)),
         (f"made-up: solves to 1 % (<= {MOST})", (whole_to_goal, to_goal)),
         ("build: cutting it, s", (whole_s, cut_s)),
-        ("build: opening its file, s", (whole_s, read_s)),
+        ("build: security its file, s", (whole_s, read_s)),
         ("memory, MB", (kept[0] / 1e6, kept[1] / 1e6)),
         ("one answer, µs", answers),
     ):

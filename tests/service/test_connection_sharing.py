@@ -6,8 +6,8 @@ from contextlib import ExitStack
 
 import pytest
 
-from wrenchbook.service.crew import sharing
-from wrenchbook.service.crew.sharing import LEAVE_S, OpenCounts, Taker
+from wrenchbook.service.workers import sharing
+from wrenchbook.service.workers.connection_sharing import LEAVE_S, Acceptor, ConnectionCounts
 
 
 class Side:
@@ -15,8 +15,8 @@ class Side:
 
     def __init__(self, listening, path, number, processes, taken):
         self.open, self.taken = [], taken
-        counts = OpenCounts(path, number, processes)
-        self.taker = Taker(listening.dup(), counts, self.open, self.speak)
+        counts = ConnectionCounts(path, number, processes)
+        self.taker = Acceptor(listening.dup(), counts, self.open, self.speak)
 
     def speak(self):
         side = self
@@ -75,16 +75,16 @@ def test_one_takes_all_where_the_other_takes_none(listening, tmp_path):
 
 def test_who_has_more_leaves_a_connection_for_a_moment_only(listening, tmp_path):
     assert 0 < LEAVE_S <= 0.05
-    counts = [OpenCounts(tmp_path / "counts", number, 2) for number in (1, 2)]
+    counts = [ConnectionCounts(tmp_path / "counts", number, 2) for number in (1, 2)]
     counts[0].tell(3)
     assert counts[0].others_have_fewer()
     assert not counts[1].others_have_fewer()
 
 
 def test_a_process_that_is_started_again_counts_from_nothing(tmp_path):
-    OpenCounts(tmp_path / "counts", 1, 2).tell(7)
-    other = OpenCounts(tmp_path / "counts", 2, 2)
+    ConnectionCounts(tmp_path / "counts", 1, 2).tell(7)
+    other = ConnectionCounts(tmp_path / "counts", 2, 2)
     other.tell(1)
     assert not other.others_have_fewer()
-    OpenCounts(tmp_path / "counts", 1, 2)
+    ConnectionCounts(tmp_path / "counts", 1, 2)
     assert other.others_have_fewer()

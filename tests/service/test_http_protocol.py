@@ -10,8 +10,8 @@ import orjson
 import pytest
 
 from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, served, tangents
+from wrenchbook.service.http.access import Permission
 from wrenchbook.service.http.application import Application
-from wrenchbook.service.http.door import Grant
 from wrenchbook.service.http.protocol import FastPathProtocol
 from wrenchbook.service.keys import Keyring
 
@@ -411,14 +411,14 @@ def test_a_query_before_one_with_an_upgrade_header_is_answered_first(wire):
 
 def test_an_uncovered_query_costs_its_key_one_request(tmp_path, monkeypatch):
     counted = []
-    wait = Grant.wait
+    wait = Permission.wait
 
     def count(self):
         if self.key is not None and self.key.name == "loop":
             counted.append(self)
         return wait(self)
 
-    monkeypatch.setattr(Grant, "wait", count)
+    monkeypatch.setattr(Permission, "wait", count)
     owner, loop = (Keyring(tmp_path).add(name, "write") for name in ("owner", "loop"))
     wrenches = full_wrenches(40)
     with served(tmp_path, key=owner) as client:

@@ -50,7 +50,7 @@ def test_rows_accepted_by_a_ledger_with_damaged_bytes_are_there_after_a_restart(
             ledger.close()
             ledger = Ledger(path)
             assert {row.displacement for row in new_rows(1000, 1030)} <= displacements(ledger)
-            ledger.news("rig", 0)
+            ledger.row_changes("rig", 0)
         finally:
             ledger.close()
     assert refused > 10

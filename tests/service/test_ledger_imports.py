@@ -82,7 +82,7 @@ def test_nothing_of_an_import_is_seen_before_its_end_and_all_of_it_after(ledger)
                 (
                     ledger.count_rows("rig"),
                     ledger.last_seq("rig"),
-                    len(ledger.news("rig", 0).rows),
+                    len(ledger.row_changes("rig", 0).rows),
                     len(ledger.rows("rig")),
                 )
             )
@@ -91,7 +91,7 @@ def test_nothing_of_an_import_is_seen_before_its_end_and_all_of_it_after(ledger)
 
     assert ledger.import_rows("rig", watched(), About("kl", "a.csv"))[:2] == (150, 0)
     assert set(seen) == {(1, 1, 1, 1)}
-    assert ledger.count_rows("rig") == len(ledger.news("rig", 1).rows) + 1 == 151
+    assert ledger.count_rows("rig") == len(ledger.row_changes("rig", 1).rows) + 1 == 151
 
 
 def test_other_components_and_jobs_go_on_during_an_import(ledger):
@@ -100,7 +100,7 @@ def test_other_components_and_jobs_go_on_during_an_import(ledger):
             yield block
             ledger.insert_rows("bar", "", [NewRow((lot + 1.0,) * 6, (0.0,) * 6)])
             ledger.accept("plate", "f1", (lot + 1.0, 0, 0, 0, 0, 0))
-            assert len(ledger.news("bar", 0).rows) == lot + 1
+            assert len(ledger.row_changes("bar", 0).rows) == lot + 1
 
     ledger.import_rows("rig", watched(), About())
     assert (ledger.count_rows("rig"), ledger.count_rows("bar")) == (150, 3)
@@ -112,9 +112,9 @@ def test_a_follower_misses_no_row_that_came_during_an_import(ledger):
 
     def follow():
         nonlocal after
-        news = ledger.news("rig", after)
-        told.extend(row.seq for row in news.rows)
-        after = news.last_seq
+        row_changes = ledger.row_changes("rig", after)
+        told.extend(row.seq for row in row_changes.rows)
+        after = row_changes.last_seq
 
     def watched():
         for lot, block in enumerate(blocks(20)):

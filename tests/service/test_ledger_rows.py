@@ -201,15 +201,17 @@ def test_a_withdrawn_row_is_gone_for_readers_and_followers_and_comes_back(ledger
     ledger.withdraw("plate", 2)
     assert [row.seq for row in ledger.rows("plate")] == [1, 3]
     assert ledger.row(2).origin == "t.csv:1"
-    news = ledger.news("plate", seen)
-    assert (news.rows, news.gone) == ([], {2})
-    assert news.last_seq == ledger.last_seq("plate") == ledger.last_seq() > seen
+    row_changes = ledger.row_changes("plate", seen)
+    assert (row_changes.rows, row_changes.gone) == ([], {2})
+    assert row_changes.last_seq == ledger.last_seq("plate") == ledger.last_seq() > seen
     ledger.restore("plate", 2)
     assert [row.seq for row in ledger.rows("plate")] == [1, 2, 3]
-    back = ledger.news("plate", news.last_seq)
+    back = ledger.row_changes("plate", row_changes.last_seq)
     assert ([row.seq for row in back.rows], back.gone) == ([2], {2})
     ledger.insert_rows("plate", "f1", ROWS[3:4])
-    assert [row.seq for row in ledger.news("plate", back.last_seq).rows] == [back.last_seq + 1]
+    assert [row.seq for row in ledger.row_changes("plate", back.last_seq).rows] == [
+        back.last_seq + 1
+    ]
 
 
 def test_withdrawing_what_is_not_there_or_twice_is_refused_by_name(ledger):
@@ -269,7 +271,7 @@ def test_a_row_with_a_flipped_bit_is_served_by_no_reader_and_named(ledger, colum
     ledger.insert_rows("plate", "f1", full)
     damage(ledger, column)
     assert [row.seq for row in ledger.rows("plate")] == [1, 3]
-    assert [row.seq for row in ledger.news("plate", 0).rows] == [1, 3]
+    assert [row.seq for row in ledger.row_changes("plate", 0).rows] == [1, 3]
     assert ledger.damaged == {2: "plate"}
     assert "row 2 of plate is damaged" in caplog.text
     with pytest.raises(DamagedRowError, match="row 2"):
@@ -282,12 +284,12 @@ def test_a_damaged_row_of_a_job_is_solved_again_when_it_is_asked_for(ledger):
     ledger.claim("me")
     seq = ledger.commit(job.id, 1, displacement).seq
     damage(ledger, "displacement", seq)
-    seen = ledger.news("plate", 0).last_seq
+    seen = ledger.row_changes("plate", 0).last_seq
     assert ledger.accept("plate", "f1", wrench)[0].status == "waiting"
     ledger.claim("me")
     assert ledger.commit(job.id, 2, displacement).displacement == displacement
     assert [row.seq for row in ledger.rows("plate")] == [seq]
-    assert [row.seq for row in ledger.news("plate", seen).rows] == [seq]
+    assert [row.seq for row in ledger.row_changes("plate", seen).rows] == [seq]
 
 
 def test_a_ledger_of_the_first_schema_is_taken_over_whole(tmp_path, monkeypatch):
@@ -376,14 +378,14 @@ def test_news_told_in_parts_are_the_news_told_at_once(ledger):
     ledger.restore("plate", seqs[5])
     held, after, parts = {}, 0, 0
     while True:
-        news = ledger.news("plate", after, most=4)
-        held = {seq: row for seq, row in held.items() if seq not in news.gone}
-        held |= {row.seq: row for row in news.rows}
-        after, parts = news.last_seq, parts + 1
+        row_changes = ledger.row_changes("plate", after, most=4)
+        held = {seq: row for seq, row in held.items() if seq not in row_changes.gone}
+        held |= {row.seq: row for row in row_changes.rows}
+        after, parts = row_changes.last_seq, parts + 1
         if parts == 2:  # what happens meanwhile is told as well
             ledger.withdraw("plate", seqs[0])
             ledger.restore("plate", seqs[7])
-        if news.whole:
+        if row_changes.whole:
             break
     assert parts > 5
     assert after == ledger.last_seq("plate")

@@ -10,8 +10,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from wrenchbook.service.gathering.gathering import Gathering
 from wrenchbook.service.ledger import BlockKeyError, Ledger, block_of, packed
+from wrenchbook.service.recording.store import RecordingStore
 from wrenchbook.surrogate.table.rows import LoadRange
 
 RANGE = LoadRange(np.array([-10.0] * 6), np.array([10.0] * 6))
@@ -69,8 +69,8 @@ class RecordingAgainstReference(RuleBasedStateMachine):
     def open(self):
         self.ledger = Ledger(self.folder / "ledger.sqlite")
         workspace = SimpleNamespace(library=Library(), ledger=self.ledger)
-        self.gathering = Gathering(workspace)
-        self.other = Gathering(workspace)  # another process, with nets of its own
+        self.gathering = RecordingStore(workspace)
+        self.other = RecordingStore(workspace)  # another process, with nets of its own
 
     def teardown(self):
         self.ledger.close()

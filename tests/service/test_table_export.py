@@ -1,7 +1,7 @@
 """What an export holds of a table that the ledger tells in parts."""
 
 from wrenchbook.service.ledger import Ledger, NewRow
-from wrenchbook.service.ledger.table_rows import MOST_NEWS
+from wrenchbook.service.ledger.table_rows import MOST_CHANGES
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables.exporting import Wanted, export_table
 
@@ -12,7 +12,7 @@ def test_an_export_holds_all_rows_of_a_table_larger_than_one_part_of_the_news(tm
     ledger = Ledger(tmp_path / "ledger.sqlite")
     library = Library(tmp_path / "components", tmp_path / "none")
     library.add_table_only("rig", "rig", RANGE, RANGE, None)
-    count = MOST_NEWS + 2
+    count = MOST_CHANGES + 2
     ledger.insert_rows(
         "rig", "", (NewRow((load / count, 0, 0, 0, 0, 0), (load,) * 6) for load in range(count))
     )

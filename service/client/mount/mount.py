@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..gathering_calls import Started
 from ..recording import Recorder
+from ..recording_calls import Started
 from ..replies import Displacement
 from ..rotation import rotation_matrix
 from ..wrenches import ON_THIN, tolerance_body

@@ -12,9 +12,9 @@ from starlette.responses import Response
 from wrenchbook.fea.accuracy.advice import WHERE, over_tolerance
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.discreet import discreet
+from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
 from wrenchbook.service.http.body import MOST_QUERY_BYTES, form_of, read_limited
-from wrenchbook.service.http.door import grant_of
 from wrenchbook.service.http.links import job_link
 from wrenchbook.service.http.needs import need_from
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
@@ -111,7 +111,7 @@ async def _add_bundle(workspace: Workspace, request: Request) -> Component:
         upload = form.get("bundle")
         if not isinstance(upload, UploadFile):
             raise bad_body([{"loc": "bundle", "msg": "send the zip as the form's file 'bundle'"}])
-        decks = grant_of(request.scope).allows("admin")
+        decks = permission_of(request.scope).allows("admin")
         return await run_in_threadpool(workspace.library.add_zip, upload.file, decks=decks)
 
 

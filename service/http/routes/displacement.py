@@ -18,12 +18,12 @@ from wrenchbook.service.answering.past import answer_at, answer_many_at
 from wrenchbook.service.answering.queries import BatchOutcome, BatchQuery, Query
 from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.http import binary
+from wrenchbook.service.http.access import Permission, permission_of
+from wrenchbook.service.http.access.control import beyond_scope
 from wrenchbook.service.http.batch import few_large, read_batch_body
 from wrenchbook.service.http.binary import is_binary, read_binary
 from wrenchbook.service.http.bodies import BatchBody, DisplacementBody, SolveBody
 from wrenchbook.service.http.body import MOST_BATCH_BYTES, Spooled, read_limited, spooled
-from wrenchbook.service.http.door import Grant, grant_of
-from wrenchbook.service.http.door.door import beyond_scope
 from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import (
     VersionQuery,
@@ -77,10 +77,14 @@ async def reply_to(
     workspace: Workspace, name: str, body: bytes, counts: Counts, scope: Scope
 ) -> Response:
     """Answer the main call of a component from the call's body, and count it."""
-    grant, version = grant_of(scope), version_of(scope["query_string"])
+    permission, version = permission_of(scope), version_of(scope["query_string"])
     query = scope.get(QUERY)
     if query is None:
-        query = read_query(body) if grant.allows("write") else _asking(grant, read_query, body)
+        query = (
+            read_query(body)
+            if permission.allows("write")
+            else _asking(permission, read_query, body)
+        )
     if version is None:
         outcome = await answer_or_submit(workspace, name, query)
     else:
@@ -90,7 +94,7 @@ async def reply_to(
     return write_outcome(outcome, derivatives=query.derivatives)
 
 
-def _asking(grant: Grant, read: Callable[[Body], Asked], body: Body) -> Asked:
+def _asking(permission: Permission, read: Callable[[Body], Asked], body: Body) -> Asked:
     """Read the body of one who may only ask: what could queue a solve is refused.
 
     Raises
@@ -101,9 +105,9 @@ def _asking(grant: Grant, read: Callable[[Body], Asked], body: Body) -> Asked:
     try:
         query = read(body)
     except ProblemError:
-        raise beyond_scope(grant, "write") from None
+        raise beyond_scope(permission, "write") from None
     if query.on_thin not in ("estimate", "reject"):
-        raise beyond_scope(grant, "write")
+        raise beyond_scope(permission, "write")
     return query
 
 
@@ -128,7 +132,7 @@ async def displacement(name: str, request: Request) -> Response:
     openapi_extra=takes(BatchBody, binary.BODY, binary.BinaryQuery),
 )
 async def displacements(name: str, request: Request) -> Response:
-    binary, grant = is_binary(request), grant_of(request.scope)
+    binary, permission = is_binary(request), permission_of(request.scope)
     workspace: Workspace = request.app.state.workspace
     read: Callable[[Spooled], BatchQuery] = read_batch_body
     if binary:
@@ -137,7 +141,7 @@ async def displacements(name: str, request: Request) -> Response:
     else:
         version = version_of(request.scope["query_string"])
     async with spooled(request.receive, MOST_BATCH_BYTES) as body:
-        asking = read if grant.allows("write") else partial(_asking, grant, read)
+        asking = read if permission.allows("write") else partial(_asking, permission, read)
         batch = await run_in_threadpool(asking, body)
         async with few_large(len(batch.wrenches)):
             outcome = await _answered(workspace, name, batch, version)

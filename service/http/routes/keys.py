@@ -72,8 +72,8 @@ def _keyring(request: Request) -> Keyring:
     ProblemError
         409, while it needs none: whoever could ask would lock all others out.
     """
-    door = request.app.state.door
-    if not door.keys_needed:
+    access = request.app.state.access
+    if not access.keys_needed:
         raise ProblemError(
             409,
             "no-keys",
@@ -81,7 +81,7 @@ def _keyring(request: Request) -> Keyring:
             "Everybody on this machine may ask it. Make the first key on the machine itself: "
             "wrenchbook keys add NAME --scope admin; from then on every call needs one.",
         )
-    return door.keyring
+    return access.keyring
 
 
 def _added(keyring: Keyring, body: KeyBody) -> str:

@@ -9,9 +9,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from wrenchbook.service.formats import text_problem
+from wrenchbook.service.http.access.permission import permission_of
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
 from wrenchbook.service.http.body import read_limited
-from wrenchbook.service.http.door.grant import grant_of
 from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.problems import ProblemError, bad_body
@@ -158,7 +158,7 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
     card = workspace.catalogue[name]
     workspace.catalogue.change(made.name, notes=card.notes, copied_from=name)
     if body.rows:
-        key = grant_of(request.scope).key
+        key = permission_of(request.scope).key
         about = About(who=key.name if key else "", format="copy", note=f"copied from {name}")
         copy_rows(workspace.ledger, source, made, about)
     if renamed:

@@ -18,8 +18,8 @@ from starlette.responses import FileResponse, Response
 
 from wrenchbook.service.answering.past import table_at
 from wrenchbook.service.formats import SheetFullError, UnitError
+from wrenchbook.service.http.access.permission import permission_of
 from wrenchbook.service.http.body import received
-from wrenchbook.service.http.door.grant import grant_of
 from wrenchbook.service.http.import_query import ImportQuery
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.problems import ProblemError
@@ -201,7 +201,7 @@ async def import_table(
     _check_kind(request)
     options, wish = query.options(), query.wish()
     async with received(request) as sent:
-        key = grant_of(request.scope).key
+        key = permission_of(request.scope).key
         about = About(
             who=key.name if key else "",
             filename=query.filename or sent.filename,

@@ -123,9 +123,9 @@ function measured(shape, sizes, largest) {
   const found = shape.stress;
   return facts([
     ["Largest displacement", `${quantity(largest, "m", 4)}${bar === null ? "" : ` ± ${quantity(bar, "m", 2)}`} at ${at(where)}`],
-    ["Its bars, at most", sharesOf(shape.error_parts)],
+    ["Error bar, at most", sharesOf(shape.error_parts)],
     ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : ` ± ${stress(found.error)} (of the table alone)`} at ${at(found.at)}` : "not told between rows here"],
-    ["Yields", found && found.yields !== null ? (found.yields ? "yes" : `no: ${stress(found.yield_strength)} is borne`) : ""],
+    ["Yields", found && found.yields !== null ? (found.yields ? "yes" : `no (yield strength ${stress(found.yield_strength)})`) : ""],
     ["Surface", `${shape.vertices.length} points, ${shape.triangles.length} triangles${shape.simplified ? `, simplified from ${shape.simplified.from} points` : ""}`],
   ]);
 }

@@ -18,10 +18,10 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from wrenchbook.service.crew.pulse import READY_S, SILENT_S, Watched
 from wrenchbook.service.files.child import child_command
 from wrenchbook.service.http.listen import bind_to
 from wrenchbook.service.ops.logs import set_up
+from wrenchbook.service.workers.heartbeat import READY_S, SILENT_S, HeartbeatWatch
 
 log = logging.getLogger(__name__)
 
@@ -32,11 +32,11 @@ LONGEST_PAUSE_S = 30.0
 BACKLOG = 2048  # connections that wait to be taken, as uvicorn has it
 
 
-class MemberFailedError(RuntimeError):
+class WorkerFailedError(RuntimeError):
     """A process of the server could not be started; its log says why."""
 
 
-class Member:
+class Worker:
     """One process, started again whenever it ends by itself.
 
     Parameters
@@ -74,7 +74,7 @@ class Member:
 
         Raises
         ------
-        MemberFailedError
+        WorkerFailedError
             If it ends before, or does not in `READY_S`.
         """
         deadline = time.monotonic() + READY_S
@@ -82,7 +82,7 @@ class Member:
         while not (ended.is_set() or self._settled.wait(0.1)) and time.monotonic() < deadline:
             pass
         if not (self._ready or ended.is_set()):
-            raise MemberFailedError(f"{self.name} did not start; its log says why")
+            raise WorkerFailedError(f"{self.name} did not start; its log says why")
 
     def terminate(self) -> None:
         """Ask it to end, and start it no more."""
@@ -124,7 +124,7 @@ class Member:
                 os.close(beaten)
                 return 0
             # A session of its own: Ctrl-C reaches it through `terminate` alone, once. Its input
-            # ends with this process, however that ends: see `follow_supervisor`.
+            # ends with this process, however that ends: see `end_with_supervisor`.
             self._child = subprocess.Popen(
                 [*self._command, str(beaten)],
                 stdin=subprocess.PIPE,
@@ -133,7 +133,7 @@ class Member:
             )
         os.close(beaten)
         try:
-            self._follow(self._child, Watched(self._child, heard))
+            self._follow(self._child, HeartbeatWatch(self._child, heard))
         finally:
             os.close(heard)
         status = self._child.wait()
@@ -141,7 +141,7 @@ class Member:
             self._child.stdin.close()
         return status
 
-    def _follow(self, child: subprocess.Popen[bytes], watched: Watched) -> None:
+    def _follow(self, child: subprocess.Popen[bytes], watched: HeartbeatWatch) -> None:
         """Return once a process ends, or is killed for standing still."""
         if watched.heard(READY_S):
             log.info("%s is ready, pid %d", self.name, child.pid)
@@ -165,7 +165,7 @@ def supervise(said: Mapping[str, Any]) -> None:
 
     Raises
     ------
-    MemberFailedError
+    WorkerFailedError
         If one of them cannot be started, or another server tends the data directory.
     OSError
         If the address is taken or not this machine's.
@@ -173,23 +173,23 @@ def supervise(said: Mapping[str, Any]) -> None:
     bound, address = bind_to(said["host"], said["port"])
     set_up(said["log_level"], said["log_format"])
     bound.listen(BACKLOG)
-    members = _members(said, bound.fileno())
+    workers = _workers(said, bound.fileno())
     ended = threading.Event()
-    _heed_signals(ended, members)
+    _heed_signals(ended, workers)
     try:
-        for part in (members[:1], members[1:]):  # where the first is refused, nobody else begins
-            for member in part:
-                member.start()
-            for member in part:
-                member.wait_until_ready(ended)
+        for part in (workers[:1], workers[1:]):  # where the first is refused, nobody else begins
+            for worker in part:
+                worker.start()
+            for worker in part:
+                worker.wait_until_ready(ended)
         if not ended.is_set():
             print(f"wrenchbook serves {address}", flush=True)
         ended.wait()
     finally:
-        _end(members, bound)
+        _end(workers, bound)
 
 
-def follow_supervisor() -> None:
+def end_with_supervisor() -> None:
     """End this process, as at a signal, once the one that has started it is gone."""
 
     def read() -> None:
@@ -200,25 +200,25 @@ def follow_supervisor() -> None:
     threading.Thread(target=read, name="supervisor", daemon=True).start()
 
 
-def _members(said: Mapping[str, Any], listening: int) -> list[Member]:
+def _workers(said: Mapping[str, Any], listening: int) -> list[Worker]:
     told = json.dumps(dict(said), default=str)
-    first = child_command("wrenchbook.service.crew.coordinator", told)
-    members = [Member("the coordinator", first)]
+    first = child_command("wrenchbook.service.workers.coordinator", told)
+    workers = [Worker("the coordinator", first)]
     for number in range(1, said["processes"] + 1):
         words = child_command(
-            "wrenchbook.service.crew.answering", told, str(number), str(listening)
+            "wrenchbook.service.workers.web_worker", told, str(number), str(listening)
         )
-        members.append(Member(f"answering process {number}", words, [listening]))
-    return members
+        workers.append(Worker(f"answering process {number}", words, [listening]))
+    return workers
 
 
-def _heed_signals(ended: threading.Event, members: list[Member]) -> None:
+def _heed_signals(ended: threading.Event, workers: list[Worker]) -> None:
     """End all at the first signal, at once at a second one."""
 
     def heed(number: int, _: object) -> None:
         if ended.is_set():
-            for member in members:
-                member.terminate()
+            for worker in workers:
+                worker.terminate()
             os._exit(128 + number)
         ended.set()
 
@@ -226,14 +226,14 @@ def _heed_signals(ended: threading.Event, members: list[Member]) -> None:
         signal.signal(number, heed)
 
 
-def _end(members: list[Member], bound: socket.socket) -> None:
+def _end(workers: list[Worker], bound: socket.socket) -> None:
     """End those who answer, then the one who builds and solves."""
-    for part in (members[1:], members[:1]):
-        for member in part:
-            member.terminate()
+    for part in (workers[1:], workers[:1]):
+        for worker in part:
+            worker.terminate()
         # Who comes now is refused at once and can go elsewhere: in the queue of a socket that
         # nobody takes from they would wait for as long as all this ends.
         with contextlib.suppress(OSError):
             bound.shutdown(socket.SHUT_RDWR)
-        for member in part:
-            member.wait(STOP_S)
+        for worker in part:
+            worker.wait(STOP_S)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.service.gathering.gathering import Gathering
-from wrenchbook.service.gathering.net import farthest_first, scaled_loads
 from wrenchbook.service.ledger import Job, packed
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.ordering import NoSetupError
+from wrenchbook.service.recording.net import farthest_first, scaled_loads
+from wrenchbook.service.recording.store import RecordingStore
 from wrenchbook.service.tables.other_setup import unsolved
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.answer import COVERED
@@ -47,7 +47,7 @@ class Started:
 
 
 def start_recording(
-    workspace: Workspace, gathering: Gathering, name: str, budget: int, *, beyond_range: bool
+    workspace: Workspace, store: RecordingStore, name: str, budget: int, *, beyond_range: bool
 ) -> Started:
     """Queue the solves of recorded wrenches that the table does not cover.
 
@@ -64,7 +64,7 @@ def start_recording(
         If the table does not hold all rows yet.
     """
     component = _solvable(workspace, name)
-    wrenches = gathering.recording(name).wrenches
+    wrenches = store.recording(name).wrenches
     if component.linear:
         return _start_linear(workspace, component, wrenches, beyond_range)
     # First what is queued, then what is known: see `Workspace.fill`.
@@ -89,14 +89,14 @@ def start_recording(
 
 
 def start_envelope(
-    workspace: Workspace, gathering: Gathering, name: str, *, beyond_range: bool
+    workspace: Workspace, store: RecordingStore, name: str, *, beyond_range: bool
 ) -> Started:
     """Queue the solves of the wrenches that reached an envelope's extremes, covered or not.
 
     Raises as `start_recording` does.
     """
     component = _solvable(workspace, name)
-    envelope = gathering.envelope(name)
+    envelope = store.envelope(name)
     both = np.concatenate([envelope.lowest, envelope.highest])
     wrenches = np.unique(both, axis=0) if len(both) else both
     if component.linear:
@@ -141,7 +141,7 @@ def _solvable(workspace: Workspace, name: str) -> Component:
     if not component.has_fea:
         raise NoSetupError(
             f"{name!r} has rows loaded from outside and no finite-element setup, so nothing was "
-            "queued; what was gathered stays. GET it, measure or solve these wrenches elsewhere, "
+            "queued; what was recorded stays. GET it, measure or solve these wrenches elsewhere, "
             f"and load the rows: POST /v1/components/{name}/table."
         )
     return component
@@ -197,7 +197,7 @@ def _reason(wanted: int, counted: Started, failed: int, left: int) -> str:
         told.append(f"{beyond}: start with beyond_range true to solve them all the same")
     if not wanted and not told:
         any_kept = counted.solved + counted.covered
-        told.append("the table covers all of them" if any_kept else "nothing was gathered yet")
+        told.append("the table covers all of them" if any_kept else "nothing was recorded yet")
     return "; ".join(told)
 
 
@@ -206,7 +206,7 @@ def _start_linear(
 ) -> Started:
     """Queue what tells a linear component's compliance: it answers every wrench."""
     if not len(wrenches):
-        return Started([], reason="nothing was gathered yet")
+        return Started([], reason="nothing was recorded yet")
     inside, beyond = _within(component, wrenches, beyond_range)
     if not workspace.tables.caught_up(component.name, CATCH_UP_S).needs_compliance:
         reason = "the component is linear and its compliance known: it answers every wrench"

@@ -6,22 +6,24 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from wrenchbook.service.ledger import LedgerRow, News
+from wrenchbook.service.ledger import LedgerRow, RowChanges
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.table.rows import Rows
 
 
-def without(rows: Rows, news: News) -> Rows:
-    """Return rows without those that the news take out, to come back or not."""
-    return rows.take(~np.isin(rows.seq, list(news.gone)))
+def without(rows: Rows, row_changes: RowChanges) -> Rows:
+    """Return rows without those that the row_changes take out, to come back or not."""
+    return rows.take(~np.isin(rows.seq, list(row_changes.gone)))
 
 
-def usable(component: Component, news: News) -> Rows:
-    """Return the news' rows of this setup and measured ones.
+def rows_for(component: Component, row_changes: RowChanges) -> Rows:
+    """Return the row_changes' rows of this setup and measured ones.
 
     FEA rows of another setup are never mixed in.
     """
-    return table_rows(row for row in news.rows if row.fingerprint in ("", component.fingerprint))
+    return table_rows(
+        row for row in row_changes.rows if row.fingerprint in ("", component.fingerprint)
+    )
 
 
 def table_rows(rows: Iterable[LedgerRow]) -> Rows:

@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 
-from wrenchbook.service.ledger import gathered
+from wrenchbook.service.ledger import recorded
 from wrenchbook.service.ledger.connections import Connections
-from wrenchbook.service.ledger.gathered import Block, Kept, Kind, Tally
+from wrenchbook.service.ledger.recorded import Block, Kept, Kind, Tally
 
 
-class Gatherings:
+class LedgerRecordings:
     """What `Ledger` does with recordings and envelopes."""
 
     _db: Connections
@@ -44,7 +44,7 @@ class Gatherings:
             component,
             "recording",
             block,
-            lambda now, db: choose(now, lambda: gathered.recorded(db, component)),
+            lambda now, db: choose(now, lambda: recorded.recorded(db, component)),
         )
 
     def widen(
@@ -55,40 +55,40 @@ class Gatherings:
     ) -> tuple[Tally, bool]:
         """Take a block of wrenches into a component's envelope, once; as `record`.
 
-        `choose` is given the tally and the extremes by place, as `gathered.Kept` numbers them.
+        `choose` is given the tally and the extremes by place, as `recorded.Kept` numbers them.
         """
         return self._take(
             component,
             "envelope",
             block,
-            lambda now, db: choose(now, gathered.extremes(db, component)),
+            lambda now, db: choose(now, recorded.extremes(db, component)),
         )
 
     def recording(self, component: str) -> tuple[Tally, list[bytes]]:
         """Return how a component's recording stands and the packed wrenches it keeps."""
         with self._db.reading() as db:
-            return gathered.tally(db, component, "recording"), gathered.recorded(db, component)
+            return recorded.tally(db, component, "recording"), recorded.recorded(db, component)
 
     def envelope(self, component: str) -> tuple[Tally, dict[int, bytes]]:
         """Return how a component's envelope stands and its packed extremes by place."""
         with self._db.reading() as db:
-            return gathered.tally(db, component, "envelope"), gathered.extremes(db, component)
+            return recorded.tally(db, component, "envelope"), recorded.extremes(db, component)
 
-    def clear_gathering(self, component: str, kind: Kind) -> Tally:
+    def clear_recording(self, component: str, kind: Kind) -> Tally:
         """Empty a recording or an envelope, and return how it stood.
 
         A block that was in it is not taken in again when it is sent once more.
         """
         with self._db.writing() as db:
-            return gathered.clear(db, component, kind)
+            return recorded.clear(db, component, kind)
 
     def _take(
         self, component: str, kind: Kind, block: Block | None, choose: Callable
     ) -> tuple[Tally, bool]:
         with self._db.writing() as db:
-            now = gathered.tally(db, component, kind)
+            now = recorded.tally(db, component, kind)
             if block is not None:
-                if gathered.is_known(db, component, kind, block):
+                if recorded.is_known(db, component, kind, block):
                     return now, True
-                gathered.remember(db, component, kind, block)
-            return gathered.write(db, component, kind, choose(now, db)), False
+                recorded.remember(db, component, kind, block)
+            return recorded.write(db, component, kind, choose(now, db)), False

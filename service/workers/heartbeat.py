@@ -21,7 +21,7 @@ SILENT_S: Final = 20.0
 READY_S: Final = 180.0  # a first start compiles for up to a minute, on cores that others use too
 
 
-class Pulse:
+class Heartbeat:
     """The end of the pipe that a process beats into.
 
     Parameters
@@ -41,7 +41,7 @@ class Pulse:
             os.write(self._descriptor, b".")
 
 
-class Watched:
+class HeartbeatWatch:
     """One process and its pipe, as the supervisor has them.
 
     Parameters

@@ -316,7 +316,7 @@ def test_the_bound_of_an_envelope_is_the_largest_answer_in_its_box(tmp_path):
 
 
 def test_the_bound_over_a_box_of_a_matrix_is_the_largest_at_its_corners():
-    from wrenchbook.service.gathering.bound import _corners, _over_box
+    from wrenchbook.service.recording.bound import _corners, _over_box
 
     low, high = -full_wrenches(1, 4)[0].__abs__(), FULL
     matrix = np.random.default_rng(5).normal(size=(6, 6))

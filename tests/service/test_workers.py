@@ -21,11 +21,11 @@ from tests.service.live import FULL, add_table, as_rows, clean_wrenches, moved
 from tests.service.until import until
 from wrenchbook.service.cli.follow import follow_jobs
 from wrenchbook.service.client import Client, ProblemError
-from wrenchbook.service.crew import pulse
-from wrenchbook.service.crew.supervisor import Member
 from wrenchbook.service.files.child import child_command
 from wrenchbook.service.keys import Keyring
 from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.workers import heartbeat
+from wrenchbook.service.workers.supervisor import Worker
 
 HERE = Path(__file__).parent
 LIMIT_S = 60.0
@@ -52,11 +52,11 @@ class Crew:
         self.address = self.supervisor.stdout.readline().rsplit(maxsplit=1)[-1:]
         self.seen = psutil.Process(self.supervisor.pid)
 
-    def members(self, word):
+    def workers(self, word):
         found = []
         for one in self.seen.children():
             with suppress(psutil.Error):  # it has ended just now
-                found += [one] if f"wrenchbook.service.crew.{word}" in one.cmdline() else []
+                found += [one] if f"wrenchbook.service.workers.{word}" in one.cmdline() else []
         return found
 
     def client(self):
@@ -75,7 +75,7 @@ class Crew:
 
 @pytest.fixture(scope="module")
 def crew(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("crew")
+    folder = tmp_path_factory.mktemp("workers")
     one = Crew(folder)
     with one.client() as client:
         add_table(client, "clean", as_rows(clean_wrenches(), moved(clean_wrenches())))
@@ -86,7 +86,7 @@ def crew(tmp_path_factory):
 @contextmanager
 def clients_of_each(crew):
     """Give a client of each process that answers, told by the port its connection has."""
-    answering = crew.members("answering")
+    answering = crew.workers("answering")
     found, rest = {}, []
     try:
         while len(found) < len(answering):
@@ -229,17 +229,17 @@ def test_jobs_followed_at_one_process_are_shown_as_another_takes_them_and_all_ru
 
 
 def test_a_killed_process_is_started_again_and_the_others_answer_meanwhile(crew):
-    before = {one.pid for one in crew.members("answering")}
+    before = {one.pid for one in crew.workers("answering")}
     victim = min(before)
     os.kill(victim, signal.SIGKILL)
     with crew.client() as client:
         assert client.component("clean")["rows"] > 0
-        until(lambda: len({one.pid for one in crew.members("answering")} - {victim}) == len(before))
+        until(lambda: len({one.pid for one in crew.workers("answering")} - {victim}) == len(before))
         until(client.is_ready)
 
 
 def test_a_killed_coordinator_loses_nothing_that_was_accepted(crew):
-    (victim,) = crew.members("coordinator")
+    (victim,) = crew.workers("coordinator")
     with crew.client() as client:
         held = answers(client, clean_wrenches())
         os.kill(victim.pid, signal.SIGKILL)
@@ -247,7 +247,7 @@ def test_a_killed_coordinator_loses_nothing_that_was_accepted(crew):
         job = client.solve("bar", [0.0, 0.0, -10.0], [0.0, 0.0, 0.0]).job
         assert job is not None
         until(lambda: client.job(job.id).status == "done")
-        assert {one.pid for one in crew.members("coordinator")} != {victim.pid}
+        assert {one.pid for one in crew.workers("coordinator")} != {victim.pid}
         until(client.is_ready)
 
 
@@ -264,10 +264,10 @@ def test_a_second_server_on_the_same_directory_is_refused_with_what_to_do(crew):
 
 def test_all_processes_end_with_a_supervisor_that_is_killed(tmp_path):
     one = Crew(tmp_path)
-    members = one.seen.children()
+    workers = one.seen.children()
     one.supervisor.kill()
     one.supervisor.wait(LIMIT_S)
-    _, alive = psutil.wait_procs(members, LIMIT_S)
+    _, alive = psutil.wait_procs(workers, LIMIT_S)
     one.close()
     assert not alive
     assert not (tmp_path / "shared").exists()
@@ -275,16 +275,16 @@ def test_all_processes_end_with_a_supervisor_that_is_killed(tmp_path):
 
 def test_a_process_that_stands_still_is_replaced_and_its_callers_let_go(tmp_path):
     said = 'import os, sys; os.write(int(sys.argv[1]), b"."); sys.stdin.read()'
-    member = Member("the sleeper", [sys.executable, "-c", said])
+    worker = Worker("the sleeper", [sys.executable, "-c", said])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pulse, "SILENT_S", 0.05)
-        patch.setattr(pulse, "BEAT_S", 0.01)
-        member.start()
-        member.wait_until_ready(threading.Event())
-        first = until(lambda: member.pid)
-        assert until(lambda: member.pid not in (None, first))
-    member.terminate()
-    member.wait(LIMIT_S)
+        patch.setattr(heartbeat, "SILENT_S", 0.05)
+        patch.setattr(heartbeat, "BEAT_S", 0.01)
+        worker.start()
+        worker.wait_until_ready(threading.Event())
+        first = until(lambda: worker.pid)
+        assert until(lambda: worker.pid not in (None, first))
+    worker.terminate()
+    worker.wait(LIMIT_S)
 
 
 def has_been_read(connection):

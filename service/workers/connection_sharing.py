@@ -21,7 +21,7 @@ LEAVE_S = 0.01
 _NUMBER = 4  # bytes: of a count, written and read in one go
 
 
-class OpenCounts:
+class ConnectionCounts:
     """How many connections each process has, in memory that all of them share.
 
     Parameters
@@ -52,13 +52,13 @@ class OpenCounts:
         return min(self._counts) < self._counts[self._own]
 
 
-class Taker:
+class Acceptor:
     """Takes the connections of a socket that other processes listen on too; for the loop.
 
     Parameters
     ----------
     listening : socket
-    counts : OpenCounts
+    counts : ConnectionCounts
     open_ones : sized
         The connections of this process.
     protocol : callable
@@ -68,7 +68,7 @@ class Taker:
     def __init__(
         self,
         listening: socket.socket,
-        counts: OpenCounts,
+        counts: ConnectionCounts,
         open_ones: Sized,
         protocol: Callable[[], asyncio.Protocol],
     ) -> None:

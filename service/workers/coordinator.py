@@ -9,11 +9,11 @@ import signal
 import sys
 import threading
 
-from wrenchbook.service.crew.pulse import Pulse
-from wrenchbook.service.crew.supervisor import REFUSED, follow_supervisor
 from wrenchbook.service.ops.logs import set_up
 from wrenchbook.service.settings import Settings, settings_of_options
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState, Status
+from wrenchbook.service.workers.heartbeat import Heartbeat
+from wrenchbook.service.workers.supervisor import REFUSED, end_with_supervisor
 from wrenchbook.service.workspace import Workspace
 
 log = logging.getLogger(__name__)
@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 TELL_S = 0.25  # between looks at what has changed that the others cannot see themselves
 
 
-def coordinate(settings: Settings, pulse: Pulse, stop: threading.Event) -> None:
+def coordinate(settings: Settings, heartbeat: Heartbeat, stop: threading.Event) -> None:
     """Tend a data directory until told to stop, and beat once it is tended."""
     state = CoordinatorState(settings.folder / FOLDER)
     if not state.take():
@@ -35,10 +35,10 @@ def coordinate(settings: Settings, pulse: Pulse, stop: threading.Event) -> None:
     try:
         workspace.start()
         _write(state, workspace)
-        pulse.beat()
+        heartbeat.beat()
         while not stop.wait(TELL_S):
             _write(state, workspace)
-            pulse.beat()
+            heartbeat.beat()
     finally:
         workspace.close()
         state.release()
@@ -64,8 +64,8 @@ def main() -> None:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, heed)
-    follow_supervisor()
-    coordinate(settings_of_options(said, "coordinator"), Pulse(ready), stop)
+    end_with_supervisor()
+    coordinate(settings_of_options(said, "coordinator"), Heartbeat(ready), stop)
 
 
 if __name__ == "__main__":

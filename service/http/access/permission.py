@@ -1,4 +1,4 @@
-"""What whoever was let in may do, and how often."""
+"""Scope and request rate of a key."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 from wrenchbook.service.keys import Key, Scope
 
 _AT_ONCE_S = 2.0  # a burst is what this many seconds allow
-GRANT = "wrenchbook.grant"  # its key in a request's scope
+PERMISSION = "wrenchbook.permission"  # its key in a request's scope
 
 
-class Grant:
-    """One key's leave, or everybody's where no key is needed.
+class Permission:
+    """What one key may do, or every caller where no key is needed.
 
     Parameters
     ----------
@@ -51,9 +51,9 @@ class Grant:
         return 0.0
 
 
-OPEN = Grant()
+OPEN = Permission()
 
 
-def grant_of(scope: Any) -> Grant:
-    """Return what whoever sent a request may do."""
-    return scope.get(GRANT, OPEN)
+def permission_of(scope: Any) -> Permission:
+    """Return the permission of a request."""
+    return scope.get(PERMISSION, OPEN)

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.service.gathering.gathering import Envelope
+from wrenchbook.service.recording.store import Envelope
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE
 from wrenchbook.surrogate.table.rows import Tolerance

@@ -127,4 +127,4 @@ def _show_envelope(out: Console, found: Envelope) -> None:
         render.plain(out, found.reason)
 
 
-GATHERING_COMMANDS = (recording, envelope, resolve)
+RECORDING_COMMANDS = (recording, envelope, resolve)

@@ -144,7 +144,7 @@ class Started:
         return cls(jobs, *(body[name] for name in names))
 
 
-class GatheringCalls(Connection):
+class RecordingCalls(Connection):
     """Save wrenches for later, track extremes, and have them solved.
 
     A loop of 1 kHz uses a `Recorder`, which never waits for the server.

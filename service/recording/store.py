@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.service.gathering.net import MOST_OUTSIDE, Net, Taken, scaled_loads, take
 from wrenchbook.service.ledger import Block, Kept, Kind, Tally, packed, unpacked
 from wrenchbook.service.library.component import Component
+from wrenchbook.service.recording.net import MOST_OUTSIDE, Net, Taken, scaled_loads, take
 from wrenchbook.service.workspace import Workspace
 
 Floats = NDArray[np.float64]
@@ -76,7 +76,7 @@ class Nets:
     outside: Net
 
 
-class Gathering:
+class RecordingStore:
     """Recordings and envelopes of one workspace.
 
     A recording's net is kept in memory as it was after its last block, with the ledger's number
@@ -159,7 +159,7 @@ class Gathering:
 
     def clear(self, name: str, kind: Kind) -> Tally:
         """Empty a component's recording or envelope, and return how it stood."""
-        return self._ledger.clear_gathering(self._library[name].name, kind)
+        return self._ledger.clear_recording(self._library[name].name, kind)
 
     def _nets_of(self, component: Component, now: Tally, read: Callable[[], list[bytes]]) -> Nets:
         """Return the nets of a recording as the ledger has it."""

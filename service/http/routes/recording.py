@@ -12,14 +12,6 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from wrenchbook.service.contract import CONTRACT_TEXT
-from wrenchbook.service.gathering.bound import bound_of
-from wrenchbook.service.gathering.gathering import Envelope, Gathering, Took
-from wrenchbook.service.gathering.start import (
-    Started,
-    start_envelope,
-    start_recording,
-    start_resolving,
-)
 from wrenchbook.service.http import binary
 from wrenchbook.service.http import table_schemas as schemas
 from wrenchbook.service.http.binary import is_binary, read_wrenches
@@ -38,7 +30,15 @@ from wrenchbook.service.http.problems import bad_body, plain_errors
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes.displacement import DirectRoute
 from wrenchbook.service.ledger import Block, Tally, block_of, packed
-from wrenchbook.service.ledger.gathered import MERGE
+from wrenchbook.service.ledger.recorded import MERGE
+from wrenchbook.service.recording.bound import bound_of
+from wrenchbook.service.recording.start import (
+    Started,
+    start_envelope,
+    start_recording,
+    start_resolving,
+)
+from wrenchbook.service.recording.store import Envelope, RecordingStore, Took
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.rows import Tolerance
 
@@ -48,7 +48,7 @@ Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
 # Each wrench six numbers of 17 digits and a comma, and some blanks.
 MOST_BLOCK_BYTES = MAX_BLOCK * 6 * 40
 
-router = APIRouter(prefix="/v1/components/{name}", tags=["gathering"], responses=refused(404, 422))
+router = APIRouter(prefix="/v1/components/{name}", tags=["recording"], responses=refused(404, 422))
 blocks = APIRouter(route_class=DirectRoute, responses=refused(409))  # read their own bodies
 _BLOCK = takes(BlockBody, binary.BODY, BlockKey)
 _QUEUED = answers(schemas.Started, "solves are queued", 202)
@@ -65,22 +65,22 @@ _QUEUED = answers(schemas.Started, "solves are queued", 202)
 )
 async def record(name: str, request: Request) -> Response:
     wrenches, block = await _block(request)
-    gathering: Gathering = request.app.state.gathering
-    took = await run_in_threadpool(gathering.record, name, wrenches, block)
+    recording_store: RecordingStore = request.app.state.recording_store
+    took = await run_in_threadpool(recording_store.record, name, wrenches, block)
     body = {**_took(name, len(wrenches), took), **_standing(took.tally)}
     return json_reply(body, 200 if took.known else 201)
 
 
 @router.get("/recording", summary="What is recorded", response_model=schemas.Recording)
 def recording(name: str, request: Request) -> Response:
-    found = _gathering(request).recording(name)
+    found = _store(request).recording(name)
     stands = {"component": name, "outside": found.tally.outside, **_standing(found.tally)}
     return json_reply({**stands, "reason": _thinning(found.tally), "wrenches": found.wrenches})
 
 
 @router.delete("/recording", summary="Forget what is recorded", response_model=schemas.Cleared)
 def clear_recording(name: str, request: Request) -> Response:
-    before = _gathering(request).clear(name, "recording")
+    before = _store(request).clear(name, "recording")
     return json_reply({"component": name, "cleared": before.offered})
 
 
@@ -97,7 +97,7 @@ async def start_of_recording(name: str, request: Request) -> Response:
     started = await run_in_threadpool(
         start_recording,
         workspace,
-        request.app.state.gathering,
+        request.app.state.recording_store,
         name,
         order.budget,
         beyond_range=order.beyond_range,
@@ -114,9 +114,9 @@ async def start_of_recording(name: str, request: Request) -> Response:
 )
 async def widen(name: str, request: Request) -> Response:
     wrenches, block = await _block(request)
-    gathering: Gathering = request.app.state.gathering
-    took = await run_in_threadpool(gathering.widen, name, wrenches, block)
-    envelope = await run_in_threadpool(gathering.envelope, name)
+    recording_store: RecordingStore = request.app.state.recording_store
+    took = await run_in_threadpool(recording_store.widen, name, wrenches, block)
+    envelope = await run_in_threadpool(recording_store.envelope, name)
     return json_reply({**_took(name, len(wrenches), took), **_box(envelope)})
 
 
@@ -134,7 +134,7 @@ def envelope(
     workspace: Workspace = request.app.state.workspace
     component = workspace.library[name]
     tolerance = _tolerance(translation, rotation) or component.tolerance
-    found = _gathering(request).envelope(name)
+    found = _store(request).envelope(name)
     bound = bound_of(workspace.tables.surrogate(name), found, tolerance)
     limit = tolerance and {"translation": tolerance.translation, "rotation": tolerance.rotation}
     body = {
@@ -154,7 +154,7 @@ def envelope(
 
 @router.delete("/envelope", summary="Forget the extremes", response_model=schemas.Cleared)
 def clear_envelope(name: str, request: Request) -> Response:
-    before = _gathering(request).clear(name, "envelope")
+    before = _store(request).clear(name, "envelope")
     return json_reply({"component": name, "cleared": before.offered})
 
 
@@ -171,7 +171,7 @@ async def start_of_envelope(name: str, request: Request) -> Response:
     started = await run_in_threadpool(
         start_envelope,
         workspace,
-        request.app.state.gathering,
+        request.app.state.recording_store,
         name,
         beyond_range=order.beyond_range,
     )
@@ -193,8 +193,8 @@ async def resolve(name: str, request: Request) -> Response:
     return _started(name, started)
 
 
-def _gathering(request: Request) -> Gathering:
-    return request.app.state.gathering
+def _store(request: Request) -> RecordingStore:
+    return request.app.state.recording_store
 
 
 async def _block(request: Request) -> tuple[Floats, Block | None]:

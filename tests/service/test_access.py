@@ -9,10 +9,10 @@ import pytest
 from starlette.testclient import TestClient
 
 from wrenchbook.service.client import Client
+from wrenchbook.service.http.access import SecuritySettings
+from wrenchbook.service.http.access.security import is_loopback, security_settings
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.body import counted as counted_
-from wrenchbook.service.http.door import Opening
-from wrenchbook.service.http.door.opening import is_loopback, opening_for
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.keys import Keyring
 from wrenchbook.service.workspace import Settings
@@ -42,7 +42,7 @@ def url_of(path):
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    return tmp_path_factory.mktemp("door")
+    return tmp_path_factory.mktemp("access")
 
 
 @pytest.fixture(scope="module")
@@ -53,16 +53,18 @@ def secrets_(place):
 
 @pytest.fixture(scope="module")
 def locked(place, secrets_):
-    opening = Opening(origins=frozenset({"https://lab.example"}), own_key="the-server's-own")
-    with TestClient(create_app(Settings(place, solvers=0, allow_decks=True), opening)) as client:
+    security = SecuritySettings(
+        origins=frozenset({"https://lab.example"}), own_key="the-server's-own"
+    )
+    with TestClient(create_app(Settings(place, solvers=0, allow_decks=True), security)) as client:
         yield client
 
 
 @pytest.fixture(scope="module")
 def unlocked(tmp_path_factory):
     """As `wrenchbook serve` opens it on loopback."""
-    folder, opening = tmp_path_factory.mktemp("open"), opening_for("127.0.0.1", None, None)
-    app = create_app(Settings(folder, solvers=0), opening)
+    folder, security = tmp_path_factory.mktemp("open"), security_settings("127.0.0.1", None, None)
+    app = create_app(Settings(folder, solvers=0), security)
     with TestClient(app, base_url="http://127.0.0.1:8000") as client:
         yield client
 
@@ -177,7 +179,7 @@ def test_a_private_servers_own_key_is_good_for_all(locked):
 
 def test_a_key_is_held_to_its_rate_and_told_when_to_come_again(place, locked):
     secret = Keyring(place).add("slow", "read", rate=1.0)
-    locked.app.state.door.keyring.look(0.0)
+    locked.app.state.access.keyring.look(0.0)
     statuses = [locked.get("/v1/jobs", headers=bearer(secret)).status_code for _ in range(4)]
     assert statuses[:2] == [200, 200]
     assert 429 in statuses
@@ -187,7 +189,7 @@ def test_a_key_is_held_to_its_rate_and_told_when_to_come_again(place, locked):
 
 def test_a_key_is_held_to_the_size_of_its_bodies_told_or_not(place, locked):
     secret = Keyring(place).add("small", "write", megabytes=1)
-    locked.app.state.door.keyring.look(0.0)
+    locked.app.state.access.keyring.look(0.0)
     headers = {**bearer(secret), "Content-Type": "text/csv"}
     url = "/v1/components/bar/table"
     assert locked.post(url, content=bytes(2 << 20), headers=headers).status_code == 413
@@ -292,7 +294,7 @@ def test_every_reply_tells_browsers_to_do_no_more_with_it(unlocked, path):
 )
 def test_loopback_is_what_this_machine_alone_reaches(host, local):
     assert is_loopback(host) is local
-    assert opening_for(host, None, None).keys_needed is not local
+    assert security_settings(host, None, None).keys_needed is not local
 
 
 def test_a_body_is_counted_as_it_comes():

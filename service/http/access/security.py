@@ -1,4 +1,4 @@
-"""How a server is opened: for whom, under which names, for which other sites."""
+"""Security settings of a server: keys, allowed hosts and allowed origins."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class KeysNeededError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Opening:
-    """How the door of a server stands.
+class SecuritySettings:
+    """Who may call a server, and under which names.
 
     Parameters
     ----------
@@ -55,9 +55,9 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def opening_for(
+def security_settings(
     host: str, hosts: str | None, origins: str | None, own_key: str | None = None
-) -> Opening:
+) -> SecuritySettings:
     """Return how a server that listens on an address is opened.
 
     On loopback it answers to loopback's names and those listed: a page of another site whose name
@@ -75,13 +75,13 @@ def opening_for(
     local = is_loopback(host)
     names = LOOPBACK_NAMES | {host} | listed if local or listed else None
     own = frozenset(one.rstrip("/").lower() for one in _listed(origins))
-    return Opening(not local, names, own, own_key)
+    return SecuritySettings(not local, names, own, own_key)
 
 
-def opening_of_options(said: Mapping[str, Any]) -> Opening:
+def security_of_options(said: Mapping[str, Any]) -> SecuritySettings:
     """Return how a server is opened by the options of `serve`, and by its environment."""
     own = os.environ.get(OWN_KEY)
-    return opening_for(said["host"], said["allow_host"], said["allow_origin"], own)
+    return security_settings(said["host"], said["allow_host"], said["allow_origin"], own)
 
 
 def require_keys(host: str, folder: Path) -> None:

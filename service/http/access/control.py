@@ -1,4 +1,4 @@
-"""The door: each request passes here before anything of it is read."""
+"""Access control of every request, before anything of its body is read."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Final
 from starlette.types import Receive, Send
 from starlette.types import Scope as Scope_
 
+from wrenchbook.service.http.access.headers import preflight, sending
+from wrenchbook.service.http.access.origins import check_host, check_origin, is_public
+from wrenchbook.service.http.access.permission import OPEN, PERMISSION, Permission, permission_of
+from wrenchbook.service.http.access.security import SecuritySettings
 from wrenchbook.service.http.body import counted
-from wrenchbook.service.http.door.fields import preflight, sending
-from wrenchbook.service.http.door.grant import GRANT, OPEN, Grant, grant_of
-from wrenchbook.service.http.door.opening import Opening
-from wrenchbook.service.http.door.sites import check_host, check_site, is_anybodys
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.keys import Keyring, Scope, digest_of
 from wrenchbook.service.keys.keyring import LOOK_S
@@ -28,54 +28,54 @@ _JSON: Final = b"application/json"
 _BYTES: Final = b"application/octet-stream"
 _BINARY: Final = ("/displacements", "/recording", "/envelope")
 # Calls that name what they take themselves: files of many kinds.
-_OF_THEIR_OWN: Final = ("/table", "/v1/components")
-_OF_OTHERS: Final = "/umbridge/"  # whose clients say whatever their library says
+_ANY_TYPE: Final = ("/table", "/v1/components")
+_UMBRIDGE: Final = "/umbridge/"  # whose clients say whatever their library says
 _MOST_KNOWN: Final = 1024
 _MOST_HEAD: Final = 2048  # bytes of a head that is worth knowing again
-_FOR_ALL: Final = 1e6  # requests a second and MiB: no limits
+_NO_LIMIT: Final = 1e6  # requests a second and MiB: no limits
 
 
-class Door:
-    """Who is let in.
+class AccessControl:
+    """Authentication, rate limits and origin checks of every request.
 
     Parameters
     ----------
     keyring : Keyring
-        The keys there are.
-    opening : Opening
-        How it stands.
+        The keys of the data directory.
+    security : SecuritySettings
+        Allowed hosts and origins, and whether keys are needed.
     """
 
-    def __init__(self, keyring: Keyring, opening: Opening) -> None:
-        self.opening = opening
+    def __init__(self, keyring: Keyring, security: SecuritySettings) -> None:
+        self.security = security
         self.keyring = keyring
-        self._grants: dict[str, Grant] = {}
-        self._known: dict[Headers, Grant] = {}
+        self._permissions: dict[str, Permission] = {}
+        self._known: dict[Headers, Permission] = {}
         self._last: Headers | None = None
-        self._last_grant = OPEN
+        self._last_permission = OPEN
         self._version = keyring.version
 
     @property
     def keys_needed(self) -> bool:
-        """Whether nobody is let in without a key."""
-        return self.opening.keys_needed or len(self.keyring) > 0
+        """Whether every call needs a key."""
+        return self.security.keys_needed or len(self.keyring) > 0
 
-    def admit(self, headers: Headers) -> Grant | None:
-        """Count a query of the fast path; return its grant, or None where `check` has to decide.
+    def admit(self, headers: Headers) -> Permission | None:
+        """Count a query of the fast path and return its permission; None: `check` decides.
 
-        A head that was let in is known by its fields until a key changes.
+        Permissions are cached by the header fields until a key changes.
         """
         if headers is self._last:  # a loop asks with one head, again and again
-            known = self._last_grant
+            known = self._last_permission
         else:
             known = self._admitted(tuple(headers))
             if known is None:
                 return None
-            self._last, self._last_grant = headers, known
+            self._last, self._last_permission = headers, known
         return known if known.key is None or known.wait() == 0.0 else None
 
-    def _admitted(self, headers: Headers) -> Grant | None:
-        """Return the grant of a plain question; None where there is anything to be told."""
+    def _admitted(self, headers: Headers) -> Permission | None:
+        """Return the permission of a plain question; None where there is anything to be told."""
         self._look()
         known = self._known.get(headers)
         if known is None:
@@ -89,7 +89,7 @@ class Door:
         return known
 
     async def watch(self) -> None:
-        """Take up changed keys from time to time, for those who are known by their heads."""
+        """Look for changed keys from time to time: permissions are cached by header fields."""
         while True:
             await asyncio.sleep(LOOK_S)
             self._look()
@@ -97,11 +97,11 @@ class Door:
     async def pass_on(
         self, scope: Scope_, receive: Receive, send: Send
     ) -> tuple[Receive, Send] | None:
-        """Let a request in and return what it goes on with, or answer it and return None."""
+        """Return a permitted request's `receive` and `send`; answer any other and return None."""
         head = dict(scope["headers"])
         origin = head.get(b"origin")
         listed = None
-        if origin is not None and origin.decode("latin-1").lower() in self.opening.origins:
+        if origin is not None and origin.decode("latin-1").lower() in self.security.origins:
             listed = origin
         send = sending(send, scope["path"], listed)
         if listed and scope["method"] == "OPTIONS" and b"access-control-request-method" in head:
@@ -109,18 +109,18 @@ class Door:
             await send({"type": "http.response.body", "body": b""})
             return None
         try:
-            if GRANT not in scope:  # the fast path has admitted and counted it already
+            if PERMISSION not in scope:  # the fast path has admitted and counted it already
                 self.check(scope)
         except ProblemError as refused:
             await refused.response()(scope, receive, send)
             return None
-        most = grant_of(scope).most_bytes
+        most = permission_of(scope).most_bytes
         if most is not None and b"transfer-encoding" in head:
             receive = counted(receive, most)
         return receive, send
 
     def check(self, scope: Scope_) -> None:
-        """Let a request in, and note what whoever sent it may do.
+        """Check a request, and store its permission in the scope.
 
         Raises
         ------
@@ -128,35 +128,35 @@ class Door:
             401, 403, 413, 415 or 429; nothing of the body was read.
         """
         method, path, head = scope["method"], scope["path"], dict(scope["headers"])
-        check_host(self.opening, head)
-        if is_anybodys(method, path):
+        check_host(self.security, head)
+        if is_public(method, path):
             return
-        check_site(self.opening, head)
-        grant = self._grant(head)
-        scope[GRANT] = grant
+        check_origin(self.security, head)
+        permission = self._permission(head)
+        scope[PERMISSION] = permission
         needed = _needed(method, path)
-        if not grant.allows(needed):
-            raise beyond_scope(grant, needed)
-        if (seconds := grant.wait()) > 0.0:
-            raise _too_often(grant, seconds)
-        _check_length(grant, head)
+        if not permission.allows(needed):
+            raise beyond_scope(permission, needed)
+        if (seconds := permission.wait()) > 0.0:
+            raise _too_often(permission, seconds)
+        _check_length(permission, head)
         if method not in _READING and _has_body(head):
             _check_kind(path, head)
 
-    def _plain(self, headers: Headers) -> Grant | None:
+    def _plain(self, headers: Headers) -> Permission | None:
         """Look at a plain question's head for the first time, as `_admitted` does."""
         head = dict(headers)
         if b"origin" in head or _kind(head) not in (_JSON, b""):
             return None
         try:
-            check_host(self.opening, head)
-            check_site(self.opening, head)
-            grant = self._grant(head)
+            check_host(self.security, head)
+            check_origin(self.security, head)
+            permission = self._permission(head)
         except ProblemError:
             return None
-        return grant if grant.allows("write") else None
+        return permission if permission.allows("write") else None
 
-    def _grant(self, head: Mapping[bytes, bytes]) -> Grant:
+    def _permission(self, head: Mapping[bytes, bytes]) -> Permission:
         self._look()
         if not self.keys_needed:
             return OPEN
@@ -164,33 +164,33 @@ class Door:
         secret = secret.strip()
         if word.lower() != "bearer" or not secret:
             raise _no_key("This server needs a key, and the request has none.")
-        grant = self._grants.get(secret)
-        if grant is None:
+        permission = self._permissions.get(secret)
+        if permission is None:
             key = self._key(secret)
             if key is None:
                 raise _no_key("The request's key is none of this server's; it may be revoked.")
-            grant = self._grants[secret] = Grant(key)
-        return grant
+            permission = self._permissions[secret] = Permission(key)
+        return permission
 
     def _key(self, secret: str) -> Key | None:
-        own = self.opening.own_key
+        own = self.security.own_key
         if own is not None and compare_digest(secret.encode(), own.encode()):
-            return Key("own", "admin", digest_of(own), 0.0, _FOR_ALL, int(_FOR_ALL))
+            return Key("own", "admin", digest_of(own), 0.0, _NO_LIMIT, int(_NO_LIMIT))
         return self.keyring.find(secret)
 
     def _look(self) -> None:
-        """Forget who was let in once a key has changed."""
+        """Drop cached permissions once a key has changed."""
         if self.keyring.look() == self._version:
             return
         self._version = self.keyring.version
         self._last = None
         self._known.clear()
-        self._grants.clear()
+        self._permissions.clear()
 
 
-def beyond_scope(grant: Grant, needed: Scope) -> ProblemError:
-    """Return the refusal of what a key is not for."""
-    assert grant.key is not None
+def beyond_scope(permission: Permission, needed: Scope) -> ProblemError:
+    """Return the refusal of a call that needs another scope."""
+    assert permission.key is not None
     also = ""
     if needed == "write":
         also = " A displacement with on_thin 'estimate' or 'reject' needs no more than read."
@@ -198,8 +198,8 @@ def beyond_scope(grant: Grant, needed: Scope) -> ProblemError:
         403,
         "scope",
         "The key is not for this",
-        f"The key {grant.key.name!r} is for {grant.key.scope}, this call needs {needed}; nothing "
-        f"was changed.{also} Make another with: wrenchbook keys add NAME --scope {needed}",
+        f"The key {permission.key.name!r} is for {permission.key.scope}, this call needs {needed}; "
+        f"nothing was changed.{also} Make another with: wrenchbook keys add NAME --scope {needed}",
     )
 
 
@@ -226,9 +226,9 @@ def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
     not even that is taken.
     """
     kind = _kind(head)
-    if path.endswith(_OF_THEIR_OWN) or not (kind or b"origin" in head):
+    if path.endswith(_ANY_TYPE) or not (kind or b"origin" in head):
         return
-    if path.startswith(_OF_OTHERS) and b"origin" not in head:
+    if path.startswith(_UMBRIDGE) and b"origin" not in head:
         return
     taken = (_JSON, _BYTES) if path.endswith(_BINARY) else (_JSON,)
     if kind not in taken:
@@ -241,8 +241,8 @@ def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
         )
 
 
-def _check_length(grant: Grant, head: Mapping[bytes, bytes]) -> None:
-    most, length = grant.most_bytes, head.get(b"content-length", b"0")
+def _check_length(permission: Permission, head: Mapping[bytes, bytes]) -> None:
+    most, length = permission.most_bytes, head.get(b"content-length", b"0")
     if most is not None and length.isdigit() and int(length[:20]) > most:
         raise _too_large(most)
 
@@ -252,14 +252,14 @@ def _too_large(most: int) -> ProblemError:
     return ProblemError(413, "too-large", "The body is too large", detail)
 
 
-def _too_often(grant: Grant, seconds: float) -> ProblemError:
-    assert grant.key is not None
+def _too_often(permission: Permission, seconds: float) -> ProblemError:
+    assert permission.key is not None
     return ProblemError(
         429,
         "rate",
         "The key is used too often",
-        f"The key {grant.key.name!r} may ask {grant.key.rate:g} times a second; nothing was "
-        "changed. Ask for many wrenches at once with POST .../displacements, or more slowly.",
+        f"The key {permission.key.name!r} may ask {permission.key.rate:g} times a second; nothing "
+        "was changed. Ask for many wrenches at once with POST .../displacements, or more slowly.",
         headers={"Retry-After": str(ceil(seconds))},
     )
 

@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 from wrenchbook.service.cli.keys import make_first_key
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.http import server
-from wrenchbook.service.http.door.opening import KeysNeededError
+from wrenchbook.service.http.access.security import KeysNeededError
 from wrenchbook.service.http.server import serve
 from wrenchbook.service.keys import Keyring
 from wrenchbook.service.workspace import Settings

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial import KDTree
 
-from wrenchbook.service.gathering import net as net_module
-from wrenchbook.service.gathering.net import Net, farthest_first, scaled_loads, spaced, take
 from wrenchbook.service.ledger import packed
+from wrenchbook.service.recording import net as net_module
+from wrenchbook.service.recording.net import Net, farthest_first, scaled_loads, spaced, take
 
 ONE = np.ones(6)
 
