@@ -141,7 +141,7 @@ def _solvable(workspace: Workspace, name: str) -> Component:
     if not component.has_fea:
         raise NoSetupError(
             f"{name!r} has rows loaded from outside and no finite-element setup, so nothing was "
-            "queued; what was recorded stays. GET it, measure or solve these wrenches elsewhere, "
+            "queued; what was gathered stays. GET it, measure or solve these wrenches elsewhere, "
             f"and load the rows: POST /v1/components/{name}/table."
         )
     return component
@@ -197,7 +197,7 @@ def _reason(wanted: int, counted: Started, failed: int, left: int) -> str:
         told.append(f"{beyond}: start with beyond_range true to solve them all the same")
     if not wanted and not told:
         any_kept = counted.solved + counted.covered
-        told.append("the table covers all of them" if any_kept else "nothing was recorded yet")
+        told.append("the table covers all of them" if any_kept else "nothing was gathered yet")
     return "; ".join(told)
 
 
@@ -206,7 +206,7 @@ def _start_linear(
 ) -> Started:
     """Queue what tells a linear component's compliance: it answers every wrench."""
     if not len(wrenches):
-        return Started([], reason="nothing was recorded yet")
+        return Started([], reason="nothing was gathered yet")
     inside, beyond = _within(component, wrenches, beyond_range)
     if not workspace.tables.caught_up(component.name, CATCH_UP_S).needs_compliance:
         reason = "the component is linear and its compliance known: it answers every wrench"

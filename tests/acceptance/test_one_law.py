@@ -28,7 +28,7 @@ from tests.acceptance.callers import (
 from tests.acceptance.imported import KINDS, load, prepare
 from tests.service.fmu.made import Opened, need_compiler
 from tests.service.live import FULL, moved, served, tangents
-from tests.service.test_workers import Crew, clients_of_each
+from tests.service.test_workers import SeveralProcesses, clients_of_each
 from tests.surrogate.kernel.kinds import SIGMA, SIGMA_AT_ROWS, asked_of, assert_law, clean, six
 from tests.surrogate.law import build
 from tests.surrogate.softening import SOFT, column
@@ -217,9 +217,9 @@ def house(program, tmp_path_factory) -> Iterator[House]:
         pool.submit(make_fmu, "any", kinds["clean"].packed)  # which compiles what all have
         back_up(folder / "one", folder / "whole.backup")
         restore(folder / "whole.backup", folder / "several")
-        crew = Crew(folder / "several", solvers=0)
-        stack.callback(crew.end)
-        several = stack.enter_context(clients_of_each(crew))
+        workers = SeveralProcesses(folder / "several", solvers=0)
+        stack.callback(workers.end)
+        several = stack.enter_context(clients_of_each(workers))
         for name, one in kinds.items():
             for client in several:
                 version = client.component(name)["table_version"]  # it waits for all rows

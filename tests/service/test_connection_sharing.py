@@ -6,7 +6,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from wrenchbook.service.workers import sharing
+from wrenchbook.service.workers import connection_sharing as sharing
 from wrenchbook.service.workers.connection_sharing import LEAVE_S, Acceptor, ConnectionCounts
 
 

@@ -32,7 +32,7 @@ LIMIT_S = 60.0
 ASKED = [12.0, 0.0, 0.0, 0.0, 1.5, 2.5]
 
 
-class Crew:
+class SeveralProcesses:
     """A server of several processes, as who looks at it from outside knows it."""
 
     def __init__(self, folder, solvers=1):
@@ -74,9 +74,9 @@ class Crew:
 
 
 @pytest.fixture(scope="module")
-def crew(tmp_path_factory):
+def several(tmp_path_factory):
     folder = tmp_path_factory.mktemp("workers")
-    one = Crew(folder)
+    one = SeveralProcesses(folder)
     with one.client() as client:
         add_table(client, "clean", as_rows(clean_wrenches(), moved(clean_wrenches())))
     yield one
@@ -84,13 +84,13 @@ def crew(tmp_path_factory):
 
 
 @contextmanager
-def clients_of_each(crew):
+def clients_of_each(several):
     """Give a client of each process that answers, told by the port its connection has."""
-    answering = crew.workers("answering")
+    answering = several.workers("web_worker")
     found, rest = {}, []
     try:
         while len(found) < len(answering):
-            client = crew.client()
+            client = several.client()
             rest.append(client)
             client.health()
             assert len(rest) < 200, "one process takes no connections"
@@ -109,11 +109,13 @@ def answers(client, wrenches):
     return found.displacements.tobytes() + found.errors.tobytes()
 
 
-def statuses(crew, headers):
+def statuses(several, headers):
     """What connections of their own are answered, which several processes take."""
     found = set()
     for _ in range(12):
-        one = http.client.HTTPConnection(crew.address[0].removeprefix("http://"), timeout=LIMIT_S)
+        one = http.client.HTTPConnection(
+            several.address[0].removeprefix("http://"), timeout=LIMIT_S
+        )
         one.request("GET", "/v1/jobs", headers=headers)
         found.add(one.getresponse().status)
         one.close()
@@ -133,11 +135,11 @@ def statuses_of_each(clients, method="GET", key=None):
     return found
 
 
-def test_every_process_has_the_same_door(crew):
+def test_every_process_has_the_same_door(several):
     for headers in ({"Host": "evil.example"}, {"Origin": "http://evil.example"}):
-        assert statuses(crew, headers) == {403}
-    keyring = Keyring(crew.folder)
-    with clients_of_each(crew) as clients:
+        assert statuses(several, headers) == {403}
+    keyring = Keyring(several.folder)
+    with clients_of_each(several) as clients:
         key = keyring.add("ann", "read")
         try:
             # New connections go to one process for a while: only those held tell of each.
@@ -150,17 +152,17 @@ def test_every_process_has_the_same_door(crew):
             until(lambda: statuses_of_each(clients) == {200})
 
 
-def test_every_process_gives_the_bits_that_a_table_of_one_process_does(crew):
+def test_every_process_gives_the_bits_that_a_table_of_one_process_does(several):
     wrenches = np.random.default_rng(3).uniform(-1, 1, (200, 6)) * FULL
-    with clients_of_each(crew) as clients:
+    with clients_of_each(several) as clients:
         whole = clients[0].download("clean").batch(wrenches)
         told = {answers(client, wrenches) for client in clients}
     assert told == {whole.displacements.tobytes() + whole.errors.tobytes()}
 
 
-def test_a_row_taken_by_one_process_is_answered_by_all(crew):
+def test_a_row_taken_by_one_process_is_answered_by_all(several):
     body = orjson.dumps({"rows": [{"wrench": [50.0, 0, 0, 0, 1, 2], "displacement": [1e-5] * 6}]})
-    with clients_of_each(crew) as clients:
+    with clients_of_each(several) as clients:
         version = clients[0].import_table("clean", body, format="json")["table_version"]
         for client in clients:
             until(lambda one=client: one.component("clean")["table_version"] >= version)
@@ -168,8 +170,8 @@ def test_a_row_taken_by_one_process_is_answered_by_all(crew):
             assert told.table_version == version
 
 
-def test_metrics_are_of_all_processes_whichever_is_asked(crew):
-    with clients_of_each(crew) as clients:
+def test_metrics_are_of_all_processes_whichever_is_asked(several):
+    with clients_of_each(several) as clients:
         for client in clients:
             for _ in range(10):
                 client.displacement(
@@ -184,16 +186,16 @@ def counted(client, method):
     return sum(float(line.split()[1]) for line in lines if f'method="{method}"' in line)
 
 
-def test_what_was_not_covered_is_counted_by_all_processes_together(crew):
-    with clients_of_each(crew) as clients:
+def test_what_was_not_covered_is_counted_by_all_processes_together(several):
+    with clients_of_each(several) as clients:
         for client in clients:
             client.displacement("spring", [9e5, 0, 0], [0, 0, 0], on_thin="estimate")
         path = "/v1/components/spring/demand"
         until(lambda: {client.call("GET", path).json()["asked"] for client in clients} == {2})
 
 
-def test_a_job_that_one_process_has_taken_is_told_to_listeners_of_all(crew):
-    with clients_of_each(crew) as clients:
+def test_a_job_that_one_process_has_taken_is_told_to_listeners_of_all(several):
+    with clients_of_each(several) as clients:
         feeds = [client.events("bar") for client in clients]
         for feed in feeds:
             assert next(feed).kind == "hello"
@@ -212,9 +214,9 @@ class SeenError(Exception):
     """What was waited for was shown."""
 
 
-def test_jobs_followed_at_one_process_are_shown_as_another_takes_them_and_all_run_them(crew):
+def test_jobs_followed_at_one_process_are_shown_as_another_takes_them_and_all_run_them(several):
     out, taken = Console(file=io.StringIO(), width=200), []
-    with clients_of_each(crew) as (follows, accepts):
+    with clients_of_each(several) as (follows, accepts):
 
         def show(*words, **how):
             Console.print(out, *words, **how)
@@ -228,31 +230,35 @@ def test_jobs_followed_at_one_process_are_shown_as_another_takes_them_and_all_ru
             follow_jobs(out, follows, "bar", timeout_s=LIMIT_S)
 
 
-def test_a_killed_process_is_started_again_and_the_others_answer_meanwhile(crew):
-    before = {one.pid for one in crew.workers("answering")}
+def test_a_killed_process_is_started_again_and_the_others_answer_meanwhile(several):
+    before = {one.pid for one in several.workers("web_worker")}
     victim = min(before)
     os.kill(victim, signal.SIGKILL)
-    with crew.client() as client:
+    with several.client() as client:
         assert client.component("clean")["rows"] > 0
-        until(lambda: len({one.pid for one in crew.workers("answering")} - {victim}) == len(before))
+        until(
+            lambda: (
+                len({one.pid for one in several.workers("web_worker")} - {victim}) == len(before)
+            )
+        )
         until(client.is_ready)
 
 
-def test_a_killed_coordinator_loses_nothing_that_was_accepted(crew):
-    (victim,) = crew.workers("coordinator")
-    with crew.client() as client:
+def test_a_killed_coordinator_loses_nothing_that_was_accepted(several):
+    (victim,) = several.workers("coordinator")
+    with several.client() as client:
         held = answers(client, clean_wrenches())
         os.kill(victim.pid, signal.SIGKILL)
         assert answers(client, clean_wrenches()) == held
         job = client.solve("bar", [0.0, 0.0, -10.0], [0.0, 0.0, 0.0]).job
         assert job is not None
         until(lambda: client.job(job.id).status == "done")
-        assert {one.pid for one in crew.workers("coordinator")} != {victim.pid}
+        assert {one.pid for one in several.workers("coordinator")} != {victim.pid}
         until(client.is_ready)
 
 
-def test_a_second_server_on_the_same_directory_is_refused_with_what_to_do(crew):
-    other = Crew(crew.folder)
+def test_a_second_server_on_the_same_directory_is_refused_with_what_to_do(several):
+    other = SeveralProcesses(several.folder)
     assert other.supervisor.wait(LIMIT_S) == 1
     assert other.supervisor.stderr is not None
     said = other.supervisor.stderr.read()
@@ -263,7 +269,7 @@ def test_a_second_server_on_the_same_directory_is_refused_with_what_to_do(crew):
 
 
 def test_all_processes_end_with_a_supervisor_that_is_killed(tmp_path):
-    one = Crew(tmp_path)
+    one = SeveralProcesses(tmp_path)
     workers = one.seen.children()
     one.supervisor.kill()
     one.supervisor.wait(LIMIT_S)
@@ -297,23 +303,25 @@ def has_been_read(connection):
     return False
 
 
-def test_at_a_signal_who_waits_is_answered_and_no_accepted_job_is_lost(crew):
+def test_at_a_signal_who_waits_is_answered_and_no_accepted_job_is_lost(several):
     """The last test of this server: it ends here."""
-    with crew.client() as client:
+    with several.client() as client:
         accepted = [
             client.solve("bar", [0.0, 0.0, -20.0 - one / 10], [0.0, 0.0, 0.0]).job.id
             for one in range(100)
         ]
-    waiting = http.client.HTTPConnection(crew.address[0].removeprefix("http://"), timeout=LIMIT_S)
+    waiting = http.client.HTTPConnection(
+        several.address[0].removeprefix("http://"), timeout=LIMIT_S
+    )
     waiting.request("GET", f"/v1/jobs/{accepted[-1]}?wait_s=60")
     assert until(lambda: has_been_read(waiting))
-    os.kill(crew.supervisor.pid, signal.SIGTERM)
+    os.kill(several.supervisor.pid, signal.SIGTERM)
     assert orjson.loads(waiting.getresponse().read())["id"] == accepted[-1]
     waiting.close()
-    assert crew.supervisor.wait(LIMIT_S) == 0
-    ledger = Ledger(crew.folder / "ledger.sqlite")
+    assert several.supervisor.wait(LIMIT_S) == 0
+    ledger = Ledger(several.folder / "ledger.sqlite")
     assert {ledger.job(one).status for one in accepted} <= {"waiting", "done", "running"}
     assert not ledger.losses()
     ledger.close()
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", int(crew.address[0].rsplit(":", 1)[1])))
+        socket.create_connection(("127.0.0.1", int(several.address[0].rsplit(":", 1)[1])))
