@@ -155,11 +155,16 @@ def test_declared_resources_keep_large_solves_from_sharing_a_worker(own, cluster
     cluster.start_worker(threads=2, resources="wrenchbook_memory=4e9 wrenchbook_cores=2")
     engine = own.engine()
     first = own.started("waits_for_a_word", engine, memory=3_000_000_000)
-    second, other = own.attempt("quick", memory=3_000_000_000), own.attempt("quick")
-    engine.submit(second)
+    other = own.attempt("quick")  # before the next: a Dask worker looks at its oldest task alone
     engine.submit(other)
     own.end(engine, other)
+    second = own.attempt("counted_until_go", memory=3_000_000_000)
+    engine.submit(second)
     assert engine.poll(first) == "running"
     assert engine.poll(second) == "submitted"
+    assert not own.has_begun(second)
     own.go(first)
+    own.end(engine, first)
+    until(lambda: own.has_begun(second))
+    own.go(second)
     assert own.end(engine, first) == own.end(engine, second) == "finished"
