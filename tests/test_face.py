@@ -53,6 +53,16 @@ def test_a_child_process_runs_our_rooms_though_strangers_come_first_on_the_path(
     assert '"ok": true' in run.stdout
 
 
+def test_the_installed_command_runs_from_any_folder(tmp_path: Path):
+    """An editable install had a copy of the public face, which found no packages beside it."""
+    command = [str(Path(sys.executable).with_name("wrenchbook")), "--version"]
+    environment = {name: word for name, word in os.environ.items() if name != "PYTHONPATH"}
+    run = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert (run.returncode, run.stdout) == (0, f"wrenchbook {wrenchbook.__version__}\n"), run.stderr
+
+
 def test_every_python_process_is_started_in_the_one_way_that_finds_our_rooms():
     files = [
         path
