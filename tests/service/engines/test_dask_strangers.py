@@ -70,7 +70,8 @@ def test_a_worker_of_another_version_gets_nothing_to_solve(own, cluster):
 def test_a_worker_without_the_program_gets_nothing_and_a_scheduler_needs_none(own, cluster):
     strange = cluster.folder / "strange"
     strange.mkdir(parents=True)
-    (strange / "service.py").write_text("raise ModuleNotFoundError('No module named service')")
+    absent = "raise ModuleNotFoundError('No module named wrenchbook')"
+    (strange / "wrenchbook.py").write_text(absent)
     sound = cluster.environment["PYTHONPATH"]
     cluster.environment["PYTHONPATH"] = str(strange)
     cluster.start_scheduler()
