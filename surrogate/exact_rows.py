@@ -33,10 +33,10 @@ class ExactRows:
         A row within it answers for no wrench beyond it, nor the other way round.
     ranges : ndarray, shape (6,), m and rad
         What each output varies by over the rows and from zero.
-    told : Rows
+    merged : Rows
         What those rows became: repeated ones answer as one.
     owner : ndarray of int, shape (n,)
-        The place in `told` of each.
+        The place in `merged` of each.
     locked : sequence of int
         Places of the loads on locked freedoms: every call sets them to zero first.
 
@@ -45,7 +45,7 @@ class ExactRows:
     index : RowIndex
         Which row is at or beside a wrench.
     uncertainty : ndarray, shape (k, 6), m and rad
-        Of the rows of `told`; NaN where it is not known.
+        Of the rows of `merged`; NaN where it is not known.
     steepest : ndarray, shape (6,), m and rad
         What each output moves over half the load range, at most, by a row without a tangent.
     """
@@ -55,20 +55,20 @@ class ExactRows:
         wrenches: Floats,
         load_range: LoadRange,
         ranges: Floats,
-        told: Rows,
+        merged: Rows,
         owner: NDArray[np.intp],
         locked: Sequence[int] = (),
     ) -> None:
         self.index = RowIndex(wrenches, load_range.scale)
         self.steepest, self._locked = STEEPER * ranges, tuple(locked)
-        self.wrenches, self.told, self.owner = wrenches, told, owner
+        self.wrenches, self.merged, self.owner = wrenches, merged, owner
         # A solve repeats itself; how far a reading is off is not known where nobody stated it.
-        unstated = np.where(told.source == SOLVED, 0.0, np.nan)[:, None]
-        self.uncertainty = np.where(np.isnan(told.uncertainty), unstated, told.uncertainty)
+        unstated = np.where(merged.source == SOLVED, 0.0, np.nan)[:, None]
+        self.uncertainty = np.where(np.isnan(merged.uncertainty), unstated, merged.uncertainty)
 
     def tangent(self, wrench: Sequence[float]) -> Floats:
         """Return the tangent (6, 6), SI, of the row at or beside a wrench (6,); NaN if none has."""
         place = self.index.place(acting_one(wrench, self._locked))
         if place < 0:
             return np.full((6, 6), np.nan)
-        return without_locked(self.told.compliance[self.owner[place]], self._locked)
+        return without_locked(self.merged.compliance[self.owner[place]], self._locked)

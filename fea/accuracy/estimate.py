@@ -62,14 +62,14 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
 def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
     recovered = recovered_error(solver)
     if second is None:
-        return _told(
+        return _report(
             solver.compliance,
             _RECOVERED_ALONE * np.array([recovered]),
             "stresses recovered at six unit loads; no second mesh can be made",
         )
     change = solver.compliance - second.compliance
     own, other = (len(one.component.mesh.points) for one in (solver, second))
-    return _told(
+    return _report(
         solver.compliance,
         0.5 * np.array([change, recovered]),
         f"a coarser mesh of {other} nodes beside this one of {own}, and recovered stresses, at six "
@@ -77,7 +77,7 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
     )
 
 
-def _told(compliance: Array, shares: Array, basis: str) -> dict[str, Any]:
+def _report(compliance: Array, shares: Array, basis: str) -> dict[str, Any]:
     """Return what is told of shares (n, 6, 6) that add up to what the compliance lacks."""
     found = {"mesh": np.abs(shares).sum(axis=0).tolist(), "mesh_basis": basis}
     # Loads on locked freedoms move nothing: what remains is as stiff as it is without them.

@@ -24,7 +24,7 @@ def scene_reply(
     """Return a scene's plan of one component, JSON-able."""
     built = table.surrogate()
     plan = plan_of(built, need, solved=component.has_fea)
-    return _told(workspace, component, plan, measured(built, plan), table.version)
+    return _plan_body(workspace, component, plan, measured(built, plan), table.version)
 
 
 def scene_file(workspace: Workspace, component: Component, table: ServedTable, need: Need) -> bytes:
@@ -36,7 +36,7 @@ def scene_file(workspace: Workspace, component: Component, table: ServedTable, n
     return b"".join(cut(table.packed, need, plan))
 
 
-def _told(
+def _plan_body(
     workspace: Workspace, component: Component, plan: Plan, savings: Savings, version: int
 ) -> dict[str, Any]:
     need, (whole, scene) = plan.need, plan.solves

@@ -45,7 +45,7 @@ def add(
 @keys.command("list")
 def list_(as_json: AsJson = False, data: Folder = DEFAULT_DATA) -> None:
     """List the keys there are, without their secrets."""
-    told = [key.told() for key in Keyring(data).listed()]
+    told = [key.public() for key in Keyring(data).listed()]
     if as_json:
         print_json(told)
         return

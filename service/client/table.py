@@ -150,7 +150,7 @@ class Table:
             If a number is not finite, a shape is wrong, or there is no such method.
         """
         wrench, limit = one_wrench(force, moment), _six(tolerance)
-        asked, packed = _asked(wrench), self._packed
+        asked, packed = _without_negative_zeros(wrench), self._packed
         started = perf_counter_ns()
         found = packed.answer(asked, limit, method)
         elapsed_us = (perf_counter_ns() - started) / 1e3
@@ -211,7 +211,7 @@ class Table:
             If the derivative is not known here, or has no inverse: a component with locked
             freedoms has none.
         """
-        slope = self._packed.derivative(_asked(one_wrench(force, moment)))
+        slope = self._packed.derivative(_without_negative_zeros(one_wrench(force, moment)))
         if np.isnan(slope).any():
             raise ValueError(f"the derivative of {self.name} under this wrench is not known")
         try:
@@ -238,7 +238,7 @@ class Table:
         error = packed.words["solver_error"]
         if error is None:
             return {}
-        found = packed.answer(_asked(one_wrench(force, moment)))
+        found = packed.answer(_without_negative_zeros(one_wrench(force, moment)))
         parts = {"mesh": found.discretisation}
         if "linearity" in error:
             parts["linearity"] = found.linearity
@@ -340,7 +340,7 @@ def _tolerance_of(packed: Any) -> dict[str, float] | None:
     return {"translation": translation, "rotation": rotation}
 
 
-def _asked(wrench: Vector) -> list[float]:
+def _without_negative_zeros(wrench: Vector) -> list[float]:
     """Return the loads without negative zeros, as the server reads them."""
     return (wrench + 0.0).tolist()
 

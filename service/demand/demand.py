@@ -95,7 +95,7 @@ class Demand:
             wrench = tuple(wrenches[at].tolist())
             self.note(name, span, wrench, NAMES[int(coverage[at])], count * step)
 
-    def told(self, name: str, span: LoadRange) -> dict[str, Any]:
+    def map_of(self, name: str, span: LoadRange) -> dict[str, Any]:
         """Return a component's map as a reply has it, the most asked first."""
         self.save()
         with self._lock:

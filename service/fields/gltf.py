@@ -105,7 +105,7 @@ def write_gltf(shape: Deformed) -> bytes:
 
 
 def _extras(shape: Deformed) -> dict[str, Any]:
-    parts = {} if shape.parts is None else {"error_parts": shape.parts.told()}
+    parts = {} if shape.parts is None else {"error_parts": shape.parts.largest()}
     return {
         "wrench": list(shape.wrench),
         "coverage": shape.coverage,

@@ -61,7 +61,7 @@ class ErrorParts(NamedTuple):
         """Whether the mesh's share is known: without it bars are of the table alone."""
         return self.shares.get("mesh") is not None
 
-    def told(self) -> dict[str, float | str | None]:
+    def largest(self) -> dict[str, float | str | None]:
         """Return the largest of each share, m, and the words."""
         largest = {
             cause: None if share is None else float(share.max(initial=0.0))

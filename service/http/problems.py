@@ -21,7 +21,7 @@ from wrenchbook.service.answering.refusals import (
     SolveFailedError,
 )
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
-from wrenchbook.service.files.discreet import discreetly
+from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.links import job_link
 from wrenchbook.service.jobs.polls import TooManyPollsError
 from wrenchbook.service.ledger import (
@@ -118,7 +118,7 @@ class ProblemError(Exception):
 
     def response(self) -> Response:
         """Return the answer."""
-        content = orjson.dumps(discreetly(self.body))
+        content = orjson.dumps(redact_values(self.body))
         return Response(content, self.status, self.headers, MEDIA_TYPE)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Final
 
-from wrenchbook.service.files.discreet import discreet
+from wrenchbook.service.files.redact import redact
 
 MOST_BYTES: Final = 1 << 30  # of all files together; a deck's solver may leave any number
 _MOST_TEXT: Final = 8 << 20
@@ -70,7 +70,7 @@ def _put(archive: zipfile.ZipFile, path: Path, inside: str, left: int) -> int | 
         if not stat.S_ISREG(found.st_mode) or found.st_size > left:
             return None
         if path.suffix in _TEXTS and found.st_size <= _MOST_TEXT:
-            archive.writestr(inside, discreet(file.read().decode(errors="replace")))
+            archive.writestr(inside, redact(file.read().decode(errors="replace")))
             return found.st_size
         with archive.open(inside, "w", force_zip64=True) as member:
             size = 0

@@ -58,7 +58,7 @@ class Key:
         """Return the key as its file keeps it."""
         return asdict(self)
 
-    def told(self) -> dict[str, Any]:
+    def public(self) -> dict[str, Any]:
         """Return what may be told of the key: all but the digest."""
         return {name: value for name, value in asdict(self).items() if name != "digest"}
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from wrenchbook.fea.bundle.read import BundleError, Problem
-from wrenchbook.service.files.discreet import discreet
+from wrenchbook.service.files.redact import redact
 from wrenchbook.service.library.bundle_zip import MAX_BUNDLE_BYTES, one_problem
 from wrenchbook.service.sandbox import MIB, Limits, Sandbox, SandboxError, run
 
@@ -84,4 +84,4 @@ def _why_not(error: SandboxError) -> str:
         return f"The mesh takes more than {most} MiB of memory to check. Give a coarser one."
     if error.kind in ("time", "crash", "size"):
         return f"{error} A coarser mesh does."
-    return _NO_REPORT.format(why=discreet(f"{error.kind}: {error}")[:300])
+    return _NO_REPORT.format(why=redact(f"{error.kind}: {error}")[:300])

@@ -40,10 +40,10 @@ def run(client: Client, effort: Effort, heard: Heard) -> dict[str, Any]:
     began, parts = time.monotonic(), {}
     for number, (name, part) in enumerate(PARTS.items()):
 
-        def told(fraction: float, message: str, number: int = number) -> None:
+        def progress(fraction: float, message: str, number: int = number) -> None:
             heard((number + fraction) / len(PARTS), message)
 
-        parts[name] = part(client, effort, told).as_body()
+        parts[name] = part(client, effort, progress).as_body()
     verdicts = [one["verdict"] for part in parts.values() for one in part["findings"]]
     held, missed = verdicts.count("pass"), verdicts.count("FAIL")
     seconds = time.monotonic() - began

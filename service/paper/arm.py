@@ -97,11 +97,11 @@ def arm(client: Client, effort: Effort, heard: Heard) -> Part:
     )
     for number, name in enumerate(effort.plates):
 
-        def told(fraction: float, message: str, number: int = number, name: str = name) -> None:
+        def progress(fraction: float, message: str, number: int = number, name: str = name) -> None:
             heard((number + fraction) / len(effort.plates), f"arm on {name}, {message}")
 
-        recorded, facts = _filled(client, name, effort, told)
-        checks = _checks(client, name, effort, told)
+        recorded, facts = _filled(client, name, effort, progress)
+        checks = _checks(client, name, effort, progress)
         limits = np.repeat(list(client.component(name)["tolerance"].values()), 3)
         part.findings += _findings(name, checks, limits)
         part.numbers[name] = {**facts, **_numbers(checks, limits), "recorded": _trace(recorded)}

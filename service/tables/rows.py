@@ -64,7 +64,7 @@ def export_rows(rows: Sequence[LedgerRow], spans: Sequence[tuple[int, int, Impor
         source=[row.source for row in rows],
         note=[row.origin for row in rows],
         fingerprint=[row.fingerprint for row in rows],
-        when=[told_time(row.created) for row in rows],
+        when=[iso_time(row.created) for row in rows],
         who=[_who(row.seq, firsts, spans) for row in rows],
     )
 
@@ -86,7 +86,7 @@ def rows_for(rows: Sequence[LedgerRow], component: Component) -> list[LedgerRow]
     return [row for row in rows if row.fingerprint in ("", component.fingerprint)]
 
 
-def told_time(seconds: float) -> str:
+def iso_time(seconds: float) -> str:
     """Return a time since the epoch as ISO 8601, UTC."""
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
 

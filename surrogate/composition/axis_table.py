@@ -134,7 +134,7 @@ class AxisTable:
     @property
     def errors_shown(self) -> int:
         """How many left-out points show errors between the points."""
-        return len(self.left_out.told.size) if has_levels(self.rows.points) else 0
+        return len(self.left_out.inside_errors.size) if has_levels(self.rows.points) else 0
 
     @cached_property
     def law(self) -> ErrorLaw:
@@ -145,10 +145,10 @@ class AxisTable:
         if not has_levels(self.rows.points):
             return ErrorLaw.unknown()
         least = np.maximum(ROUNDING * np.abs(self.values).max(axis=0), SMALLEST)
-        told = self.left_out.told
-        if len(told.size) >= FEWEST and _are_alike(told.unit_errors):
-            told = joined([self.left_out, *self._one_by_one()]).told
-        return error_law(told, least)
+        errors = self.left_out.inside_errors
+        if len(errors.size) >= FEWEST and _are_alike(errors.unit_errors):
+            errors = joined([self.left_out, *self._one_by_one()]).inside_errors
+        return error_law(errors, least)
 
     def _one_by_one(self) -> list[LeftOut]:
         """Errors at left-out points whose neighbours stay: those show noise."""
@@ -165,7 +165,7 @@ class AxisTable:
         """The median error bar at left-out points within the hull, (6,), m and rad; NaN if none."""
         if not self.law.known:
             return np.full(6, np.nan)
-        left = self.left_out.told
+        left = self.left_out.inside_errors
         return np.median(self.law.bars(left.unit_errors) + left.stated, axis=0)
 
     @property

@@ -63,7 +63,7 @@ class LeftOut(NamedTuple):
     inside: NDArray[np.bool_]
 
     @property
-    def told(self) -> LeftOutErrors:
+    def inside_errors(self) -> LeftOutErrors:
         """The errors inside the hull."""
         columns = np.abs(self.errors), self.stated, self.unit_errors, self.noise_shares
         return LeftOutErrors(*(column[self.inside] for column in columns))

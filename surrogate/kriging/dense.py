@@ -220,7 +220,7 @@ def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
 
 
-def _asked(span: Floats, full: NDArray[np.bool_], settings: KrigingSettings) -> Floats:
+def _typical_places(span: Floats, full: NDArray[np.bool_], settings: KrigingSettings) -> Floats:
     """Return places as they are asked for: spread over what the rows span, (m, 6), half ranges.
 
     Where nearly all rows load one axis each, so do these.
@@ -262,7 +262,7 @@ def _calibrated(
         for labels in groupings(own.x * np.sqrt(held.inverse_squares), settings)
         if (level := _level(equations, held, spread, table, labels, rows, settings)) is not None
     )
-    asked = _asked(span, full, settings)
+    asked = _typical_places(span, full, settings)
     across = block(asked, equations.x, held, slopes_x=False, slopes_v=True)
     sigma = deviations(asked, across.reshape(len(asked), -1), held, spread)
     # The mean's coefficients, which all rows settle: these in proportion.

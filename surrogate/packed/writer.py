@@ -282,7 +282,7 @@ def _row_arrays(group: Surrogate, sources: _Sources) -> Iterator[tuple[str, Arra
     exact, rows = group.exact, group.rows
     order = exact.index.order
     owner = exact.owner[order]
-    tangents = exact.told.compliance[owner]
+    tangents = exact.merged.compliance[owner]
     has_one = np.isfinite(tangents).any(axis=(1, 2))
     wrenches = np.ascontiguousarray(exact.wrenches[order])
     bucket, start = buckets_of(exact.index.keys)
@@ -294,7 +294,7 @@ def _row_arrays(group: Surrogate, sources: _Sources) -> Iterator[tuple[str, Arra
     yield "row/number", order.astype(np.int32)
     yield "row/seq", rows.seq[order]
     yield "row/wrench", wrenches
-    yield "row/moved", exact.told.displacement[owner]
+    yield "row/moved", exact.merged.displacement[owner]
     yield "row/bar", exact.uncertainty[owner]
     places = np.where(has_one, np.cumsum(has_one) - 1, -1)
     yield "row/tangent_of", places.astype(np.int32)

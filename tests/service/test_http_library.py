@@ -218,11 +218,11 @@ def test_the_demand_map_does_not_grow_without_bound(tmp_path):
     demand, span = Demand(tmp_path / "demand.json"), LoadRange(-np.ones(6), np.ones(6))
     wrenches = np.random.default_rng(1).uniform(-3, 3, (20_000, 6))
     demand.note_batch("rig", span, wrenches, np.ones(20_000, dtype=int))
-    told = demand.told("rig", span)
+    told = demand.map_of("rig", span)
     assert len(told["cells"]) == MOST_CELLS
     assert told["asked"] == 20_000
     demand.note("rig", span, (1e300,) * 6, "outside")
-    assert demand.told("rig", span)["asked"] == 20_001
+    assert demand.map_of("rig", span)["asked"] == 20_001
 
 
 def test_the_demand_map_of_two_processes_is_their_sum(tmp_path):
@@ -235,12 +235,12 @@ def test_the_demand_map_of_two_processes_is_their_sum(tmp_path):
     for demand in (first, second, second):
         demand.note("rig", span, (2.0, 0, 0, 0, 0, 0), "outside")
         demand.save()
-    assert [one.told("rig", span)["asked"] for one in (first, second)] == [3, 3]
-    assert len(first.told("rig", span)["latest"]) == 3
+    assert [one.map_of("rig", span)["asked"] for one in (first, second)] == [3, 3]
+    assert len(first.map_of("rig", span)["latest"]) == 3
     first.stop()
-    assert Demand(path).told("rig", span)["cells"][0]["outside"] == 3
+    assert Demand(path).map_of("rig", span)["cells"][0]["outside"] == 3
     second.forget("rig")
-    assert first.told("rig", span)["asked"] == 0
+    assert first.map_of("rig", span)["asked"] == 0
 
 
 def test_a_demand_map_that_cannot_be_written_goes_on_counting(tmp_path):
@@ -251,7 +251,7 @@ def test_a_demand_map_that_cannot_be_written_goes_on_counting(tmp_path):
     for _ in range(2):
         demand.note("rig", span, (2.0, 0, 0, 0, 0, 0), "outside")
         demand.save()
-    assert demand.told("rig", span)["asked"] == 2
+    assert demand.map_of("rig", span)["asked"] == 2
 
 
 def test_breakpoints_for_lookup_blocks_answer_as_the_table_within_the_stated_error(http):

@@ -87,7 +87,7 @@ def test_the_total_is_the_sum_of_the_parts_and_names_its_sources():
     assert list(found.shares) == ["table", "mesh", "linearity"]
     np.testing.assert_allclose(found.total, sum(found.shares.values()))
     assert found.words == {"mesh_basis": "words", "linearity_basis": "bent"}
-    assert found.told()["mesh"] == found.shares["mesh"].max()
+    assert found.largest()["mesh"] == found.shares["mesh"].max()
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_the_total_is_the_sum_of_the_parts_and_names_its_sources():
 )
 def test_a_mesh_that_nothing_tells_of_is_said_to_be_unknown(error, words):
     found = parts(error)
-    assert found.told() == {"table": 1e-9, "mesh": None, "mesh_basis": words}
+    assert found.largest() == {"table": 1e-9, "mesh": None, "mesh_basis": words}
     assert not found.are_whole
     np.testing.assert_array_equal(found.total, 1e-9)
 
@@ -107,7 +107,7 @@ def test_a_mesh_that_nothing_tells_of_is_said_to_be_unknown(error, words):
 def test_a_surface_that_nothing_ties_to_its_interface_says_so():
     assert following(rigid(POINTS), np.full((6, 6), np.nan)) is None
     found = error_parts(np.ones(3), None, told(), WRENCH)
-    assert found.told() == {"table": 1.0, "mesh": None, "mesh_basis": NOT_FOLLOWED}
+    assert found.largest() == {"table": 1.0, "mesh": None, "mesh_basis": NOT_FOLLOWED}
 
 
 def test_the_bars_of_a_bent_block_hold_what_twice_the_cells_change():
@@ -202,6 +202,6 @@ def test_a_linear_surface_has_its_meshs_and_its_linearitys_share(tmp_path):
     assert (found.parts.shares["linearity"] > 0).any()
     np.testing.assert_allclose(found.error, found.parts.total)
     alone = shapes.answer(own, Rows.empty(), asked[1], solver=mesh)
-    assert alone.parts.told()["mesh_basis"] == NOT_FOLLOWED
+    assert alone.parts.largest()["mesh_basis"] == NOT_FOLLOWED
     assert b'Name="error_linearity"' in write_vtu(found)
     shapes.close()

@@ -10,7 +10,7 @@ import numpy as np
 
 from wrenchbook.fea.mesh.cad.entities import bodies_of, faces_of
 from wrenchbook.fea.mesh.cad.select import choose_bodies, choose_faces
-from wrenchbook.fea.mesh.cad.session import METRES, opened, told
+from wrenchbook.fea.mesh.cad.session import METRES, one_line, opened
 from wrenchbook.fea.mesh.generators.parameters import too_many
 from wrenchbook.fea.mesh.io.raw import Block, RawMesh, to_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
@@ -64,8 +64,8 @@ def _generate(gmsh: Any, path: Path, geometry: Geometry) -> None:
         gmsh.model.mesh.generate(3)
     except Exception as error:
         message = (
-            f'gmsh could not mesh "{path.name}" ({told(error)}); a smaller size may help, or heal '
-            "the geometry (tiny edges, faces that overlap) where it was drawn"
+            f'gmsh could not mesh "{path.name}" ({one_line(error)}); a smaller size may help, '
+            "or heal the geometry (tiny edges, faces that overlap) where it was drawn"
         )
         raise BundleError([Problem("mesh.file", message)]) from None
 

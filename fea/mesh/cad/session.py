@@ -90,7 +90,7 @@ def _read(gmsh: Any, path: Path) -> None:
             gmsh.model.occ.fragment(bodies, [])
         gmsh.model.occ.synchronize()
     except Exception as error:
-        message = f'"{path.name}" cannot be read as a STEP file ({told(error)}); export it anew'
+        message = f'"{path.name}" cannot be read as a STEP file ({one_line(error)}); export it anew'
         raise BundleError([Problem("mesh.file", message)]) from None
     if not gmsh.model.getEntities(3):
         there = "surfaces only" if gmsh.model.getEntities(2) else "no shapes"
@@ -98,6 +98,6 @@ def _read(gmsh: Any, path: Path) -> None:
         raise BundleError([Problem("mesh.file", message)])
 
 
-def told(error: Exception) -> str:
+def one_line(error: Exception) -> str:
     """Return what gmsh said, in one short line."""
     return " ".join(str(error).split())[:200] or type(error).__name__

@@ -71,14 +71,14 @@ def warn_if_ringing(
     """
     asks = frequency is None and ramp_time is not None and hasattr(source, "call_json")
     if asks:
-        frequency = told_frequency(source, component, carried)
+        frequency = known_frequency(source, component, carried)
         ramp_time = None if frequency is None else ramp_time
     elif carried is not None:
         raise ValueError("carried= needs a Client, ramp_time= and no natural_frequency=")
     options.warn_of_ringing(component, frequency, ramp_time)
 
 
-def told_frequency(client: Any, component: str, carried: float | ArrayLike | None) -> float | None:
+def known_frequency(client: Any, component: str, carried: float | ArrayLike | None) -> float | None:
     """Return the first natural frequency, Hz, that a server's facts tell; None if they do not.
 
     Warns

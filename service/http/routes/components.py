@@ -11,7 +11,7 @@ from starlette.responses import Response
 
 from wrenchbook.fea.accuracy.advice import WHERE, over_tolerance
 from wrenchbook.service.contract import CONTRACT
-from wrenchbook.service.files.discreet import discreet
+from wrenchbook.service.files.redact import redact
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
 from wrenchbook.service.http.body import MOST_QUERY_BYTES, form_of, read_limited
@@ -54,7 +54,7 @@ def list_components(
             one for one in found if (archived or not one["archived"]) and _is_about(one, q)
         ],
         "broken": [
-            {"name": name, "reason": discreet(reason)}
+            {"name": name, "reason": redact(reason)}
             for name, reason in sorted(workspace.broken().items())
         ],
     }

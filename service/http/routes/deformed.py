@@ -107,7 +107,7 @@ def _body(workspace: Workspace, shape: Deformed) -> dict[str, Any]:
         "triangles": geometry.triangles,
         "displacement": np.ascontiguousarray(shape.displacement),
         "error": shape.error,
-        "error_parts": None if shape.parts is None else shape.parts.told(),
+        "error_parts": None if shape.parts is None else shape.parts.largest(),
         "within_tolerance": shape.within_tolerance,
         "simplified": simplified if count < geometry.whole_vertices else None,
         "stress": None if stress is None else stress._asdict(),

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Request
 from prometheus_client import CONTENT_TYPE_LATEST
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 
-from wrenchbook.service.files.discreet import discreetly
+from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.openapi import answers
 from wrenchbook.service.ops.metrics import Metrics
 from wrenchbook.service.workspace import Workspace
@@ -38,7 +38,7 @@ def ready(request: Request) -> JSONResponse:
         "broken": workspace.broken(),
         "building": workspace.tables.building(),
     }
-    return JSONResponse(discreetly(body), 200 if not faults else 503)
+    return JSONResponse(redact_values(body), 200 if not faults else 503)
 
 
 @router.get(

@@ -15,7 +15,7 @@ from pydantic import AfterValidator
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
-from wrenchbook.service.files.discreet import discreetly
+from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.links import job_link
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import ProblemError
@@ -61,7 +61,7 @@ def job_body(
         "started": _time(job.started),
         "finished": _time(job.finished),
         "seconds": job.seconds,
-        "error": discreetly(job.error),
+        "error": redact_values(job.error),
     }
     if job.status == "running":
         progress = workspace.progress(job)
@@ -107,9 +107,9 @@ async def one_job(job_id: JobId, request: Request, wait_s: WaitSeconds = 0.0) ->
 
 def _whole_body(workspace: Workspace, job: Job) -> dict[str, Any]:
     """Return what one job's own reply says beside what lists do: its notes, why it waits."""
-    body = job_body(workspace, job) | {"notes": discreetly(workspace.notes(job))}
+    body = job_body(workspace, job) | {"notes": redact_values(workspace.notes(job))}
     waiting = workspace.why_waiting(job)
-    return body | {"waiting": discreetly(asdict(waiting)) if waiting else None}
+    return body | {"waiting": redact_values(asdict(waiting)) if waiting else None}
 
 
 @router.delete(

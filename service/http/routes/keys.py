@@ -36,7 +36,7 @@ class KeyBody(Body):
 
 @router.get("", summary="The keys there are, without their secrets; needs a key for admin")
 def list_keys(request: Request) -> dict[str, Any]:
-    return {"keys": [key.told() for key in _keyring(request).listed()]}
+    return {"keys": [key.public() for key in _keyring(request).listed()]}
 
 
 @router.post(

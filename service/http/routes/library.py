@@ -21,7 +21,7 @@ from wrenchbook.service.http.table_schemas import Card, Demand, Disagreement, Im
 from wrenchbook.service.ledger import About
 from wrenchbook.service.tables.copying import copy_rows
 from wrenchbook.service.tables.disagreement import disagreement
-from wrenchbook.service.tables.rows import told_time
+from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["library"], responses=refused(404, 422))
@@ -88,7 +88,7 @@ def imports(name: str, request: Request) -> Response:
     told = [
         {
             "id": one.id,
-            "when": told_time(one.created),
+            "when": iso_time(one.created),
             "who": one.who,
             "filename": one.filename,
             "format": one.format,
@@ -120,7 +120,7 @@ def disagree(name: str, request: Request) -> Response:
 def demand(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     component = workspace.library[name]
-    return json_reply({"component": name, **workspace.demand.told(name, component.load_range)})
+    return json_reply({"component": name, **workspace.demand.map_of(name, component.load_range)})
 
 
 @router.delete("/demand", summary="Begin the demand map anew")

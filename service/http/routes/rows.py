@@ -13,7 +13,7 @@ from wrenchbook.service.http.openapi import refused
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.ledger import LedgerRow, RowStatusError, UnknownRowError
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.rows import told_time
+from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(
@@ -31,7 +31,7 @@ _EDITS = refused(s409="the row is withdrawn already, or is in the table already"
 @router.get("", summary="A row, and where it comes from")
 def one_row(name: str, row: RowId, request: Request) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
-    return row_told(workspace, workspace.library[name], row)
+    return row_body(workspace, workspace.library[name], row)
 
 
 @router.delete("", summary="Withdraw a row: it leaves the table and its exports", responses=_EDITS)
@@ -67,7 +67,7 @@ def _edited(
     }
 
 
-def row_told(workspace: Workspace, component: Component, seq: int) -> dict[str, Any]:
+def row_body(workspace: Workspace, component: Component, seq: int) -> dict[str, Any]:
     """Return a row of a component, with its provenance.
 
     Raises
@@ -87,7 +87,7 @@ def row_told(workspace: Workspace, component: Component, seq: int) -> dict[str, 
         "source": row.source,
         "withdrawn": workspace.ledger.is_withdrawn(seq),
         "provenance": {
-            "when": told_time(row.created),
+            "when": iso_time(row.created),
             "note": row.origin,
             "import": _import(workspace, seq),
             "job": _job(workspace, row),
@@ -125,8 +125,8 @@ def _job(workspace: Workspace, row: LedgerRow) -> dict[str, Any] | None:
         "asked_by": job.asked_by,
         "engine": job.engine,
         "attempts": job.attempt,
-        "started": told_time(job.started) if job.started else None,
-        "finished": told_time(job.finished) if job.finished else None,
+        "started": iso_time(job.started) if job.started else None,
+        "finished": iso_time(job.finished) if job.finished else None,
     }
 
 

@@ -70,12 +70,12 @@ async def info(request: Request) -> Response:
 
 @_post("/ModelInfo", "which calls a component supports", dict[Literal["support"], dict[str, bool]])
 async def model_info(request: Request) -> Response:
-    return await _told(request, {"support": umbridge.SUPPORT})
+    return await _constant_reply(request, {"support": umbridge.SUPPORT})
 
 
 @_post("/InputSizes", "one vector in, the wrench, N and N·m", _Sizes)
 async def input_sizes(request: Request) -> Response:
-    return await _told(request, {"inputSizes": umbridge.SIZES})
+    return await _constant_reply(request, {"inputSizes": umbridge.SIZES})
 
 
 @_post(
@@ -84,7 +84,7 @@ async def input_sizes(request: Request) -> Response:
     _Sizes,
 )
 async def output_sizes(request: Request) -> Response:
-    return await _told(request, {"outputSizes": umbridge.SIZES})
+    return await _constant_reply(request, {"outputSizes": umbridge.SIZES})
 
 
 @_post("/Evaluate", "the displacement under a wrench", _Output, umbridge.EvaluateBody)
@@ -104,10 +104,10 @@ async def apply_jacobian(request: Request) -> Response:
 
 @_post("/ApplyHessian", "not offered; answers UnsupportedFeature", _Error)
 async def apply_hessian(request: Request) -> Response:
-    return await _told(request, None)
+    return await _constant_reply(request, None)
 
 
-async def _told(request: Request, body: dict[str, Any] | None) -> Response:
+async def _constant_reply(request: Request, body: dict[str, Any] | None) -> Response:
     """Answer what is the same of every component; None: a call that no component supports."""
     try:
         await _named(request)

@@ -42,7 +42,7 @@ class RowLaw:
 
     def __init__(self, exact: ExactRows, load_range: LoadRange, locked: Sequence[int]) -> None:
         self.index, self.steepest, self._locked = exact.index, exact.steepest, tuple(locked)
-        self.wrenches, self.told, self.owner = exact.wrenches, exact.told, exact.owner
+        self.wrenches, self.told, self.owner = exact.wrenches, exact.merged, exact.owner
         self.uncertainty = exact.uncertainty
         self._range, self.tangent = load_range, exact.tangent
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from wrenchbook.service.files.discreet import discreet, discreetly
+from wrenchbook.service.files.redact import redact, redact_values
 
 
 @pytest.mark.parametrize(
@@ -23,10 +23,10 @@ from wrenchbook.service.files.discreet import discreet, discreetly
     ],
 )
 def test_paths_of_the_machine_lose_their_folders_and_nothing_else_does(text, told):
-    assert discreet(text) == told
+    assert redact(text) == told
 
 
 def test_every_text_of_a_reply_is_looked_at():
-    assert discreetly({"a": ["/tmp/x/y", 1, None, {"b": "/usr/lib/z"}]}) == {
+    assert redact_values({"a": ["/tmp/x/y", 1, None, {"b": "/usr/lib/z"}]}) == {
         "a": [".../y", 1, None, {"b": ".../z"}]
     }

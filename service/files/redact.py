@@ -14,7 +14,7 @@ _TRACEBACK: Final = re.compile(
 )
 
 
-def discreet(text: str) -> str:
+def redact(text: str) -> str:
     """Return a text with absolute paths cut to their last names, and no traceback.
 
     Only what begins with a folder that this machine has is taken for a path; ``N/m`` and
@@ -25,14 +25,14 @@ def discreet(text: str) -> str:
     return _paths().sub(lambda found: f".../{found[1]}", _TRACEBACK.sub("", text))
 
 
-def discreetly(told: Any) -> Any:
-    """Return JSON's values with all their texts made `discreet`."""
+def redact_values(told: Any) -> Any:
+    """Return JSON's values with all their texts made `redact`."""
     if isinstance(told, str):
-        return discreet(told)
+        return redact(told)
     if isinstance(told, dict):
-        return {key: discreetly(value) for key, value in told.items()}
+        return {key: redact_values(value) for key, value in told.items()}
     if isinstance(told, list | tuple):
-        return [discreetly(value) for value in told]
+        return [redact_values(value) for value in told]
     return told
 
 
