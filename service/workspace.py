@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -46,7 +45,7 @@ from wrenchbook.surrogate.design.adaptive import Design, next_wrenches
 from wrenchbook.surrogate.scene.need import Need
 from wrenchbook.surrogate.scene.plan import design_of, plan_of
 from wrenchbook.surrogate.solver_error import SolverError
-from wrenchbook.surrogate.table.merging import NEAR
+from wrenchbook.surrogate.table.row_index import RowIndex
 from wrenchbook.surrogate.table.rows import Tolerance
 
 log = logging.getLogger(__name__)
@@ -150,16 +149,17 @@ class Workspace:
         rows, newest = table_rows((self.ledger.row(seq),)), self.tables.surrogate(name)
         return row_table(self.library[name], rows, self.solver_error(name), newest)
 
-    def unbuilt_row(self, name: str, wrench: Sequence[float]) -> int | None:
-        """Return the number of the newest row at a wrench that the table does not hold yet.
+    def unbuilt_rows(self, name: str, wrenches: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the numbers of rows at wrenches (k, 6), N and N·m, that no table holds yet, (k,).
 
-        The wrench has six loads, N and N·m; a row is at it within 1e-6 of the range in each.
+        A row is at a wrench within 1e-6 of the range in each load; 0 where there is none.
         """
         component, after = self.library[name], self.tables.surrogate(name).version
-        found = rows_for(component, self.ledger.row_changes(name, after, MOST_UNBUILT))
-        apart = np.abs(found.wrench - np.array(wrench)) / component.load_range.scale
-        near = np.flatnonzero((apart <= NEAR).all(axis=1))
-        return int(found.seq[near[-1]]) if len(near) else None
+        rows = rows_for(component, self.ledger.row_changes(name, after, MOST_UNBUILT))
+        if not len(rows):
+            return np.zeros(len(wrenches), dtype=np.int64)
+        places = RowIndex(rows.wrench, component.load_range.scale).places(wrenches)
+        return np.where(places < 0, 0, rows.seq[places])
 
     def first_open_job(self, name: str) -> OpenJob | None:
         """Return the oldest job of a component that waits or runs; None if there is none."""

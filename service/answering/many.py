@@ -58,6 +58,10 @@ def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcom
     if not len(thin) or batch.on_thin == "estimate":
         return outcome
     refuse_thin(batch, thin)
+    rows = workspace.unbuilt_rows(name, batch.wrenches[thin])
+    for index, row in zip(thin[rows > 0].tolist(), rows[rows > 0].tolist(), strict=True):
+        _take_row(workspace, batch, outcome, index, row)
+    thin = thin[rows == 0]
     outcome.jobs = _placed(workspace, name, batch, thin)
     _take_rows(workspace, batch, outcome)
     return outcome
@@ -138,14 +142,20 @@ def _look_again(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) 
 
 def _take_rows(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) -> None:
     """Put the rows of the jobs that are done in the place of the table's estimates."""
-    batch, name = _acting(workspace.library[outcome.component], batch), outcome.component
+    batch = _acting(workspace.library[outcome.component], batch)
     for one in outcome.jobs:
-        if one.job is None or one.job.row is None or not one.own:
-            continue
-        table, wrench = workspace.row_table(name, one.job.row), batch.wrenches[one.index, None]
-        found = table.packed.batch(wrench, six(batch.tolerance))
-        outcome.displacements[one.index] = found.outputs[0]
-        outcome.errors[one.index], outcome.coverage[one.index] = found.errors[0], found.coverage[0]
-        if outcome.derivatives is not None:
-            tangents = table.packed.derivatives(wrench, six(batch.tolerance))
-            outcome.derivatives[one.index] = tangents[0]
+        if one.job is not None and one.job.row is not None and one.own:
+            _take_row(workspace, batch, outcome, one.index, one.job.row)
+
+
+def _take_row(
+    workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome, index: int, seq: int
+) -> None:
+    """Put a row's answer in the place of the table's estimate of one wrench."""
+    table, wrench = workspace.row_table(outcome.component, seq), batch.wrenches[index, None]
+    found = table.packed.batch(wrench, six(batch.tolerance))
+    outcome.displacements[index], outcome.errors[index] = found.outputs[0], found.errors[0]
+    outcome.coverage[index] = found.coverage[0]
+    if outcome.derivatives is not None:
+        tangents = table.packed.derivatives(wrench, six(batch.tolerance))
+        outcome.derivatives[index] = tangents[0]

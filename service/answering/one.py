@@ -173,9 +173,11 @@ def _unanswered(name: str, table: ServedTable) -> Outcome:
 async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     """Have the wrench solved as the query wants it, and take the solve's row if it is there."""
     query = _acting(workspace.library.as_read(outcome.component), query)
-    seq = await run_in_threadpool(workspace.unbuilt_row, outcome.component, query.wrench)
-    if seq is not None and query.on_thin != "solve":
-        return await run_in_threadpool(_by_row, workspace, query, outcome, seq)
+    if query.on_thin != "solve":
+        wrench = np.array([query.wrench])
+        rows = await run_in_threadpool(workspace.unbuilt_rows, outcome.component, wrench)
+        if rows[0]:
+            return await run_in_threadpool(_by_row, workspace, query, outcome, int(rows[0]))
     if query.on_thin == "queue":
         placed = await run_in_threadpool(_queued, workspace, query, outcome)
     else:

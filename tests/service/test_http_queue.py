@@ -207,5 +207,8 @@ def test_a_wrench_solved_a_moment_ago_is_answered_and_not_solved_again(http, sta
     assert again.status_code == 200
     for name in ("translation", "rotation", "error", "coverage", "row", "table_version"):
         assert again.json()[name] == solved[name]
+    batch = http.post(f"{CALL}s", json={"wrenches": [wrench], "on_thin": "queue"}).json()
+    assert batch["displacements"][0] == solved["translation"] + solved["rotation"]
+    assert batch["coverage"] == ["covered"]
     assert len(http.get("/v1/jobs", params={"component": "plate_thin"}).json()["jobs"]) == 1
     assert solved["table_version"] >= solved["row"]
