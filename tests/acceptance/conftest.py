@@ -4,10 +4,10 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
+from tests.until import until
 from wrenchbook.service.client import Client
 
 
@@ -34,11 +34,8 @@ class RealServer:
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=variables)
         address = self.process.stdout.readline().split()[-1]
         self.client = Client(address, timeout=60)
-        deadline = time.monotonic() + 60
-        while not self.client.is_ready():
-            assert time.monotonic() < deadline
-            assert self.process.poll() is None
-            time.sleep(0.05)
+        until(lambda: self.process.poll() is not None or self.client.is_ready())
+        assert self.process.poll() is None
         return self.client
 
     def kill(self):

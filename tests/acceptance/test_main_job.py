@@ -3,10 +3,11 @@
 import contextlib
 import os
 import signal
-import time
 
 import numpy as np
 import pytest
+
+from tests.until import until
 
 WRENCH = ([0.0, 0.0, -60.0], [0.0, 5.0, 0.0])
 
@@ -72,19 +73,18 @@ def test_a_restarted_server_answers_as_before(server):
 
 
 def _wait_until_running(client):
-    deadline = time.monotonic() + 30
-    while not client.jobs("plate_thin", "running"):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    until(lambda: client.jobs("plate_thin", "running"))
 
 
 def _kill_a_solver(folder):
     """Kill a solver of this server; its pid stands in the lock it holds."""
-    for _ in range(1000):
+
+    def killed():
         for lock in folder.glob("jobs/*/*/lock"):
             if not lock.with_name("result.json").exists() and lock.read_text().strip():
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(int(lock.read_text()), signal.SIGKILL)
-                    return
-        time.sleep(0.01)
-    raise AssertionError("no solver was running")
+                    return True
+        return False
+
+    until(killed)

@@ -4,6 +4,7 @@ Every accepted job ends with its one row, on each engine. WRENCHBOOK_SOAK_KILLS=
 WRENCHBOOK_SOAK_SEEDS=5 make a long run of it (``make soak``).
 """
 
+import contextlib
 import json
 import os
 import random
@@ -14,6 +15,7 @@ from collections import Counter
 import pytest
 
 from tests.service.engines.cluster import SOURCES, TESTS, Cluster, kill, kill_solver
+from tests.until import until
 from wrenchbook.service.client.errors import ProblemError
 
 KILLS = int(os.environ.get("WRENCHBOOK_SOAK_KILLS", "4"))
@@ -94,11 +96,12 @@ class Site:
 
     def ask(self, wrench):
         """Have a job accepted, however often the server has to be asked."""
-        while True:
-            try:
+
+        def accepted():
+            with contextlib.suppress(ProblemError, OSError):  # it is being started
                 return self.client.solve("plate_thin", wrench).job
-            except (ProblemError, OSError):
-                time.sleep(0.1)  # it is being started
+
+        return until(accepted)
 
     def open_jobs(self):
         counts = [len(self.client.jobs("plate_thin", one)) for one in ("waiting", "running")]
@@ -140,7 +143,4 @@ def test_every_accepted_job_has_one_row_whatever_is_killed(request, server, clus
 
 
 def _wait_until_all_ended(site):
-    deadline = time.monotonic() + ENDED_AFTER_SECONDS
-    while left := site.open_jobs():
-        assert time.monotonic() < deadline, f"{left} open; killed {site.killed}"
-        time.sleep(0.2)
+    until(lambda: site.open_jobs() == 0, ENDED_AFTER_SECONDS)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.service.engines.cluster import Cluster
-from tests.service.until import until
+from tests.until import until
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import uvicorn
 
+from tests.until import until
 from wrenchbook.service.client import Client
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.server import server_config
@@ -29,9 +29,7 @@ def served(folder: Path, solvers: int = 0, key: str | None = None) -> Iterator[C
     thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, daemon=True)
     thread.start()
     with Client(f"http://127.0.0.1:{bound.getsockname()[1]}", timeout=60, key=key) as client:
-        deadline = time.monotonic() + 30
-        while not client.is_ready() and time.monotonic() < deadline:
-            time.sleep(0.02)
+        until(client.is_ready)
         yield client
     server.should_exit = True
     thread.join(20)

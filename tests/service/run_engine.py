@@ -5,16 +5,17 @@ It says when each has ended, and then waits to be killed, its solver waiting for
 
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 from tests.service.attempts import asked, ended
+from tests.until import until
 from wrenchbook.service.jobs.engines.local import LocalEngine
 
 engine = LocalEngine(1)
 for folder in map(Path, sys.argv[1:]):
     engine.submit(asked(folder))
     print("submitted", flush=True)
-    while not ended(engine, folder):
-        time.sleep(0.01)
+    until(partial(ended, engine, folder))
     print("ended", flush=True)
 time.sleep(60)

@@ -3,13 +3,13 @@
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.service.stub_server import Answer, running_stub
+from tests.until import until
 from wrenchbook.service.client import (
     Client,
     ProblemError,
@@ -119,10 +119,7 @@ def test_what_the_server_refuses_is_raised_by_the_next_add_with_its_words(server
 
 def test_a_slow_loop_is_recorded_within_seconds_although_no_block_is_whole(server, recorder):
     recorder.add(WRENCH)
-    deadline = time.monotonic() + 20
-    while not server.seen:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: server.seen)
     assert sent(server)[0].tolist() == [WRENCH]
 
 

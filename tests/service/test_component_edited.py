@@ -1,11 +1,11 @@
 """A component.toml edited under a running server is a new setup at once: jobs, rows and table."""
 
-import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from starlette.testclient import TestClient
 
+from tests.until import until
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.ops.doctor import examine
@@ -71,13 +71,13 @@ def test_asking_again_after_an_edit_makes_a_job_of_the_new_setup(served, toml):
 def test_an_edit_that_nobody_asks_for_changes_the_table_within_seconds(served, toml):
     solve(served)
     asked = {**WRENCH, "on_thin": "estimate"}
-    while served.post(f"{CALL}/displacement", json=asked).json()["translation"] is None:
-        time.sleep(0.01)
+
+    def answered():
+        return served.post(f"{CALL}/displacement", json=asked).json()["translation"] is not None
+
+    until(answered)
     edit(toml, stiffer=("poisson_ratio = 0.3", "poisson_ratio = 0.2"))
-    deadline = time.monotonic() + 10
-    while served.post(f"{CALL}/displacement", json=asked).json()["translation"] is not None:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    until(lambda: not answered())
 
 
 def test_an_edit_with_a_mistake_is_told_and_mended_without_a_restart(served, toml):
@@ -95,11 +95,7 @@ def test_an_edit_with_a_mistake_is_told_and_mended_without_a_restart(served, tom
 
 def settled(http, check):
     """Wait until the component says what is expected of it."""
-    deadline = time.monotonic() + 20
-    while not check(about := http.get(CALL).json()):
-        assert time.monotonic() < deadline, about
-        time.sleep(0.02)
-    return about
+    return until(lambda: check(about := http.get(CALL).json()) and about)
 
 
 def solve_many(http, count):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.until import until
+from tests.until import until
 from wrenchbook.service.jobs.attempt import attempt_folder
 from wrenchbook.service.jobs.dispatcher import Dispatcher
 from wrenchbook.service.jobs.engines.engine import EngineError

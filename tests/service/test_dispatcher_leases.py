@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.service.simulated import SimulatedEngine
-from tests.service.until import until
+from tests.until import until
 from wrenchbook.service.files import lock as flock
 from wrenchbook.service.jobs.attempt import LOCK, attempt_folder
 from wrenchbook.service.jobs.dispatcher import Dispatcher

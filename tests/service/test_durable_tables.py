@@ -4,13 +4,13 @@ import logging
 import random
 import shutil
 import sqlite3
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.surrogate.law import Law
+from tests.until import until
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, NewRow
 from wrenchbook.service.library.component import BrokenComponentError
 from wrenchbook.service.library.library import Library
@@ -216,10 +216,7 @@ def test_a_row_withdrawn_by_another_process_leaves_the_table(site):
     other = Ledger(site.folder / "ledger.sqlite")
     other.withdraw("rig", other.rows("rig")[0].seq)
     other.close()
-    deadline = time.monotonic() + 10
-    while len(site.wrenches()) == 10:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: len(site.wrenches()) != 10)
     assert len(site.wrenches()) == 9
 
 
@@ -476,13 +473,8 @@ def test_a_full_disk_leaves_answers_from_memory_and_the_file_is_written_later(si
     site.insert(30)
     assert answer_of(site).outputs is not None
     assert packed_files(site) == [] or packed_files(site)[0].name == "rig-0.wbt"
-    deadline = time.monotonic() + 10
-    while "No space" not in site.tables.faults().get("rig", ""):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    until(lambda: "No space" in site.tables.faults().get("rig", ""))
     monkeypatch.undo()
-    while site.tables.faults():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    until(lambda: not site.tables.faults())
     version = site.tables.surrogate("rig").version
     assert [path.name for path in packed_files(site)] == [f"rig-{version}.wbt"]

@@ -6,7 +6,7 @@ import pytest
 
 from tests.fea.decks import SOFT, WRENCH, component
 from tests.service.attempts import asked, ended
-from tests.service.until import until
+from tests.until import until
 from wrenchbook.fea.deck import solving
 from wrenchbook.service.jobs.attempt import DECK, Spec, prepare, read_outcome, tidy
 from wrenchbook.service.jobs.engines.local import LocalEngine

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.service.attempts import asked, ended
-from tests.service.until import until
+from tests.until import until
 from wrenchbook.service.files import lock as flock
 from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome, read_progress
 from wrenchbook.service.jobs.engines.engine import ALIVE, EngineError

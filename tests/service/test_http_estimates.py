@@ -1,11 +1,10 @@
 """Estimates where the table does not cover: never absurd, with every reason and who mends it."""
 
-import time
-
 import numpy as np
 import pytest
 
 from tests.service.document import document
+from tests.until import until
 
 CALL = "/v1/components/bar/displacement"
 
@@ -18,10 +17,7 @@ def estimate(http, force, moment=(0, 0, 0), on_thin="estimate"):
 @pytest.fixture
 def bar(http):
     """Serve the linear bar with its compliance known."""
-    deadline = time.monotonic() + 30
-    while estimate(http, [1, 2, 3])["coverage"] != "covered":
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    until(lambda: estimate(http, [1, 2, 3])["coverage"] == "covered")
     return http
 
 

@@ -23,6 +23,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.service.test_http_components import TABLE_ONLY, bar_text
+from tests.until import until
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.ledger import NewRow
 from wrenchbook.service.workspace import Settings
@@ -111,13 +112,12 @@ def test_a_job_whose_row_is_withdrawn_is_solved_again_when_asked(http):
 
 
 def wait_for_jobs(http, name):
-    deadline = time.monotonic() + 30
-    while True:
+
+    def ended():
         counts = http.get(f"/v1/components/{name}").json()["jobs"]
-        if not counts["waiting"] + counts["running"]:
-            return counts
-        assert time.monotonic() < deadline, counts
-        time.sleep(0.02)
+        return None if counts["waiting"] + counts["running"] else counts
+
+    return until(ended)
 
 
 def test_fill_never_pays_for_a_wrench_it_has_asked_for(http):
@@ -175,13 +175,9 @@ def test_a_linear_component_nobody_has_solved_solves_itself_when_first_asked(
 
 def test_a_linear_component_whose_solves_bring_no_compliance_asks_for_all_six(http):
     """As an expert's deck does: the first row does not tell the rest."""
-    name, deadline = "bar", time.monotonic() + 30
-    while http.post(f"/v1/components/{name}/displacement", json=ASKED).json()["coverage"] != (
-        "covered"
-    ):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    assert http.get(f"/v1/components/{name}").json()["jobs"]["done"] == 6
+    call = "/v1/components/bar"
+    until(lambda: http.post(f"{call}/displacement", json=ASKED).json()["coverage"] == "covered")
+    assert http.get(call).json()["jobs"]["done"] == 6
 
 
 def test_a_server_starts_and_answers_though_a_component_and_a_table_are_damaged(http, folder, rig):
@@ -296,10 +292,8 @@ def serving(folder, unused, before):
     reader = threading.Thread(target=lambda: log.extend(server.stdout))
     reader.start()
     try:
-        deadline = time.monotonic() + 40
-        while not any(b"Uvicorn running" in line for line in log):
-            assert server.poll() is None and time.monotonic() < deadline, log  # noqa: PT018
-            time.sleep(0.05)
+        until(lambda: server.poll() is not None or any(b"Uvicorn running" in one for one in log))
+        assert server.poll() is None, log
         yield
     finally:
         server.terminate()

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.until import until
 from wrenchbook.service.jobs.attempt import LOCK, attempt_folder, solver_began
 from wrenchbook.service.ledger import Ledger
 
@@ -64,10 +65,8 @@ class Site:
         return attempt_folder(self.folder / "jobs", job, attempt)
 
     def wait_until_all_done(self, seconds):
-        deadline = time.monotonic() + seconds
-        while self.ledger.counts()["waiting"] + self.ledger.counts()["running"]:
-            assert time.monotonic() < deadline, self.ledger.counts()
-            time.sleep(0.02)
+        counts = self.ledger.counts
+        until(lambda: not counts()["waiting"] + counts()["running"], seconds)
 
     def assert_each_job_is_done_with_one_row(self, wrenches):
         jobs = self.ledger.jobs(limit=10**6)
@@ -98,8 +97,7 @@ def test_a_dispatcher_killed_in_the_middle_is_replaced_and_its_solvers_go_on(sit
     site.start()
     # The ledger says running before there is a solver: killed between the two, an attempt has
     # none that could go on, and the next dispatcher starts another.
-    while not all(solver_began(site.attempt(job.id)) for job in jobs):
-        time.sleep(0.005)
+    until(lambda: all(solver_began(site.attempt(job.id)) for job in jobs))
     site.kill_dispatcher()
     site.start()
     site.wait_until_all_done(30)
@@ -121,8 +119,7 @@ def test_a_solver_killed_in_the_middle_is_replaced(site):
     wrenches = wrenches_of(2)
     site.ledger.accept_many("bar", "f1", wrenches)
     site.start()
-    while not site.kill_a_solver(random.Random(1)):
-        time.sleep(0.005)
+    until(lambda: site.kill_a_solver(random.Random(1)))
     site.wait_until_all_done(30)
     site.assert_each_job_is_done_with_one_row(wrenches)
     assert sorted(job.attempt for job in site.ledger.jobs()) == [1, 2]
@@ -132,8 +129,7 @@ def test_both_killed_at_once_lose_no_job(site):
     wrenches = wrenches_of(3)
     site.ledger.accept_many("bar", "f1", wrenches)
     site.start()
-    while not site.kill_a_solver(random.Random(1)):
-        time.sleep(0.005)
+    until(lambda: site.kill_a_solver(random.Random(1)))
     site.kill_dispatcher()
     site.start()
     site.wait_until_all_done(30)
@@ -144,10 +140,10 @@ def test_both_killed_together_ten_times_running_fail_no_job(site):
     """The third time ended an accepted job, though no solver had ever failed."""
     wrenches = wrenches_of(1)
     site.ledger.accept_many("bar", "f1", wrenches)
-    for turn in range(10):
+    chance = random.Random(1)
+    for _ in range(10):
         site.start()
-        while not site.kill_a_solver(random.Random(turn), most_lost=99):
-            time.sleep(0.002)
+        until(lambda: site.kill_a_solver(chance, most_lost=99))
         site.kill_dispatcher()
     site.start()
     site.wait_until_all_done(30)

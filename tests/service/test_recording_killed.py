@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.until import until
 from wrenchbook.service.client import Client, Recorder
 
 HERE = Path(__file__).parent
@@ -41,11 +42,8 @@ class Site:
         log.close()
 
     def wait_until_ready(self):
-        deadline = time.monotonic() + READY_S
         with Client(self.url, timeout=5) as client:
-            while not client.is_ready():
-                assert time.monotonic() < deadline, (self.folder.parent / "log").read_text()
-                time.sleep(0.05)
+            until(client.is_ready, READY_S)
 
     def kill(self):
         self.server.send_signal(signal.SIGKILL)

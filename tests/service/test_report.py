@@ -1,12 +1,12 @@
 import io
 import json
-import time
 import zipfile
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tests.until import until
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
@@ -107,13 +107,8 @@ def test_a_report_is_made_over_http(http, monkeypatch):
     assert http.get(call).status_code == 404
     solve = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 60}
     assert http.post("/v1/components/beam/solve", json=solve).status_code == 200
-    deadline = time.monotonic() + 120
-    while http.post(call, params={"wrenches": 3}).status_code == 409:  # the table file comes soon
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
-    while http.get(call, params={"format": "state"}).json()["state"] == "running":
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+    until(lambda: http.post(call, params={"wrenches": 3}).status_code != 409)  # the file is built
+    until(lambda: http.get(call, params={"format": "state"}).json()["state"] != "running", 120)
     body = http.get(call)
     assert body.status_code == 200, body.text
     assert body.json()["wrenches"]["compared"] == 3

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.service.attempts import asked, ended
-from tests.service.until import until
+from tests.until import until
 from wrenchbook.service.jobs import solve_attempt
 from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome, read_spec
 from wrenchbook.service.jobs.engines.engine import ALIVE

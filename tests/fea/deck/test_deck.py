@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fea.decks import SOFT, WRENCH, component
+from tests.until import until
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.fea.coupling.rotation import spin_per_vector
 from wrenchbook.fea.deck.checking import deck_report
@@ -204,11 +204,8 @@ def alive(pid):
     return state.stdout.strip()[:1] not in ("", "Z")
 
 
-def gone(pid, seconds=10.0):
-    deadline = time.monotonic() + seconds
-    while alive(pid) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    return not alive(pid)
+def gone(pid):
+    return until(lambda: not alive(pid))
 
 
 # Starts a program, writes down both process ids, and works on for a minute.
@@ -220,11 +217,8 @@ time.sleep(60)
 """
 
 
-def pids_in(folder, seconds=20.0):
-    deadline = time.monotonic() + seconds
-    while not list(folder.rglob("pids")) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    (file,) = folder.rglob("pids")
+def pids_in(folder):
+    (file,) = until(lambda: list(folder.rglob("pids")))
     return [int(word) for word in file.read_text().split()]
 
 

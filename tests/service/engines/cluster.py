@@ -10,7 +10,7 @@ from pathlib import Path
 
 from distributed import Client
 
-from tests.service.until import until
+from tests.until import until
 
 TESTS = Path(__file__).parents[1]
 SOURCES = TESTS.parents[1]

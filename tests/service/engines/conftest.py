@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.service.engines.cluster import SOURCES, TESTS, Cluster
-from tests.service.until import until
+from tests.until import until
 from wrenchbook.service.files.lock import is_held
 from wrenchbook.service.jobs.attempt import LOCK, Spec, prepare, read_outcome
 from wrenchbook.service.jobs.engines.dask import DaskEngine

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from tests.service.until import until
+from tests.until import until
 from wrenchbook.service.jobs.attempt import (
     OUTCOME,
     last_words,

@@ -4,7 +4,7 @@ import os
 import signal
 
 from tests.service.engines.cluster import kill
-from tests.service.until import until
+from tests.until import until
 from wrenchbook.service.jobs.attempt import read_progress
 from wrenchbook.service.jobs.engines.engine import ALIVE
 

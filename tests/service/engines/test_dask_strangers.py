@@ -5,7 +5,7 @@ import time
 import pytest
 
 from tests.service.engines.cluster import free_port
-from tests.service.until import until
+from tests.until import until
 from wrenchbook.service.jobs.engines.dask import DaskEngine
 from wrenchbook.service.jobs.engines.engine import EngineError
 from wrenchbook.service.jobs.engines.registry import EngineSettingsError, check_engine

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from tests.service.engines.conftest import dask_bench
-from tests.service.until import until
+from tests.until import until
 from wrenchbook.service.jobs.attempt import solver_began
 from wrenchbook.service.jobs.dispatcher import Dispatcher
 from wrenchbook.service.ledger import Ledger

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.until import until
 from wrenchbook.service.jobs.attempt import Spec, prepare, write_outcome
 from wrenchbook.service.jobs.engines import on_worker, worker_folder
 from wrenchbook.service.jobs.engines.engine import Attempt
@@ -127,10 +128,7 @@ def test_a_solver_that_nobody_minds_is_ended_after_a_while(on_a_worker, monkeypa
     worker_folder.sweep(
         on_a_worker, engine, {"t-1-1": time.monotonic() - worker_folder.ORPHAN_SECONDS}
     )
-    deadline = time.monotonic() + 20
-    while engine.poll(attempt) == "running":
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    until(lambda: engine.poll(attempt) != "running")
 
 
 def test_attempts_are_kept_for_a_while_and_not_for_ever(on_a_worker, monkeypatch):
