@@ -23,7 +23,7 @@ from .correlation import (
     numbers,
 )
 from .equations import OUTPUTS, Equations, Scaling
-from .factor import Factor, border, factorise
+from .factor import Factor, factorise
 from .left_out import left_out
 from .neighbourhood import Finder, LocalFactor, local_factor, row_by_row
 from .rounding import rounding_of
@@ -45,15 +45,12 @@ class Spread:
     factor : Factor
     finder : Finder
     around : tuple of LocalFactor
-        The neighbourhood of each anchor.
-    anchors : ndarray of int, shape (k,)
-        Rows that are the nearest one of some wrench: all of the factor's, or a scene's.
+        The neighbourhood of each of the factor's rows.
     """
 
     factor: Factor
     finder: Finder
     around: tuple[LocalFactor, ...]
-    anchors: NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -154,7 +151,7 @@ def deviations(x: Floats, across: Floats, held: Hyperparameters, share: Spread) 
     """
     terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
     squared, prior = np.empty(len(x)), float(held.prior[0])
-    place = np.searchsorted(share.anchors, share.finder.nearest(x))
+    place = np.searchsorted(share.factor.rows, share.finder.nearest(x))
     for anchor in np.unique(place):
         asked, local = np.flatnonzero(place == anchor), share.around[anchor]
         squared[asked] = local.squared_deviation(
@@ -168,7 +165,6 @@ def dense(
     held: Hyperparameters,
     shares: list[Share],
     scaling: Scaling,
-    before: Dense | None = None,
     settings: KrigingSettings = DEFAULTS,
 ) -> Dense:
     """Return the dense kriging of a table.
@@ -177,16 +173,12 @@ def dense(
     ----------
     scaling : Scaling
         Tells which loads take part and where no load is.
-    before : Dense, optional
-        Of the table's first rows, with the same hyperparameters, scaling and shares: its factors
-        are bordered.
     """
     table = covariance(equations.x, equations.known, equations.x, equations.known, held)
     spreads = []
-    for number, share in enumerate(shares):
-        known = before.shares[number] if before else None
-        factor = _factor(equations, held, share, table, known, settings)
-        spreads.append(_spread(equations, held, factor, table, known, settings))
+    for share in shares:
+        factor = factorise(equations, held, *share, settings, table)
+        spreads.append(_spread(equations, held, factor, table, settings))
     weights, coefficients, deviation = _together(equations, [own.factor for own in spreads])
     errors = np.full((len(equations), OUTPUTS), np.nan)
     for own in spreads:
@@ -330,43 +322,22 @@ def _together(equations: Equations, factors: list[Factor]) -> tuple[Floats, Floa
     return weights, coefficients, deviation
 
 
-def _factor(
-    equations: Equations,
-    held: Hyperparameters,
-    share: Share,
-    table: Floats,
-    before: Spread | None,
-    settings: KrigingSettings,
-) -> Factor:
-    """Return a share's factor, bordered where all but some last rows are in one already."""
-    if before is None:
-        return factorise(equations, held, *share, settings, table)
-    added = share.rows[len(before.factor.rows) :]
-    if not len(added):
-        return before.factor
-    return border(before.factor, equations, held, added, share.noise[-len(added) :], settings)
-
-
 def _spread(
     equations: Equations,
     held: Hyperparameters,
     factor: Factor,
     table: Floats,
-    before: Spread | None,
     settings: KrigingSettings,
 ) -> Spread:
-    """Return the neighbourhoods of a factor's rows; those that have not changed are kept."""
+    """Return the neighbourhoods of a factor's rows."""
     limits = settings.deviation_rows, settings.deviation_equations
     finder = Finder(equations, factor.rows, held, *limits)
     noise = _noise(equations, factor)
-    kept = {own.members.tobytes(): own for own in before.around} if before else {}
-    around = []
-    for members in finder.members(equations.x[factor.rows]):
-        own = kept.get(members.tobytes())
-        if own is None:
-            own = local_factor(equations, noise, held, members, factor.nugget, settings, table)
-        around.append(own)
-    return Spread(factor, finder, tuple(around), factor.rows)
+    around = tuple(
+        local_factor(equations, noise, held, members, factor.nugget, settings, table)
+        for members in finder.members(equations.x[factor.rows])
+    )
+    return Spread(factor, finder, around)
 
 
 def _noise(equations: Equations, factor: Factor) -> Floats:

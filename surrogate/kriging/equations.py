@@ -103,11 +103,6 @@ class Equations:
         """Return the equations of some rows, whose indices have shape (k,)."""
         return Equations(*(column[which] for column in self._columns))
 
-    def plus(self, other: Equations) -> Equations:
-        """Return these equations, then the others."""
-        pairs = zip(self._columns, other._columns, strict=True)
-        return Equations(*map(np.concatenate, pairs))
-
     def with_reading_noise(self, variance: Floats) -> Equations:
         """Return the equations with the noise of readings, whose variance is (6,), dimensionless.
 
@@ -116,12 +111,6 @@ class Equations:
         unstated = self.readings > 0
         added = np.where(unstated, variance / np.where(unstated, self.readings, 1.0), 0.0)
         return replace(self, noise=self.noise + added)
-
-    def records(self) -> list[bytes]:
-        """Return for each row what it says, as bytes."""
-        return [
-            b"".join(column[row].tobytes() for column in self._columns) for row in range(len(self))
-        ]
 
     @property
     def _columns(self) -> tuple[NDArray[Any], ...]:
@@ -232,19 +221,6 @@ def equations_of(
         scatter=behind.scatter / scaling.spread**2,
     )
     return _merged(whole, settings)
-
-
-def later_order(before: Equations, now: Equations) -> NDArray[np.intp] | None:
-    """Return the order of rows that begins with those before; None where one is gone or changed.
-
-    Shape (len(now),): indices of the rows of `now`.
-    """
-    places = {key: place for place, key in enumerate(now.records())}
-    kept = [places.get(key, -1) for key in before.records()]
-    if min(kept) < 0:
-        return None
-    new = np.setdiff1d(np.arange(len(now)), kept)
-    return np.concatenate((np.array(kept, dtype=np.intp), new))
 
 
 def _merged(equations: Equations, settings: KrigingSettings) -> Equations:

@@ -38,7 +38,6 @@ class Estimate(NamedTuple):
 def estimated(
     equations: Equations,
     scaling: Scaling,
-    before: Hyperparameters | None,
     settings: KrigingSettings,
 ) -> Estimate:
     """Return the hyperparameters, and how noisy the rows are.
@@ -51,6 +50,7 @@ def estimated(
     chosen = equations.take(spread_rows(equations, *limits))
     variance, reading = np.ones(OUTPUTS), np.zeros(OUTPUTS)
     unstated = bool((chosen.readings > 0).any())
+    before: Hyperparameters | None = None
     noisy = unstated or bool((chosen.noise > settings.nugget).any())
     for turn in range(1 + noisy):
         current = chosen.with_reading_noise(reading)

@@ -141,23 +141,7 @@ def factorise(
     matrix[np.diag_indices_from(matrix)] += diagonal_added(own, noise, settings.nugget, held)
     prior = np.tile(held.prior, (len(own), 1))[own.known]
     T, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, prior)
-    return finish(own, outputs, rows, noise, nugget, T, T @ mean_terms(own.x, own.known), settings)
-
-
-def finish(
-    own: Equations,
-    outputs: NDArray[np.intp],
-    rows: NDArray[np.intp],
-    noise: Floats,
-    nugget: float,
-    T: Floats,
-    TF: Floats,
-    settings: KrigingSettings,
-) -> Factor:
-    """Return the factor with what follows from T: the mean, the weights, the variances.
-
-    The arrays are those of `Factor`, dimensionless: `T` has shape (e, e), `TF` (e, 7).
-    """
+    TF = T @ mean_terms(own.x, own.known)
     told = own.told[own.known][:, outputs]
     Ty = T @ told
     precision = TF.T @ TF + np.eye(TF.shape[1]) / settings.mean_variance
@@ -177,53 +161,3 @@ def finish(
         # Of a response that is linear nothing remains, and rounding may make that negative.
         variance=np.maximum(np.einsum("eq,eq->q", remainder, Ty) / len(T), ROUNDING),
     )
-
-
-def border(
-    factor: Factor,
-    equations: Equations,
-    held: Hyperparameters,
-    added: NDArray[np.intp],
-    noise: Floats,
-    settings: KrigingSettings = DEFAULTS,
-) -> Factor:
-    """Return the factor with further rows of the table, at the cost of their products with it.
-
-    Parameters
-    ----------
-    equations : Equations
-        The whole table: the factor's rows and, at the places `added`, the new ones.
-    noise : ndarray, shape (len(added),), dimensionless
-        Variance of the new values over the process variance.
-    """
-    old, new = equations.take(factor.rows), equations.take(added)
-    across = covariance(new.x, new.known, old.x, old.known, held) @ factor.T.T
-    corner = covariance(new.x, new.known, new.x, new.known, held) - across @ across.T
-    corner[np.diag_indices_from(corner)] += diagonal_added(new, noise, factor.nugget, held)
-    prior = np.tile(held.prior, (len(new), 1))[new.known]
-    # A corner that is not positive needs a larger nugget everywhere, so it is not raised here.
-    last, _ = inverse_factor(corner, factor.nugget, factor.nugget, prior)
-    T = _bordered(factor.T, across, last)
-    own = mean_terms(old.x, old.known), mean_terms(new.x, new.known)
-    TF = np.concatenate((factor.TF, T[len(factor.T) :] @ np.concatenate(own)))
-    rows = np.concatenate((factor.rows, added))
-    return finish(
-        equations.take(rows),
-        factor.outputs,
-        rows,
-        np.append(factor.noise, noise),
-        factor.nugget,
-        T,
-        TF,
-        settings,
-    )
-
-
-def _bordered(T: Floats, across: Floats, last: Floats) -> Floats:
-    """Return the inverse factor with more rows: `across` of the factor, and their own inverse."""
-    count, more = len(T), len(last)
-    out = np.zeros((count + more, count + more))
-    out[:count, :count] = T
-    out[count:, count:] = last
-    out[count:, :count] = -last @ (across @ T)
-    return out

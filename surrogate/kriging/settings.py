@@ -54,9 +54,6 @@ class KrigingSettings:
     # a second; with 210 errors were up to twice as large, measured over made-up responses.
     likelihood_rows: int = 100
     likelihood_equations: int = 420
-    # Hyperparameters change little with a row: they are estimated anew when the table has grown
-    # by a quarter.
-    growth: float = 1.25
     likelihood_steps: int = 60
     # Steps end where the likelihood's relative change is below this: the bars do not see more.
     likelihood_accuracy: float = 1e-6

@@ -91,7 +91,7 @@ def _share_arrays(share: Spread, rows: int, stride: int) -> Iterator[tuple[str, 
     places = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
     unsettled = np.zeros((count, PLACES, padded))
-    for place, (row, local) in enumerate(zip(share.anchors, share.around, strict=True)):
+    for place, (row, local) in enumerate(zip(share.factor.rows, share.around, strict=True)):
         size = len(local.places)
         at_row, of_row = np.divmod(local.places, PLACES)
         places[place, :size] = of_row * stride + at_row

@@ -1,4 +1,4 @@
-"""Interpolation at rows, rows left out against refitting, bordering against factorising anew."""
+"""Interpolation at rows, and rows left out against refitting without them."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,6 @@ from wrenchbook.surrogate.kriging.equations import Equations, equations_of, scal
 from wrenchbook.surrogate.kriging.factor import (
     Factor,
     SingularCovarianceError,
-    border,
     diagonal_added,
     factorise,
     inverse_factor,
@@ -86,25 +85,6 @@ def test_left_out_rows_with_the_mean_kept_equal_refitting_about_it() -> None:
         without = factorise(equations, HELD, OUTPUTS, rest, np.zeros(len(rest)), settings)
         value, _ = _answer(equations, without, row)
         np.testing.assert_allclose(told.errors[row], equations.told[row, 0] - value, atol=1e-8)
-
-
-@pytest.mark.parametrize("more", [1, 3])
-def test_bordering_equals_factorising_anew(more: int) -> None:
-    equations = _equations(4, 12)
-    every = np.arange(len(equations))
-    old, new = every[:-more], every[-more:]
-    bordered = border(
-        _factor(equations, old), equations, HELD, new, equations.noise[new, 0], SETTINGS
-    )
-    anew = _factor(equations, every)
-    np.testing.assert_array_equal(bordered.rows, anew.rows)
-    size = np.abs(anew.T).max()
-    np.testing.assert_allclose(bordered.T / size, anew.T / size, atol=1e-10)
-    np.testing.assert_allclose(bordered.coefficients, anew.coefficients, atol=1e-9)
-    place = equations.take(np.array([2]))
-    place.x[:] = 0.31
-    both = [_answer(equations.plus(place), one, len(equations))[0] for one in (bordered, anew)]
-    np.testing.assert_allclose(both[0], both[1], atol=1e-10)
 
 
 def test_a_singular_covariance_takes_a_larger_nugget_and_says_so() -> None:
