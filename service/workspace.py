@@ -41,7 +41,7 @@ from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.service.tables.past import PastTables
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.tables.solver_errors import SolverErrors
-from wrenchbook.surrogate.design.adaptive import Design, next_wrenches
+from wrenchbook.surrogate.design import Design, next_wrenches
 from wrenchbook.surrogate.scene.need import Need
 from wrenchbook.surrogate.scene.plan import design_of, plan_of
 from wrenchbook.surrogate.solver_error import SolverError

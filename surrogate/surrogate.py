@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from time import thread_time
 from typing import Any
 
 import numpy as np
 
-from .allowed import Allowed, allowed_of
+from .answer import Allowed, allowed_of
 from .composition.build import build_composition
 from .composition.composition import Composition
-from .describe.summary import summarise
-from .doubt import Doubt, doubt_of
+from .describe import summarise
 from .exact_rows import ExactRows
 from .kriging import (
     Kriging,
@@ -26,10 +25,17 @@ from .kriging import (
     readings_of,
     too_large_in_words,
 )
-from .methods.interaction import interaction_of
-from .methods.selection import Choice, choose, linear_choice, without_kriging
+from .methods import (
+    Choice,
+    choose,
+    full_needed,
+    interaction_of,
+    knows_interaction,
+    linear_choice,
+    without_kriging,
+)
 from .solver_error import SolverError
-from .table.axes import OffAxis
+from .table.axes import OffAxis, count_full
 from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import merge
 from .table.rows import Floats, LoadRange, Rows, Tolerance
@@ -226,3 +232,33 @@ class Surrogate:
         if not self.one_factor:
             return too_large_in_words(len(self.used), self.equations)
         return self.kriging.detail if self.by_kriging and self.kriging else ""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Which wrenches ask what the rows of a table do not show.
+
+    Attributes
+    ----------
+    knows_interaction : bool
+        Whether rows show what loads of several axes do together.
+    rest_unknown : bool
+        Whether nothing tells what the component does without load.
+    full_wrenches, needed : int
+        How many rows load more than one axis, and how many must for `knows_interaction`.
+    """
+
+    knows_interaction: bool
+    rest_unknown: bool
+    full_wrenches: int
+    needed: int
+
+
+def doubt_of(rows: Rows, load_range: LoadRange, *, linear: bool, rest_unknown: bool) -> Doubt:
+    """Return what the rows that answers are made of do not show.
+
+    Loads of a linear component act by themselves.
+    """
+    knows = linear or knows_interaction(rows, load_range)
+    full = count_full(rows, load_range)
+    return Doubt(knows, rest_unknown, full, full_needed(rows))

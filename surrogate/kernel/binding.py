@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..packed.codes import COVERAGE
+from ..answer import NAMES
 from ..packed.format import CHECKED, Packed, PackedTableError, checksum_in, map_file, read
 from ..packed.reasons import Reason, text_of
 from .library import Work, kernel
@@ -278,7 +278,7 @@ class PackedTable:
         return AxisPart(
             outputs=found[8:14],
             error=found[14:20],
-            coverage=COVERAGE[found[0]],
+            coverage=NAMES[found[0]],
             reason=text_of(reasons, acting, self._packed),
             origin=found[1],
             corners=found[3 : 3 + found[2]],

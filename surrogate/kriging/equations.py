@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,62 @@ from scipy.spatial import KDTree
 
 from ..table.rows import Floats, LoadRange, RowError, Rows
 from .correlation import PLACES, Mask
-from .readings import Readings, readings_of
 from .settings import DEFAULTS, KrigingSettings
 
 OUTPUTS = 6
+
+SOLVED = "fea"  # the source of a row that repeats exactly
+
+
+class Readings(NamedTuple):
+    """Readings behind each row and output whose uncertainty is not stated, shape (n, 6).
+
+    The likelihood and their scatter show their noise.
+
+    Attributes
+    ----------
+    number : ndarray, dimensionless
+        Readings of unstated uncertainty whose mean the value is; 0 where it is stated, or a solve.
+    scatter : ndarray, squares of m and rad
+        Sum of their squared differences from the mean.
+    """
+
+    number: Floats
+    scatter: Floats
+
+    def take(self, which: NDArray[np.intp]) -> Readings:
+        """Return those of some rows, whose indices have shape (k,)."""
+        return Readings(self.number[which], self.scatter[which])
+
+
+def readings_of(rows: Rows, owner: NDArray[np.intp] | None = None) -> Readings:
+    """Return the readings behind each row, or behind each of those that several are merged to.
+
+    Shape (n, 6) each, in squares of m and rad or dimensionless.
+
+    Parameters
+    ----------
+    owner : ndarray of int, shape (n,), optional
+        Index of the merged row that each row went to.
+    """
+    present = np.isfinite(rows.displacement)
+    solved = (rows.source == SOLVED) | np.isfinite(rows.compliance).all(axis=(1, 2))
+    stated = present & ((rows.uncertainty > 0) | solved[:, None])
+    if owner is None:
+        return Readings(np.where(present & ~stated, 1.0, 0.0), np.zeros_like(rows.displacement))
+    size = int(owner.max(initial=-1)) + 1
+    count, told, total, scatter = (np.zeros((size, 6)) for _ in range(4))
+    value = np.where(present, rows.displacement, 0.0)
+    for output in range(6):
+        count[:, output] = np.bincount(owner, present[:, output], size)
+        told[:, output] = np.bincount(owner, stated[:, output], size)
+        total[:, output] = np.bincount(owner, value[:, output], size)
+    mean = (total / np.maximum(count, 1))[owner]
+    apart = np.where(present, rows.displacement - mean, 0.0) ** 2
+    for output in range(6):
+        scatter[:, output] = np.bincount(owner, apart[:, output], size)
+    unstated = told == 0
+    return Readings(np.where(unstated, count, 0.0), np.where(unstated, scatter, 0.0))
 
 
 class TooFewRowsError(RowError):

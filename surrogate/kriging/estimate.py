@@ -6,16 +6,17 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from ..table.rows import Floats
 from .correlation import Hyperparameters, covariance
 from .equations import OUTPUTS, Equations, Scaling
-from .factor import SingularCovarianceError, factorise
+from .factor import Share, SingularCovarianceError, factorise, shares_of
 from .likelihood import REFUSED, Profile, maximise, maximise_with_noise, profile
 from .settings import KrigingSettings
-from .shares import Share, shares_of
-from .spread_rows import spread_rows
+
+DECIMALS = 9  # to which two distances are a tie, settled by the rows' own order
 
 
 class Estimate(NamedTuple):
@@ -129,3 +130,23 @@ def _telling(shares: list[Share], scaling: Scaling) -> list[Share]:
         share._replace(outputs=share.outputs[~scaling.silent[share.outputs]]) for share in shares
     ]
     return [share for share in heard if len(share.outputs) and len(share.rows)]
+
+
+def spread_rows(equations: Equations, most_rows: int, most_equations: int) -> NDArray[np.intp]:
+    """Return rows within the limits, each the farthest from those before it, in their own order.
+
+    Shape (k,): indices of the rows.
+    """
+    size = equations.known.sum(axis=1)
+    chosen = [int(np.argmin(np.round((equations.x**2).sum(axis=1), DECIMALS)))]
+    total = size[chosen[0]]
+    distance = np.full(len(equations), np.inf)
+    while len(chosen) < min(len(equations), most_rows):
+        apart = ((equations.x - equations.x[chosen[-1]]) ** 2).sum(axis=1)
+        distance = np.minimum(distance, apart)
+        place = int(np.argmax(np.round(distance, DECIMALS)))
+        total += size[place]
+        if total > most_equations:
+            break
+        chosen.append(place)
+    return np.sort(chosen)

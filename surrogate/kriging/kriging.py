@@ -3,28 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..table.rows import Floats, LoadRange, Rows
-from .correlation import LOADS, Hyperparameters
+from .correlation import LOADS, PLACES, Hyperparameters
 from .dense import Dense, dense
 from .equations import (
     OUTPUTS,
+    Readings,
     Scaling,
     TooFewRowsError,
     TooManyRowsError,
     equations_of,
     places_within,
+    readings_of,
     scaling_of,
+    within,
 )
 from .estimate import estimated
-from .readings import Readings, readings_of
+from .factor import shares_of
 from .settings import DEFAULTS, KrigingSettings
-from .shares import shares_of
-from .size import fits_one_factor
-from .threads import one_thread
+
+try:
+    from threadpoolctl import ThreadpoolController
+except ImportError:  # it may be missing in a simulator: slower, and other last digits
+    ThreadpoolController = None
+
+_BLAS = ThreadpoolController and ThreadpoolController().select(user_api="blas")
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,3 +181,40 @@ class Kriging:
     def left_out(self) -> Floats:
         """Return the errors (n, 6), m and rad, at rows left out; NaN where a row has no output."""
         return self.inside.errors * self.scaling.spread
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """Return a context in which linear algebra runs on one thread.
+
+    A product of some hundred rows takes less time than the threads' meeting (0.5 against 37 ms).
+    """
+    return _BLAS.limit(limits=1) if _BLAS else nullcontext()
+
+
+def equation_count(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> int:
+    """Return how many equations rows of distinct wrenches bring: values, and slopes by loads.
+
+    Raises
+    ------
+    TooFewRowsError
+        If too few rows lie in the load range.
+    """
+    sloped = np.isfinite(rows.compliance).all(axis=(1, 2))
+    if len(rows) * PLACES <= settings.dense_equations or not sloped.any():
+        return len(rows) + (PLACES - 1) * int(sloped.sum())
+    inside = within(rows, load_range, settings)
+    loads = int(scaling_of(inside, load_range, settings).active.sum())
+    return len(inside) + loads * int(np.isfinite(inside.compliance).all(axis=(1, 2)).sum())
+
+
+def fits_one_factor(equations: int, settings: KrigingSettings = DEFAULTS) -> bool:
+    """Return whether one dense factor holds so many equations."""
+    return equations <= settings.dense_equations
+
+
+def too_large_in_words(rows: int, equations: int, settings: KrigingSettings = DEFAULTS) -> str:
+    """Return why a table of so many rows and equations has no kriging."""
+    return (
+        f"no kriging: {rows} rows bring {equations} equations, one factor holds "
+        f"{settings.dense_equations}"
+    )

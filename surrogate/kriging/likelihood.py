@@ -22,9 +22,8 @@ from .correlation import (
     numbers,
 )
 from .equations import Equations
-from .factor import Factor, SingularCovarianceError, factorise
+from .factor import Factor, Share, SingularCovarianceError, factorise
 from .settings import DEFAULTS, KrigingSettings
-from .shares import Share
 
 REFUSED = 1e10  # of a covariance that cannot be factorised: more than any likelihood's logarithm
 

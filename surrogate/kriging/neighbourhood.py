@@ -24,7 +24,7 @@ from .correlation import (
     numbers,
 )
 from .equations import Equations
-from .factor import diagonal_added, inverse_factor
+from .factor import Factor, diagonal_added, inverse_factor
 from .settings import DEFAULTS, KrigingSettings
 
 Places = NDArray[np.intp]
@@ -208,3 +208,61 @@ def local_factor(
     T, used = inverse_factor(matrix, nugget, settings.nugget_limit, prior)
     TF = T @ mean_terms(own.x, own.known)
     return LocalFactor(members, places, T, TF, used * float(held.prior[0]))
+
+
+@dataclass(frozen=True)
+class Neighbourhoods:
+    """What gives sigma of the outputs of one factor; loads and variances are dimensionless.
+
+    Attributes
+    ----------
+    factor : Factor
+    finder : Finder
+    around : tuple of LocalFactor
+        The neighbourhood of each of the factor's rows.
+    """
+
+    factor: Factor
+    finder: Finder
+    around: tuple[LocalFactor, ...]
+
+
+def deviations(x: Floats, across: Floats, held: Hyperparameters, share: Neighbourhoods) -> Floats:
+    """Return the posterior deviation (m,), process deviations, at places (m, 6), of one factor.
+
+    `across` (m, 7 n) is the covariance of their values with all places of all rows.
+    """
+    terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
+    squared, prior = np.empty(len(x)), float(held.prior[0])
+    place = np.searchsorted(share.factor.rows, share.finder.nearest(x))
+    for anchor in np.unique(place):
+        asked, local = np.flatnonzero(place == anchor), share.around[anchor]
+        squared[asked] = local.squared_deviation(
+            across[np.ix_(asked, local.places)], terms[asked], prior, share.factor.mean_covariance
+        )
+    return np.sqrt(squared)
+
+
+def neighbourhoods_of(
+    equations: Equations,
+    held: Hyperparameters,
+    factor: Factor,
+    table: Floats,
+    settings: KrigingSettings,
+) -> Neighbourhoods:
+    """Return the neighbourhoods of a factor's rows."""
+    limits = settings.deviation_rows, settings.deviation_equations
+    finder = Finder(equations, factor.rows, held, *limits)
+    noise = noise_of(equations, factor)
+    around = tuple(
+        local_factor(equations, noise, held, members, factor.nugget, settings, table)
+        for members in finder.members(equations.x[factor.rows])
+    )
+    return Neighbourhoods(factor, finder, around)
+
+
+def noise_of(equations: Equations, factor: Factor) -> Floats:
+    """Return the noise of every row of the table, zero where the factor has none."""
+    noise = np.zeros(len(equations))
+    noise[factor.rows] = factor.noise
+    return noise

@@ -13,12 +13,11 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bars.error_law import FEWEST
 from ..composition.axis_table import LARGEST, AxisTable
 from ..composition.composition import Composition
+from ..error_law import FEWEST
 from ..table.rows import Floats
-from .buckets import buckets_of
-from .numbering import DIMENSION, FIRST_CELL, FLOATS, INTS, SCALE, numbered_of
+from .numbering import DIMENSION, FIRST_CELL, FLOATS, INTS, SCALE, buckets_of, numbered_of
 
 SIMPLEX, VERTEX = 16, 16  # doubles of a simplex and of a point: wb_simplex, wb_vertex
 

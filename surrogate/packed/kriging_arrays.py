@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ..kriging import Kriging
 from ..kriging.calibration import Calibration
 from ..kriging.correlation import LOADS, PLACES
-from ..kriging.dense import Spread
 from ..kriging.equations import OUTPUTS
+from ..kriging.neighbourhood import Neighbourhoods
 from ..table.rows import Floats
 
 LANES, PANEL = 8, 16  # WB_LANES and WB_PANEL of surrogate/kernel/wb_internal.h
@@ -66,7 +66,7 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
             yield f"share{number}/{name}", array
 
 
-def _levels(share: Spread, found: Calibration) -> Iterator[tuple[str, Array]]:
+def _levels(share: Neighbourhoods, found: Calibration) -> Iterator[tuple[str, Array]]:
     """Yield a calibration with l levels: ``sigma`` (l), ``factors`` (l, m) and ``reach`` (1)."""
     factors = np.zeros((len(found.sigma), OUTPUTS))
     factors[:, share.factor.outputs] = found.factors.reshape(len(found.sigma), -1)
@@ -75,7 +75,7 @@ def _levels(share: Spread, found: Calibration) -> Iterator[tuple[str, Array]]:
     yield "reach", np.array([found.reach])
 
 
-def _share_arrays(share: Spread, rows: int, stride: int) -> Iterator[tuple[str, Array]]:
+def _share_arrays(share: Neighbourhoods, rows: int, stride: int) -> Iterator[tuple[str, Array]]:
     """Yield what gives sigma for the outputs of one factor.
 
     With k neighbourhoods of at most e equations: ``outputs`` (m), which; ``number`` (s), each row's

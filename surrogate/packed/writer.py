@@ -15,19 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..build import AnyTable
-from ..derivative import tangent_at_zero
-from ..describe.gaps import axis_gaps
+from ..answer import METHODS
+from ..build import AnyTable, tangent_at_zero
+from ..describe import axis_gaps
 from ..kriging import Kriging
 from ..limits import LONGEST, TRANSLATION_LIMIT
-from ..methods.selection import ENOUGH_FULL
+from ..methods import ENOUGH_FULL
 from ..surrogate import Surrogate
 from ..table.rows import CLEAN, LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS, Floats, Tolerance
 from .axes_arrays import axes_arrays
-from .buckets import buckets_of
-from .codes import METHODS
 from .format import pieces, write_file
 from .kriging_arrays import kriging_arrays
+from .numbering import buckets_of
 
 # Bits of a group's reference: WB_REF_... of surrogate/kernel/wb_internal.h.
 _ADDITIVE, _MISSED, _KRIGING = 1, 2, 4

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..answer import allowed_by
 from ..build import AnyTable
-from ..design.adaptive import Design, next_wrenches
-from ..design.initial import Known, first_count, first_design
+from ..design import Design, Known, first_count, first_design, next_wrenches
 from ..kernel.binding import PackedTable
 from ..kernel.packing import packed_of
 from ..packed.reasons import UNKNOWN_ERROR

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bars.conformal import conformal_factor
+from ..error_law import conformal_factor
 from .rows import Floats, LoadRange, Rows
 
 RANK = 1e-9  # relative singular value below which the rows do not tell a load

@@ -13,7 +13,7 @@ from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.schemas import Compliance
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.describe.gaps import axis_gaps
+from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.physics_checks import check_physics
 from wrenchbook.surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
 

@@ -34,11 +34,10 @@ from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
 from tests.surrogate.law.derivative import derivatives_at
 from tests.surrogate.responses import full_wrenches
-from wrenchbook.surrogate.answer import within_tolerance_many
+from wrenchbook.surrogate.answer import METHODS, within_tolerance_many
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.explain import explain
 from wrenchbook.surrogate.missing_outputs import MissingOutputs
-from wrenchbook.surrogate.packed.codes import METHODS
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.table.rows import OUTPUTS, Rows, Tolerance
 

@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from wrenchbook.surrogate.doubt import Doubt
-from wrenchbook.surrogate.methods.selection import ENOUGH_FULL
+from wrenchbook.surrogate.methods import ENOUGH_FULL
 from wrenchbook.surrogate.packed.reasons import UNKNOWN_AT_REST, UNKNOWN_TOGETHER
+from wrenchbook.surrogate.surrogate import Doubt
 from wrenchbook.surrogate.table.axes import AXES, clean_wrenches
 from wrenchbook.surrogate.table.rows import CLEAN, Floats, LoadRange
 

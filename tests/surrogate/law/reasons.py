@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from wrenchbook.surrogate.bars.error_law import FEWEST
 from wrenchbook.surrogate.composition.axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
 from wrenchbook.surrogate.composition.composition import NO_ROWS, OFF_HULL, Composition
 from wrenchbook.surrogate.composition.pure_moment import ON_HULL
+from wrenchbook.surrogate.error_law import FEWEST
 from wrenchbook.surrogate.table.axes import AXES, Axis
 from wrenchbook.surrogate.table.rows import LOAD_UNITS, LOADS, Floats
 

@@ -1,18 +1,20 @@
-"""Which method answers where nobody asks for one, and why."""
+"""The default method of a table, chosen by errors at rows left out."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..composition.composition import Composition
-from ..kriging import Kriging
-from ..table.axes import AXES, Axis, clean_rows, count_full
-from ..table.compliance import ComplianceFit
-from ..table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
-from .left_out import AxesErrors, axes_errors
+from .composition.axis_table import AxisTable
+from .composition.composition import Composition
+from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
+from .table.axes import AXES, Axis, clean_rows, count_full
+from .table.compliance import ComplianceFit
+from .table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
 
 CLEARLY = 0.8  # of the axes' error: a kriging that is no better than that is not worth its cost
 EXACT = 1e-9  # of the range: a kriging that errs by rounding alone needs no smaller error
@@ -28,6 +30,60 @@ NOT_TOLD = (
 )
 LEFT_OUT = 0.95  # quantile of what griddata leaves out: as its error bars hold
 ROUNDING = 1e-12  # of the largest translation: what moves less does not move
+
+MOST_INTERACTION = 200  # full wrenches that tell what the axes miss: one quick factor
+
+MOST = 6000  # rows composed for this: three times what one axis leaves out
+
+
+class AxesErrors(NamedTuple):
+    """Errors (k, 6), m and rad, of two methods at k rows."""
+
+    griddata: Floats
+    additive: Floats
+
+
+def axes_errors(rows: Rows, composition: Composition) -> AxesErrors:
+    """Return the errors at the rows that each axis they belong to was triangulated without.
+
+    Composition is linear in what the axes answer: an answer without a row differs from that with
+    it by what its axes then miss at it. A full wrench that is no axis' own is in no answer anyway.
+    """
+    deviation, member, left = np.zeros((3, len(rows), 6)), *np.zeros((2, 3, len(rows)), dtype=bool)
+    for index, table in enumerate(composition.tables):
+        if table is not None:
+            _put_deviations(table, deviation[index], member[index], left[index])
+    known = np.flatnonzero((left | ~member).all(axis=0))
+    if len(known) > MOST:
+        known = known[np.linspace(0, len(known) - 1, MOST).astype(np.intp)]
+    some, deviation, member = rows.take(known), deviation[:, known], member[:, known]
+    composed = composition.evaluate(some.wrench)
+    clean = np.zeros(len(rows), dtype=bool)
+    for table in composition.tables:
+        if table is not None:
+            clean[[group[0] for group in table.rows.members]] |= table.rows.clean
+    # A moment alone belongs to two axes, and both answer it once together.
+    often = np.where(clean[known], 1.0 / np.maximum(member.sum(axis=0), 1), 1.0)
+    additive = composed.additive - some.displacement + often[:, None] * deviation.sum(axis=0)
+    griddata = additive.copy()
+    for index, axis in enumerate(AXES):
+        own = axis.outputs[0]
+        griddata[:, own] = composed.griddata[:, own] - some.displacement[:, own]
+        griddata[:, own] += deviation[index, :, own]
+    return AxesErrors(griddata, additive)
+
+
+def _put_deviations(
+    table: AxisTable, deviation: Floats, member: NDArray[np.bool_], left: NDArray[np.bool_]
+) -> None:
+    """Fill, of all rows, what an axis misses them by, (n, 6), and which are its points, (n,)."""
+    for group in table.rows.members:
+        member[list(group)] = True
+    if table.others is not None:  # they are no points of the axis: its answers miss them anyway
+        return
+    for place, error in zip(table.left_out.places.tolist(), table.left_out.errors, strict=True):
+        group = list(table.rows.members[place])
+        deviation[group], left[group] = error, True
 
 
 @dataclass(frozen=True)
@@ -196,3 +252,23 @@ def _score(errors: Floats, size: Floats) -> float:
     if not (known.any() and varying.any()):
         return 0.0
     return float(np.sqrt(np.nanmean((errors[known][:, varying] / size[varying]) ** 2)))
+
+
+def interaction_of(rows: Rows, load_range: LoadRange, composition: Composition) -> Kriging | None:
+    """Return the kriging of what `additive` misses the full wrenches by that no axis has.
+
+    None where such wrenches are too few, or contradict each other.
+    """
+    full = np.flatnonzero(~clean_rows(rows, load_range).any(axis=1))
+    tables = [table for table in composition.tables if table is not None]
+    taken = [place for table in tables for group in table.rows.members for place in group]
+    free = np.setdiff1d(full, taken)
+    if len(free) < ENOUGH_FULL:
+        return None
+    some = rows.take(free[:MOST_INTERACTION])
+    missed = some.displacement - composition.evaluate(some.wrench).additive
+    blank = np.full_like(some.compliance, np.nan)
+    try:
+        return Kriging.build(replace(some, displacement=missed, compliance=blank), load_range)
+    except (TooFewRowsError, SingularCovarianceError):
+        return None
