@@ -73,7 +73,7 @@ class Allowed:
     tolerance: Tolerance | None
     variation: Floats
     ranges: Floats
-    outputs: tuple[int, ...] = tuple(range(6))
+    outputs: tuple[int, ...]
 
     def of(self, tolerance: Tolerance | None) -> Sequence[float]:
         """Return the largest error of each output, shape (6,), m and rad, for a covered answer."""
@@ -91,10 +91,13 @@ class Allowed:
         return np.where(varies > 0, WITHOUT_TOLERANCE * varies, np.inf).tolist()
 
 
-def allowed_of(rows: Rows, tolerance: Tolerance | None) -> Allowed:
-    """Return what is allowed of a table whose answers are made of these rows."""
+def allowed_of(
+    rows: Rows, tolerance: Tolerance | None, outputs: tuple[int, ...] = tuple(range(6))
+) -> Allowed:
+    """Return what is allowed of some outputs of a table whose answers are made of these rows."""
     moved = rows.displacement
     if not len(moved):
-        return Allowed(tolerance, np.zeros(6), np.zeros(6))
+        return Allowed(tolerance, np.zeros(6), np.zeros(6), outputs)
     low, high = moved.min(axis=0), moved.max(axis=0)
-    return Allowed(tolerance, high - low, np.maximum(high, 0.0) - np.minimum(low, 0.0))
+    ranges = np.maximum(high, 0.0) - np.minimum(low, 0.0)
+    return Allowed(tolerance, high - low, ranges, outputs)

@@ -34,7 +34,6 @@ from .methods import (
     linear_choice,
     without_kriging,
 )
-from .solver_error import SolverError
 from .table.axes import OffAxis, count_full
 from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import merge
@@ -46,6 +45,8 @@ class Surrogate:
 
     Attributes
     ----------
+    outputs : tuple of int
+        Places, in `OUTPUTS`, of the outputs it answers.
     rows : Rows
         All rows, in ascending order of `seq`.
     used : Rows
@@ -69,18 +70,10 @@ class Surrogate:
     doubt : Doubt
         What the rows do not show, whatever the bars say.
     exact : ExactRows
-        What rows say at and beside their own wrenches.
+        The rows that answer at or next to their own wrenches.
     build_s : float, s
         Processor time that building it took.
-    packed : surrogate.kernel.binding.PackedTable or None
-        The same table packed; None until it is made.
-    solver_error : SolverError or None
-        What the solver may be wrong by: in no bar here; `bars_are_whole` says if it is known.
     """
-
-    packed: Any = None
-    solver_error: SolverError | None = None
-    bars_are_whole: bool = True
 
     def __init__(
         self,
@@ -93,11 +86,14 @@ class Surrogate:
         version: int = 0,
         before: Surrogate | None = None,
         locked: Sequence[int] = (),
+        outputs: tuple[int, ...] = tuple(range(6)),
     ) -> None:
-        """Build from rows; axes that another version has as well are taken from it."""
+        """Build from rows; axes that another version has as well are taken from it.
+
+        `outputs` are those that the rows have; the others are 0 and count for nothing.
+        """
         started = thread_time()
-        if (np.diff(rows.seq) < 0).any():  # so that the order they come in changes nothing
-            rows = rows.take(np.argsort(rows.seq, kind="stable"))
+        self.outputs = outputs
         self.rows, self.load_range, self.tolerance = rows, load_range, tolerance
         self.linear, self.version = linear, version
         self.off_axis: OffAxis = off_axis
@@ -121,11 +117,6 @@ class Surrogate:
         told = self.ranges, merged.rows, merged.owner
         self.exact = ExactRows(rows.wrench, load_range, *told, self.locked)
         self.build_s = thread_time() - started
-
-    @property
-    def groups(self) -> tuple[tuple[tuple[int, ...], Surrogate], ...]:
-        """The outputs that the same rows hold, and what answers them: all six, and this."""
-        return ((tuple(range(6)), self),)
 
     @property
     def default(self) -> str:
@@ -195,7 +186,7 @@ class Surrogate:
     @cached_property
     def allowed(self) -> Allowed:
         """How large the bars of covered answers may be."""
-        return allowed_of(self.used, self.tolerance)
+        return allowed_of(self.used, self.tolerance, self.outputs)
 
     @property
     def ranges(self) -> Floats:

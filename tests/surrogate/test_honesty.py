@@ -27,7 +27,6 @@ from tests.surrogate.responses import (
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
 from wrenchbook.surrogate.interpolation.delaunay import Triangulation
 from wrenchbook.surrogate.kernel.packing import packed_of
-from wrenchbook.surrogate.missing_outputs import MissingOutputs
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 CLEAN = clean_wrenches(25, 1)
@@ -152,7 +151,7 @@ def test_source_of_a_partly_measured_table_is_that_of_the_row_itself() -> None:
     moved[:20, 3:] = np.nan
     source = [f"rig {place}" for place in range(len(CLEAN))]
     surrogate = build(Rows.of(CLEAN * HIGH, moved, source=source), RANGE)
-    assert isinstance(surrogate.table, MissingOutputs)
+    assert surrogate.rows.partial
     for place in (0, 19, 20, 50):
         assert surrogate.source_of((CLEAN[place] * HIGH).tolist()) == f"rig {place}"
     assert surrogate.source_of([1.0] * 6) is None

@@ -57,7 +57,7 @@ class Law:
     def __getattr__(self, name: str) -> Any:
         if name == "table":  # while a copy or a pickle is made
             raise AttributeError(name)
-        return getattr(self.table, name)
+        return getattr(self.table if hasattr(self.table, name) else self.table.thinnest, name)
 
     def answer(
         self,
