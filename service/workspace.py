@@ -201,7 +201,7 @@ class Workspace:
         asked = wrench.tolist()
         found = table.packed.answer(asked)
         shares = {} if table.solver_error is None else {"mesh": found.discretisation}
-        if table.solver_error is not None and "linearity" in table.solver_error.told:
+        if table.solver_error is not None and "linearity" in table.solver_error.values:
             shares["linearity"] = found.linearity
         return self.shapes.answer(
             component, table.rows, wrench, table.hyperparameters, solver, shares

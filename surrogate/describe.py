@@ -111,7 +111,7 @@ def summarise(
         "compliance": {
             "origin": fit.origin,
             "loads": [LOADS[load] for load in np.flatnonzero(fit.known)],
-            "error": fit.bar.tolist(),
+            "error": fit.error.tolist(),
         },
         **row_conflicts(rows, load_range),
     }

@@ -189,14 +189,14 @@ def _linear_design(surrogate: Surrogate, known: Known, budget: int, span: LoadRa
     """
     if surrogate.fit.complete:
         return Design(np.empty((0, 6)), "met", "the 6x6 compliance is known")
-    asked = np.ones(6, dtype=bool)
+    needed = np.ones(6, dtype=bool)
     if span is not surrogate.load_range:
-        asked = (span.low != 0) | (span.high != 0)
-    if surrogate.fit.known[asked].all():
+        needed = (span.low != 0) | (span.high != 0)
+    if surrogate.fit.known[needed].all():
         return Design(np.empty((0, 6)), "met", "the compliance is known in all loads that occur")
     high, low = surrogate.load_range.high, surrogate.load_range.low
     full = np.where(high > 0, high, low)
-    single = np.diag(np.where(full != 0, full, 1.0))[asked]
+    single = np.diag(np.where(full != 0, full, 1.0))[needed]
     if not len(surrogate.rows):
         single = single[:1]
     fresh = known.new(single)
@@ -249,25 +249,25 @@ class _Refinement:
         most what it was: only those that may still be the largest are told anew (Minoux 1978).
         """
         candidates = self.known.new(_candidates(self.surrogate, self.span))
-        losses, asked = self._losses(candidates), self.known.pending
+        losses, pending = self._losses(candidates), self.known.pending
         if not np.isfinite(losses).all():  # the kriging's own error bars order them all the same
             own = self.kriging.answer_many(candidates)[1] / self.allowed
             losses = own[:, self.outputs].max(axis=1)
-        left = losses * self._left(asked, candidates)
-        before, start = len(self.surrogate.used) + len(asked), len(asked)
-        while len(asked) - start < min(budget, len(candidates)):
-            number = before + len(asked) - start
+        left = losses * self._left(pending, candidates)
+        before, start = len(self.surrogate.used) + len(pending), len(pending)
+        while len(pending) - start < min(budget, len(candidates)):
+            number = before + len(pending) - start
             even = spread_wrenches(self.span, 1, FAR + number // EVENLY)
             fresh = self.known.new(even) if number % EVENLY == 0 else even[:0]
             if not len(fresh):
-                best = self._largest(candidates, losses, left, asked)
+                best = self._largest(candidates, losses, left, pending)
                 losses[best] = left[best] = -1.0
                 fresh = candidates[best : best + 1]
-            asked = np.concatenate((asked, fresh))
-        return asked[start:]
+            pending = np.concatenate((pending, fresh))
+        return pending[start:]
 
-    def _largest(self, candidates: Floats, losses: Floats, left: Floats, asked: Floats) -> int:
-        """Return the place of the largest loss once `asked` is solved; `left` is brought up to it.
+    def _largest(self, candidates: Floats, losses: Floats, left: Floats, solved: Floats) -> int:
+        """Return the place of the largest loss once `solved` are; update `left` to it.
 
         `losses` (n,) are without them.
         """
@@ -278,7 +278,7 @@ class _Refinement:
                 return best
             top = np.argsort(-left)[:LOOKED_AT]
             top = top[known[top] == -np.inf]
-            left[top] = known[top] = losses[top] * self._left(asked, candidates[top])
+            left[top] = known[top] = losses[top] * self._left(solved, candidates[top])
 
     def _losses(self, wrenches: Floats) -> Floats:
         """Return the largest bar over what is allowed (n,) at wrenches (n, 6), as of now."""

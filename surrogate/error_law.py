@@ -155,8 +155,8 @@ def _variances(squares: Floats, noise: Floats, growth: Floats) -> tuple[Floats, 
         tells = apart > ALIKE * n0 * n2
         over = 1.0 / np.where(tells, apart, 1.0)
         a, c = (n2 * y0 - n1 * y1) * over, (n0 * y1 - n1 * y0) * over
-        straight, level = ~tells | (a < 0), tells & (c < 0)
-        a = np.where(straight, 0.0, np.where(level, y0 / n0, a))
-        c = np.where(straight, y1 / n2, np.where(level, 0.0, c))
+        noiseless, level = ~tells | (a < 0), tells & (c < 0)
+        a = np.where(noiseless, 0.0, np.where(level, y0 / n0, a))
+        c = np.where(noiseless, y1 / n2, np.where(level, 0.0, c))
         model = a * noise + c * t
     return a, c / size

@@ -24,7 +24,7 @@ ENOUGH_FULL = 20  # full wrenches that show what loads of several axes do togeth
 # errors on five made-up responses; without any, from clean rows alone, 22 to 100 % (a product of
 # three forces is zero, and so are its slopes, wherever one axis is loaded).
 ENOUGH_WITH_TANGENTS = 4
-NOT_TOLD = (
+INTERACTION_UNKNOWN = (
     f"no tangents and fewer than {ENOUGH_FULL} full wrenches: kriging would not know what loads of "
     "several axes do together"
 )
@@ -49,21 +49,21 @@ def axes_errors(rows: Rows, composition: Composition) -> AxesErrors:
     Composition is linear in what the axes answer: an answer without a row differs from that with
     it by what its axes then miss at it. A full wrench that is no axis' own is in no answer anyway.
     """
-    deviation, member, left = np.zeros((3, len(rows), 6)), *np.zeros((2, 3, len(rows)), dtype=bool)
+    deviation, used, left = np.zeros((3, len(rows), 6)), *np.zeros((2, 3, len(rows)), dtype=bool)
     for index, table in enumerate(composition.tables):
         if table is not None:
-            _put_deviations(table, deviation[index], member[index], left[index])
-    known = np.flatnonzero((left | ~member).all(axis=0))
+            _put_deviations(table, deviation[index], used[index], left[index])
+    known = np.flatnonzero((left | ~used).all(axis=0))
     if len(known) > MOST:
         known = known[np.linspace(0, len(known) - 1, MOST).astype(np.intp)]
-    some, deviation, member = rows.take(known), deviation[:, known], member[:, known]
+    some, deviation, used = rows.take(known), deviation[:, known], used[:, known]
     composed = composition.evaluate(some.wrench)
     clean = np.zeros(len(rows), dtype=bool)
     for table in composition.tables:
         if table is not None:
             clean[[group[0] for group in table.rows.members]] |= table.rows.clean
     # A moment alone belongs to two axes, and both answer it once together.
-    often = np.where(clean[known], 1.0 / np.maximum(member.sum(axis=0), 1), 1.0)
+    often = np.where(clean[known], 1.0 / np.maximum(used.sum(axis=0), 1), 1.0)
     additive = composed.additive - some.displacement + often[:, None] * deviation.sum(axis=0)
     griddata = additive.copy()
     for index, axis in enumerate(AXES):
@@ -74,11 +74,11 @@ def axes_errors(rows: Rows, composition: Composition) -> AxesErrors:
 
 
 def _put_deviations(
-    table: AxisTable, deviation: Floats, member: NDArray[np.bool_], left: NDArray[np.bool_]
+    table: AxisTable, deviation: Floats, used: NDArray[np.bool_], left: NDArray[np.bool_]
 ) -> None:
     """Fill, of all rows, what an axis misses them by, (n, 6), and which are its points, (n,)."""
     for group in table.rows.members:
-        member[list(group)] = True
+        used[list(group)] = True
     if table.others is not None:  # they are no points of the axis: its answers miss them anyway
         return
     for place, error in zip(table.left_out.places.tolist(), table.left_out.errors, strict=True):
@@ -110,8 +110,8 @@ def full_needed(rows: Rows) -> int:
     Fewer where rows bring tangents: twenty of them, or half the rows of a smaller table.
     """
     tangents = int(np.isfinite(rows.compliance).all(axis=(1, 2)).sum())
-    told = tangents >= min(ENOUGH_FULL, max(len(rows) / 2, 1))
-    return ENOUGH_WITH_TANGENTS if told else ENOUGH_FULL
+    enough = tangents >= min(ENOUGH_FULL, max(len(rows) / 2, 1))
+    return ENOUGH_WITH_TANGENTS if enough else ENOUGH_FULL
 
 
 def knows_interaction(rows: Rows, load_range: LoadRange) -> bool:
@@ -147,7 +147,7 @@ def choose(
     method, why = _of_the_axes(rows, load_range, composition, errors)
     if _interaction_untold(rows, load_range):
         scores = _scores(errors, np.ptp(rows.displacement, axis=0))
-        return Choice(method, f"{NOT_TOLD}; {why}", scores)
+        return Choice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
     made = kriging()
     if made is None:
         return Choice(method, f"there are too few rows for kriging; {why}", {})
@@ -160,10 +160,10 @@ def choose(
     if made.knows_errors and not _axes_tell_errors(composition):
         return Choice("kriging", "the axes have too few rows to tell the error of answers", scores)
     best = min(axes, key=lambda name: axes[name])
-    told = f"{scores['kriging']:.2g} of the range against {best}'s {axes[best]:.2g}"
+    compared = f"{scores['kriging']:.2g} of the range against {best}'s {axes[best]:.2g}"
     if not scores["kriging"] < max(CLEARLY * axes[best], EXACT):
-        return Choice(method, f"kriging errs at left-out rows by {told}; {why}", scores)
-    return Choice("kriging", f"its error at left-out rows is {told}", scores)
+        return Choice(method, f"kriging errs at left-out rows by {compared}; {why}", scores)
+    return Choice("kriging", f"its error at left-out rows is {compared}", scores)
 
 
 def without_kriging(
@@ -180,7 +180,7 @@ def without_kriging(
     method, why = _of_the_axes(rows, load_range, composition, errors)
     scores = _scores(errors, np.ptp(rows.displacement, axis=0))
     if _interaction_untold(rows, load_range):
-        return Choice(method, f"{NOT_TOLD}; {why}", scores)
+        return Choice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
     reason = "kriging by nearest rows takes milliseconds an answer; ask for it by name"
     return Choice(method, f"{detail}: {reason}; {why}", scores)
 

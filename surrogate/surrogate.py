@@ -67,8 +67,8 @@ class Surrogate:
         Whether one factor holds them: then the kriging is what bars are told by.
     choice : Choice
         The default method, and why.
-    doubt : Doubt
-        What the rows do not show, whatever the bars say.
+    evidence : Evidence
+        Whether rows show interaction of axes, and the answer at no load.
     exact : ExactRows
         The rows that answer at or next to their own wrenches.
     build_s : float, s
@@ -113,9 +113,9 @@ class Surrogate:
             _ = self.interaction
         if self.by_axes and (thinning := self.composition.thinning):
             self.choice = replace(self.choice, reason=f"{self.choice.reason}; {thinning}")
-        self.doubt = self._doubt()
-        told = self.ranges, merged.rows, merged.owner
-        self.exact = ExactRows(rows.wrench, load_range, *told, self.locked)
+        self.evidence = self._evidence()
+        of_rows = self.ranges, merged.rows, merged.owner
+        self.exact = ExactRows(rows.wrench, load_range, *of_rows, self.locked)
         self.build_s = thread_time() - started
 
     @property
@@ -179,8 +179,8 @@ class Surrogate:
             "method_detail": self._kriging_detail,
             "errors_left_out": self.choice.errors,
             "table_version": self.version,
-            "full_wrench_rows": self.doubt.full_wrenches,
-            "tells_full_wrenches": self.doubt.knows_interaction,
+            "full_wrench_rows": self.evidence.full_wrenches,
+            "tells_full_wrenches": self.evidence.knows_interaction,
         }
 
     @cached_property
@@ -193,9 +193,11 @@ class Surrogate:
         """What each output varies by over the rows and from zero, shape (6,), m and rad."""
         return self.allowed.ranges
 
-    def _doubt(self) -> Doubt:
+    def _evidence(self) -> Evidence:
         rest_unknown = self.by_axes and not self.linear and not self.composition.at_rest.known
-        return doubt_of(self.used, self.load_range, linear=self.linear, rest_unknown=rest_unknown)
+        return evidence_of(
+            self.used, self.load_range, linear=self.linear, rest_unknown=rest_unknown
+        )
 
     def _readings(self) -> Readings:
         """Return what was measured behind each of `used`, for the noise that nobody stated."""
@@ -226,7 +228,7 @@ class Surrogate:
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Evidence:
     """Which wrenches ask what the rows of a table do not show.
 
     Attributes
@@ -245,11 +247,11 @@ class Doubt:
     needed: int
 
 
-def doubt_of(rows: Rows, load_range: LoadRange, *, linear: bool, rest_unknown: bool) -> Doubt:
+def evidence_of(rows: Rows, load_range: LoadRange, *, linear: bool, rest_unknown: bool) -> Evidence:
     """Return what the rows that answers are made of do not show.
 
     Loads of a linear component act by themselves.
     """
     knows = linear or knows_interaction(rows, load_range)
     full = count_full(rows, load_range)
-    return Doubt(knows, rest_unknown, full, full_needed(rows))
+    return Evidence(knows, rest_unknown, full, full_needed(rows))

@@ -210,8 +210,8 @@ class AxisTable:
         same = copy(self)
         same.rows, same.others = rows, others
         if others is not None or self.others is not None:
-            for told in ("left_out", "law", "state"):
-                vars(same).pop(told, None)
+            for name in ("left_out", "law", "state"):
+                vars(same).pop(name, None)
         return same
 
     def fractions(self) -> Floats:

@@ -46,13 +46,13 @@ class AtRest:
 
     Attributes
     ----------
-    displacement, bar : ndarray, shape (6,), m and rad
+    displacement, error : ndarray, shape (6,), m and rad
     known : bool
         Whether a row or the hull of an axis tells it.
     """
 
     displacement: Floats
-    bar: Floats
+    error: Floats
     known: bool
 
 
@@ -255,7 +255,7 @@ class Composition:
             rows, off = rows[leaves], off[leaves]
             loads = off * table.scale
             part.outputs[rows] += loads @ self.fit.matrix[:, inputs].T
-            part.rest[rows] += np.abs(loads) @ np.abs(self.fit.matrix[:, inputs]).T + self.fit.bar
+            part.rest[rows] += np.abs(loads) @ np.abs(self.fit.matrix[:, inputs]).T + self.fit.error
             unknown = (np.abs(off) > CLEAN) & ~self.fit.known[inputs]
             part.rest[rows[unknown.any(axis=1)]] = np.nan
 
@@ -263,7 +263,7 @@ class Composition:
         """Return the fitted compliance's part, for an axis or moment that has no rows."""
         matrix, count = self.fit.matrix[:, inputs], len(loads)
         moved = self.at_rest.displacement + loads @ matrix.T
-        rest = np.abs(loads) @ np.abs(matrix).T + self.fit.bar
+        rest = np.abs(loads) @ np.abs(matrix).T + self.fit.error
         rest[((loads != 0) & ~self.fit.known[inputs]).any(axis=1)] = np.nan
         slopes, none = np.tile(matrix, (count, 1, 1)), np.zeros((count, 6, len(inputs)))
         return _Part(moved, np.zeros((count, 6)), rest, slopes, none, np.full(count, NO_ROWS))
@@ -344,7 +344,7 @@ class _Total:
         """Return the sum."""
         zero, left = self.at_rest, 1.0 - self.times
         additive = self.sum + left * zero.displacement
-        squares = self.squares + np.where(left == 0, 0.0, (left * zero.bar) ** 2)
+        squares = self.squares + np.where(left == 0, 0.0, (left * zero.error) ** 2)
         return Composed(
             additive=additive,
             griddata=np.concatenate((self.own, additive[:, 3:]), axis=1),

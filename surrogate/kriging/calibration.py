@@ -36,7 +36,7 @@ Labels = NDArray[np.intp]
 # do not change them, and the largest factor is theirs.
 APART = 1.05
 
-ASKED = 256  # places that stand for what is asked: their median is known to a tenth of its size
+QUERIES = 256  # places that stand for what is asked: their median is known to a tenth of its size
 # Of the distance within which rows are one: what the span leaves on both sides of a load that no
 # row varies, and rounding.
 STILL = 2.5
@@ -100,19 +100,19 @@ def groupings(places: Floats, settings: KrigingSettings = DEFAULTS) -> Iterator[
     """Yield groups of places (n, 6), scaled by length scales: each alone, then fewer and larger."""
     count = len(places)
     tree = linkage(pdist(places), "complete") if count > 1 else np.empty((0, 4))
-    wanted, before = count, count + 1
-    while wanted >= settings.least_groups:
-        labels = fcluster(tree, wanted, "maxclust") if len(tree) else np.ones(count, dtype=int)
+    target, before = count, count + 1
+    while target >= settings.least_groups:
+        labels = fcluster(tree, target, "maxclust") if len(tree) else np.ones(count, dtype=int)
         if labels.max() < before:
             before = int(labels.max())
             yield np.asarray(labels, dtype=np.intp)
-        wanted = min(int(wanted / settings.group_growth), wanted - 1)
+        target = min(int(target / settings.group_growth), target - 1)
 
 
 def calibrate(
     levels: Iterator[Level],
     outputs: int,
-    asked: Floats,
+    sigma_of_queries: Floats,
     coefficients: float,
     settings: KrigingSettings = DEFAULTS,
 ) -> Calibration:
@@ -121,15 +121,15 @@ def calibrate(
     Parameters
     ----------
     levels : iterator of Level
-        Taken for as long as left-out rows are nearer to the others than `asked`.
+        Taken for as long as left-out rows are nearer to the others than queries are to rows.
     outputs : int
         How many a level has.
-    asked : ndarray, shape (m,), process deviations
+    sigma_of_queries : ndarray, shape (m,), process deviations
         At random wrenches of the loads that the rows span.
     coefficients : float
         Of the mean, that single rows settle too.
     """
-    typical, enough = np.median(asked), np.quantile(asked, settings.enough)
+    typical, enough = np.median(sigma_of_queries), np.quantile(sigma_of_queries, settings.enough)
     sigma, factors, reach, resembles = [], [], 0.0, False
     most, least = np.zeros(1), settings.half_width
     for level in levels:
@@ -189,7 +189,7 @@ def _factors(
     inside = (weights[:, None] * (ratios <= factors)).sum(axis=0) / count
     # Below the deviation that the nugget allows errors are rounding, whose size means nothing.
     matter = (np.abs(level.errors) > np.sqrt(settings.nugget)).any(axis=0)
-    bad = (widened > settings.most_widened) | (inside < settings.least_held)
+    bad = (widened > settings.most_widened) | (inside < settings.least_inside)
     return None if (matter & bad).any() else factors
 
 
@@ -234,16 +234,16 @@ def _typical_places(span: Floats, full: NDArray[np.bool_], settings: KrigingSett
     # A load that no row varies is asked for as the rows have it: off that the mean is unsettled.
     still = high - low <= STILL * settings.same
     low, high = np.where(still, (low + high) / 2, [low, high])
-    places = spread_wrenches(LoadRange(low, high), ASKED)
+    places = spread_wrenches(LoadRange(low, high), QUERIES)
     if full.sum() < min(settings.full_rows, len(full) / 2):
         inputs = [np.isin(np.arange(6), axis.inputs) for axis in AXES]
-        places = places * np.stack(inputs)[np.arange(ASKED) % len(AXES)]
+        places = places * np.stack(inputs)[np.arange(QUERIES) % len(AXES)]
     return places
 
 
 def calibrated(
     equations: Equations,
-    held: Hyperparameters,
+    hyperparameters: Hyperparameters,
     spread: Neighbourhoods,
     table: Floats,
     scaling: Scaling,
@@ -263,12 +263,13 @@ def calibrated(
     rows = rows[np.unique(chosen.round().astype(np.intp))]
     levels = (
         level
-        for labels in groupings(own.x * np.sqrt(held.inverse_squares), settings)
-        if (level := _level(equations, held, spread, table, labels, rows, settings)) is not None
+        for labels in groupings(own.x * np.sqrt(hyperparameters.inverse_squares), settings)
+        if (level := _level(equations, hyperparameters, spread, table, labels, rows, settings))
+        is not None
     )
-    asked = _typical_places(span, full, settings)
-    across = block(asked, equations.x, held, slopes_x=False, slopes_v=True)
-    sigma = deviations(asked, across.reshape(len(asked), -1), held, spread)
+    queries = _typical_places(span, full, settings)
+    across = block(queries, equations.x, hyperparameters, slopes_x=False, slopes_v=True)
+    sigma = deviations(queries, across.reshape(len(queries), -1), hyperparameters, spread)
     # The mean's coefficients, which all rows settle: these in proportion.
     coefficients = (1 + scaling.active.sum()) * len(rows) / len(own)
     return calibrate(levels, outputs, sigma, coefficients, settings)
@@ -276,7 +277,7 @@ def calibrated(
 
 def _level(
     equations: Equations,
-    held: Hyperparameters,
+    hyperparameters: Hyperparameters,
     spread: Neighbourhoods,
     table: Floats,
     labels: NDArray[np.intp],
@@ -288,7 +289,7 @@ def _level(
     The errors are those of the whole factor; sigma is from the neighbourhood of the nearest row
     left, without the group, since that is what an answer's error bar is made of.
     """
-    factor, prior = spread.factor, float(held.prior[0])
+    factor, prior = spread.factor, float(hyperparameters.prior[0])
     if len(np.unique(labels)) < 2:
         return None
     out = left_out(equations, factor, labels)
@@ -300,10 +301,12 @@ def _level(
     squared = np.full(len(rows), np.nan)
     lists = spread.finder.members(equations.x[anchors], labels, labels[rows])
     for place, (row, members) in enumerate(zip(factor.rows[rows], lists, strict=True)):
-        local = local_factor(equations, noise, held, members, factor.nugget, settings, table)
-        told = number[members][equations.known[members]]
+        local = local_factor(
+            equations, noise, hyperparameters, members, factor.nugget, settings, table
+        )
+        known_equations = number[members][equations.known[members]]
         found = local.squared_deviation(
-            table[np.ix_(number[row, :1], told)],
+            table[np.ix_(number[row, :1], known_equations)],
             np.append(1.0, equations.x[row])[None],
             prior,
             out.mean_covariances[rows[place]],

@@ -39,7 +39,7 @@ class Dense:
     Attributes
     ----------
     equations : Equations
-    held : Hyperparameters
+    hyperparameters : Hyperparameters
     shares : tuple of Neighbourhoods
     weights : ndarray, shape (n, 7, 6), spreads
     coefficients : ndarray, shape (7, 6), spreads
@@ -56,7 +56,7 @@ class Dense:
     """
 
     equations: Equations
-    held: Hyperparameters
+    hyperparameters: Hyperparameters
     shares: tuple[Neighbourhoods, ...]
     weights: Floats
     coefficients: Floats
@@ -71,13 +71,16 @@ class Dense:
 
         Errors are 95 % error bars; where they are not known, some answers err by more.
         """
-        across = block(x, self.equations.x, self.held, slopes_x=False, slopes_v=True)
+        across = block(x, self.equations.x, self.hyperparameters, slopes_x=False, slopes_v=True)
         across = across.reshape(len(x), -1)
         values = row_by_row(across, self.weights.reshape(-1, OUTPUTS))
         values += self.coefficients[0] + row_by_row(x, self.coefficients[1:])
         errors, known = np.empty((len(x), OUTPUTS)), np.empty((len(x), OUTPUTS), dtype=bool)
         for share, found in zip(self.shares, self.calibrations, strict=True):
-            sigma, outputs = deviations(x, across, self.held, share), share.factor.outputs
+            sigma, outputs = (
+                deviations(x, across, self.hyperparameters, share),
+                share.factor.outputs,
+            )
             errors[:, outputs] = sigma[:, None] * found.at(sigma) * self.deviation[outputs]
             known[:, outputs] = (sigma <= found.reach)[:, None]
         known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
@@ -85,9 +88,11 @@ class Dense:
 
     def slopes(self, x: Floats) -> Floats:
         """Return the derivatives of the values by the loads at places (m, 6), shape (m, 6, 6)."""
-        across = block(x, self.equations.x, self.held, slopes_x=True, slopes_v=True)[:, 1:]
-        told = across.reshape(len(x), LOADS, -1) @ self.weights.reshape(-1, OUTPUTS)
-        return (told + self.coefficients[1:]).transpose(0, 2, 1)
+        across = block(x, self.equations.x, self.hyperparameters, slopes_x=True, slopes_v=True)[
+            :, 1:
+        ]
+        slopes = across.reshape(len(x), LOADS, -1) @ self.weights.reshape(-1, OUTPUTS)
+        return (slopes + self.coefficients[1:]).transpose(0, 2, 1)
 
     def sigmas_with(self, pending: Floats, x: Floats) -> Floats:
         """Return sigma at places (m, 6) over what it will be once others are solved, shape (m,).
@@ -102,13 +107,13 @@ class Dense:
         value[:, 0] = True
         new, new_left = self._unexplained(factor, pending, known)
         here, here_left = self._unexplained(factor, x, value)
-        within = covariance(pending, known, pending, known, self.held) - new @ new.T
+        within = covariance(pending, known, pending, known, self.hyperparameters) - new @ new.T
         within += new_left @ factor.mean_covariance @ new_left.T
-        prior = np.tile(self.held.prior, (len(pending), 1))[known]
+        prior = np.tile(self.hyperparameters.prior, (len(pending), 1))[known]
         within[np.diag_indices_from(within)] += factor.nugget * prior
-        between = covariance(x, value, pending, known, self.held) - here @ new.T
+        between = covariance(x, value, pending, known, self.hyperparameters) - here @ new.T
         between += here_left @ factor.mean_covariance @ new_left.T
-        before = float(self.held.prior[0]) - np.einsum("me,me->m", here, here)
+        before = float(self.hyperparameters.prior[0]) - np.einsum("me,me->m", here, here)
         loose = np.einsum("ma,ab,mb->m", here_left, factor.mean_covariance, here_left)
         before = np.maximum(before, factor.nugget) + loose
         won = np.einsum("mp,pm->m", between, np.linalg.solve(within, between.T))
@@ -117,13 +122,13 @@ class Dense:
     def _unexplained(self, factor: Factor, x: Floats, known: Mask) -> tuple[Floats, Floats]:
         """Return T times the covariance with places, and of the mean's terms what rows leave."""
         own = self.equations.take(factor.rows)
-        reduced = covariance(x, known, own.x, own.known, self.held) @ factor.T.T
+        reduced = covariance(x, known, own.x, own.known, self.hyperparameters) @ factor.T.T
         return reduced, mean_terms(x, known) - reduced @ factor.TF
 
 
 def dense(
     equations: Equations,
-    held: Hyperparameters,
+    hyperparameters: Hyperparameters,
     shares: list[Share],
     scaling: Scaling,
     settings: KrigingSettings = DEFAULTS,
@@ -135,11 +140,11 @@ def dense(
     scaling : Scaling
         Tells which loads take part and where no load is.
     """
-    table = covariance(equations.x, equations.known, equations.x, equations.known, held)
+    table = covariance(equations.x, equations.known, equations.x, equations.known, hyperparameters)
     spreads = []
     for share in shares:
-        factor = factorise(equations, held, *share, settings, table)
-        spreads.append(neighbourhoods_of(equations, held, factor, table, settings))
+        factor = factorise(equations, hyperparameters, *share, settings, table)
+        spreads.append(neighbourhoods_of(equations, hyperparameters, factor, table, settings))
     weights, coefficients, deviation = _together(equations, [own.factor for own in spreads])
     errors = np.full((len(equations), OUTPUTS), np.nan)
     for own in spreads:
@@ -148,14 +153,17 @@ def dense(
     span = span_of(equations, scaling, settings)
     return Dense(
         equations,
-        held,
+        hyperparameters,
         tuple(spreads),
         weights,
         coefficients,
         deviation,
         rounding_of(equations, table, weights),
         errors,
-        tuple(calibrated(equations, held, own, table, scaling, span, settings) for own in spreads),
+        tuple(
+            calibrated(equations, hyperparameters, own, table, scaling, span, settings)
+            for own in spreads
+        ),
         span,
     )
 

@@ -57,17 +57,17 @@ def readings_of(rows: Rows, owner: NDArray[np.intp] | None = None) -> Readings:
     if owner is None:
         return Readings(np.where(present & ~stated, 1.0, 0.0), np.zeros_like(rows.displacement))
     size = int(owner.max(initial=-1)) + 1
-    count, told, total, scatter = (np.zeros((size, 6)) for _ in range(4))
+    count, stated_count, total, scatter = (np.zeros((size, 6)) for _ in range(4))
     value = np.where(present, rows.displacement, 0.0)
     for output in range(6):
         count[:, output] = np.bincount(owner, present[:, output], size)
-        told[:, output] = np.bincount(owner, stated[:, output], size)
+        stated_count[:, output] = np.bincount(owner, stated[:, output], size)
         total[:, output] = np.bincount(owner, value[:, output], size)
     mean = (total / np.maximum(count, 1))[owner]
     apart = np.where(present, rows.displacement - mean, 0.0) ** 2
     for output in range(6):
         scatter[:, output] = np.bincount(owner, apart[:, output], size)
-    unstated = told == 0
+    unstated = stated_count == 0
     return Readings(np.where(unstated, count, 0.0), np.where(unstated, scatter, 0.0))
 
 
@@ -123,7 +123,7 @@ class Equations:
     x : ndarray, shape (n, 6), half ranges
     known : ndarray of bool, shape (n, 7)
         Which of its value and slopes a row brings.
-    told : ndarray, shape (n, 7, 6), spreads
+    data : ndarray, shape (n, 7, 6), spreads
         Values and slopes of the six outputs; zero where not known.
     measured : ndarray of bool, shape (n, 6)
         Which outputs a row brings.
@@ -137,7 +137,7 @@ class Equations:
 
     x: Floats
     known: Mask
-    told: Floats
+    data: Floats
     measured: Mask
     noise: Floats
     readings: Floats
@@ -169,7 +169,7 @@ class Equations:
         return (
             self.x,
             self.known,
-            self.told,
+            self.data,
             self.measured,
             self.noise,
             self.readings,
@@ -257,16 +257,16 @@ def equations_of(
     known = np.zeros((len(rows), PLACES), dtype=bool)
     known[:, 0] = True
     known[:, 1:] = sloped[:, None] & scaling.active
-    told = np.zeros((len(rows), PLACES, OUTPUTS))
-    told[:, 0] = np.where(measured, (rows.displacement - scaling.offset) / scaling.spread, 0.0)
+    data = np.zeros((len(rows), PLACES, OUTPUTS))
+    data[:, 0] = np.where(measured, (rows.displacement - scaling.offset) / scaling.spread, 0.0)
     slopes = rows.compliance * scaling.half / scaling.spread[:, None]
-    told[:, 1:] = np.where(known[:, 1:, None], slopes.transpose(0, 2, 1), 0.0)
+    data[:, 1:] = np.where(known[:, 1:, None], slopes.transpose(0, 2, 1), 0.0)
     half_widths = np.nan_to_num(rows.uncertainty) / scaling.spread
     whole = Equations(
         # Rounded, so that another unit's rounding is not blown up by the covariance's condition.
         x=np.round(scaling.loads(rows.wrench), DECIMALS),
         known=known,
-        told=told,
+        data=data,
         measured=measured,
         noise=np.where(behind.number > 0, 0.0, (half_widths / settings.half_width) ** 2),
         readings=behind.number,
@@ -297,7 +297,7 @@ def _merged(equations: Equations, settings: KrigingSettings) -> Equations:
 
 def _merge(out: Equations, place: int, members: Equations, settings: KrigingSettings) -> None:
     """Write one row for several at one wrench into a copy's place."""
-    values = np.where(members.measured, members.told[:, 0], np.nan)
+    values = np.where(members.measured, members.data[:, 0], np.nan)
     for output in np.flatnonzero(members.measured.any(axis=0)):
         measured = members.measured[:, output]
         known, readings = values[measured, output], members.readings[measured, output]
@@ -310,9 +310,9 @@ def _merge(out: Equations, place: int, members: Equations, settings: KrigingSett
             mean, spread = known.mean(), np.ptp(known) / 2 / settings.half_width
             out.noise[place, output] = max(spread**2, members.noise[:, output].max())
             out.scatter[place, output] = out.readings[place, output] = 0.0
-        out.told[place, 0, output] = mean
+        out.data[place, 0, output] = mean
     out.measured[place] = members.measured.any(axis=0)
     sloped = members.known[:, 1:].any(axis=1)
     whole = sloped.any() and out.measured[place].all()
     out.known[place, 1:] = members.known[sloped, 1:].any(axis=0) if whole else False
-    out.told[place, 1:] = members.told[sloped, 1:].mean(axis=0) if whole else 0.0
+    out.data[place, 1:] = members.data[sloped, 1:].mean(axis=0) if whole else 0.0

@@ -118,13 +118,13 @@ class Factor:
 
 
 def diagonal_added(
-    equations: Equations, noise: Floats, nugget: float, held: Hyperparameters
+    equations: Equations, noise: Floats, nugget: float, hyperparameters: Hyperparameters
 ) -> Floats:
     """Return what is added to the covariance's diagonal: nugget and noise.
 
     Shape (equations,), dimensionless, of noise, shape (rows,), over the process variance.
     """
-    added = np.tile(nugget * held.prior, (len(equations), 1))
+    added = np.tile(nugget * hyperparameters.prior, (len(equations), 1))
     added[:, 0] += noise
     return added[equations.known]
 
@@ -167,7 +167,7 @@ def inverse_factor(
 
 def factorise(
     equations: Equations,
-    held: Hyperparameters,
+    hyperparameters: Hyperparameters,
     outputs: NDArray[np.intp],
     rows: NDArray[np.intp],
     noise: Floats,
@@ -183,16 +183,18 @@ def factorise(
     """
     own = equations.take(rows)
     if table is None:
-        matrix = covariance(own.x, own.known, own.x, own.known, held)
+        matrix = covariance(own.x, own.known, own.x, own.known, hyperparameters)
     else:
         places = numbers(equations.known)[rows][own.known]
         matrix = table[np.ix_(places, places)]
-    matrix[np.diag_indices_from(matrix)] += diagonal_added(own, noise, settings.nugget, held)
-    prior = np.tile(held.prior, (len(own), 1))[own.known]
+    matrix[np.diag_indices_from(matrix)] += diagonal_added(
+        own, noise, settings.nugget, hyperparameters
+    )
+    prior = np.tile(hyperparameters.prior, (len(own), 1))[own.known]
     T, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, prior)
     TF = T @ mean_terms(own.x, own.known)
-    told = own.told[own.known][:, outputs]
-    Ty = T @ told
+    data = own.data[own.known][:, outputs]
+    Ty = T @ data
     precision = TF.T @ TF + np.eye(TF.shape[1]) / settings.mean_variance
     mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
     coefficients = mean_covariance @ (TF.T @ Ty)

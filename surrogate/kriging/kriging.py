@@ -110,11 +110,11 @@ class Kriging:
                 f"{len(equations)} rows bring {equations.count} equations, more than the "
                 f"{settings.dense_equations} that one factor holds"
             )
-        held, noise_scale, variance = estimated(equations, scaling, settings)
+        hyperparameters, noise_scale, variance = estimated(equations, scaling, settings)
         noisy = equations.with_reading_noise(variance)
         shares = shares_of(noisy, noise_scale, settings)
-        inside = dense(noisy, held, shares, scaling, settings)
-        return cls(settings, scaling, held, variance, inside, tangent)
+        inside = dense(noisy, hyperparameters, shares, scaling, settings)
+        return cls(settings, scaling, hyperparameters, variance, inside, tangent)
 
     @property
     def detail(self) -> str:
@@ -136,7 +136,7 @@ class Kriging:
                 values, errors, known = self.inside.answers(x[part])
                 size = (np.abs(values) + 1) * spread + np.abs(offset)
                 # Never below what rounding makes of an answer.
-                least = np.maximum(self.settings.bar_floor * size, self.inside.rounding * spread)
+                least = np.maximum(self.settings.error_floor * size, self.inside.rounding * spread)
                 bars[part] = np.where(known, np.maximum(errors * spread, least), np.nan)
                 displacement[part] = values * spread + offset
         return displacement, bars

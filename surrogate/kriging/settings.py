@@ -48,7 +48,7 @@ class KrigingSettings:
     # By how much less likely (logarithm) noise may be for less of it to be taken: half the 95 %
     # quantile of a chi square. With half a unit 66 and 73 % of errors were inside at two of 36
     # noisy tables, at noise of 5 % of the range; with this 74 and 82 %.
-    ratio_doubt: float = 1.92
+    ratio_caution: float = 1.92
     # The likelihood costs the cube of its equations some fifty times over, and is flat: 420
     # equations of six outputs (60 solved rows, or 100 measured ones) settle seven numbers, in half
     # a second; with 210 errors were up to twice as large, measured over made-up responses.
@@ -108,10 +108,10 @@ class KrigingSettings:
     # size, or fewer), or where bars miss more than 15 % of the left-out rows themselves, nothing
     # is `covered`. Of 200 made-up tables that cover more than 5 % of answers that takes 8.
     most_widened: float = 3.0
-    least_held: float = 0.85
+    least_inside: float = 0.85
     # What the sums over the rows lose to rounding, of an output's spread and of the value itself:
     # weights are up to 1e5 times what they sum to.
-    bar_floor: float = 1e-11
+    error_floor: float = 1e-11
     # Half width of 95 % over the deviation of a normal distribution.
     half_width: float = 1.96
 

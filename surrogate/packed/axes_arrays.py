@@ -55,7 +55,7 @@ def axes_arrays(
     yield "left_out", np.array([*left_out, FEWEST], dtype=np.int32)
     yield "largest", np.array([LARGEST[dimension] for dimension in range(4)])
     yield "span", np.array([_span(table) for table in tables])
-    yield "rest_point", np.stack((composition.at_rest.displacement, composition.at_rest.bar))
+    yield "rest_point", np.stack((composition.at_rest.displacement, composition.at_rest.error))
     yield "error", np.array([_error(table) for table in tables])
     yield from _cuts(composition)
     yield from _members(tables, members)

@@ -40,15 +40,15 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     inside, scaling = kriging.inside, kriging.scaling
     rows = len(inside.equations)
     stride = -(-rows // LANES) * LANES
-    rates, weights = inside.held.terms
+    rates, weights = inside.hyperparameters.terms
     x = np.zeros((LOADS, stride))
     x[:, :rows] = inside.equations.x.T
-    told = np.zeros((OUTPUTS, PLACES, stride))
-    told[:, :, :rows] = inside.weights.transpose(2, 1, 0)
+    weights_by_place = np.zeros((OUTPUTS, PLACES, stride))
+    weights_by_place[:, :, :rows] = inside.weights.transpose(2, 1, 0)
     yield "x", x
     yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
-    yield "rates", inside.held.inverse_squares
-    yield "weights", told.reshape(OUTPUTS, -1)
+    yield "rates", inside.hyperparameters.inverse_squares
+    yield "weights", weights_by_place.reshape(OUTPUTS, -1)
     yield "coefficients", inside.coefficients
     yield "centre", scaling.centre
     yield "rate", np.where(scaling.active, 1 / scaling.half, 0.0)
@@ -56,7 +56,7 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "spread", scaling.spread
     yield "deviation", inside.deviation * scaling.spread
     yield "lost", inside.rounding * scaling.spread
-    yield "floor", np.array([kriging.settings.bar_floor])
+    yield "floor", np.array([kriging.settings.error_floor])
     yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
     yield "span", inside.span
     yield "span_loads", scaling.wrenches(inside.span)

@@ -285,8 +285,8 @@ def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[st
             for start in range(0, count, FOREIGN_PIECE):
                 some = slice(start, start + FOREIGN_PIECE)
                 rows = _read_rows(file, some)
-                held = "rows/note" in file
-                notes = np.asarray(_dataset(file, "rows/note").asstr()[some]) if held else None
+                has_notes = "rows/note" in file
+                notes = np.asarray(_dataset(file, "rows/note").asstr()[some]) if has_notes else None
                 yield rows, [""] * len(rows) if notes is None else notes.tolist()
     except TableFileError:
         raise

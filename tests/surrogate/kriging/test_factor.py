@@ -67,7 +67,7 @@ def test_left_out_groups_equal_refitting_without_them(measured: bool, size: int)
     for row in every[::3]:
         without = _factor(equations, every[labels != labels[row]])
         value, _ = _answer(equations, without, row)
-        np.testing.assert_allclose(told.errors[row], equations.told[row, 0] - value, atol=1e-8)
+        np.testing.assert_allclose(told.errors[row], equations.data[row, 0] - value, atol=1e-8)
         np.testing.assert_allclose(
             told.mean_covariances[row], without.mean_covariance, rtol=1e-6, atol=1e-8
         )
@@ -84,7 +84,7 @@ def test_left_out_rows_with_the_mean_kept_equal_refitting_about_it() -> None:
         rest = np.delete(every, row)
         without = factorise(equations, HELD, OUTPUTS, rest, np.zeros(len(rest)), settings)
         value, _ = _answer(equations, without, row)
-        np.testing.assert_allclose(told.errors[row], equations.told[row, 0] - value, atol=1e-8)
+        np.testing.assert_allclose(told.errors[row], equations.data[row, 0] - value, atol=1e-8)
 
 
 def test_a_singular_covariance_takes_a_larger_nugget_and_says_so() -> None:

@@ -205,7 +205,7 @@ class Linear(Method):
         """Answer wrenches, shape (n, 6), N and N·m."""
         displacement = wrenches @ self.fit.matrix.T
         # Rounding is that of the sum's parts, which may cancel.
-        error = self.fit.bar + ROUNDING * np.abs(wrenches) @ np.abs(self.fit.matrix).T
+        error = self.fit.error + ROUNDING * np.abs(wrenches) @ np.abs(self.fit.matrix).T
         if self.reference is not None:
             best, bars = self.reference.estimate(wrenches)
             error = np.maximum(error, np.abs(displacement - best) + bars)
