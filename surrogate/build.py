@@ -115,21 +115,10 @@ def build(
     if (np.diff(rows.seq) < 0).any():  # so that the order they come in changes nothing
         rows = rows.take(np.argsort(rows.seq, kind="stable"))
     known = dict(before.groups) if before is not None else {}
+    how: dict[str, Any] = {"tolerance": tolerance, "linear": linear, "off_axis": off_axis}
+    how |= {"version": version, "locked": locked}
     groups = [
-        (
-            outputs,
-            Surrogate(
-                own,
-                load_range,
-                tolerance=tolerance,
-                linear=linear,
-                off_axis=off_axis,
-                version=version,
-                before=known.get(outputs),
-                locked=locked,
-                outputs=outputs,
-            ),
-        )
+        (outputs, Surrogate(own, load_range, before=known.get(outputs), outputs=outputs, **how))
         for outputs, own in _by_output(rows)
     ]
     return AnyTable(rows, load_range, groups, solver_error)

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,20 +81,6 @@ class Composed:
     def state(self) -> NDArray[np.int_]:
         """The worst of the three axes, shape (n,)."""
         return self.states.max(axis=1)
-
-    def of(self, method: str) -> Floats:
-        """Return the answers of `griddata`, `additive` or `tangent`, shape (n, 6), m and rad."""
-        if method == "tangent":
-            return self.griddata + self.bend
-        return self.additive if method == "additive" else self.griddata
-
-
-class Look(NamedTuple):
-    """One axis' answer, and the table and the simplex it was read from, if there are any."""
-
-    found: Composed
-    table: AxisTable | None
-    simplex: int | None
 
 
 class Composition:
@@ -186,25 +171,6 @@ class Composition:
             slopes = part.slopes + part.bend_slopes if method == "tangent" else part.slopes
             found[:, composed, moment + 3] -= slopes[:, composed, 0]
         return found
-
-    def look(self, index: int, wrench: Floats) -> Look:
-        """Return what one axis answers to its three loads of a wrench by themselves.
-
-        The wrench has shape (6,), N and N·m.
-        """
-        axis = AXES[index]
-        loads = np.where(np.isin(np.arange(6), axis.inputs), wrench, 0.0)[None]
-        found = self.evaluate(loads)
-        loaded = np.flatnonzero(np.abs(loads[0]) > CLEAN * self.scale)
-        table = self.tables[index]
-        if len(loaded) == 1 and loaded[0] >= 3:
-            cuts = self.cuts[loaded[0] - 3]
-            states = [cut.read(loads[0, loaded]).state[0] for cut in cuts]
-            table = cuts[int(np.argmin(states))].table if cuts else None
-        if table is None or not len(loaded):
-            return Look(found, table, None)
-        x = loads[:, list(table.axis.inputs)] / table.scale
-        return Look(found, table, int(table.read(x).simplices[0]))
 
     def _read(self, axis: Axis, wrenches: Floats) -> _Part:
         """Return one axis' part at wrenches (k, 6) that load it."""

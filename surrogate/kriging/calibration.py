@@ -286,8 +286,7 @@ def _level(
 ) -> Level | None:
     """Return what some of a factor's rows show, left out in groups; None if they show nothing.
 
-    The errors are those of the whole factor; sigma is from the neighbourhood of the nearest row
-    left, without the group, since that is what an answer's error bar is made of.
+    Errors are of the whole factor; sigma, as in answers, of the nearest row's neighbourhood.
     """
     factor, prior = spread.factor, float(hyperparameters.prior[0])
     if len(np.unique(labels)) < 2:
@@ -301,12 +300,11 @@ def _level(
     squared = np.full(len(rows), np.nan)
     lists = spread.finder.members(equations.x[anchors], labels, labels[rows])
     for place, (row, members) in enumerate(zip(factor.rows[rows], lists, strict=True)):
-        local = local_factor(
-            equations, noise, hyperparameters, members, factor.nugget, settings, table
-        )
-        known_equations = number[members][equations.known[members]]
+        how = members, factor.nugget, settings, table
+        local = local_factor(equations, noise, hyperparameters, *how)
+        columns = number[members][equations.known[members]]
         found = local.squared_deviation(
-            table[np.ix_(number[row, :1], known_equations)],
+            table[np.ix_(number[row, :1], columns)],
             np.append(1.0, equations.x[row])[None],
             prior,
             out.mean_covariances[rows[place]],

@@ -174,12 +174,10 @@ def factorise(
     settings: KrigingSettings = DEFAULTS,
     table: Floats | None = None,
 ) -> Factor:
-    """Return the factor of some rows of a table for some outputs.
+    """Return the factor of some rows (r,) of a table for some outputs (k,), both indices.
 
-    `table` is the covariance of all the table's equations, where it is at hand.
-
-    Shapes: `outputs` (k,) and `rows` (r,), indices; `noise` (r,), over the process variance, and
-    `table` (a, a), for a equations, dimensionless.
+    `noise` (r,) is over the process variance; `table` (a, a), dimensionless, the covariance of all
+    a equations of the table, where it is at hand.
     """
     own = equations.take(rows)
     if table is None:

@@ -126,7 +126,9 @@ class StraightDirection(Method):
     def estimate(self, wrenches: Floats) -> Estimates:
         """Answer wrenches, shape (n, 6), N and N·m."""
         composed = self.composition.evaluate(wrenches)
-        displacement = composed.of(self.name)
+        displacement = composed.additive if self.name == "additive" else composed.griddata
+        if self.name == "tangent":
+            displacement = composed.griddata + composed.bend
         best, error = self.reference.against(wrenches, composed)
         error = np.abs(displacement - best) + error
         off = (composed.state >= OFF_HULL)[:, None]
