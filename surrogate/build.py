@@ -56,11 +56,16 @@ class AnyTable:
         self.groups = tuple(sorted(groups, key=lambda group: len(group[1].rows)))
         thinnest = self.thinnest = self.groups[0][1]
         self.tolerance, self.linear = thinnest.tolerance, thinnest.linear
-        self.locked, self.version = thinnest.locked, thinnest.version
+        self.version = thinnest.version
         self.fit: ComplianceFit = thinnest.fit
         self.used, self.default = thinnest.used, thinnest.default
         self.solver_error = None if solver_error is None else solver_error.grown(rows, load_range)
         self.bars_are_whole = bars_are_whole(rows, solver_error)
+
+    @property
+    def locked(self) -> tuple[int, ...]:
+        """Places, in `LOADS`, of the loads on locked freedoms, which change no answer."""
+        return self.thinnest.locked
 
     @property
     def composition(self) -> Composition:

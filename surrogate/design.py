@@ -30,17 +30,17 @@ from .table.axes import AXES
 from .table.rows import CLEAN, LOADS, Floats, LoadRange, Tolerance
 from .table.spread import spread_wrenches
 
-SAMPLE = 256  # wrenches at which bars are held against the tolerance: 95 % of them are 243
+SAMPLE = 256  # wrenches at which error bars are compared with the tolerance: 95 % of them are 243
 ENOUGH = 0.95  # of the sample within the tolerance ends a fill, as bars hold 95 % of errors
 CANDIDATES = 384  # wrenches to choose from: more differ by less than a row changes the bars
 AXIS_CANDIDATES = 32  # of each axis by itself, where a table brings no tangents
-# Each fourth wrench is one of an even spread, as those are that will be asked: where the bar is
+# Each fourth wrench is one of an even spread, as later queries are: where the bar is
 # largest is at the ends of the range, and rows left out there say little of the rest. Over five
 # made-up responses, 39 solves, the worst output's part inside its bar rises from 89 to 93 % by it,
 # and errors stay the same.
 EVENLY = 4
 FAR = 10_000  # into the sequence, so that the even ones are none of the sample's
-LOOKED_AT = 16  # candidates told anew at once: the largest is nearly always among the first few
+LOOKED_AT = 16  # candidates computed anew at once: the largest is nearly always among the first few
 
 # Signs of eight corners: the third of the 2^(6-3) fractions, in which no load's effect is another's
 # (Box and Hunter 1961): the last three are the products of two of the first three.
@@ -51,11 +51,11 @@ CORNERS = np.concatenate((_SIGNS, _SIGNS[:, [0, 0, 1]] * _SIGNS[:, [1, 2, 2]]), 
 OUT = 0.8
 # Wrenches of the first design: two for each load and three more, 15 of six loads.
 A_LOAD, FURTHER = 2, 3
-_FAR = 2.0**62  # steps from no load, of what an int64 holds: no wrench to be asked is out there
+_FAR = 2.0**62  # steps from no load, of what an int64 holds: no wrench of a query is out there
 
 
 class Known:
-    """The wrenches that need not be asked again: rows and pending ones."""
+    """The wrenches that need no further solve: rows and pending ones."""
 
     def __init__(self, load_range: LoadRange, rows: Floats, pending: Floats) -> None:
         self.scale, self.pending = load_range.scale, pending
@@ -135,7 +135,7 @@ def next_wrenches(
     """Return at most `budget` wrenches that lower the error most, none of them known or pending.
 
     A linear component needs but one solve, which brings its compliance. Without a tolerance (the
-    table's own if None) the refinement goes on as long as it is asked.
+    table's own if None) the refinement has no end.
 
     Parameters
     ----------
@@ -245,8 +245,8 @@ class _Refinement:
     def _chosen(self, budget: int) -> Floats:
         """Return at most `budget` candidates, shape (k, 6), N and N·m.
 
-        Solved wrenches only ever lower a bar, so a candidate told before some were chosen is at
-        most what it was: only those that may still be the largest are told anew (Minoux 1978).
+        Solved wrenches only ever lower a bar, so a candidate computed before some were chosen is at
+        most what it was: only those that may still be the largest are computed anew (Minoux 1978).
         """
         candidates = self.known.new(_candidates(self.surrogate, self.span))
         losses, pending = self._losses(candidates), self.known.pending

@@ -27,7 +27,7 @@ from .kriging.correlation import (
     mean_terms,
 )
 from .kriging.equations import DECIMALS, OUTPUTS, Equations
-from .kriging.factor import Factor, factorise
+from .kriging.factor import KrigingFactor, factorise
 from .kriging.settings import DEFAULTS, KrigingSettings
 from .table.rows import Floats, LoadRange
 
@@ -64,7 +64,7 @@ class FieldWeights:
     load_range: LoadRange
     hyperparameters: Hyperparameters
     equations: Equations
-    factor: Factor
+    factor: KrigingFactor
 
     @classmethod
     def of(

@@ -87,7 +87,7 @@ def _put_deviations(
 
 
 @dataclass(frozen=True)
-class Choice:
+class MethodChoice:
     """The default method of a table.
 
     Attributes
@@ -121,13 +121,13 @@ def knows_interaction(rows: Rows, load_range: LoadRange) -> bool:
 
 def linear_choice(
     rows: Rows, load_range: LoadRange, fit: ComplianceFit, composition: Composition | None
-) -> Choice:
+) -> MethodChoice:
     """Return the default of a linear component, by what of its compliance is known."""
     if fit.complete or composition is None:
-        return Choice("linear", "the component is linear: its compliance is exact", {})
+        return MethodChoice("linear", "the component is linear: its compliance is exact", {})
     method, why = _of_the_axes(rows, load_range, composition, axes_errors(rows, composition))
     reason = "the component is linear, but its compliance is not known in all loads yet"
-    return Choice(method, f"{reason}; {why}", {})
+    return MethodChoice(method, f"{reason}; {why}", {})
 
 
 def choose(
@@ -135,7 +135,7 @@ def choose(
     load_range: LoadRange,
     composition: Composition,
     kriging: Callable[[], Kriging | None],
-) -> Choice:
+) -> MethodChoice:
     """Return the default of a nonlinear component's rows inside the load range.
 
     Parameters
@@ -147,28 +147,30 @@ def choose(
     method, why = _of_the_axes(rows, load_range, composition, errors)
     if _interaction_untold(rows, load_range):
         scores = _scores(errors, np.ptp(rows.displacement, axis=0))
-        return Choice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
+        return MethodChoice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
     made = kriging()
     if made is None:
-        return Choice(method, f"there are too few rows for kriging; {why}", {})
+        return MethodChoice(method, f"there are too few rows for kriging; {why}", {})
     left = made.left_out()
     size = np.where(made.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
     axes = _scores(errors, size)
     scores = {"kriging": _score(left, size)} | axes
     if not axes:
-        return Choice("kriging", "the axes have too few rows to leave one out", scores)
+        return MethodChoice("kriging", "the axes have too few rows to leave one out", scores)
     if made.knows_errors and not _axes_tell_errors(composition):
-        return Choice("kriging", "the axes have too few rows to tell the error of answers", scores)
+        return MethodChoice(
+            "kriging", "the axes have too few rows to tell the error of answers", scores
+        )
     best = min(axes, key=lambda name: axes[name])
     compared = f"{scores['kriging']:.2g} of the range against {best}'s {axes[best]:.2g}"
     if not scores["kriging"] < max(CLEARLY * axes[best], EXACT):
-        return Choice(method, f"kriging errs at left-out rows by {compared}; {why}", scores)
-    return Choice("kriging", f"its error at left-out rows is {compared}", scores)
+        return MethodChoice(method, f"kriging errs at left-out rows by {compared}; {why}", scores)
+    return MethodChoice("kriging", f"its error at left-out rows is {compared}", scores)
 
 
 def without_kriging(
     rows: Rows, load_range: LoadRange, composition: Composition, detail: str
-) -> Choice:
+) -> MethodChoice:
     """Return the default of rows that one factor does not hold.
 
     Parameters
@@ -180,9 +182,9 @@ def without_kriging(
     method, why = _of_the_axes(rows, load_range, composition, errors)
     scores = _scores(errors, np.ptp(rows.displacement, axis=0))
     if _interaction_untold(rows, load_range):
-        return Choice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
+        return MethodChoice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
     reason = "kriging by nearest rows takes milliseconds an answer; ask for it by name"
-    return Choice(method, f"{detail}: {reason}; {why}", scores)
+    return MethodChoice(method, f"{detail}: {reason}; {why}", scores)
 
 
 def _of_the_axes(

@@ -1,8 +1,8 @@
-"""What a table's solves may themselves be wrong by: their mesh, and linearity.
+"""Error of a table's solves themselves: discretisation, and linearity.
 
 A table's bars say how far its answers are from the solver's. What the solver lacks is the same for
 every row, so more rows do not lower it, and no coverage depends on it: it is estimated once a
-fingerprint and added to the bars where they are told. It is added, not squared and added: a mesh
+fingerprint and added to the error bars of answers. It is added, not squared and added: a mesh
 errs one way at all wrenches alike, nothing of it averages out.
 
 A mesh that is too coarse is too stiff. With D what it adds to the stiffness at small loads, that is
@@ -21,7 +21,7 @@ import numpy as np
 from .table.rows import Floats, LoadRange, Rows
 
 _MOST_BY_SQUARE = 1.0
-"""Of the share at small loads, at the full range: up to it growth is told by the load's square,
+"""Of the share at small loads, at the full range: up to it growth follows the load's square,
 which at most doubles a bar and needs nothing else; beyond it by each answer's own tangent."""
 
 _NEGLIGIBLE = 1e-6
@@ -77,7 +77,7 @@ class SolverError:
     def can_grow(self) -> bool:
         """Whether rows can tell how the mesh's share grows, or there is nothing to tell.
 
-        False of what was estimated before ``mesh_stiffness`` was told.
+        False of what was estimated before ``mesh_stiffness`` was stored.
         """
         return self.mesh is None or "linearity" in self.values or "mesh_stiffness" in self.values
 
@@ -86,7 +86,7 @@ class SolverError:
         """The arrays that the kernel computes the share of an answer from.
 
         Shape (6, 6), SI; (6,), m and rad; one over the largest loads (6,), 1/N and 1/(N·m); what
-        the mesh adds to the stiffness (6, 6), N/m and so on; whether answers' tangents are asked
+        the mesh adds to the stiffness (6, 6), N/m and so on; whether answers' tangents are needed
         (1,): 2 always, 1 of rows beyond the range, 0 never.
         """
         asks = 0.0 if self.stiffness is None else 1.0 + self.needs_tangent

@@ -26,7 +26,7 @@ from .kriging import (
     too_large_in_words,
 )
 from .methods import (
-    Choice,
+    MethodChoice,
     choose,
     full_needed,
     interaction_of,
@@ -64,8 +64,8 @@ class Surrogate:
     equations : int
         How many a kriging of the table has.
     one_factor : bool
-        Whether one factor holds them: then the kriging is what bars are told by.
-    choice : Choice
+        Whether one factor holds them: error bars then come from the kriging.
+    choice : MethodChoice
         The default method, and why.
     evidence : Evidence
         Whether rows show interaction of axes, and the answer at no load.
@@ -120,7 +120,7 @@ class Surrogate:
 
     @property
     def default(self) -> str:
-        """The method that answers where nobody asks for one."""
+        """The method that answers where a query names none."""
         return self.choice.method
 
     @cached_property
@@ -138,7 +138,7 @@ class Surrogate:
 
     @property
     def composition_if_made(self) -> Composition | None:
-        """The composition, if something has asked for it."""
+        """The composition, if it has been made."""
         return self.__dict__.get("composition")
 
     @property
@@ -210,9 +210,9 @@ class Surrogate:
         except TooFewRowsError:
             return 0
 
-    def _choice(self) -> Choice:
+    def _choice(self) -> MethodChoice:
         if not len(self.used):
-            return Choice("griddata", "there are no rows", {})
+            return MethodChoice("griddata", "there are no rows", {})
         if self.linear:
             return linear_choice(self.used, self.load_range, self.fit, self.composition_if_made)
         if not self.one_factor:
@@ -229,7 +229,7 @@ class Surrogate:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Which wrenches ask what the rows of a table do not show.
+    """What the rows of a table show of interaction and of zero load.
 
     Attributes
     ----------

@@ -85,7 +85,7 @@ def _worth_joining(joined: AxisRows, table: AxisTable) -> AxisRows:
 def answer_at_rest(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable | None]) -> AtRest:
     """Return the row at zero load, or what the axes whose hull holds zero interpolate there.
 
-    Of several axes that is the mean, with half their spread in the bar (DESIGN: measured tables
+    Of several axes that is the mean, with half their spread in the bar (measured tables
     have offsets). Without any the answer is zero and not known: its bar is the rows' size.
     """
     unloaded = (np.abs(rows.wrench) <= CLEAN * load_range.scale).all(axis=1)

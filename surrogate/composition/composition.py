@@ -207,7 +207,7 @@ class Composition:
         return np.where(unknown, np.nan, slopes)
 
     def _step_off(self, part: _Part, rows: Indices, table: AxisTable, step: Floats) -> None:
-        """Account for steps (k, 3), scaled, from the hull's nearest point to the point asked.
+        """Account for steps (k, 3), scaled, from the hull's nearest point to the query.
 
         The step along what the points span is in the outputs already, by the slope there. Off it,
         where a table of fewer dimensions knows no slope, the fitted compliance tells one; the bar

@@ -18,7 +18,7 @@ from ..answer import NAMES
 from ..packed.format import CHECKED, Packed, PackedTableError, checksum_in, map_file, read
 from ..packed.reasons import Reason, text_of
 from .library import Work, kernel
-from .replies import AXIS, NO_METHOD, AxisPart, Floats, Reader, Replies, Reply, mistake
+from .replies import AXIS, NO_METHOD, AxisPart, Floats, Replies, Reply, ReplyReader, mistake
 
 _WHY = 512  # bytes of a reason why a table cannot be opened
 
@@ -48,7 +48,7 @@ class PackedTable:
         self._answer, self._release = library.wb_answer, library.wb_close
         self.inputs, self.outputs = library.wb_inputs(handle), library.wb_outputs(handle)
         self._scratch = library.wb_scratch(handle)
-        self._read = Reader(packed, self.inputs, self.outputs).read
+        self._read = ReplyReader(packed, self.inputs, self.outputs).read
         self._idle: list[Work] = []  # its pop and append are atomic
 
     @classmethod
@@ -149,7 +149,7 @@ class PackedTable:
         return found
 
     def answers_by(self, method: str | None = None) -> str:
-        """Return what answers where a method is asked for, or None: no row at its own wrench.
+        """Return the method that answers a query of a method or None, rows apart.
 
         Without a kriging that is `tangent` in its place.
         """

@@ -108,7 +108,7 @@ class AxisPart(NamedTuple):
     corners: tuple[int, ...]
 
 
-class Reader:
+class ReplyReader:
     """Makes replies of the kernel's bytes.
 
     Parameters

@@ -36,7 +36,7 @@ Labels = NDArray[np.intp]
 # do not change them, and the largest factor is theirs.
 APART = 1.05
 
-QUERIES = 256  # places that stand for what is asked: their median is known to a tenth of its size
+QUERIES = 256  # places that stand for queries: their median is known to a tenth of its size
 # Of the distance within which rows are one: what the span leaves on both sides of a load that no
 # row varies, and rounding.
 STILL = 2.5
@@ -85,7 +85,7 @@ class Level(NamedTuple):
         Group of each row left out.
     errors : ndarray, shape (k, q), process deviations
     sizes : ndarray, shape (k, q)
-        See `left_out.LeftOut`.
+        See `left_out.LeftOutRows`.
     sigma : ndarray, shape (k,), process deviations
         As an answer at the row would have it.
     """
@@ -135,7 +135,7 @@ def calibrate(
     for level in levels:
         middle = float(np.median(level.sigma))
         if middle >= settings.resembling * typical:
-            least = 0.0  # these rows are as far away as what is asked: their own errors tell
+            least = 0.0  # these rows are as far away as queries: their errors decide
         found = _factors(level, coefficients if not sigma else 0.0, settings, sure=not resembles)
         if found is None:
             break
@@ -225,13 +225,13 @@ def _quantile(ratios: Floats, weights: Floats, level: float) -> float:
 
 
 def _typical_places(span: Floats, full: NDArray[np.bool_], settings: KrigingSettings) -> Floats:
-    """Return places as they are asked for: spread over what the rows span, (m, 6), half ranges.
+    """Return places like those of queries: spread over the span of rows, (m, 6), half ranges.
 
     Where nearly all rows load one axis each, so do these.
     """
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
-    # A load that no row varies is asked for as the rows have it: off that the mean is unsettled.
+    # A load that no row varies stays as the rows have it: off that the mean is unsettled.
     still = high - low <= STILL * settings.same
     low, high = np.where(still, (low + high) / 2, [low, high])
     places = spread_wrenches(LoadRange(low, high), QUERIES)
@@ -257,7 +257,7 @@ def calibrated(
     at_rest = scaling.loads(np.zeros((1, LOADS)))
     loaded = np.abs(own.x - at_rest) > CLEAN
     full = ~np.any([~loaded[:, axis.others].any(axis=1) for axis in AXES], axis=0)
-    # What is asked loads all axes too, and rows at the corners of one axis err more.
+    # Queries load all axes too, and rows at the corners of one axis err more.
     rows = np.flatnonzero(full) if full.sum() >= settings.full_rows else np.arange(len(own))
     chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
     rows = rows[np.unique(chosen.round().astype(np.intp))]

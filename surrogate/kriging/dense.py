@@ -19,7 +19,7 @@ from .correlation import (
     mean_terms,
 )
 from .equations import OUTPUTS, Equations, Scaling
-from .factor import Factor, Share, factorise
+from .factor import KrigingFactor, Share, factorise
 from .left_out import left_out
 from .neighbourhood import Neighbourhoods, deviations, neighbourhoods_of, row_by_row
 from .settings import DEFAULTS, KrigingSettings
@@ -119,7 +119,7 @@ class Dense:
         won = np.einsum("mp,pm->m", between, np.linalg.solve(within, between.T))
         return np.sqrt(np.clip(1 - won / before, 0.0, 1.0))
 
-    def _unexplained(self, factor: Factor, x: Floats, known: Mask) -> tuple[Floats, Floats]:
+    def _unexplained(self, factor: KrigingFactor, x: Floats, known: Mask) -> tuple[Floats, Floats]:
         """Return T times the covariance with places, and of the mean's terms what rows leave."""
         own = self.equations.take(factor.rows)
         reduced = covariance(x, known, own.x, own.known, self.hyperparameters) @ factor.T.T
@@ -181,7 +181,7 @@ def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
 
 
-def _together(equations: Equations, factors: list[Factor]) -> tuple[Floats, Floats, Floats]:
+def _together(equations: Equations, factors: list[KrigingFactor]) -> tuple[Floats, Floats, Floats]:
     """Return weights (n, 7, 6), coefficients (7, 6) and process deviations (6,) of all outputs."""
     weights = np.zeros((len(equations), PLACES, OUTPUTS))
     coefficients, deviation = np.empty((PLACES, OUTPUTS)), np.empty(OUTPUTS)

@@ -111,7 +111,7 @@ class Scaling:
         return self.centre + places * self.half
 
 
-DECIMALS = 12  # of scaled loads: a thousandth of what bars are told to
+DECIMALS = 12  # of scaled loads: a thousandth of the accuracy of error bars
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
     offset = np.nanmean(rows.displacement, axis=0)
     spread = np.nanstd(rows.displacement, axis=0)
     largest = np.repeat(spread.reshape(2, 3).max(axis=1), 3)
-    # An output that nothing moves is told from its own size, where no other of its kind moves.
+    # An output that nothing moves is judged by its own size, where no other of its kind moves.
     size = np.maximum(largest, np.abs(offset) * settings.rounding)
     silent = spread <= settings.rounding * size
     return Scaling(

@@ -76,7 +76,7 @@ class SingularCovarianceError(ArithmeticError):
 
 
 @dataclass(frozen=True)
-class Factor:
+class KrigingFactor:
     """The factor of some rows' equations, for the outputs that these rows tell alike.
 
     All numbers are dimensionless: loads are in half ranges, outputs in spreads.
@@ -173,7 +173,7 @@ def factorise(
     noise: Floats,
     settings: KrigingSettings = DEFAULTS,
     table: Floats | None = None,
-) -> Factor:
+) -> KrigingFactor:
     """Return the factor of some rows (r,) of a table for some outputs (k,), both indices.
 
     `noise` (r,) is over the process variance; `table` (a, a), dimensionless, the covariance of all
@@ -197,7 +197,7 @@ def factorise(
     mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
     coefficients = mean_covariance @ (TF.T @ Ty)
     remainder = Ty - TF @ coefficients
-    return Factor(
+    return KrigingFactor(
         outputs=outputs,
         rows=rows,
         noise=noise,

@@ -155,7 +155,7 @@ class Kriging:
         return out
 
     def _chunks(self, count: int) -> Iterator[slice]:
-        """Yield the parts of so many wrenches that are told at once."""
+        """Yield the parts of so many wrenches that are answered at once."""
         size = self.settings.chunk
         return (slice(start, start + size) for start in range(0, count, size))
 

@@ -22,7 +22,7 @@ from .correlation import (
     numbers,
 )
 from .equations import Equations
-from .factor import Factor, Share, SingularCovarianceError, factorise
+from .factor import KrigingFactor, Share, SingularCovarianceError, factorise
 from .settings import DEFAULTS, KrigingSettings
 
 REFUSED = 1e10  # of a covariance that cannot be factorised: more than any likelihood's logarithm
@@ -35,7 +35,7 @@ class Profile(NamedTuple):
 
     Attributes
     ----------
-    factor : Factor
+    factor : KrigingFactor
     variance : ndarray, shape (k,), spreads squared
         Process variance of each output.
     value : float
@@ -44,7 +44,7 @@ class Profile(NamedTuple):
         Its derivative by the logarithm of a reading's noise, but for what inv(K) tells.
     """
 
-    factor: Factor
+    factor: KrigingFactor
     variance: Floats
     value: float
     by_noise: float

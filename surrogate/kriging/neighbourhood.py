@@ -3,7 +3,7 @@
 A place's neighbours are taken in turn by each of the four terms of the covariance: nearest over all
 loads, then over those of axis x, y and z. By all loads alone a table of clean rows would tell a
 wrench of six loads by one axis. Neighbourhoods belong to rows, their anchors, so that the factors
-are made before anything is asked; a wrench takes that of its nearest row.
+are made before any query; a wrench takes that of its nearest row.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .correlation import (
     numbers,
 )
 from .equations import Equations
-from .factor import Factor, diagonal_added, inverse_factor
+from .factor import KrigingFactor, diagonal_added, inverse_factor
 from .settings import DEFAULTS, KrigingSettings
 
 Places = NDArray[np.intp]
@@ -218,13 +218,13 @@ class Neighbourhoods:
 
     Attributes
     ----------
-    factor : Factor
+    factor : KrigingFactor
     finder : Finder
     around : tuple of LocalFactor
         The neighbourhood of each of the factor's rows.
     """
 
-    factor: Factor
+    factor: KrigingFactor
     finder: Finder
     around: tuple[LocalFactor, ...]
 
@@ -253,7 +253,7 @@ def deviations(
 def neighbourhoods_of(
     equations: Equations,
     hyperparameters: Hyperparameters,
-    factor: Factor,
+    factor: KrigingFactor,
     table: Floats,
     settings: KrigingSettings,
 ) -> Neighbourhoods:
@@ -268,7 +268,7 @@ def neighbourhoods_of(
     return Neighbourhoods(factor, finder, around)
 
 
-def noise_of(equations: Equations, factor: Factor) -> Floats:
+def noise_of(equations: Equations, factor: KrigingFactor) -> Floats:
     """Return the noise of every row of the table, zero where the factor has none."""
     noise = np.zeros(len(equations))
     noise[factor.rows] = factor.noise

@@ -13,7 +13,7 @@ class KrigingSettings:
     """
 
     # Rounding of double precision at thousands of equations needs some 1e-12; 1e-10 leaves room and
-    # is a deviation of 1e-5 of the spread, below what a surrogate of solves is asked for.
+    # is a deviation of 1e-5 of the spread, below any tolerance of a surrogate of solves.
     nugget: float = 1e-10
     # A covariance that is singular even so (rows a hair apart, no slopes) is tried with ten times
     # the nugget, and again, up to a deviation of 1 % of the spread: beyond that it is a mistake.
@@ -43,7 +43,7 @@ class KrigingSettings:
     # tenth of that: from little noise the search ends at short lengths that explain all of it.
     ratio_bounds: tuple[float, float] = (-23.0, 4.6)
     ratio_start: float = -4.6
-    # How far the logarithm of one output's noise is searched: it is told to a tenth at best.
+    # How far the logarithm of one output's noise is searched: a tenth is the best that rows show.
     ratio_accuracy: float = 0.05
     # By how much less likely (logarithm) noise may be for less of it to be taken: half the 95 %
     # quantile of a chi square. With half a unit 66 and 73 % of errors were inside at two of 36
@@ -79,12 +79,12 @@ class KrigingSettings:
     # spread still tells something. Twice as few hold as well, with wider bars for twins.
     group_growth: float = 1.5
     least_groups: int = 3
-    # A level resembles what is asked if the median deviation of its left-out rows is 0.6 of that at
+    # A level resembles queries if the median deviation of its left-out rows is 0.6 of that at
     # random wrenches: left-out rows are the others' distance apart, wrenches lie between. Where no
     # level has half of it, errors are not known. Below the first level that resembles it, factors
     # are at least the normal 1.96: rows along a motion predict each other far better than what lies
     # beside the motion (with 60 of `plate_thin` 31 to 48 % of the covered were outside). From it on
-    # left-out rows are as what is asked, and tell by themselves.
+    # left-out rows are like queries, and their errors decide.
     resembling: float = 0.6
     barely_resembling: float = 0.5
     # The quantile of left-out deviations beyond which errors are not known, and that of the
@@ -94,7 +94,7 @@ class KrigingSettings:
     # How likely rows that are spread evenly leave more beyond the outermost ones than is counted as
     # theirs: of six loads with two ends each one end in nine tables.
     beyond_rows: float = 0.01
-    # With so many rows of more than one axis bars are calibrated on them alone: what is asked loads
+    # With so many rows of more than one axis bars are calibrated on them alone: queries load
     # all axes too, and rows at the corners of one axis err more (bars up to 16 x their errors).
     # Fewer than 15 tell no size: measured with 4 and 8, 52 to 100 % of errors were inside.
     full_rows: int = 15

@@ -50,7 +50,7 @@ def pack(
     component, fingerprint
         Where the rows come from.
     contract, interface
-        What is said of loads and displacements, in words; kept as they are.
+        Meaning of loads and displacements, in words; stored as they are.
     origin
         Digests of what the table is built from; kept as they are.
     """

@@ -23,7 +23,7 @@ Arrays = dict[str, NDArray[Any]]
 _METHOD, _REFERENCE, _EXACT = 0, 1, 4
 _BY_KRIGING, _BY_MISSED = 4, 2  # bits of the reference
 
-SAMPLE = 2048  # places of the box asked first: what is nearest at one needs no linear programme
+SAMPLE = 2048  # places of the box tried first: what is nearest at one needs no linear programme
 PROGRAMMES = 200  # linear programmes solved: a second; beyond that every possible row is kept
 AT_ONCE = 1_000_000  # differences of loads at once: 8 MB
 ROOM = 1e-9  # squared half ranges: rows that tie by rounding both count as nearest

@@ -1,4 +1,4 @@
-"""What a scene asks of one component: which loads can occur, and which outputs it reads."""
+"""What a scene needs of one component: which loads can occur, and which outputs it reads."""
 
 from __future__ import annotations
 

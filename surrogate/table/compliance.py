@@ -25,7 +25,7 @@ class ComplianceFit:
     matrix : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
         A column is zero where the rows do not tell the load's influence.
     known : ndarray of bool, shape (6,)
-        Which loads' columns are told by the rows.
+        Which loads' columns the rows determine.
     error : ndarray, shape (6,), m and rad
         95 % error bar of `matrix @ wrench` on the rows.
     origin : str
@@ -86,7 +86,7 @@ def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compliance
         return ComplianceFit(np.zeros((6, 6)), np.zeros(6, dtype=bool), np.zeros(6), "none")
     _, sizes, directions = np.linalg.svd(scaled, full_matrices=False)
     spanned = directions[sizes > RANK * sizes[0]]
-    # A load is told if its unit vector lies in the span of the rows' wrenches.
+    # A load is determined if its unit vector lies in the span of the rows' wrenches.
     known = (spanned**2).sum(axis=0) > 1 - 1e-6
     columns, *_ = np.linalg.lstsq(scaled, rows.displacement, rcond=RANK)
     residual = rows.displacement - scaled @ columns

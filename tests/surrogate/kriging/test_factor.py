@@ -8,7 +8,7 @@ from tests.surrogate.responses import RANGE
 from wrenchbook.surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms
 from wrenchbook.surrogate.kriging.equations import Equations, equations_of, scaling_of, within
 from wrenchbook.surrogate.kriging.factor import (
-    Factor,
+    KrigingFactor,
     SingularCovarianceError,
     diagonal_added,
     factorise,
@@ -29,12 +29,12 @@ def _equations(per_axis: int, full: int, measured: bool = False) -> Equations:
     return equations_of(inside, scaling_of(inside, RANGE))
 
 
-def _factor(equations: Equations, rows: np.ndarray) -> Factor:
+def _factor(equations: Equations, rows: np.ndarray) -> KrigingFactor:
     noise = equations.noise[rows, 0]
     return factorise(equations, HELD, OUTPUTS, rows, noise, SETTINGS)
 
 
-def _answer(equations: Equations, factor: Factor, row: int) -> tuple[np.ndarray, float]:
+def _answer(equations: Equations, factor: KrigingFactor, row: int) -> tuple[np.ndarray, float]:
     """Return value and variance over the process variance at a row, mean's doubt included."""
     own, here = equations.take(factor.rows), equations.take(np.array([row]))
     value = np.zeros((1, 7), dtype=bool)
