@@ -41,7 +41,7 @@ from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.service.tables.past import PastTables
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.tables.solver_errors import SolverErrors
-from wrenchbook.surrogate.design.adaptive import Design, next_wrenches
+from wrenchbook.surrogate.design import Design, next_wrenches
 from wrenchbook.surrogate.scene.need import Need
 from wrenchbook.surrogate.scene.plan import design_of, plan_of
 from wrenchbook.surrogate.solver_error import SolverError
@@ -201,7 +201,7 @@ class Workspace:
         asked = wrench.tolist()
         found = table.packed.answer(asked)
         shares = {} if table.solver_error is None else {"mesh": found.discretisation}
-        if table.solver_error is not None and "linearity" in table.solver_error.told:
+        if table.solver_error is not None and "linearity" in table.solver_error.values:
             shares["linearity"] = found.linearity
         return self.shapes.answer(
             component, table.rows, wrench, table.hyperparameters, solver, shares

@@ -1,17 +1,92 @@
-"""From the rows of one version of a table to what answers."""
+"""From the rows of one version of a table to the interpolators that are packed.
+
+Rows may lack outputs, such as those of a test rig that measured only u_z. Outputs that the same
+rows have make one group with a surrogate of just those rows, so no NaN enters an interpolator.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
-from .missing_outputs import MissingOutputs
+import numpy as np
+from numpy.typing import NDArray
+
+from .composition.composition import Composition
 from .solver_error import SolverError, bars_are_whole
 from .surrogate import Surrogate
 from .table.axes import OffAxis
-from .table.rows import LoadRange, Rows, Tolerance
+from .table.compliance import ComplianceFit
+from .table.conflicts import row_conflicts
+from .table.rows import OUTPUTS, Floats, LoadRange, Rows, Tolerance, without_locked
 
-AnyTable = Surrogate | MissingOutputs
+
+class AnyTable:
+    """The surrogates of one version of a table; `build` makes one.
+
+    Attributes
+    ----------
+    rows : Rows
+        All of them, in ascending order of `seq`; NaN where an output was not measured.
+    load_range : LoadRange
+    groups : tuple of (tuple of int, Surrogate)
+        Outputs that the same rows have, and the surrogate of those rows, the fewest first. An
+        output that no row has is in no group.
+    thinnest : Surrogate
+        That of the fewest rows: where it is thin, some output is.
+    composition, fit, used, default
+        Those of the thinnest surrogate.
+    packed : surrogate.kernel.binding.PackedTable or None
+        The same table packed; None until it is made.
+    solver_error : SolverError or None
+        Error of the solver: in no error bar here; `bars_are_whole` says whether it is known.
+    """
+
+    packed: Any = None
+
+    def __init__(
+        self,
+        rows: Rows,
+        load_range: LoadRange,
+        groups: Sequence[tuple[tuple[int, ...], Surrogate]],
+        solver_error: SolverError | None,
+    ) -> None:
+        self.rows, self.load_range = rows, load_range
+        self.groups = tuple(sorted(groups, key=lambda group: len(group[1].rows)))
+        thinnest = self.thinnest = self.groups[0][1]
+        self.tolerance, self.linear = thinnest.tolerance, thinnest.linear
+        self.version = thinnest.version
+        self.fit: ComplianceFit = thinnest.fit
+        self.used, self.default = thinnest.used, thinnest.default
+        self.solver_error = None if solver_error is None else solver_error.grown(rows, load_range)
+        self.bars_are_whole = bars_are_whole(rows, solver_error)
+
+    @property
+    def locked(self) -> tuple[int, ...]:
+        """Places, in `LOADS`, of the loads on locked freedoms, which change no answer."""
+        return self.thinnest.locked
+
+    @property
+    def composition(self) -> Composition:
+        """The axes of the thinnest surrogate."""
+        return self.thinnest.composition
+
+    def coverage_summary(self) -> dict[str, Any]:
+        """Return how the table covers the load range, as JSON-able values."""
+        summary = self.thinnest.coverage_summary()
+        if not self.rows.partial:
+            return summary
+        measured = np.isfinite(self.rows.displacement).sum(axis=0).tolist()
+        return {
+            **summary,
+            "rows": len(self.rows),
+            **row_conflicts(self.rows, self.load_range),
+            "rows_per_output": dict(zip(OUTPUTS, measured, strict=True)),
+            "unmeasured": [
+                name for name, count in zip(OUTPUTS, measured, strict=True) if not count
+            ],
+        }
 
 
 def build(
@@ -26,36 +101,97 @@ def build(
     solver_error: SolverError | None = None,
     locked: Sequence[int] = (),
 ) -> AnyTable:
-    """Build what answers from valid rows of one fingerprint.
+    """Build the table of valid rows of one fingerprint.
 
     Parameters
     ----------
-    rows : Rows
-        One surrogate answers if all of them hold all outputs, else one for each set of outputs
-        that the same rows hold.
     tolerance : Tolerance or None, m and rad
     linear : bool
         Whether the component is linear, so that its 6x6 compliance is the whole truth.
     off_axis : {"correct", "ignore", "exclude"}
         What becomes of rows that are clean for no axis.
-    before : Surrogate or MissingOutputs, optional
+    before : AnyTable, optional
         Another version: axes with the same points are taken from it, to the last bit the same.
     solver_error : SolverError, optional
         What the solver of those rows may be wrong by; in no error bar of the table itself.
     locked : sequence of int
         Places, in `LOADS`, of the loads on locked freedoms: answers leave these loads out.
     """
-    kind: type[Any] = MissingOutputs if rows.partial else Surrogate
-    table: AnyTable = kind(
-        rows,
-        load_range,
-        tolerance=tolerance,
-        linear=linear,
-        off_axis=off_axis,
-        version=version,
-        before=before if isinstance(before, kind) else None,
-        locked=locked,
-    )
-    table.solver_error = None if solver_error is None else solver_error.grown(rows, load_range)
-    table.bars_are_whole = bars_are_whole(rows, solver_error)
-    return table
+    if (np.diff(rows.seq) < 0).any():  # so that the order they come in changes nothing
+        rows = rows.take(np.argsort(rows.seq, kind="stable"))
+    known = dict(before.groups) if before is not None else {}
+    how: dict[str, Any] = {"tolerance": tolerance, "linear": linear, "off_axis": off_axis}
+    how |= {"version": version, "locked": locked}
+    groups = [
+        (outputs, Surrogate(own, load_range, before=known.get(outputs), outputs=outputs, **how))
+        for outputs, own in _by_output(rows)
+    ]
+    return AnyTable(rows, load_range, groups, solver_error)
+
+
+def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
+    """Return which outputs the same rows have, and those rows, 0 in the place of all others.
+
+    Their slopes are 0 too: slopes of a displacement that is not there would contradict it.
+    """
+    if not rows.partial:
+        return [(tuple(range(6)), rows)]
+    known = np.isfinite(rows.displacement)
+    outputs_of: dict[bytes, list[int]] = {}
+    for output in range(6):
+        outputs_of.setdefault(known[:, output].tobytes(), []).append(output)
+    parts = []
+    for outputs in outputs_of.values():
+        some = rows.take(known[:, outputs[0]])
+        if len(some):
+            own = np.isin(np.arange(6), outputs)
+            moved = np.where(own, some.displacement, 0.0)
+            slopes = np.where(own[:, None] | ~_sloped(some), some.compliance, 0.0)
+            parts.append((tuple(outputs), replace(some, displacement=moved, compliance=slopes)))
+    return parts
+
+
+def _sloped(rows: Rows) -> NDArray[np.bool_]:
+    """Return which rows bring a whole finite tangent, shape (n, 1, 1)."""
+    return np.asarray(np.isfinite(rows.compliance).all(axis=(1, 2), keepdims=True))
+
+
+def tangent_at_zero(table: AnyTable) -> tuple[Floats, str]:
+    """Return the compliance at zero load, and what tells it.
+
+    It is the tangent of the row at zero load, else du/dw of the table's default method there. The
+    fitted compliance (`AnyTable.fit`) is another one: the mean over the load range.
+
+    Returns
+    -------
+    matrix : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
+        NaN where unknown: for a load that no row tells, and an output that no row holds.
+    origin : str
+        ``row``, a method, or ``none``.
+    """
+    found, row = np.full((6, 6), np.nan), np.full((6, 6), np.nan)
+    for outputs, group in table.groups:
+        own = list(outputs)
+        row[own] = group.exact.tangent([0.0] * 6)[own]
+        found[own] = _slopes_at_zero(group)[own]
+    known = np.isfinite(row)
+    if known.any():
+        return np.where(known, row, found), "row"
+    return found, table.default if np.isfinite(found).any() else "none"
+
+
+def _slopes_at_zero(group: Surrogate) -> Floats:
+    """Return du/dw (6, 6), SI, of a group's default method; NaN by loads that no row tells."""
+    if not len(group.used):
+        return np.full((6, 6), np.nan)
+    zero, name = np.zeros((1, 6)), group.default
+    if name == "linear":
+        found = group.fit.matrix[None]
+    elif group.by_kriging and group.kriging is not None:
+        found = group.kriging.derivatives(zero)
+    else:
+        found = group.composition.derivatives(zero, "tangent" if name == "kriging" else name)
+    found = without_locked(found, group.locked)[0]
+    unknown = ~group.fit.known
+    unknown[list(group.locked)] = False  # no output depends on them: zero
+    return np.where(unknown, np.nan, found)

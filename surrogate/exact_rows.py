@@ -2,7 +2,7 @@
 
 Rows within 1e-6 of the range of each other are one row (`table.merging`), so a wrench as near to a
 row is that row's: a queue rounds wrenches so, and a load that comes to rest is a rounding error off
-the wrench that was solved. The row's tangent leads from its wrench to the asked one, and the bar
+the wrench that was solved. The row's tangent leads from its wrench to that of the query; the bar
 grows by that step, from the row's own at the row itself. Where a row has no tangent its
 displacement stays, and the bar grows by twice what a response in proportion moves: to the range of
 each output over the load range, or to the row's own displacement (the largest of its translations,
@@ -43,7 +43,7 @@ class ExactRows:
     Attributes
     ----------
     index : RowIndex
-        Which row is at or beside a wrench.
+        Which row is at or next to a wrench.
     uncertainty : ndarray, shape (k, 6), m and rad
         Of the rows of `merged`; NaN where it is not known.
     steepest : ndarray, shape (6,), m and rad
@@ -67,7 +67,7 @@ class ExactRows:
         self.uncertainty = np.where(np.isnan(merged.uncertainty), unstated, merged.uncertainty)
 
     def tangent(self, wrench: Sequence[float]) -> Floats:
-        """Return the tangent (6, 6), SI, of the row at or beside a wrench (6,); NaN if none has."""
+        """Return the tangent (6, 6), SI, of the row at or near a wrench (6,); NaN if none has."""
         place = self.index.place(acting_one(wrench, self._locked))
         if place < 0:
             return np.full((6, 6), np.nan)

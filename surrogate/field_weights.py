@@ -27,7 +27,7 @@ from .kriging.correlation import (
     mean_terms,
 )
 from .kriging.equations import DECIMALS, OUTPUTS, Equations
-from .kriging.factor import Factor, factorise
+from .kriging.factor import KrigingFactor, factorise
 from .kriging.settings import DEFAULTS, KrigingSettings
 from .table.rows import Floats, LoadRange
 
@@ -62,23 +62,23 @@ class FieldWeights:
 
     wrenches: Floats
     load_range: LoadRange
-    held: Hyperparameters
+    hyperparameters: Hyperparameters
     equations: Equations
-    factor: Factor
+    factor: KrigingFactor
 
     @classmethod
     def of(
         cls,
         wrenches: Floats,
         load_range: LoadRange,
-        held: Hyperparameters | None = None,
+        hyperparameters: Hyperparameters | None = None,
         settings: KrigingSettings = DEFAULTS,
     ) -> FieldWeights:
         """Return the weights of rows at different wrenches, shape (k, 6), N and N·m.
 
         Parameters
         ----------
-        held : Hyperparameters, optional
+        hyperparameters : Hyperparameters, optional
             Of the table's kriging; without one, those that its estimate starts from.
 
         Raises
@@ -86,19 +86,21 @@ class FieldWeights:
         SingularCovarianceError
             If two rows are at one wrench.
         """
-        if held is None:
+        if hyperparameters is None:
             start = np.append(np.full(LOADS, settings.theta_starts[0]), settings.weight_start)
-            held = Hyperparameters.of_logarithms(start)
+            hyperparameters = Hyperparameters.of_logarithms(start)
         count = len(wrenches)
         known = np.ones((count, PLACES), dtype=bool)
         known[:, 1:] = load_range.high > load_range.low
         blank = np.zeros((count, PLACES, OUTPUTS))
-        told = np.ones((count, OUTPUTS), dtype=bool)
+        measured = np.ones((count, OUTPUTS), dtype=bool)
         none = np.zeros((count, OUTPUTS))  # of uncertainty, and of readings whose noise is unknown
-        equations = Equations(_scaled(wrenches, load_range), known, blank, told, none, none, none)
+        equations = Equations(
+            _scaled(wrenches, load_range), known, blank, measured, none, none, none
+        )
         one, rows = np.arange(1), np.arange(count)
-        factor = factorise(equations, held, one, rows, np.zeros(count), settings)
-        return cls(np.array(wrenches, dtype=float), load_range, held, equations, factor)
+        factor = factorise(equations, hyperparameters, one, rows, np.zeros(count), settings)
+        return cls(np.array(wrenches, dtype=float), load_range, hyperparameters, equations, factor)
 
     def at(self, wrench: Floats) -> Weights:
         """Return the weights for one wrench (6,), N and N·m."""
@@ -106,12 +108,12 @@ class FieldWeights:
         value = np.zeros((1, PLACES), dtype=bool)
         value[:, 0] = True
         own, factor = self.equations, self.factor
-        reduced = factor.T @ covariance(own.x, own.known, x, value, self.held)[:, 0]
+        reduced = factor.T @ covariance(own.x, own.known, x, value, self.hyperparameters)[:, 0]
         loose = mean_terms(x, value)[0] - factor.TF.T @ reduced
         by_mean = factor.mean_covariance @ loose
         weights = np.zeros(own.known.shape)
         weights[own.known] = factor.T.T @ (reduced + factor.TF @ by_mean)
-        squared = float(self.held.prior[0]) - reduced @ reduced + loose @ by_mean
+        squared = float(self.hyperparameters.prior[0]) - reduced @ reduced + loose @ by_mean
         sigma = float(np.sqrt(max(squared, factor.nugget)))
         return Weights(weights[:, 0], weights[:, 1:] * self.load_range.scale, sigma)
 
@@ -145,8 +147,8 @@ class FieldWeights:
         errors = np.zeros((count, size))
         scale = np.append(1.0, self.load_range.scale)[:, None]
         for row, (start, end) in enumerate(zip(starts, ends, strict=True)):
-            told = (column(row) * scale)[own.known[row]]
-            errors += tops[:, start:end] @ told
+            data = (column(row) * scale)[own.known[row]]
+            errors += tops[:, start:end] @ data
         return errors, sigmas
 
 

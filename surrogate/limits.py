@@ -19,7 +19,7 @@ ROTATION_LIMIT = math.radians(20.0)
 TRANSLATION_LIMIT = 10.0
 """Largest translation a table may hold, m.
 
-A cantilever's tip moves by 2/3 of its length times its tip's turn (u = P L^3 / 3EI, r = P L^2 /
+A cantilever's tip moves by 2/3 of its length times its rotation (u = P L^3 / 3EI, r = P L^2 /
 2EI), so within 20 degrees a part has to be 43 m long to move by 10 m: no part of a machine is
 refused. A millimetre taken for a metre is noticed from 10 mm on, a micrometre from 10 um on.
 """

@@ -1,8 +1,8 @@
-"""What a table's solves may themselves be wrong by: their mesh, and linearity.
+"""Error of a table's solves themselves: discretisation, and linearity.
 
 A table's bars say how far its answers are from the solver's. What the solver lacks is the same for
 every row, so more rows do not lower it, and no coverage depends on it: it is estimated once a
-fingerprint and added to the bars where they are told. It is added, not squared and added: a mesh
+fingerprint and added to the error bars of answers. It is added, not squared and added: a mesh
 errs one way at all wrenches alike, nothing of it averages out.
 
 A mesh that is too coarse is too stiff. With D what it adds to the stiffness at small loads, that is
@@ -21,7 +21,7 @@ import numpy as np
 from .table.rows import Floats, LoadRange, Rows
 
 _MOST_BY_SQUARE = 1.0
-"""Of the share at small loads, at the full range: up to it growth is told by the load's square,
+"""Of the share at small loads, at the full range: up to it growth follows the load's square,
 which at most doubles a bar and needs nothing else; beyond it by each answer's own tangent."""
 
 _NEGLIGIBLE = 1e-6
@@ -38,7 +38,7 @@ class SolverError:
 
     Parameters
     ----------
-    told : mapping
+    values : mapping
         ``mesh``: shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None where it is not known;
         ``loads``: (6,), N and N·m, largest of the range. ``mesh_stiffness``: (6, 6), N/m and so on,
         what the mesh adds to the stiffness; optional. Of a linear component ``linearity``: (6,), m
@@ -51,24 +51,24 @@ class SolverError:
         If it is not of that form.
     """
 
-    def __init__(self, told: Mapping[str, Any]) -> None:
-        self.told = dict(told)
-        loads = _numbers(told.get("loads"), (6,), "loads")
-        self.mesh = None if told.get("mesh") is None else _numbers(told["mesh"], (6, 6), "mesh")
-        bar = told.get("linearity")
-        self.linearity = None if bar is None else _numbers(bar, (6,), "linearity")
-        self.growth = _numbers(told.get("mesh_growth", [0.0] * 6), (6,), "mesh_growth")
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self.values = dict(values)
+        loads = _numbers(values.get("loads"), (6,), "loads")
+        self.mesh = None if values.get("mesh") is None else _numbers(values["mesh"], (6, 6), "mesh")
+        linearity = values.get("linearity")
+        self.linearity = None if linearity is None else _numbers(linearity, (6,), "linearity")
+        self.growth = _numbers(values.get("mesh_growth", [0.0] * 6), (6,), "mesh_growth")
         self.stiffness = None
-        if "mesh_stiffness" in told:
-            stiffness = _shaped(told["mesh_stiffness"], (6, 6), "mesh_stiffness")
-            self.stiffness = None if "linearity" in told else stiffness
+        if "mesh_stiffness" in values:
+            stiffness = _shaped(values["mesh_stiffness"], (6, 6), "mesh_stiffness")
+            self.stiffness = None if "linearity" in values else stiffness
         matrix = np.zeros((6, 6)) if self.mesh is None else self.mesh
         shares = matrix * loads
         small = shares <= _NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
         self._matrix = np.where(small, 0.0, matrix)
         self._square = self.growth + (0.0 if self.linearity is None else self.linearity)
         self._loads = np.where(loads > 0, loads, np.inf)
-        self.asks_tangent = self.stiffness is not None and bool(
+        self.needs_tangent = self.stiffness is not None and bool(
             (self.growth > _MOST_BY_SQUARE * (self._matrix @ loads)).any()
         )
         self._one_over = 1.0 / self._loads
@@ -77,33 +77,33 @@ class SolverError:
     def can_grow(self) -> bool:
         """Whether rows can tell how the mesh's share grows, or there is nothing to tell.
 
-        False of what was estimated before ``mesh_stiffness`` was told.
+        False of what was estimated before ``mesh_stiffness`` was stored.
         """
-        return self.mesh is None or "linearity" in self.told or "mesh_stiffness" in self.told
+        return self.mesh is None or "linearity" in self.values or "mesh_stiffness" in self.values
 
     @property
     def packed(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """The arrays that the kernel computes the share of an answer from.
 
         Shape (6, 6), SI; (6,), m and rad; one over the largest loads (6,), 1/N and 1/(N·m); what
-        the mesh adds to the stiffness (6, 6), N/m and so on; whether answers' tangents are asked
+        the mesh adds to the stiffness (6, 6), N/m and so on; whether answers' tangents are needed
         (1,): 2 always, 1 of rows beyond the range, 0 never.
         """
-        asks = 0.0 if self.stiffness is None else 1.0 + self.asks_tangent
+        asks = 0.0 if self.stiffness is None else 1.0 + self.needs_tangent
         stiffness = np.zeros((6, 6)) if self.stiffness is None else self.stiffness
         return self._matrix, self._square, self._one_over, stiffness, np.array([asks])
 
     @classmethod
-    def read(cls, told: Mapping[str, Any] | None) -> SolverError | None:
+    def read(cls, values: Mapping[str, Any] | None) -> SolverError | None:
         """Return it from what was stored; None of nothing."""
-        return None if told is None else cls(told)
+        return None if values is None else cls(values)
 
     def grown(self, rows: Rows, load_range: LoadRange | None = None) -> SolverError:
         """Return this with what solved rows tell of the mesh's share beyond small loads.
 
         ``mesh_growth`` is the least that, growing with the square of the largest load over its
         range, makes the share at each row T D u or more. The square is the first term that linear
-        answers lack. Where it more than doubles bars (`asks_tangent`) it stands only for what has
+        answers lack. Where it more than doubles bars (`needs_tangent`) it stands only for what has
         no tangent: it would be hundreds of times the truth at loads that do not push.
 
         Parameters
@@ -115,7 +115,7 @@ class SolverError:
             The table's. Without it a row is beyond the range where a load is larger than the
             largest of either sign.
         """
-        if self.mesh is None or self.linearity is not None or "mesh_stiffness" not in self.told:
+        if self.mesh is None or self.linearity is not None or "mesh_stiffness" not in self.values:
             return self
         wrench, moved, tangent = _that_tell(rows)
         one_over = self._one_over
@@ -127,12 +127,12 @@ class SolverError:
         wrench, moved, tangent, size, part = (
             of[inside] for of in (wrench, moved, tangent, size, part)
         )
-        pushed = moved @ np.array(self.told["mesh_stiffness"]).T
+        pushed = moved @ np.array(self.values["mesh_stiffness"]).T
         lacking = np.abs((tangent @ pushed[:, :, None])[:, :, 0])
         beyond = np.maximum(lacking - size @ self.mesh.T, 0.0)
         growth = (beyond / (part * part)[:, None]).max(axis=0, initial=0.0)
         growth = np.maximum(growth, self.growth)
-        return SolverError({**self.told, "mesh_growth": growth.tolist()})
+        return SolverError({**self.values, "mesh_growth": growth.tolist()})
 
     def share(self, wrench: Floats) -> Floats:
         """Return the whole share of an error bar at a wrench (6,), N and N·m: (6,), m and rad."""
@@ -144,7 +144,7 @@ class SolverError:
         Of ``mesh``, and of a linear component ``linearity``; None where it is not known.
         """
         small, more = self._shares(np.array(wrench, dtype=float))
-        if "linearity" not in self.told:
+        if "linearity" not in self.values:
             return {"mesh": None if self.mesh is None else (small + more).tolist()}
         return {
             "mesh": None if self.mesh is None else small.tolist(),

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from time import thread_time
 from typing import Any
 
 import numpy as np
 
-from .allowed import Allowed, allowed_of
+from .answer import Allowed, allowed_of
 from .composition.build import build_composition
 from .composition.composition import Composition
-from .describe.summary import summarise
-from .doubt import Doubt, doubt_of
+from .describe import summarise
 from .exact_rows import ExactRows
 from .kriging import (
     Kriging,
@@ -26,10 +25,16 @@ from .kriging import (
     readings_of,
     too_large_in_words,
 )
-from .methods.interaction import interaction_of
-from .methods.selection import Choice, choose, linear_choice, without_kriging
-from .solver_error import SolverError
-from .table.axes import OffAxis
+from .methods import (
+    MethodChoice,
+    choose,
+    full_needed,
+    interaction_of,
+    knows_interaction,
+    linear_choice,
+    without_kriging,
+)
+from .table.axes import OffAxis, count_full
 from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import merge
 from .table.rows import Floats, LoadRange, Rows, Tolerance
@@ -40,6 +45,8 @@ class Surrogate:
 
     Attributes
     ----------
+    outputs : tuple of int
+        Places, in `OUTPUTS`, of the outputs it answers.
     rows : Rows
         All rows, in ascending order of `seq`.
     used : Rows
@@ -57,24 +64,16 @@ class Surrogate:
     equations : int
         How many a kriging of the table has.
     one_factor : bool
-        Whether one factor holds them: then the kriging is what bars are told by.
-    choice : Choice
+        Whether one factor holds them: error bars then come from the kriging.
+    choice : MethodChoice
         The default method, and why.
-    doubt : Doubt
-        What the rows do not show, whatever the bars say.
+    evidence : Evidence
+        Whether rows show interaction of axes, and the answer at no load.
     exact : ExactRows
-        What rows say at and beside their own wrenches.
+        The rows that answer at or next to their own wrenches.
     build_s : float, s
         Processor time that building it took.
-    packed : surrogate.kernel.binding.PackedTable or None
-        The same table packed; None until it is made.
-    solver_error : SolverError or None
-        What the solver may be wrong by: in no bar here; `bars_are_whole` says if it is known.
     """
-
-    packed: Any = None
-    solver_error: SolverError | None = None
-    bars_are_whole: bool = True
 
     def __init__(
         self,
@@ -87,11 +86,14 @@ class Surrogate:
         version: int = 0,
         before: Surrogate | None = None,
         locked: Sequence[int] = (),
+        outputs: tuple[int, ...] = tuple(range(6)),
     ) -> None:
-        """Build from rows; axes that another version has as well are taken from it."""
+        """Build from rows; axes that another version has as well are taken from it.
+
+        `outputs` are those that the rows have; the others are 0 and count for nothing.
+        """
         started = thread_time()
-        if (np.diff(rows.seq) < 0).any():  # so that the order they come in changes nothing
-            rows = rows.take(np.argsort(rows.seq, kind="stable"))
+        self.outputs = outputs
         self.rows, self.load_range, self.tolerance = rows, load_range, tolerance
         self.linear, self.version = linear, version
         self.off_axis: OffAxis = off_axis
@@ -111,19 +113,14 @@ class Surrogate:
             _ = self.interaction
         if self.by_axes and (thinning := self.composition.thinning):
             self.choice = replace(self.choice, reason=f"{self.choice.reason}; {thinning}")
-        self.doubt = self._doubt()
-        told = self.ranges, merged.rows, merged.owner
-        self.exact = ExactRows(rows.wrench, load_range, *told, self.locked)
+        self.evidence = self._evidence()
+        of_rows = self.ranges, merged.rows, merged.owner
+        self.exact = ExactRows(rows.wrench, load_range, *of_rows, self.locked)
         self.build_s = thread_time() - started
 
     @property
-    def groups(self) -> tuple[tuple[tuple[int, ...], Surrogate], ...]:
-        """The outputs that the same rows hold, and what answers them: all six, and this."""
-        return ((tuple(range(6)), self),)
-
-    @property
     def default(self) -> str:
-        """The method that answers where nobody asks for one."""
+        """The method that answers where a query names none."""
         return self.choice.method
 
     @cached_property
@@ -141,7 +138,7 @@ class Surrogate:
 
     @property
     def composition_if_made(self) -> Composition | None:
-        """The composition, if something has asked for it."""
+        """The composition, if it has been made."""
         return self.__dict__.get("composition")
 
     @property
@@ -182,23 +179,25 @@ class Surrogate:
             "method_detail": self._kriging_detail,
             "errors_left_out": self.choice.errors,
             "table_version": self.version,
-            "full_wrench_rows": self.doubt.full_wrenches,
-            "tells_full_wrenches": self.doubt.knows_interaction,
+            "full_wrench_rows": self.evidence.full_wrenches,
+            "tells_full_wrenches": self.evidence.knows_interaction,
         }
 
     @cached_property
     def allowed(self) -> Allowed:
         """How large the bars of covered answers may be."""
-        return allowed_of(self.used, self.tolerance)
+        return allowed_of(self.used, self.tolerance, self.outputs)
 
     @property
     def ranges(self) -> Floats:
         """What each output varies by over the rows and from zero, shape (6,), m and rad."""
         return self.allowed.ranges
 
-    def _doubt(self) -> Doubt:
+    def _evidence(self) -> Evidence:
         rest_unknown = self.by_axes and not self.linear and not self.composition.at_rest.known
-        return doubt_of(self.used, self.load_range, linear=self.linear, rest_unknown=rest_unknown)
+        return evidence_of(
+            self.used, self.load_range, linear=self.linear, rest_unknown=rest_unknown
+        )
 
     def _readings(self) -> Readings:
         """Return what was measured behind each of `used`, for the noise that nobody stated."""
@@ -211,9 +210,9 @@ class Surrogate:
         except TooFewRowsError:
             return 0
 
-    def _choice(self) -> Choice:
+    def _choice(self) -> MethodChoice:
         if not len(self.used):
-            return Choice("griddata", "there are no rows", {})
+            return MethodChoice("griddata", "there are no rows", {})
         if self.linear:
             return linear_choice(self.used, self.load_range, self.fit, self.composition_if_made)
         if not self.one_factor:
@@ -226,3 +225,33 @@ class Surrogate:
         if not self.one_factor:
             return too_large_in_words(len(self.used), self.equations)
         return self.kriging.detail if self.by_kriging and self.kriging else ""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the rows of a table show of interaction and of zero load.
+
+    Attributes
+    ----------
+    knows_interaction : bool
+        Whether rows show what loads of several axes do together.
+    rest_unknown : bool
+        Whether nothing tells what the component does without load.
+    full_wrenches, needed : int
+        How many rows load more than one axis, and how many must for `knows_interaction`.
+    """
+
+    knows_interaction: bool
+    rest_unknown: bool
+    full_wrenches: int
+    needed: int
+
+
+def evidence_of(rows: Rows, load_range: LoadRange, *, linear: bool, rest_unknown: bool) -> Evidence:
+    """Return what the rows that answers are made of do not show.
+
+    Loads of a linear component act by themselves.
+    """
+    knows = linear or knows_interaction(rows, load_range)
+    full = count_full(rows, load_range)
+    return Evidence(knows, rest_unknown, full, full_needed(rows))

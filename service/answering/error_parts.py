@@ -44,7 +44,7 @@ def error_parts(
     if solver is None:
         return told | {"mesh": None, "mesh_basis": UNKNOWN}
     told |= {cause: _split(share) for cause, share in shares.items()}
-    words = {name: said for name, said in solver.told.items() if name.endswith("_basis")}
+    words = {name: said for name, said in solver.values.items() if name.endswith("_basis")}
     return told | words
 
 

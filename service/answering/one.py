@@ -133,7 +133,7 @@ def tell_parts(workspace: Workspace, table: ServedTable, query: Query, outcome: 
     solver, shares = table.solver_error, {}
     if solver is not None:
         shares["mesh"] = found.discretisation
-        if "linearity" in solver.told:
+        if "linearity" in solver.values:
             shares["linearity"] = found.linearity
     has_fea = workspace.library.as_read(outcome.component).has_fea
     outcome.error_parts = error_parts(found.interpolation, solver, shares, has_fea=has_fea)

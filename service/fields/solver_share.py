@@ -113,7 +113,7 @@ def error_parts(
     found: dict[str, Floats | None] = {"table": table, "mesh": None}
     if solver is None:
         return ErrorParts(found, {"mesh_basis": UNKNOWN})
-    words = {name: str(said) for name, said in solver.told.items() if name.endswith("_basis")}
+    words = {name: str(said) for name, said in solver.values.items() if name.endswith("_basis")}
     if follows is None:
         return ErrorParts(found, words | {"mesh_basis": NOT_FOLLOWED})
     for cause, bars in (shares or solver.parts(wrench.tolist())).items():

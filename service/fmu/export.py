@@ -18,12 +18,11 @@ from itertools import pairwise
 from pathlib import Path
 
 from wrenchbook.service.fmu.description import SOURCES, describe, identifier_of
-from wrenchbook.surrogate.answer import UnknownMethodError
+from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.build import COMPILERS
 from wrenchbook.surrogate.kernel.build import FLAGS as KERNEL_FLAGS
 from wrenchbook.surrogate.kernel.build import sources as kernel_sources
-from wrenchbook.surrogate.packed.codes import METHODS
 
 # Those of the kernel, whose numbers an FMU has to the last bit.
 FLAGS = (*(flag for flag in KERNEL_FLAGS if flag != "-DWB_SHARED"), "-fPIC", "-shared")

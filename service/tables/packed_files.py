@@ -147,7 +147,7 @@ def origin_of(
     Without ``ledger`` if the ledger cannot be read: then no file is known to be of these rows.
     """
     error = errors.read(component.name, component.fingerprint) if errors is not None else None
-    told = json.dumps(error and error.told, sort_keys=True)
+    told = json.dumps(error and error.values, sort_keys=True)
     origin = {"setup": setup_of(component), "solver_error": _short(told), "program": _program()}
     with suppress(LedgerUnavailableError):
         origin["ledger"] = ledger.digest(component.name, version)

@@ -101,7 +101,7 @@ def table_meta(component: Component, version: int, error: SolverError | None = N
         title=component.title,
         tolerance=component.tolerance,
         linear=component.linear,
-        solver_error=error and error.told,
+        solver_error=error and error.values,
         locked=component.idle,
         contract=CONTRACT_WORDS,
     )

@@ -31,12 +31,12 @@ class ServedTable:
     packed : PackedTable
     rows_of : callable
         Returns the rows of this version.
-    built : Surrogate or MissingOutputs, optional
+    built : AnyTable, optional
         The numpy table, if it is in memory.
 
     Attributes
     ----------
-    built : Surrogate or MissingOutputs or None
+    built : AnyTable or None
         The numpy table while it is in memory.
     version, row_count : int
     sources : dict of str to int

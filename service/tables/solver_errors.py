@@ -75,7 +75,7 @@ class SolverErrors:
         """
         known = self.read(component, fingerprint)
         if known is not None:
-            self._write(other, fingerprint, known.told)
+            self._write(other, fingerprint, known.values)
 
     def read(self, component: str, fingerprint: str) -> SolverError | None:
         """Return what is known of a set-up; None of one that was never estimated."""

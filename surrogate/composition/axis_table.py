@@ -9,11 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bars.error_law import FEWEST, ErrorLaw, error_law
+from ..error_law import FEWEST, ErrorLaw, error_law
 from ..interpolation.delaunay import Indices, Triangulation
 from ..interpolation.slope_recovery import recovered_slopes
-from ..table.axes import AxisRows
-from ..table.levels import APART, has_levels
+from ..table.axes import APART, AxisRows, has_levels
 from ..table.rows import Floats, LoadRange
 from .left_out import MOST, LeftOut, folds, joined
 
@@ -211,8 +210,8 @@ class AxisTable:
         same = copy(self)
         same.rows, same.others = rows, others
         if others is not None or self.others is not None:
-            for told in ("left_out", "law", "state"):
-                vars(same).pop(told, None)
+            for name in ("left_out", "law", "state"):
+                vars(same).pop(name, None)
         return same
 
     def fractions(self) -> Floats:

@@ -85,7 +85,7 @@ def _worth_joining(joined: AxisRows, table: AxisTable) -> AxisRows:
 def answer_at_rest(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable | None]) -> AtRest:
     """Return the row at zero load, or what the axes whose hull holds zero interpolate there.
 
-    Of several axes that is the mean, with half their spread in the bar (DESIGN: measured tables
+    Of several axes that is the mean, with half their spread in the bar (measured tables
     have offsets). Without any the answer is zero and not known: its bar is the rows' size.
     """
     unloaded = (np.abs(rows.wrench) <= CLEAN * load_range.scale).all(axis=1)
@@ -94,10 +94,10 @@ def answer_at_rest(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable
         stored = np.nan_to_num(rows.uncertainty[unloaded]).max(axis=0)
         return AtRest(found.mean(axis=0), np.maximum(np.ptp(found, axis=0) / 2, stored), True)
     readings = [table.read(np.zeros((1, 3))) for table in tables if table is not None]
-    held = [reading for reading in readings if reading.inside[0]]
-    if not held:
+    inside = [reading for reading in readings if reading.inside[0]]
+    if not inside:
         size = np.abs(rows.displacement).max(axis=0, initial=0.0)
         return AtRest(np.zeros(6), size, False)
-    outputs = np.concatenate([reading.outputs for reading in held])
-    own = np.concatenate([reading.rest for reading in held])
+    outputs = np.concatenate([reading.outputs for reading in inside])
+    own = np.concatenate([reading.rest for reading in inside])
     return AtRest(outputs.mean(axis=0), np.ptp(outputs, axis=0) / 2 + own.mean(axis=0), True)

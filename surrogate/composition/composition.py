@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,13 +45,13 @@ class AtRest:
 
     Attributes
     ----------
-    displacement, bar : ndarray, shape (6,), m and rad
+    displacement, error : ndarray, shape (6,), m and rad
     known : bool
         Whether a row or the hull of an axis tells it.
     """
 
     displacement: Floats
-    bar: Floats
+    error: Floats
     known: bool
 
 
@@ -82,20 +81,6 @@ class Composed:
     def state(self) -> NDArray[np.int_]:
         """The worst of the three axes, shape (n,)."""
         return self.states.max(axis=1)
-
-    def of(self, method: str) -> Floats:
-        """Return the answers of `griddata`, `additive` or `tangent`, shape (n, 6), m and rad."""
-        if method == "tangent":
-            return self.griddata + self.bend
-        return self.additive if method == "additive" else self.griddata
-
-
-class Look(NamedTuple):
-    """One axis' answer, and the table and the simplex it was read from, if there are any."""
-
-    found: Composed
-    table: AxisTable | None
-    simplex: int | None
 
 
 class Composition:
@@ -187,25 +172,6 @@ class Composition:
             found[:, composed, moment + 3] -= slopes[:, composed, 0]
         return found
 
-    def look(self, index: int, wrench: Floats) -> Look:
-        """Return what one axis answers to its three loads of a wrench by themselves.
-
-        The wrench has shape (6,), N and N·m.
-        """
-        axis = AXES[index]
-        loads = np.where(np.isin(np.arange(6), axis.inputs), wrench, 0.0)[None]
-        found = self.evaluate(loads)
-        loaded = np.flatnonzero(np.abs(loads[0]) > CLEAN * self.scale)
-        table = self.tables[index]
-        if len(loaded) == 1 and loaded[0] >= 3:
-            cuts = self.cuts[loaded[0] - 3]
-            states = [cut.read(loads[0, loaded]).state[0] for cut in cuts]
-            table = cuts[int(np.argmin(states))].table if cuts else None
-        if table is None or not len(loaded):
-            return Look(found, table, None)
-        x = loads[:, list(table.axis.inputs)] / table.scale
-        return Look(found, table, int(table.read(x).simplices[0]))
-
     def _read(self, axis: Axis, wrenches: Floats) -> _Part:
         """Return one axis' part at wrenches (k, 6) that load it."""
         table, inputs = self.tables[AXES.index(axis)], list(axis.inputs)
@@ -241,7 +207,7 @@ class Composition:
         return np.where(unknown, np.nan, slopes)
 
     def _step_off(self, part: _Part, rows: Indices, table: AxisTable, step: Floats) -> None:
-        """Account for steps (k, 3), scaled, from the hull's nearest point to the point asked.
+        """Account for steps (k, 3), scaled, from the hull's nearest point to the query.
 
         The step along what the points span is in the outputs already, by the slope there. Off it,
         where a table of fewer dimensions knows no slope, the fitted compliance tells one; the bar
@@ -255,7 +221,7 @@ class Composition:
             rows, off = rows[leaves], off[leaves]
             loads = off * table.scale
             part.outputs[rows] += loads @ self.fit.matrix[:, inputs].T
-            part.rest[rows] += np.abs(loads) @ np.abs(self.fit.matrix[:, inputs]).T + self.fit.bar
+            part.rest[rows] += np.abs(loads) @ np.abs(self.fit.matrix[:, inputs]).T + self.fit.error
             unknown = (np.abs(off) > CLEAN) & ~self.fit.known[inputs]
             part.rest[rows[unknown.any(axis=1)]] = np.nan
 
@@ -263,7 +229,7 @@ class Composition:
         """Return the fitted compliance's part, for an axis or moment that has no rows."""
         matrix, count = self.fit.matrix[:, inputs], len(loads)
         moved = self.at_rest.displacement + loads @ matrix.T
-        rest = np.abs(loads) @ np.abs(matrix).T + self.fit.bar
+        rest = np.abs(loads) @ np.abs(matrix).T + self.fit.error
         rest[((loads != 0) & ~self.fit.known[inputs]).any(axis=1)] = np.nan
         slopes, none = np.tile(matrix, (count, 1, 1)), np.zeros((count, 6, len(inputs)))
         return _Part(moved, np.zeros((count, 6)), rest, slopes, none, np.full(count, NO_ROWS))
@@ -344,7 +310,7 @@ class _Total:
         """Return the sum."""
         zero, left = self.at_rest, 1.0 - self.times
         additive = self.sum + left * zero.displacement
-        squares = self.squares + np.where(left == 0, 0.0, (left * zero.bar) ** 2)
+        squares = self.squares + np.where(left == 0, 0.0, (left * zero.error) ** 2)
         return Composed(
             additive=additive,
             griddata=np.concatenate((self.own, additive[:, 3:]), axis=1),

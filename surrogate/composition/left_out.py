@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..bars.error_law import LeftOutErrors
+from ..error_law import LeftOutErrors
 from ..interpolation.delaunay import Indices, Triangulation
 from ..table.rows import Floats
 from ..table.thinning import hashes

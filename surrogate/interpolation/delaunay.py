@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import Delaunay, KDTree, QhullError
+from scipy.spatial import Delaunay, QhullError
 
 from ..table.rows import Floats
 from .hull import nearest_points
@@ -161,14 +161,6 @@ class Triangulation:
         flat = centred @ self.basis.T
         off = np.abs(centred - flat @ self.basis).max(axis=1, initial=0.0)
         return np.where(off > self.slack, -1, self._find(flat))
-
-    def nearest(self, x: ArrayLike) -> Indices:
-        """Return the point nearest to each of some others, shape (k, 3), dimensionless, -> (k,)."""
-        return np.asarray(self._tree.query(x)[1], dtype=np.intp)
-
-    @cached_property
-    def _tree(self) -> KDTree:
-        return KDTree(self.points)
 
     def flattened(self, x: Floats) -> Floats:
         """Return points in the coordinates of what the points span.

@@ -37,12 +37,12 @@ def recovered_slopes(triangulation: Triangulation, values: Floats) -> Floats:
     values (n, q): m and rad.
     """
     dimension, n = triangulation.dimension, len(values)
-    wanted = NEIGHBOURS.get(dimension, 0)
-    if not wanted or n <= wanted:
+    neighbours = NEIGHBOURS.get(dimension, 0)
+    if not neighbours or n <= neighbours:
         return mean_slopes(triangulation, values)
     slopes = np.empty((n, values.shape[1], 3))
     flat = triangulation.flattened(triangulation.points)
-    found = KDTree(flat).query(flat, k=wanted + 1)
+    found = KDTree(flat).query(flat, k=neighbours + 1)
     far, near = np.asarray(found[0])[:, 1:], np.asarray(found[1], dtype=np.intp)[:, 1:]
     for start in range(0, n, CHUNK):
         some = slice(start, start + CHUNK)

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..packed.codes import COVERAGE
+from ..answer import NAMES
 from ..packed.format import CHECKED, Packed, PackedTableError, checksum_in, map_file, read
 from ..packed.reasons import Reason, text_of
 from .library import Work, kernel
-from .replies import AXIS, NO_METHOD, AxisPart, Floats, Reader, Replies, Reply, mistake
+from .replies import AXIS, NO_METHOD, AxisPart, Floats, Replies, Reply, ReplyReader, mistake
 
 _WHY = 512  # bytes of a reason why a table cannot be opened
 
@@ -44,11 +44,11 @@ class PackedTable:
         """Take an open handle, the file's views, and its words or path, and its bytes."""
         self._handle, self._packed, self._kept, self.size = handle, packed, kept, size
         self.arrays, self.words = packed.arrays, packed.words
-        library = kernel().held
+        library = kernel().with_gil
         self._answer, self._release = library.wb_answer, library.wb_close
         self.inputs, self.outputs = library.wb_inputs(handle), library.wb_outputs(handle)
         self._scratch = library.wb_scratch(handle)
-        self._read = Reader(packed, self.inputs, self.outputs).read
+        self._read = ReplyReader(packed, self.inputs, self.outputs).read
         self._idle: list[Work] = []  # its pop and append are atomic
 
     @classmethod
@@ -91,7 +91,7 @@ class PackedTable:
         """Open the bytes at an address, whose checksum has been checked."""
         why = ctypes.create_string_buffer(_WHY)
         size = len(packed.content)
-        handle = kernel().free.wb_open_checked(address, size, why, _WHY)
+        handle = kernel().without_gil.wb_open_checked(address, size, why, _WHY)
         if not handle:
             raise PackedTableError(why.value.decode(errors="replace"))
         try:
@@ -149,14 +149,14 @@ class PackedTable:
         return found
 
     def answers_by(self, method: str | None = None) -> str:
-        """Return what answers where a method is asked for, or None: no row at its own wrench.
+        """Return the method that answers a query of a method or None, rows apart.
 
         Without a kriging that is `tangent` in its place.
         """
         name = method or self.words["summary"]["method"]
         groups = range(len(self.words["groups"]))
-        held = name != "kriging" or any(f"g{k}/kriging/x" in self.arrays for k in groups)
-        return name if held else "tangent"
+        has_kriging = name != "kriging" or any(f"g{k}/kriging/x" in self.arrays for k in groups)
+        return name if has_kriging else "tangent"
 
     def batch(
         self,
@@ -169,12 +169,12 @@ class PackedTable:
 
         The number of threads changes none of them. Parameters and errors are those of `answer`.
         """
-        asked = self._many(wrenches)
-        out = np.empty((len(asked), self.outputs)), np.empty((len(asked), self.outputs))
-        coverage = np.empty(len(asked), dtype=np.uint8)
+        queries = self._many(wrenches)
+        out = np.empty((len(queries), self.outputs)), np.empty((len(queries), self.outputs))
+        coverage = np.empty(len(queries), dtype=np.uint8)
         work = self._work()
-        wrong = kernel().free.wb_answer_many(
-            *(self._handle, work.options(tolerance, method), len(asked), asked.ctypes.data),
+        wrong = kernel().without_gil.wb_answer_many(
+            *(self._handle, work.options(tolerance, method), len(queries), queries.ctypes.data),
             *(out[0].ctypes.data, out[1].ctypes.data, coverage.ctypes.data, threads),
         )
         self._idle.append(work)
@@ -203,12 +203,12 @@ class PackedTable:
         That of the method's interpolant, or the tangent of the row that answers. Parameters and
         errors are those of `batch`.
         """
-        asked = self._many(wrenches)
-        found = np.empty((len(asked), self.outputs, self.inputs))
+        queries = self._many(wrenches)
+        found = np.empty((len(queries), self.outputs, self.inputs))
         work = self._work()
-        wrong = kernel().free.wb_derivative_many(
-            *(self._handle, work.options(tolerance, method), len(asked)),
-            *(asked.ctypes.data, found.ctypes.data, threads),
+        wrong = kernel().without_gil.wb_derivative_many(
+            *(self._handle, work.options(tolerance, method), len(queries)),
+            *(queries.ctypes.data, found.ctypes.data, threads),
         )
         self._idle.append(work)
         if wrong:
@@ -239,7 +239,7 @@ class PackedTable:
             raise ValueError(f"a displacement of {self.outputs} and a wrench of {self.inputs}")
         stiffness = np.empty((self.inputs, self.outputs))
         work = self._work()
-        wrong = kernel().held.wb_inverse(
+        wrong = kernel().with_gil.wb_inverse(
             *(self._handle, work.options(None, method), target.ctypes.data),
             *(found.ctypes.data, stiffness.ctypes.data, work.at[2]),
         )
@@ -262,7 +262,7 @@ class PackedTable:
         reply = ctypes.create_string_buffer(AXIS.size)
         work = self._work()
         work.fill(wrench)
-        wrong = kernel().held.wb_axis(
+        wrong = kernel().with_gil.wb_axis(
             *(self._handle, work.options(tolerance, None), group, axis),
             *(work.at[0], ctypes.addressof(reply)),
         )
@@ -278,7 +278,7 @@ class PackedTable:
         return AxisPart(
             outputs=found[8:14],
             error=found[14:20],
-            coverage=COVERAGE[found[0]],
+            coverage=NAMES[found[0]],
             reason=text_of(reasons, acting, self._packed),
             origin=found[1],
             corners=found[3 : 3 + found[2]],

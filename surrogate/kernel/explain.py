@@ -43,12 +43,12 @@ def _named(
     table: PackedTable, group: int, axis: int, values: Sequence[float]
 ) -> dict[str, float] | None:
     """Return an axis' own outputs of a group by name; None where one is not known."""
-    held = table.words["groups"][group]["outputs"]
+    outputs = table.words["groups"][group]["outputs"]
     names = [one["name"] for one in table.words["space"]["outputs"]]
     own = {names[output]: values[output] for output in (axis, 3, 4, 5)}
     if any(map(math.isnan, own.values())):
         return None
-    return {name: value for name, value in own.items() if name in held}
+    return {name: value for name, value in own.items() if name in outputs}
 
 
 def _inputs(table: PackedTable, axis: int, wrench: Sequence[float]) -> dict[str, float]:

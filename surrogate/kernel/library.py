@@ -13,10 +13,10 @@ from .replies import REPLY_SIZE, method_code
 
 
 class Kernel(NamedTuple):
-    """The library: `held` keeps the interpreter during a call, `free` releases it."""
+    """The library: calls keep the interpreter lock by `with_gil`, release it by `without_gil`."""
 
-    held: ctypes.PyDLL
-    free: ctypes.CDLL
+    with_gil: ctypes.PyDLL
+    without_gil: ctypes.CDLL
 
 
 @cache

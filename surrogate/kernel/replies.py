@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..answer import UnknownMethodError
-from ..packed.codes import ANSWERED, COVERAGE, METHODS
+from ..answer import ANSWERED, METHODS, NAMES, UnknownMethodError
 from ..packed.format import Packed
 from ..packed.reasons import FIXED, Reason, text_of, unmeasured_text
 
@@ -109,7 +108,7 @@ class AxisPart(NamedTuple):
     corners: tuple[int, ...]
 
 
-class Reader:
+class ReplyReader:
     """Makes replies of the kernel's bytes.
 
     Parameters
@@ -175,7 +174,7 @@ class Reader:
             fields[2],
             fields[3],
             fields[4],
-            COVERAGE[coverage],
+            NAMES[coverage],
             text,
             WITHIN[within],
             ANSWERED[method],

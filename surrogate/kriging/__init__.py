@@ -1,12 +1,10 @@
 """The Gaussian process over all rows of a table and the tangents that solved rows bring."""
 
 from .correlation import Hyperparameters
-from .equations import TooFewRowsError, TooManyRowsError
+from .equations import Readings, TooFewRowsError, TooManyRowsError, readings_of
 from .factor import SingularCovarianceError
-from .kriging import Kriging
-from .readings import Readings, readings_of
+from .kriging import Kriging, equation_count, fits_one_factor, too_large_in_words
 from .settings import KrigingSettings
-from .size import equation_count, fits_one_factor, too_large_in_words
 
 __all__ = [
     "Hyperparameters",

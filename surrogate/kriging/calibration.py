@@ -21,9 +21,13 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import pdist
 from scipy.special import gammaincinv
 
-from ..table.rows import Floats
-from .correlation import PLACES
-from .equations import OUTPUTS
+from ..table.axes import AXES, CLEAN, has_levels
+from ..table.rows import Floats, LoadRange
+from ..table.spread import spread_wrenches
+from .correlation import LOADS, PLACES, Hyperparameters, block, numbers
+from .equations import OUTPUTS, Equations, Scaling
+from .left_out import left_out
+from .neighbourhood import Neighbourhoods, deviations, local_factor, noise_of
 from .settings import DEFAULTS, KrigingSettings
 
 Labels = NDArray[np.intp]
@@ -31,6 +35,11 @@ Labels = NDArray[np.intp]
 # Levels whose deviations differ by less are one: where deviations are those of the nugget, groups
 # do not change them, and the largest factor is theirs.
 APART = 1.05
+
+QUERIES = 256  # places that stand for queries: their median is known to a tenth of its size
+# Of the distance within which rows are one: what the span leaves on both sides of a load that no
+# row varies, and rounding.
+STILL = 2.5
 
 
 @dataclass(frozen=True)
@@ -76,7 +85,7 @@ class Level(NamedTuple):
         Group of each row left out.
     errors : ndarray, shape (k, q), process deviations
     sizes : ndarray, shape (k, q)
-        See `left_out.LeftOut`.
+        See `left_out.LeftOutRows`.
     sigma : ndarray, shape (k,), process deviations
         As an answer at the row would have it.
     """
@@ -91,19 +100,19 @@ def groupings(places: Floats, settings: KrigingSettings = DEFAULTS) -> Iterator[
     """Yield groups of places (n, 6), scaled by length scales: each alone, then fewer and larger."""
     count = len(places)
     tree = linkage(pdist(places), "complete") if count > 1 else np.empty((0, 4))
-    wanted, before = count, count + 1
-    while wanted >= settings.least_groups:
-        labels = fcluster(tree, wanted, "maxclust") if len(tree) else np.ones(count, dtype=int)
+    target, before = count, count + 1
+    while target >= settings.least_groups:
+        labels = fcluster(tree, target, "maxclust") if len(tree) else np.ones(count, dtype=int)
         if labels.max() < before:
             before = int(labels.max())
             yield np.asarray(labels, dtype=np.intp)
-        wanted = min(int(wanted / settings.group_growth), wanted - 1)
+        target = min(int(target / settings.group_growth), target - 1)
 
 
 def calibrate(
     levels: Iterator[Level],
     outputs: int,
-    asked: Floats,
+    sigma_of_queries: Floats,
     coefficients: float,
     settings: KrigingSettings = DEFAULTS,
 ) -> Calibration:
@@ -112,21 +121,21 @@ def calibrate(
     Parameters
     ----------
     levels : iterator of Level
-        Taken for as long as left-out rows are nearer to the others than `asked`.
+        Taken for as long as left-out rows are nearer to the others than queries are to rows.
     outputs : int
         How many a level has.
-    asked : ndarray, shape (m,), process deviations
+    sigma_of_queries : ndarray, shape (m,), process deviations
         At random wrenches of the loads that the rows span.
     coefficients : float
         Of the mean, that single rows settle too.
     """
-    typical, enough = np.median(asked), np.quantile(asked, settings.enough)
+    typical, enough = np.median(sigma_of_queries), np.quantile(sigma_of_queries, settings.enough)
     sigma, factors, reach, resembles = [], [], 0.0, False
     most, least = np.zeros(1), settings.half_width
     for level in levels:
         middle = float(np.median(level.sigma))
         if middle >= settings.resembling * typical:
-            least = 0.0  # these rows are as far away as what is asked: their own errors tell
+            least = 0.0  # these rows are as far away as queries: their errors decide
         found = _factors(level, coefficients if not sigma else 0.0, settings, sure=not resembles)
         if found is None:
             break
@@ -180,7 +189,7 @@ def _factors(
     inside = (weights[:, None] * (ratios <= factors)).sum(axis=0) / count
     # Below the deviation that the nugget allows errors are rounding, whose size means nothing.
     matter = (np.abs(level.errors) > np.sqrt(settings.nugget)).any(axis=0)
-    bad = (widened > settings.most_widened) | (inside < settings.least_held)
+    bad = (widened > settings.most_widened) | (inside < settings.least_inside)
     return None if (matter & bad).any() else factors
 
 
@@ -213,3 +222,101 @@ def _quantile(ratios: Floats, weights: Floats, level: float) -> float:
     below = np.cumsum(weight[order]) / total
     place = int(np.searchsorted(below, level * (total + 1) / total))
     return float(flat[order][min(place, len(flat) - 1)])
+
+
+def _typical_places(span: Floats, full: NDArray[np.bool_], settings: KrigingSettings) -> Floats:
+    """Return places like those of queries: spread over the span of rows, (m, 6), half ranges.
+
+    Where nearly all rows load one axis each, so do these.
+    """
+    active = np.isfinite(span[0])
+    low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
+    # A load that no row varies stays as the rows have it: off that the mean is unsettled.
+    still = high - low <= STILL * settings.same
+    low, high = np.where(still, (low + high) / 2, [low, high])
+    places = spread_wrenches(LoadRange(low, high), QUERIES)
+    if full.sum() < min(settings.full_rows, len(full) / 2):
+        inputs = [np.isin(np.arange(6), axis.inputs) for axis in AXES]
+        places = places * np.stack(inputs)[np.arange(QUERIES) % len(AXES)]
+    return places
+
+
+def calibrated(
+    equations: Equations,
+    hyperparameters: Hyperparameters,
+    spread: Neighbourhoods,
+    table: Floats,
+    scaling: Scaling,
+    span: Floats,
+    settings: KrigingSettings,
+) -> Calibration:
+    """Return by how much a share's deviations are multiplied for its error bars."""
+    own, outputs = equations.take(spread.factor.rows), len(spread.factor.outputs)
+    if not own.known[:, 1:].any() and not has_levels(own.x[:, scaling.active]):
+        return Calibration.unknown(outputs, settings)
+    at_rest = scaling.loads(np.zeros((1, LOADS)))
+    loaded = np.abs(own.x - at_rest) > CLEAN
+    full = ~np.any([~loaded[:, axis.others].any(axis=1) for axis in AXES], axis=0)
+    # Queries load all axes too, and rows at the corners of one axis err more.
+    rows = np.flatnonzero(full) if full.sum() >= settings.full_rows else np.arange(len(own))
+    chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
+    rows = rows[np.unique(chosen.round().astype(np.intp))]
+    levels = (
+        level
+        for labels in groupings(own.x * np.sqrt(hyperparameters.inverse_squares), settings)
+        if (level := _level(equations, hyperparameters, spread, table, labels, rows, settings))
+        is not None
+    )
+    queries = _typical_places(span, full, settings)
+    across = block(queries, equations.x, hyperparameters, slopes_x=False, slopes_v=True)
+    sigma = deviations(queries, across.reshape(len(queries), -1), hyperparameters, spread)
+    # The mean's coefficients, which all rows settle: these in proportion.
+    coefficients = (1 + scaling.active.sum()) * len(rows) / len(own)
+    return calibrate(levels, outputs, sigma, coefficients, settings)
+
+
+def _level(
+    equations: Equations,
+    hyperparameters: Hyperparameters,
+    spread: Neighbourhoods,
+    table: Floats,
+    labels: NDArray[np.intp],
+    rows: NDArray[np.intp],
+    settings: KrigingSettings,
+) -> Level | None:
+    """Return what some of a factor's rows show, left out in groups; None if they show nothing.
+
+    Errors are of the whole factor; sigma, as in answers, of the nearest row's neighbourhood.
+    """
+    factor, prior = spread.factor, float(hyperparameters.prior[0])
+    if len(np.unique(labels)) < 2:
+        return None
+    out = left_out(equations, factor, labels)
+    anchors = spread.finder.nearest_others(rows, equations.x, labels)
+    noise, number = noise_of(equations, factor), numbers(equations.known)
+    # What was found to be noise may be response that the kernel does not follow: bars hold it.
+    unstated = np.asarray((equations.readings[:, factor.outputs] > 0).any(axis=1))
+    stated = np.where(unstated, 0.0, noise)
+    squared = np.full(len(rows), np.nan)
+    lists = spread.finder.members(equations.x[anchors], labels, labels[rows])
+    for place, (row, members) in enumerate(zip(factor.rows[rows], lists, strict=True)):
+        how = members, factor.nugget, settings, table
+        local = local_factor(equations, noise, hyperparameters, *how)
+        columns = number[members][equations.known[members]]
+        found = local.squared_deviation(
+            table[np.ix_(number[row, :1], columns)],
+            np.append(1.0, equations.x[row])[None],
+            prior,
+            out.mean_covariances[rows[place]],
+        )
+        squared[place] = found[0] + stated[row] + factor.nugget * prior
+    # With hardly more rows than the mean has terms, rounding leaves no variance to speak of.
+    finite = np.isfinite(out.errors[rows]).all(axis=1)
+    known = np.flatnonzero((squared > 0) & finite)
+    if not len(known):
+        return None
+    sigma, errors = np.sqrt(squared[known]), out.errors[rows[known]] / np.sqrt(factor.variance)
+    alone = np.abs(errors) / sigma[:, None]
+    by_value = unstated[factor.rows[rows[known]]][:, None]
+    sizes = np.where(by_value, alone, out.sizes[rows[known]])
+    return Level(labels[rows[known]], errors, sizes, sigma)

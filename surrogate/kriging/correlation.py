@@ -91,11 +91,13 @@ def matern(q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     )
 
 
-def block(x: Floats, v: Floats, held: Hyperparameters, slopes_x: bool, slopes_v: bool) -> Floats:
+def block(
+    x: Floats, v: Floats, hyperparameters: Hyperparameters, slopes_x: bool, slopes_v: bool
+) -> Floats:
     """Return the covariance of rows at x (n, 6) and v (m, 6), shape (n, 1 or 7, m, 1 or 7)."""
     apart = x[:, None, :] - v[None, :, :]
     out = np.zeros((len(x), 1 + LOADS * slopes_x, len(v), 1 + LOADS * slopes_v))
-    for rates, weight in zip(*held.terms, strict=True):
+    for rates, weight in zip(*hyperparameters.terms, strict=True):
         value, first, second, _ = matern(apart**2 @ rates)
         out[:, 0, :, 0] += weight * value
         for a in np.flatnonzero(rates) if slopes_x or slopes_v else ():
@@ -108,12 +110,14 @@ def block(x: Floats, v: Floats, held: Hyperparameters, slopes_x: bool, slopes_v:
                 continue
             out[:, 1 + a, :, 1 + a] -= 2 * rates[a] * weight * first
             for b in np.flatnonzero(rates):
-                turn = 4 * rates[a] * rates[b] * weight * second
-                out[:, 1 + a, :, 1 + b] -= turn * apart[..., a] * apart[..., b]
+                rate = 4 * rates[a] * rates[b] * weight * second
+                out[:, 1 + a, :, 1 + b] -= rate * apart[..., a] * apart[..., b]
     return out
 
 
-def covariance(x: Floats, known_x: Mask, v: Floats, known_v: Mask, held: Hyperparameters) -> Floats:
+def covariance(
+    x: Floats, known_x: Mask, v: Floats, known_v: Mask, hyperparameters: Hyperparameters
+) -> Floats:
     """Return the covariance of the equations that rows at x and v bring.
 
     Parameters
@@ -133,7 +137,7 @@ def covariance(x: Floats, known_x: Mask, v: Floats, known_v: Mask, held: Hyperpa
                 here = known_x[rows, : 1 + LOADS * slopes_x]
                 if not (here.size and there.size):
                     continue
-                found = block(x[rows], v[columns], held, slopes_x, slopes_v)
+                found = block(x[rows], v[columns], hyperparameters, slopes_x, slopes_v)
                 found = found.reshape(here.size, there.size)
                 to = first_x[rows, : here.shape[1]][here], first_v[columns, : there.shape[1]][there]
                 out[np.ix_(*to)] = found[np.ix_(here.ravel(), there.ravel())]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,62 @@ from scipy.spatial import KDTree
 
 from ..table.rows import Floats, LoadRange, RowError, Rows
 from .correlation import PLACES, Mask
-from .readings import Readings, readings_of
 from .settings import DEFAULTS, KrigingSettings
 
 OUTPUTS = 6
+
+SOLVED = "fea"  # the source of a row that repeats exactly
+
+
+class Readings(NamedTuple):
+    """Readings behind each row and output whose uncertainty is not stated, shape (n, 6).
+
+    The likelihood and their scatter show their noise.
+
+    Attributes
+    ----------
+    number : ndarray, dimensionless
+        Readings of unstated uncertainty whose mean the value is; 0 where it is stated, or a solve.
+    scatter : ndarray, squares of m and rad
+        Sum of their squared differences from the mean.
+    """
+
+    number: Floats
+    scatter: Floats
+
+    def take(self, which: NDArray[np.intp]) -> Readings:
+        """Return those of some rows, whose indices have shape (k,)."""
+        return Readings(self.number[which], self.scatter[which])
+
+
+def readings_of(rows: Rows, owner: NDArray[np.intp] | None = None) -> Readings:
+    """Return the readings behind each row, or behind each of those that several are merged to.
+
+    Shape (n, 6) each, in squares of m and rad or dimensionless.
+
+    Parameters
+    ----------
+    owner : ndarray of int, shape (n,), optional
+        Index of the merged row that each row went to.
+    """
+    present = np.isfinite(rows.displacement)
+    solved = (rows.source == SOLVED) | np.isfinite(rows.compliance).all(axis=(1, 2))
+    stated = present & ((rows.uncertainty > 0) | solved[:, None])
+    if owner is None:
+        return Readings(np.where(present & ~stated, 1.0, 0.0), np.zeros_like(rows.displacement))
+    size = int(owner.max(initial=-1)) + 1
+    count, stated_count, total, scatter = (np.zeros((size, 6)) for _ in range(4))
+    value = np.where(present, rows.displacement, 0.0)
+    for output in range(6):
+        count[:, output] = np.bincount(owner, present[:, output], size)
+        stated_count[:, output] = np.bincount(owner, stated[:, output], size)
+        total[:, output] = np.bincount(owner, value[:, output], size)
+    mean = (total / np.maximum(count, 1))[owner]
+    apart = np.where(present, rows.displacement - mean, 0.0) ** 2
+    for output in range(6):
+        scatter[:, output] = np.bincount(owner, apart[:, output], size)
+    unstated = stated_count == 0
+    return Readings(np.where(unstated, count, 0.0), np.where(unstated, scatter, 0.0))
 
 
 class TooFewRowsError(RowError):
@@ -59,7 +111,7 @@ class Scaling:
         return self.centre + places * self.half
 
 
-DECIMALS = 12  # of scaled loads: a thousandth of what bars are told to
+DECIMALS = 12  # of scaled loads: a thousandth of the accuracy of error bars
 
 
 @dataclass(frozen=True)
@@ -71,7 +123,7 @@ class Equations:
     x : ndarray, shape (n, 6), half ranges
     known : ndarray of bool, shape (n, 7)
         Which of its value and slopes a row brings.
-    told : ndarray, shape (n, 7, 6), spreads
+    data : ndarray, shape (n, 7, 6), spreads
         Values and slopes of the six outputs; zero where not known.
     measured : ndarray of bool, shape (n, 6)
         Which outputs a row brings.
@@ -85,7 +137,7 @@ class Equations:
 
     x: Floats
     known: Mask
-    told: Floats
+    data: Floats
     measured: Mask
     noise: Floats
     readings: Floats
@@ -103,11 +155,6 @@ class Equations:
         """Return the equations of some rows, whose indices have shape (k,)."""
         return Equations(*(column[which] for column in self._columns))
 
-    def plus(self, other: Equations) -> Equations:
-        """Return these equations, then the others."""
-        pairs = zip(self._columns, other._columns, strict=True)
-        return Equations(*map(np.concatenate, pairs))
-
     def with_reading_noise(self, variance: Floats) -> Equations:
         """Return the equations with the noise of readings, whose variance is (6,), dimensionless.
 
@@ -117,18 +164,12 @@ class Equations:
         added = np.where(unstated, variance / np.where(unstated, self.readings, 1.0), 0.0)
         return replace(self, noise=self.noise + added)
 
-    def records(self) -> list[bytes]:
-        """Return for each row what it says, as bytes."""
-        return [
-            b"".join(column[row].tobytes() for column in self._columns) for row in range(len(self))
-        ]
-
     @property
     def _columns(self) -> tuple[NDArray[Any], ...]:
         return (
             self.x,
             self.known,
-            self.told,
+            self.data,
             self.measured,
             self.noise,
             self.readings,
@@ -171,7 +212,7 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
     offset = np.nanmean(rows.displacement, axis=0)
     spread = np.nanstd(rows.displacement, axis=0)
     largest = np.repeat(spread.reshape(2, 3).max(axis=1), 3)
-    # An output that nothing moves is told from its own size, where no other of its kind moves.
+    # An output that nothing moves is judged by its own size, where no other of its kind moves.
     size = np.maximum(largest, np.abs(offset) * settings.rounding)
     silent = spread <= settings.rounding * size
     return Scaling(
@@ -216,35 +257,22 @@ def equations_of(
     known = np.zeros((len(rows), PLACES), dtype=bool)
     known[:, 0] = True
     known[:, 1:] = sloped[:, None] & scaling.active
-    told = np.zeros((len(rows), PLACES, OUTPUTS))
-    told[:, 0] = np.where(measured, (rows.displacement - scaling.offset) / scaling.spread, 0.0)
+    data = np.zeros((len(rows), PLACES, OUTPUTS))
+    data[:, 0] = np.where(measured, (rows.displacement - scaling.offset) / scaling.spread, 0.0)
     slopes = rows.compliance * scaling.half / scaling.spread[:, None]
-    told[:, 1:] = np.where(known[:, 1:, None], slopes.transpose(0, 2, 1), 0.0)
+    data[:, 1:] = np.where(known[:, 1:, None], slopes.transpose(0, 2, 1), 0.0)
     half_widths = np.nan_to_num(rows.uncertainty) / scaling.spread
     whole = Equations(
         # Rounded, so that another unit's rounding is not blown up by the covariance's condition.
         x=np.round(scaling.loads(rows.wrench), DECIMALS),
         known=known,
-        told=told,
+        data=data,
         measured=measured,
         noise=np.where(behind.number > 0, 0.0, (half_widths / settings.half_width) ** 2),
         readings=behind.number,
         scatter=behind.scatter / scaling.spread**2,
     )
     return _merged(whole, settings)
-
-
-def later_order(before: Equations, now: Equations) -> NDArray[np.intp] | None:
-    """Return the order of rows that begins with those before; None where one is gone or changed.
-
-    Shape (len(now),): indices of the rows of `now`.
-    """
-    places = {key: place for place, key in enumerate(now.records())}
-    kept = [places.get(key, -1) for key in before.records()]
-    if min(kept) < 0:
-        return None
-    new = np.setdiff1d(np.arange(len(now)), kept)
-    return np.concatenate((np.array(kept, dtype=np.intp), new))
 
 
 def _merged(equations: Equations, settings: KrigingSettings) -> Equations:
@@ -269,7 +297,7 @@ def _merged(equations: Equations, settings: KrigingSettings) -> Equations:
 
 def _merge(out: Equations, place: int, members: Equations, settings: KrigingSettings) -> None:
     """Write one row for several at one wrench into a copy's place."""
-    values = np.where(members.measured, members.told[:, 0], np.nan)
+    values = np.where(members.measured, members.data[:, 0], np.nan)
     for output in np.flatnonzero(members.measured.any(axis=0)):
         measured = members.measured[:, output]
         known, readings = values[measured, output], members.readings[measured, output]
@@ -282,9 +310,9 @@ def _merge(out: Equations, place: int, members: Equations, settings: KrigingSett
             mean, spread = known.mean(), np.ptp(known) / 2 / settings.half_width
             out.noise[place, output] = max(spread**2, members.noise[:, output].max())
             out.scatter[place, output] = out.readings[place, output] = 0.0
-        out.told[place, 0, output] = mean
+        out.data[place, 0, output] = mean
     out.measured[place] = members.measured.any(axis=0)
     sloped = members.known[:, 1:].any(axis=1)
     whole = sloped.any() and out.measured[place].all()
     out.known[place, 1:] = members.known[sloped, 1:].any(axis=0) if whole else False
-    out.told[place, 1:] = members.told[sloped, 1:].mean(axis=0) if whole else 0.0
+    out.data[place, 1:] = members.data[sloped, 1:].mean(axis=0) if whole else 0.0

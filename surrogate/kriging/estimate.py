@@ -6,16 +6,17 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from ..table.rows import Floats
 from .correlation import Hyperparameters, covariance
 from .equations import OUTPUTS, Equations, Scaling
-from .factor import SingularCovarianceError, factorise
+from .factor import Share, SingularCovarianceError, factorise, shares_of
 from .likelihood import REFUSED, Profile, maximise, maximise_with_noise, profile
 from .settings import KrigingSettings
-from .shares import Share, shares_of
-from .spread_rows import spread_rows
+
+DECIMALS = 9  # to which two distances are a tie, settled by the rows' own order
 
 
 class Estimate(NamedTuple):
@@ -38,7 +39,6 @@ class Estimate(NamedTuple):
 def estimated(
     equations: Equations,
     scaling: Scaling,
-    before: Hyperparameters | None,
     settings: KrigingSettings,
 ) -> Estimate:
     """Return the hyperparameters, and how noisy the rows are.
@@ -51,11 +51,12 @@ def estimated(
     chosen = equations.take(spread_rows(equations, *limits))
     variance, reading = np.ones(OUTPUTS), np.zeros(OUTPUTS)
     unstated = bool((chosen.readings > 0).any())
+    before: Hyperparameters | None = None
     noisy = unstated or bool((chosen.noise > settings.nugget).any())
-    for turn in range(1 + noisy):
+    for stage in range(1 + noisy):
         current = chosen.with_reading_noise(reading)
         shares = _telling(shares_of(current, variance, settings), scaling)
-        search = maximise_with_noise if unstated and not turn else maximise
+        search = maximise_with_noise if unstated and not stage else maximise
         before = search(current, shares, before, settings)
         if unstated:
             variance, reading = _each_output(equations, scaling, before, variance, settings)
@@ -70,7 +71,7 @@ def estimated(
 def _each_output(
     equations: Equations,
     scaling: Scaling,
-    held: Hyperparameters,
+    hyperparameters: Hyperparameters,
     before: Floats,
     settings: KrigingSettings,
 ) -> tuple[Floats, Floats]:
@@ -82,14 +83,14 @@ def _each_output(
     ends = np.searchsorted(np.cumsum(equations.known.sum(axis=1)), settings.likelihood_equations)
     count = max(min(int(ends), len(equations)), 1)
     chosen = equations.take(np.linspace(0, len(equations) - 1, count).round().astype(np.intp))
-    table = covariance(chosen.x, chosen.known, chosen.x, chosen.known, held)
+    table = covariance(chosen.x, chosen.known, chosen.x, chosen.known, hyperparameters)
     for output in np.flatnonzero(~scaling.silent):
         rows = np.flatnonzero(chosen.measured[:, output])
         noise = chosen.noise[rows, output] / before[output]
         own = Share(np.array([output]), rows, noise)
 
         def likelihood(logarithm: float, own: Share = own) -> Profile:
-            return profile(chosen, held, own, float(np.exp(logarithm)), settings, table)
+            return profile(chosen, hyperparameters, own, float(np.exp(logarithm)), settings, table)
 
         logarithm = _least_noise(lambda at: likelihood(at).value, settings)
         variance[output] = likelihood(logarithm).variance[0]
@@ -114,7 +115,7 @@ def _least_noise(value: Callable[[float], float], settings: KrigingSettings) -> 
         less_likely, bounds=bounds, method="bounded", options={"xatol": accuracy}
     )
     low, high = bounds[0], float(found.x)
-    limit = float(found.fun) + settings.ratio_doubt
+    limit = float(found.fun) + settings.ratio_caution
     if less_likely(low) <= limit:
         return low
     while high - low > accuracy:
@@ -125,7 +126,27 @@ def _least_noise(value: Callable[[float], float], settings: KrigingSettings) -> 
 
 def _telling(shares: list[Share], scaling: Scaling) -> list[Share]:
     """Return the shares without the outputs that vary by rounding only, and with enough rows."""
-    heard = [
+    varying = [
         share._replace(outputs=share.outputs[~scaling.silent[share.outputs]]) for share in shares
     ]
-    return [share for share in heard if len(share.outputs) and len(share.rows)]
+    return [share for share in varying if len(share.outputs) and len(share.rows)]
+
+
+def spread_rows(equations: Equations, most_rows: int, most_equations: int) -> NDArray[np.intp]:
+    """Return rows within the limits, each the farthest from those before it, in their own order.
+
+    Shape (k,): indices of the rows.
+    """
+    size = equations.known.sum(axis=1)
+    chosen = [int(np.argmin(np.round((equations.x**2).sum(axis=1), DECIMALS)))]
+    total = size[chosen[0]]
+    distance = np.full(len(equations), np.inf)
+    while len(chosen) < min(len(equations), most_rows):
+        apart = ((equations.x - equations.x[chosen[-1]]) ** 2).sum(axis=1)
+        distance = np.minimum(distance, apart)
+        place = int(np.argmax(np.round(distance, DECIMALS)))
+        total += size[place]
+        if total > most_equations:
+            break
+        chosen.append(place)
+    return np.sort(chosen)

@@ -9,6 +9,7 @@ defined where they do not.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,58 @@ from scipy.linalg.lapack import get_lapack_funcs
 
 from ..table.rows import Floats
 from .correlation import Hyperparameters, covariance, mean_terms, numbers
-from .equations import Equations
+from .equations import OUTPUTS, Equations
 from .settings import DEFAULTS, KrigingSettings
 
 ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of values that are one
+
+
+class Share(NamedTuple):
+    """Outputs that the same rows tell with the same noise.
+
+    Attributes
+    ----------
+    outputs, rows : ndarray of int, shape (k,) and (r,)
+    noise : ndarray, shape (r,), dimensionless
+        Variance of the rows' values over the process variance.
+    """
+
+    outputs: NDArray[np.intp]
+    rows: NDArray[np.intp]
+    noise: Floats
+
+
+def shares_of(
+    equations: Equations, variance: Floats, settings: KrigingSettings = DEFAULTS
+) -> list[Share]:
+    """Return the outputs in groups that one factor answers.
+
+    Parameters
+    ----------
+    variance : ndarray, shape (6,), dimensionless
+        Process variance of each output, spreads squared: noise counts relative to it. Outputs whose
+        relative noise differs by more than `like_noise` at some row get a factor each.
+    """
+    noise = equations.noise / variance
+    # Below the nugget noise changes nothing.
+    size = np.log(np.maximum(noise, settings.nugget))
+    groups: list[list[int]] = []
+    for output in range(OUTPUTS):
+        for group in groups:
+            rows = equations.measured[:, group[0]]
+            same = (rows == equations.measured[:, output]).all()
+            apart = np.abs(size[rows, output] - size[rows, group[0]])
+            if same and (apart <= np.log(settings.like_noise)).all():
+                group.append(output)
+                break
+        else:
+            groups.append([output])
+    return [_share(equations, noise, np.array(group, dtype=np.intp)) for group in groups]
+
+
+def _share(equations: Equations, noise: Floats, outputs: NDArray[np.intp]) -> Share:
+    rows = np.flatnonzero(equations.measured[:, outputs[0]])
+    return Share(outputs, rows, noise[np.ix_(rows, outputs)].mean(axis=1))
 
 
 class SingularCovarianceError(ArithmeticError):
@@ -27,7 +76,7 @@ class SingularCovarianceError(ArithmeticError):
 
 
 @dataclass(frozen=True)
-class Factor:
+class KrigingFactor:
     """The factor of some rows' equations, for the outputs that these rows tell alike.
 
     All numbers are dimensionless: loads are in half ranges, outputs in spreads.
@@ -69,13 +118,13 @@ class Factor:
 
 
 def diagonal_added(
-    equations: Equations, noise: Floats, nugget: float, held: Hyperparameters
+    equations: Equations, noise: Floats, nugget: float, hyperparameters: Hyperparameters
 ) -> Floats:
     """Return what is added to the covariance's diagonal: nugget and noise.
 
     Shape (equations,), dimensionless, of noise, shape (rows,), over the process variance.
     """
-    added = np.tile(nugget * held.prior, (len(equations), 1))
+    added = np.tile(nugget * hyperparameters.prior, (len(equations), 1))
     added[:, 0] += noise
     return added[equations.known]
 
@@ -118,53 +167,37 @@ def inverse_factor(
 
 def factorise(
     equations: Equations,
-    held: Hyperparameters,
+    hyperparameters: Hyperparameters,
     outputs: NDArray[np.intp],
     rows: NDArray[np.intp],
     noise: Floats,
     settings: KrigingSettings = DEFAULTS,
     table: Floats | None = None,
-) -> Factor:
-    """Return the factor of some rows of a table for some outputs.
+) -> KrigingFactor:
+    """Return the factor of some rows (r,) of a table for some outputs (k,), both indices.
 
-    `table` is the covariance of all the table's equations, where it is at hand.
-
-    Shapes: `outputs` (k,) and `rows` (r,), indices; `noise` (r,), over the process variance, and
-    `table` (a, a), for a equations, dimensionless.
+    `noise` (r,) is over the process variance; `table` (a, a), dimensionless, the covariance of all
+    a equations of the table, where it is at hand.
     """
     own = equations.take(rows)
     if table is None:
-        matrix = covariance(own.x, own.known, own.x, own.known, held)
+        matrix = covariance(own.x, own.known, own.x, own.known, hyperparameters)
     else:
         places = numbers(equations.known)[rows][own.known]
         matrix = table[np.ix_(places, places)]
-    matrix[np.diag_indices_from(matrix)] += diagonal_added(own, noise, settings.nugget, held)
-    prior = np.tile(held.prior, (len(own), 1))[own.known]
+    matrix[np.diag_indices_from(matrix)] += diagonal_added(
+        own, noise, settings.nugget, hyperparameters
+    )
+    prior = np.tile(hyperparameters.prior, (len(own), 1))[own.known]
     T, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, prior)
-    return finish(own, outputs, rows, noise, nugget, T, T @ mean_terms(own.x, own.known), settings)
-
-
-def finish(
-    own: Equations,
-    outputs: NDArray[np.intp],
-    rows: NDArray[np.intp],
-    noise: Floats,
-    nugget: float,
-    T: Floats,
-    TF: Floats,
-    settings: KrigingSettings,
-) -> Factor:
-    """Return the factor with what follows from T: the mean, the weights, the variances.
-
-    The arrays are those of `Factor`, dimensionless: `T` has shape (e, e), `TF` (e, 7).
-    """
-    told = own.told[own.known][:, outputs]
-    Ty = T @ told
+    TF = T @ mean_terms(own.x, own.known)
+    data = own.data[own.known][:, outputs]
+    Ty = T @ data
     precision = TF.T @ TF + np.eye(TF.shape[1]) / settings.mean_variance
     mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
     coefficients = mean_covariance @ (TF.T @ Ty)
     remainder = Ty - TF @ coefficients
-    return Factor(
+    return KrigingFactor(
         outputs=outputs,
         rows=rows,
         noise=noise,
@@ -177,53 +210,3 @@ def finish(
         # Of a response that is linear nothing remains, and rounding may make that negative.
         variance=np.maximum(np.einsum("eq,eq->q", remainder, Ty) / len(T), ROUNDING),
     )
-
-
-def border(
-    factor: Factor,
-    equations: Equations,
-    held: Hyperparameters,
-    added: NDArray[np.intp],
-    noise: Floats,
-    settings: KrigingSettings = DEFAULTS,
-) -> Factor:
-    """Return the factor with further rows of the table, at the cost of their products with it.
-
-    Parameters
-    ----------
-    equations : Equations
-        The whole table: the factor's rows and, at the places `added`, the new ones.
-    noise : ndarray, shape (len(added),), dimensionless
-        Variance of the new values over the process variance.
-    """
-    old, new = equations.take(factor.rows), equations.take(added)
-    across = covariance(new.x, new.known, old.x, old.known, held) @ factor.T.T
-    corner = covariance(new.x, new.known, new.x, new.known, held) - across @ across.T
-    corner[np.diag_indices_from(corner)] += diagonal_added(new, noise, factor.nugget, held)
-    prior = np.tile(held.prior, (len(new), 1))[new.known]
-    # A corner that is not positive needs a larger nugget everywhere, so it is not raised here.
-    last, _ = inverse_factor(corner, factor.nugget, factor.nugget, prior)
-    T = _bordered(factor.T, across, last)
-    own = mean_terms(old.x, old.known), mean_terms(new.x, new.known)
-    TF = np.concatenate((factor.TF, T[len(factor.T) :] @ np.concatenate(own)))
-    rows = np.concatenate((factor.rows, added))
-    return finish(
-        equations.take(rows),
-        factor.outputs,
-        rows,
-        np.append(factor.noise, noise),
-        factor.nugget,
-        T,
-        TF,
-        settings,
-    )
-
-
-def _bordered(T: Floats, across: Floats, last: Floats) -> Floats:
-    """Return the inverse factor with more rows: `across` of the factor, and their own inverse."""
-    count, more = len(T), len(last)
-    out = np.zeros((count + more, count + more))
-    out[:count, :count] = T
-    out[count:, count:] = last
-    out[count:, :count] = -last @ (across @ T)
-    return out

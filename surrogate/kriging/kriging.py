@@ -3,30 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..table.rows import Floats, LoadRange, Rows
-from .correlation import LOADS, Hyperparameters
+from .correlation import LOADS, PLACES, Hyperparameters
 from .dense import Dense, dense
 from .equations import (
     OUTPUTS,
-    Equations,
+    Readings,
     Scaling,
     TooFewRowsError,
     TooManyRowsError,
     equations_of,
-    later_order,
     places_within,
+    readings_of,
     scaling_of,
+    within,
 )
 from .estimate import estimated
-from .readings import Readings, readings_of
+from .factor import shares_of
 from .settings import DEFAULTS, KrigingSettings
-from .shares import Share, shares_of
-from .size import fits_one_factor
-from .threads import one_thread
+
+try:
+    from threadpoolctl import ThreadpoolController
+except ImportError:  # it may be missing in a simulator: slower, and other last digits
+    ThreadpoolController = None
+
+_BLAS = ThreadpoolController and ThreadpoolController().select(user_api="blas")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,41 +41,29 @@ class Kriging:
 
     Attributes
     ----------
-    load_range : LoadRange
     settings : KrigingSettings
     scaling : Scaling
     hyperparameters : Hyperparameters
-    noise_scale : ndarray, shape (6,), spreads squared
-        Process variances that the rows' uncertainties were held against.
     reading_variance : ndarray, shape (6,), spreads squared
         Of one reading whose uncertainty nobody stated.
-    estimated_rows : int
-        Rows of the table when the hyperparameters were estimated.
     inside : Dense
         What answers, in scaled numbers.
     tangent : ndarray, shape (6, 6), SI
         Mean tangent of the rows: the derivative by loads that take no part.
-    detail : str
-        How it answers, in words.
     """
 
-    load_range: LoadRange
     settings: KrigingSettings
     scaling: Scaling
     hyperparameters: Hyperparameters
-    noise_scale: Floats
     reading_variance: Floats
-    estimated_rows: int
     inside: Dense
     tangent: Floats
-    detail: str
 
     @classmethod
     def build(
         cls,
         rows: Rows,
         load_range: LoadRange,
-        previous: Kriging | None = None,
         settings: KrigingSettings = DEFAULTS,
         readings: Readings | None = None,
     ) -> Kriging:
@@ -79,9 +73,6 @@ class Kriging:
         ----------
         readings : Readings, optional
             What is behind each row where several were merged to one; else each stands for itself.
-        previous : Kriging, optional
-            Of an earlier version of the table: its hyperparameters are kept until the table has
-            grown by a quarter, and start the estimate then; its factor is bordered by new rows.
 
         Raises
         ------
@@ -93,53 +84,43 @@ class Kriging:
             If rows contradict each other so that no nugget makes the covariance regular.
         """
         with one_thread():
-            return cls._build(rows, load_range, previous, settings, readings or readings_of(rows))
+            return cls._build(rows, load_range, settings, readings or readings_of(rows))
 
     @classmethod
     def _build(
         cls,
         rows: Rows,
         load_range: LoadRange,
-        previous: Kriging | None,
         settings: KrigingSettings,
         readings: Readings,
     ) -> Kriging:
         places = places_within(rows, load_range, settings)
-        inside, behind = rows.take(places), readings.take(places)
-        scaling = scaling_of(inside, load_range, settings)
-        equations = equations_of(inside, scaling, settings, behind)
+        used, behind = rows.take(places), readings.take(places)
+        scaling = scaling_of(used, load_range, settings)
+        equations = equations_of(used, scaling, settings, behind)
         if len(equations) < settings.least_rows:
             raise TooFewRowsError(
                 f"kriging needs {settings.least_rows} rows at different wrenches; there are "
                 f"{len(equations)}: solve or import more"
             )
-        tangents = inside.compliance[np.isfinite(inside.compliance).all(axis=(1, 2))]
+        tangents = used.compliance[np.isfinite(used.compliance).all(axis=(1, 2))]
         tangent = tangents.mean(axis=0) if len(tangents) else np.zeros((OUTPUTS, LOADS))
         if not fits_one_factor(equations.count, settings):
             raise TooManyRowsError(
                 f"{len(equations)} rows bring {equations.count} equations, more than the "
                 f"{settings.dense_equations} that one factor holds"
             )
-        usable = previous is not None and previous.settings == settings
-        follows = _follows(previous, load_range, scaling) if usable else None
-        if follows is not None and len(equations) < settings.growth * follows.estimated_rows:
-            return follows._extended(inside, behind, tangent)
-        before = follows.hyperparameters if follows is not None else None
-        held, noise_scale, variance = estimated(equations, scaling, before, settings)
+        hyperparameters, noise_scale, variance = estimated(equations, scaling, settings)
         noisy = equations.with_reading_noise(variance)
-        fresh = _built(noisy, held, noise_scale, scaling, None, settings)
-        return cls(
-            load_range=load_range,
-            settings=settings,
-            scaling=scaling,
-            hyperparameters=held,
-            noise_scale=noise_scale,
-            reading_variance=variance,
-            estimated_rows=len(equations),
-            inside=fresh,
-            tangent=tangent,
-            detail=_in_words(fresh),
-        )
+        shares = shares_of(noisy, noise_scale, settings)
+        inside = dense(noisy, hyperparameters, shares, scaling, settings)
+        return cls(settings, scaling, hyperparameters, variance, inside, tangent)
+
+    @property
+    def detail(self) -> str:
+        """How it answers, in words."""
+        rows, equations = len(self.inside.equations), self.inside.equations.count
+        return f"kriging, one factor over {rows} rows ({equations} equations)"
 
     @property
     def knows_errors(self) -> bool:
@@ -155,7 +136,7 @@ class Kriging:
                 values, errors, known = self.inside.answers(x[part])
                 size = (np.abs(values) + 1) * spread + np.abs(offset)
                 # Never below what rounding makes of an answer.
-                least = np.maximum(self.settings.bar_floor * size, self.inside.rounding * spread)
+                least = np.maximum(self.settings.error_floor * size, self.inside.rounding * spread)
                 bars[part] = np.where(known, np.maximum(errors * spread, least), np.nan)
                 displacement[part] = values * spread + offset
         return displacement, bars
@@ -174,7 +155,7 @@ class Kriging:
         return out
 
     def _chunks(self, count: int) -> Iterator[slice]:
-        """Yield the parts of so many wrenches that are told at once."""
+        """Yield the parts of so many wrenches that are answered at once."""
         size = self.settings.chunk
         return (slice(start, start + size) for start in range(0, count, size))
 
@@ -201,59 +182,39 @@ class Kriging:
         """Return the errors (n, 6), m and rad, at rows left out; NaN where a row has no output."""
         return self.inside.errors * self.scaling.spread
 
-    def _extended(self, inside: Rows, behind: Readings, tangent: Floats) -> Kriging:
-        """Return the kriging of a later version of the table, with these hyperparameters."""
-        equations = equations_of(inside, self.scaling, self.settings, behind)
-        equations = equations.with_reading_noise(self.reading_variance)
-        order = later_order(self.inside.equations, equations)
-        before = self.inside if order is not None else None
-        equations = equations if order is None else equations.take(order)
-        later = _built(
-            equations, self.hyperparameters, self.noise_scale, self.scaling, before, self.settings
-        )
-        return replace(self, inside=later, tangent=tangent, detail=_in_words(later))
+
+def one_thread() -> AbstractContextManager[object]:
+    """Return a context in which linear algebra runs on one thread.
+
+    A product of some hundred rows takes less time than the threads' meeting (0.5 against 37 ms).
+    """
+    return _BLAS.limit(limits=1) if _BLAS else nullcontext()
 
 
-def _follows(previous: Kriging | None, load_range: LoadRange, scaling: Scaling) -> Kriging | None:
-    """Return the previous kriging if its scaled numbers mean the same, else None."""
-    if previous is None:
-        return None
-    same = (
-        np.array_equal(previous.load_range.low, load_range.low)
-        and np.array_equal(previous.load_range.high, load_range.high)
-        and np.array_equal(previous.scaling.active, scaling.active)
-        and np.array_equal(previous.scaling.silent, scaling.silent)
+def equation_count(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> int:
+    """Return how many equations rows of distinct wrenches bring: values, and slopes by loads.
+
+    Raises
+    ------
+    TooFewRowsError
+        If too few rows lie in the load range.
+    """
+    sloped = np.isfinite(rows.compliance).all(axis=(1, 2))
+    if len(rows) * PLACES <= settings.dense_equations or not sloped.any():
+        return len(rows) + (PLACES - 1) * int(sloped.sum())
+    inside = within(rows, load_range, settings)
+    loads = int(scaling_of(inside, load_range, settings).active.sum())
+    return len(inside) + loads * int(np.isfinite(inside.compliance).all(axis=(1, 2)).sum())
+
+
+def fits_one_factor(equations: int, settings: KrigingSettings = DEFAULTS) -> bool:
+    """Return whether one dense factor holds so many equations."""
+    return equations <= settings.dense_equations
+
+
+def too_large_in_words(rows: int, equations: int, settings: KrigingSettings = DEFAULTS) -> str:
+    """Return why a table of so many rows and equations has no kriging."""
+    return (
+        f"no kriging: {rows} rows bring {equations} equations, one factor holds "
+        f"{settings.dense_equations}"
     )
-    return previous if same else None
-
-
-def _built(
-    equations: Equations,
-    held: Hyperparameters,
-    noise_scale: Floats,
-    scaling: Scaling,
-    before: Dense | None,
-    settings: KrigingSettings,
-) -> Dense:
-    """Return what answers: one factor, or one for each kind of output."""
-    shares = shares_of(equations, noise_scale, settings)
-    known = before if before is not None and _bordered(before, shares) else None
-    return dense(equations, held, shares, scaling, known, settings)
-
-
-def _bordered(before: Dense, shares: list[Share]) -> bool:
-    """Whether each share is that of an earlier factor and further rows."""
-    if len(before.shares) != len(shares):
-        return False
-    pairs = [(own.factor, share) for own, share in zip(before.shares, shares, strict=True)]
-    return all(
-        np.array_equal(factor.outputs, share.outputs)
-        and np.array_equal(factor.rows, share.rows[: len(factor.rows)])
-        and np.array_equal(factor.noise, share.noise[: len(factor.rows)])
-        for factor, share in pairs
-    )
-
-
-def _in_words(inside: Dense) -> str:
-    rows, equations = len(inside.equations), inside.equations.count
-    return f"kriging, one factor over {rows} rows ({equations} equations)"

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from ..table.rows import Floats
 from .correlation import PLACES
 from .equations import Equations
-from .factor import Factor
+from .factor import KrigingFactor
 
 # Added to the diagonal of a group's precision, of its mean: rows a hair apart leave it singular to
 # rounding.
 REGULAR = 1e-14
 
 
-class LeftOut(NamedTuple):
+class LeftOutRows(NamedTuple):
     """Errors of rows that were left out with their group, in dimensionless numbers.
 
     Attributes
@@ -40,7 +40,7 @@ class LeftOut(NamedTuple):
     mean_covariances: Floats
 
 
-def left_out(equations: Equations, factor: Factor, labels: NDArray[np.intp]) -> LeftOut:
+def left_out(equations: Equations, factor: KrigingFactor, labels: NDArray[np.intp]) -> LeftOutRows:
     """Return the errors of a factor's rows, each left out with all rows of its label.
 
     Parameters
@@ -52,7 +52,7 @@ def left_out(equations: Equations, factor: Factor, labels: NDArray[np.intp]) -> 
     sizes = own.known.sum(axis=1)
     ends = np.cumsum(sizes)
     precision = np.asarray(np.linalg.inv(factor.mean_covariance), dtype=float)
-    out = LeftOut(
+    out = LeftOutRows(
         np.full((len(own), len(factor.outputs)), np.nan),
         np.full((len(own), len(factor.outputs)), np.nan),
         np.full((len(own), PLACES, PLACES), np.nan),
@@ -67,12 +67,12 @@ def left_out(equations: Equations, factor: Factor, labels: NDArray[np.intp]) -> 
 
 
 def _leave_out(
-    factor: Factor,
+    factor: KrigingFactor,
     precision: Floats,
     rows: NDArray[np.intp],
     sizes: NDArray[np.intp],
     places: NDArray[np.intp],
-    out: LeftOut,
+    out: LeftOutRows,
 ) -> None:
     """Write what one group's rows show: `places` are its equations, `sizes` how many a row has."""
     below = factor.T[places[0] :, places]  # T is triangular: what stands above the group is zero

@@ -22,9 +22,8 @@ from .correlation import (
     numbers,
 )
 from .equations import Equations
-from .factor import Factor, SingularCovarianceError, factorise
+from .factor import KrigingFactor, Share, SingularCovarianceError, factorise
 from .settings import DEFAULTS, KrigingSettings
-from .shares import Share
 
 REFUSED = 1e10  # of a covariance that cannot be factorised: more than any likelihood's logarithm
 
@@ -36,7 +35,7 @@ class Profile(NamedTuple):
 
     Attributes
     ----------
-    factor : Factor
+    factor : KrigingFactor
     variance : ndarray, shape (k,), spreads squared
         Process variance of each output.
     value : float
@@ -45,7 +44,7 @@ class Profile(NamedTuple):
         Its derivative by the logarithm of a reading's noise, but for what inv(K) tells.
     """
 
-    factor: Factor
+    factor: KrigingFactor
     variance: Floats
     value: float
     by_noise: float
@@ -53,7 +52,7 @@ class Profile(NamedTuple):
 
 def profile(
     equations: Equations,
-    held: Hyperparameters,
+    hyperparameters: Hyperparameters,
     share: Share,
     ratio: float = 0.0,
     settings: KrigingSettings = DEFAULTS,
@@ -70,7 +69,9 @@ def profile(
         The covariance of all equations, where it is at hand.
     """
     noise = share.noise + ratio * reading_parts(equations, share)
-    factor = factorise(equations, held, share.outputs, share.rows, noise, settings, table)
+    factor = factorise(
+        equations, hyperparameters, share.outputs, share.rows, noise, settings, table
+    )
     count, more, scatter = len(factor.T), 0.0, np.zeros(len(share.outputs))
     if ratio > 0:
         chosen = np.ix_(share.rows, share.outputs)
@@ -104,53 +105,58 @@ def negative_log_likelihood(
     The gradient is by the hyperparameters' logarithms, shape (7,), or (8,) with that of the
     variance of one reading of unstated noise over the process variance; all is dimensionless.
     """
-    held = Hyperparameters.of_logarithms(logarithms[:PLACES])
+    hyperparameters = Hyperparameters.of_logarithms(logarithms[:PLACES])
     ratio = float(np.exp(logarithms[PLACES])) if len(logarithms) > PLACES else 0.0
     outputs = sum(len(share.outputs) for share in shares)
     value, gradient = 0.0, np.zeros(PLACES + 1)
     for share in shares:
         try:
-            found = profile(equations, held, share, ratio, settings)
+            found = profile(equations, hyperparameters, share, ratio, settings)
         except SingularCovarianceError:
             return REFUSED, np.zeros(len(logarithms))
         factor, own, part = found.factor, equations.take(share.rows), len(share.outputs) / outputs
         value += part * found.value
         unit = factor.weights / np.sqrt(found.variance * len(share.outputs))
         sensitivity = factor.T.T @ factor.T - unit @ unit.T
-        gradient[:PLACES] += 0.5 * part * _contracted(sensitivity, own, held, factor.nugget)
+        gradient[:PLACES] += (
+            0.5 * part * _contracted(sensitivity, own, hyperparameters, factor.nugget)
+        )
         values = numbers(own.known)[:, 0]
-        told = ratio * reading_parts(equations, share) @ np.diag(sensitivity)[values]
-        gradient[PLACES] += part * (0.5 * told + found.by_noise)
+        by_ratio = ratio * reading_parts(equations, share) @ np.diag(sensitivity)[values]
+        gradient[PLACES] += part * (0.5 * by_ratio + found.by_noise)
     return value, gradient[: len(logarithms)]
 
 
 def _contracted(
-    sensitivity: Floats, own: Equations, held: Hyperparameters, nugget: float
+    sensitivity: Floats, own: Equations, hyperparameters: Hyperparameters, nugget: float
 ) -> Floats:
     """Return the sum of a symmetric matrix (e, e) times the covariance's seven derivatives."""
     if not own.known[:, 1:].any():
-        return _contracted_values(sensitivity, own, held, nugget)
+        return _contracted_values(sensitivity, own, hyperparameters, nugget)
     n = len(own)
     whole = np.zeros((n, PLACES, n, PLACES))
     places = np.flatnonzero(own.known)
     whole.reshape(n * PLACES, n * PLACES)[np.ix_(places, places)] = sensitivity
     apart = own.x[:, None, :] - own.x[None, :, :]
     by_rate, by_weight = np.zeros(LOADS), 0.0
-    for group, (rates, weight) in enumerate(zip(*held.terms, strict=True)):
+    for group, (rates, weight) in enumerate(zip(*hyperparameters.terms, strict=True)):
         loads = np.flatnonzero(GROUPS[group])
         seen = np.append(0, 1 + loads)
         term = _one_term(whole[:, seen][:, :, :, seen], apart[..., loads], rates[loads])
         by_rate[loads] += weight * term[0]
         by_weight += weight * term[1] if group == len(GROUPS) - 1 else 0.0
     diagonal = np.where(own.known, np.einsum("ipip->ip", whole), 0.0).sum(axis=0)
-    terms, weights = held.terms
+    terms, weights = hyperparameters.terms
     by_rate += nugget * 1.4 * diagonal[1:] * (weights @ GROUPS)
-    by_weight += nugget * (held.weight * diagonal[0] + 1.4 * held.weight * diagonal[1:] @ terms[-1])
-    return np.append(by_rate * held.inverse_squares, by_weight)
+    by_weight += nugget * (
+        hyperparameters.weight * diagonal[0]
+        + 1.4 * hyperparameters.weight * diagonal[1:] @ terms[-1]
+    )
+    return np.append(by_rate * hyperparameters.inverse_squares, by_weight)
 
 
 def _contracted_values(
-    sensitivity: Floats, own: Equations, held: Hyperparameters, nugget: float
+    sensitivity: Floats, own: Equations, hyperparameters: Hyperparameters, nugget: float
 ) -> Floats:
     """Return what `_contracted` does where no row brings slopes: a tenth of the work.
 
@@ -161,12 +167,12 @@ def _contracted_values(
     pairs, trace = 2 * sensitivity[one, other], np.trace(sensitivity)
     by_rate = np.zeros(LOADS)
     itself = np.zeros_like(pairs)
-    for rates, weight in zip(*held.terms, strict=True):
+    for rates, weight in zip(*hyperparameters.terms, strict=True):
         loads = np.flatnonzero(rates)
         itself, first, _, _ = matern(rates[loads] @ squares[loads])
         by_rate[loads] += weight * (squares[loads] @ (pairs * first))
-    by_weight = held.weight * (pairs @ itself + (1 + nugget) * trace)
-    return np.append(by_rate * held.inverse_squares, by_weight)
+    by_weight = hyperparameters.weight * (pairs @ itself + (1 + nugget) * trace)
+    return np.append(by_rate * hyperparameters.inverse_squares, by_weight)
 
 
 def _one_term(whole: Floats, apart: Floats, rates: Floats) -> tuple[Floats, float]:
@@ -183,14 +189,14 @@ def _one_term(whole: Floats, apart: Floats, rates: Floats) -> tuple[Floats, floa
     slope = whole[:, 1:, :, 0].transpose(0, 2, 1)
     curved = whole[:, 1:, :, 1:].transpose(0, 2, 1, 3)
     trace = np.einsum("ijaa->ija", curved)
-    turned = (curved @ by_load[..., None])[..., 0]
+    rotated = (curved @ by_load[..., None])[..., 0]
     along = (slope * by_load).sum(axis=2)
-    bent = (turned * by_load).sum(axis=2)
+    bent = (rotated * by_load).sum(axis=2)
     traced = trace @ rates
     by_distance = value * first + 2 * along * second - bent * third - 2 * traced * second
     by_rate = np.einsum("ij,ija->a", by_distance, apart**2)
     by_rate += 4 * np.einsum("ij,ija->a", first, slope * apart)
-    by_rate -= 4 * np.einsum("ij,ija->a", second, turned * apart)
+    by_rate -= 4 * np.einsum("ij,ija->a", second, rotated * apart)
     by_rate -= 2 * np.einsum("ij,ija->a", first, trace)
     itself = value * values + 2 * along * first - bent * second - 2 * traced * first
     return by_rate, float(itself.sum())

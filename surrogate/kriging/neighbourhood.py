@@ -3,7 +3,7 @@
 A place's neighbours are taken in turn by each of the four terms of the covariance: nearest over all
 loads, then over those of axis x, y and z. By all loads alone a table of clean rows would tell a
 wrench of six loads by one axis. Neighbourhoods belong to rows, their anchors, so that the factors
-are made before anything is asked; a wrench takes that of its nearest row.
+are made before any query; a wrench takes that of its nearest row.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .correlation import (
     numbers,
 )
 from .equations import Equations
-from .factor import diagonal_added, inverse_factor
+from .factor import KrigingFactor, diagonal_added, inverse_factor
 from .settings import DEFAULTS, KrigingSettings
 
 Places = NDArray[np.intp]
@@ -42,7 +42,7 @@ class Finder:
     equations : Equations
     rows : ndarray of int
         The rows among which it looks.
-    held : Hyperparameters
+    hyperparameters : Hyperparameters
     most_rows, most_equations : int
         What a neighbourhood may hold.
     """
@@ -51,14 +51,14 @@ class Finder:
         self,
         equations: Equations,
         rows: Places,
-        held: Hyperparameters,
+        hyperparameters: Hyperparameters,
         most_rows: int,
         most_equations: int,
     ) -> None:
         self.rows = rows
         self.size = equations.known[rows].sum(axis=1)
         self.most_rows, self.most_equations = most_rows, most_equations
-        self.roots = np.sqrt(held.inverse_squares) * GROUPS[[3, 0, 1, 2]]
+        self.roots = np.sqrt(hyperparameters.inverse_squares) * GROUPS[[3, 0, 1, 2]]
         self.trees = [KDTree(equations.x[rows] * root) for root in self.roots]
 
     def nearest(self, x: Floats) -> Places:
@@ -111,8 +111,8 @@ class Finder:
             np.asarray(tree.query(x * root, k=count)[1]).reshape(len(x), count)
             for tree, root in zip(self.trees, self.roots, strict=True)
         ]
-        turns = np.stack(found, axis=2).reshape(len(x), -1)
-        lists = [np.array(list(dict.fromkeys(turn)), dtype=np.intp) for turn in turns.tolist()]
+        interleaved = np.stack(found, axis=2).reshape(len(x), -1)
+        lists = [np.array(list(dict.fromkeys(row)), dtype=np.intp) for row in interleaved.tolist()]
         if labels is not None and without is not None:
             lists = [
                 near[labels[near] != label] for near, label in zip(lists, without, strict=True)
@@ -180,7 +180,7 @@ def row_by_row(left: Floats, right: Floats) -> Floats:
 def local_factor(
     equations: Equations,
     noise: Floats,
-    held: Hyperparameters,
+    hyperparameters: Hyperparameters,
     members: Places,
     nugget: float,
     settings: KrigingSettings = DEFAULTS,
@@ -199,12 +199,77 @@ def local_factor(
     own = equations.take(members)
     places = (members[:, None] * PLACES + np.arange(PLACES))[own.known]
     if table is None:
-        matrix = covariance(own.x, own.known, own.x, own.known, held)
+        matrix = covariance(own.x, own.known, own.x, own.known, hyperparameters)
     else:
         equation = numbers(equations.known)[members][own.known]
         matrix = table[np.ix_(equation, equation)]
-    matrix[np.diag_indices_from(matrix)] += diagonal_added(own, noise[members], nugget, held)
-    prior = np.tile(held.prior, (len(own), 1))[own.known]
+    matrix[np.diag_indices_from(matrix)] += diagonal_added(
+        own, noise[members], nugget, hyperparameters
+    )
+    prior = np.tile(hyperparameters.prior, (len(own), 1))[own.known]
     T, used = inverse_factor(matrix, nugget, settings.nugget_limit, prior)
     TF = T @ mean_terms(own.x, own.known)
-    return LocalFactor(members, places, T, TF, used * float(held.prior[0]))
+    return LocalFactor(members, places, T, TF, used * float(hyperparameters.prior[0]))
+
+
+@dataclass(frozen=True)
+class Neighbourhoods:
+    """What gives sigma of the outputs of one factor; loads and variances are dimensionless.
+
+    Attributes
+    ----------
+    factor : KrigingFactor
+    finder : Finder
+    around : tuple of LocalFactor
+        The neighbourhood of each of the factor's rows.
+    """
+
+    factor: KrigingFactor
+    finder: Finder
+    around: tuple[LocalFactor, ...]
+
+
+def deviations(
+    x: Floats, across: Floats, hyperparameters: Hyperparameters, share: Neighbourhoods
+) -> Floats:
+    """Return the posterior deviation (m,), process deviations, at places (m, 6), of one factor.
+
+    `across` (m, 7 n) is the covariance of their values with all places of all rows.
+    """
+    terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
+    squared, prior = np.empty(len(x)), float(hyperparameters.prior[0])
+    place = np.searchsorted(share.factor.rows, share.finder.nearest(x))
+    for anchor in np.unique(place):
+        queries, local = np.flatnonzero(place == anchor), share.around[anchor]
+        squared[queries] = local.squared_deviation(
+            across[np.ix_(queries, local.places)],
+            terms[queries],
+            prior,
+            share.factor.mean_covariance,
+        )
+    return np.sqrt(squared)
+
+
+def neighbourhoods_of(
+    equations: Equations,
+    hyperparameters: Hyperparameters,
+    factor: KrigingFactor,
+    table: Floats,
+    settings: KrigingSettings,
+) -> Neighbourhoods:
+    """Return the neighbourhoods of a factor's rows."""
+    limits = settings.deviation_rows, settings.deviation_equations
+    finder = Finder(equations, factor.rows, hyperparameters, *limits)
+    noise = noise_of(equations, factor)
+    around = tuple(
+        local_factor(equations, noise, hyperparameters, members, factor.nugget, settings, table)
+        for members in finder.members(equations.x[factor.rows])
+    )
+    return Neighbourhoods(factor, finder, around)
+
+
+def noise_of(equations: Equations, factor: KrigingFactor) -> Floats:
+    """Return the noise of every row of the table, zero where the factor has none."""
+    noise = np.zeros(len(equations))
+    noise[factor.rows] = factor.noise
+    return noise

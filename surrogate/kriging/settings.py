@@ -13,7 +13,7 @@ class KrigingSettings:
     """
 
     # Rounding of double precision at thousands of equations needs some 1e-12; 1e-10 leaves room and
-    # is a deviation of 1e-5 of the spread, below what a surrogate of solves is asked for.
+    # is a deviation of 1e-5 of the spread, below any tolerance of a surrogate of solves.
     nugget: float = 1e-10
     # A covariance that is singular even so (rows a hair apart, no slopes) is tried with ten times
     # the nugget, and again, up to a deviation of 1 % of the spread: beyond that it is a mistake.
@@ -43,20 +43,17 @@ class KrigingSettings:
     # tenth of that: from little noise the search ends at short lengths that explain all of it.
     ratio_bounds: tuple[float, float] = (-23.0, 4.6)
     ratio_start: float = -4.6
-    # How far the logarithm of one output's noise is searched: it is told to a tenth at best.
+    # How far the logarithm of one output's noise is searched: a tenth is the best that rows show.
     ratio_accuracy: float = 0.05
     # By how much less likely (logarithm) noise may be for less of it to be taken: half the 95 %
     # quantile of a chi square. With half a unit 66 and 73 % of errors were inside at two of 36
     # noisy tables, at noise of 5 % of the range; with this 74 and 82 %.
-    ratio_doubt: float = 1.92
+    ratio_caution: float = 1.92
     # The likelihood costs the cube of its equations some fifty times over, and is flat: 420
     # equations of six outputs (60 solved rows, or 100 measured ones) settle seven numbers, in half
     # a second; with 210 errors were up to twice as large, measured over made-up responses.
     likelihood_rows: int = 100
     likelihood_equations: int = 420
-    # Hyperparameters change little with a row: they are estimated anew when the table has grown
-    # by a quarter.
-    growth: float = 1.25
     likelihood_steps: int = 60
     # Steps end where the likelihood's relative change is below this: the bars do not see more.
     likelihood_accuracy: float = 1e-6
@@ -82,12 +79,12 @@ class KrigingSettings:
     # spread still tells something. Twice as few hold as well, with wider bars for twins.
     group_growth: float = 1.5
     least_groups: int = 3
-    # A level resembles what is asked if the median deviation of its left-out rows is 0.6 of that at
+    # A level resembles queries if the median deviation of its left-out rows is 0.6 of that at
     # random wrenches: left-out rows are the others' distance apart, wrenches lie between. Where no
     # level has half of it, errors are not known. Below the first level that resembles it, factors
     # are at least the normal 1.96: rows along a motion predict each other far better than what lies
     # beside the motion (with 60 of `plate_thin` 31 to 48 % of the covered were outside). From it on
-    # left-out rows are as what is asked, and tell by themselves.
+    # left-out rows are like queries, and their errors decide.
     resembling: float = 0.6
     barely_resembling: float = 0.5
     # The quantile of left-out deviations beyond which errors are not known, and that of the
@@ -97,7 +94,7 @@ class KrigingSettings:
     # How likely rows that are spread evenly leave more beyond the outermost ones than is counted as
     # theirs: of six loads with two ends each one end in nine tables.
     beyond_rows: float = 0.01
-    # With so many rows of more than one axis bars are calibrated on them alone: what is asked loads
+    # With so many rows of more than one axis bars are calibrated on them alone: queries load
     # all axes too, and rows at the corners of one axis err more (bars up to 16 x their errors).
     # Fewer than 15 tell no size: measured with 4 and 8, 52 to 100 % of errors were inside.
     full_rows: int = 15
@@ -111,10 +108,10 @@ class KrigingSettings:
     # size, or fewer), or where bars miss more than 15 % of the left-out rows themselves, nothing
     # is `covered`. Of 200 made-up tables that cover more than 5 % of answers that takes 8.
     most_widened: float = 3.0
-    least_held: float = 0.85
+    least_inside: float = 0.85
     # What the sums over the rows lose to rounding, of an output's spread and of the value itself:
     # weights are up to 1e5 times what they sum to.
-    bar_floor: float = 1e-11
+    error_floor: float = 1e-11
     # Half width of 95 % over the deviation of a normal distribution.
     half_width: float = 1.96
 

@@ -13,12 +13,11 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bars.error_law import FEWEST
 from ..composition.axis_table import LARGEST, AxisTable
 from ..composition.composition import Composition
+from ..error_law import FEWEST
 from ..table.rows import Floats
-from .buckets import buckets_of
-from .numbering import DIMENSION, FIRST_CELL, FLOATS, INTS, SCALE, numbered_of
+from .numbering import DIMENSION, FIRST_CELL, FLOATS, INTS, SCALE, buckets_of, numbered_of
 
 SIMPLEX, VERTEX = 16, 16  # doubles of a simplex and of a point: wb_simplex, wb_vertex
 
@@ -56,7 +55,7 @@ def axes_arrays(
     yield "left_out", np.array([*left_out, FEWEST], dtype=np.int32)
     yield "largest", np.array([LARGEST[dimension] for dimension in range(4)])
     yield "span", np.array([_span(table) for table in tables])
-    yield "rest_point", np.stack((composition.at_rest.displacement, composition.at_rest.bar))
+    yield "rest_point", np.stack((composition.at_rest.displacement, composition.at_rest.error))
     yield "error", np.array([_error(table) for table in tables])
     yield from _cuts(composition)
     yield from _members(tables, members)

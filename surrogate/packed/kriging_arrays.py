@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ..kriging import Kriging
 from ..kriging.calibration import Calibration
 from ..kriging.correlation import LOADS, PLACES
-from ..kriging.dense import Spread
 from ..kriging.equations import OUTPUTS
+from ..kriging.neighbourhood import Neighbourhoods
 from ..table.rows import Floats
 
 LANES, PANEL = 8, 16  # WB_LANES and WB_PANEL of surrogate/kernel/wb_internal.h
@@ -40,15 +40,15 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     inside, scaling = kriging.inside, kriging.scaling
     rows = len(inside.equations)
     stride = -(-rows // LANES) * LANES
-    rates, weights = inside.held.terms
+    rates, weights = inside.hyperparameters.terms
     x = np.zeros((LOADS, stride))
     x[:, :rows] = inside.equations.x.T
-    told = np.zeros((OUTPUTS, PLACES, stride))
-    told[:, :, :rows] = inside.weights.transpose(2, 1, 0)
+    weights_by_place = np.zeros((OUTPUTS, PLACES, stride))
+    weights_by_place[:, :, :rows] = inside.weights.transpose(2, 1, 0)
     yield "x", x
     yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
-    yield "rates", inside.held.inverse_squares
-    yield "weights", told.reshape(OUTPUTS, -1)
+    yield "rates", inside.hyperparameters.inverse_squares
+    yield "weights", weights_by_place.reshape(OUTPUTS, -1)
     yield "coefficients", inside.coefficients
     yield "centre", scaling.centre
     yield "rate", np.where(scaling.active, 1 / scaling.half, 0.0)
@@ -56,7 +56,7 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "spread", scaling.spread
     yield "deviation", inside.deviation * scaling.spread
     yield "lost", inside.rounding * scaling.spread
-    yield "floor", np.array([kriging.settings.bar_floor])
+    yield "floor", np.array([kriging.settings.error_floor])
     yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
     yield "span", inside.span
     yield "span_loads", scaling.wrenches(inside.span)
@@ -66,7 +66,7 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
             yield f"share{number}/{name}", array
 
 
-def _levels(share: Spread, found: Calibration) -> Iterator[tuple[str, Array]]:
+def _levels(share: Neighbourhoods, found: Calibration) -> Iterator[tuple[str, Array]]:
     """Yield a calibration with l levels: ``sigma`` (l), ``factors`` (l, m) and ``reach`` (1)."""
     factors = np.zeros((len(found.sigma), OUTPUTS))
     factors[:, share.factor.outputs] = found.factors.reshape(len(found.sigma), -1)
@@ -75,7 +75,7 @@ def _levels(share: Spread, found: Calibration) -> Iterator[tuple[str, Array]]:
     yield "reach", np.array([found.reach])
 
 
-def _share_arrays(share: Spread, rows: int, stride: int) -> Iterator[tuple[str, Array]]:
+def _share_arrays(share: Neighbourhoods, rows: int, stride: int) -> Iterator[tuple[str, Array]]:
     """Yield what gives sigma for the outputs of one factor.
 
     With k neighbourhoods of at most e equations: ``outputs`` (m), which; ``number`` (s), each row's
@@ -91,7 +91,7 @@ def _share_arrays(share: Spread, rows: int, stride: int) -> Iterator[tuple[str, 
     places = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
     unsettled = np.zeros((count, PLACES, padded))
-    for place, (row, local) in enumerate(zip(share.anchors, share.around, strict=True)):
+    for place, (row, local) in enumerate(zip(share.factor.rows, share.around, strict=True)):
         size = len(local.places)
         at_row, of_row = np.divmod(local.places, PLACES)
         places[place, :size] = of_row * stride + at_row

@@ -218,7 +218,6 @@ _WORDS: dict[int, Maker] = {
 }
 """By code: WB_REASON_... of surrogate/kernel/wrenchbook.h."""
 
-
 FIXED = frozenset({1, 2, 11, 12, 15, 16, 17, 19})
 """Codes whose words are the same for every wrench, but for the numbers of the reason itself."""
 

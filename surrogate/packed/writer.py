@@ -15,19 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..build import AnyTable
-from ..derivative import tangent_at_zero
-from ..describe.gaps import axis_gaps
+from ..answer import METHODS
+from ..build import AnyTable, tangent_at_zero
+from ..describe import axis_gaps
 from ..kriging import Kriging
 from ..limits import LONGEST, TRANSLATION_LIMIT
-from ..methods.selection import ENOUGH_FULL
+from ..methods import ENOUGH_FULL
 from ..surrogate import Surrogate
 from ..table.rows import CLEAN, LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS, Floats, Tolerance
 from .axes_arrays import axes_arrays
-from .buckets import buckets_of
-from .codes import METHODS
 from .format import pieces, write_file
 from .kriging_arrays import kriging_arrays
+from .numbering import buckets_of
 
 # Bits of a group's reference: WB_REF_... of surrogate/kernel/wb_internal.h.
 _ADDITIVE, _MISSED, _KRIGING = 1, 2, 4
@@ -51,7 +50,7 @@ def pack(
     component, fingerprint
         Where the rows come from.
     contract, interface
-        What is said of loads and displacements, in words; kept as they are.
+        Meaning of loads and displacements, in words; stored as they are.
     origin
         Digests of what the table is built from; kept as they are.
     """
@@ -67,7 +66,7 @@ def pack(
         "space": _space_words(),
         "groups": [_group_words(outputs, group) for outputs, group in groups],
         "sources": sources.words,
-        "solver_error": None if table.solver_error is None else table.solver_error.told,
+        "solver_error": None if table.solver_error is None else table.solver_error.values,
         "summary": table.coverage_summary(),
         "gaps": _gaps(table),
         "tangent": dict(zip(("matrix", "origin"), tangent_at_zero(table), strict=True)),
@@ -168,12 +167,12 @@ def _solver_arrays(table: AnyTable) -> Iterator[tuple[str, Array]]:
     error = table.solver_error
     matrix, square, one_over = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
     stiffness, asks = np.zeros((6, 6)), np.zeros(1)
-    known, linear, told = table.bars_are_whole, False, True
+    known, linear, linearity_known = table.bars_are_whole, False, True
     if error is not None:
         matrix, square, one_over, stiffness, asks = error.packed
-        known, linear = error.mesh is not None, "linearity" in error.told
-        told = error.linearity is not None
-    flags = [int(asks[0]), known, linear, told, table.bars_are_whole]
+        known, linear = error.mesh is not None, "linearity" in error.values
+        linearity_known = error.linearity is not None
+    flags = [int(asks[0]), known, linear, linearity_known, table.bars_are_whole]
     yield "solver/flags", np.array(flags, dtype=np.int32)
     yield "solver/mesh", matrix
     yield "solver/square", square
@@ -227,10 +226,10 @@ def _group_arrays(
     used = len(group.used) > 0
     exact = group.linear and group.fit.complete
     mode, missed = _reference(group, exact) if used else (0, None)
-    doubt = group.doubt
+    evidence = group.evidence
     flags = [
-        *(METHODS.index(group.default), mode, doubt.knows_interaction, doubt.rest_unknown),
-        *(exact, used, doubt.full_wrenches, doubt.needed),
+        *(METHODS.index(group.default), mode, evidence.knows_interaction, evidence.rest_unknown),
+        *(exact, used, evidence.full_wrenches, evidence.needed),
     ]
     yield "flags", np.array(flags, dtype=np.int32)
     yield "outputs", np.isin(np.arange(6), outputs).astype(np.int32)
@@ -238,7 +237,7 @@ def _group_arrays(
     yield "near/wrench", group.used.wrench / group.load_range.scale
     yield "near/moved", group.used.displacement
     yield "fit/matrix", group.fit.matrix
-    yield "fit/bar", group.fit.bar
+    yield "fit/bar", group.fit.error
     yield "fit/known", group.fit.known.astype(np.int32)
     yield "fit/rows", np.array(_linear_rows(group), dtype=np.int64)
     yield from _row_arrays(group, sources)
@@ -310,5 +309,5 @@ def _group_words(outputs: tuple[int, ...], group: Surrogate) -> dict[str, Any]:
         "method_reason": group.choice.reason,
         "kriging": "" if kriging is None else kriging.detail,
         "errors_left_out": group.choice.errors,
-        "has_tangents": group.doubt.needed != ENOUGH_FULL,
+        "has_tangents": group.evidence.needed != ENOUGH_FULL,
     }

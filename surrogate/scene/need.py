@@ -1,4 +1,4 @@
-"""What a scene asks of one component: which loads can occur, and which outputs it reads."""
+"""What a scene needs of one component: which loads can occur, and which outputs it reads."""
 
 from __future__ import annotations
 
@@ -70,14 +70,14 @@ class Need:
 
         An axis is composed if some of its loads can occur and one of its outputs is read.
         """
-        told: dict[str, dict[str, object]] = {}
+        found: dict[str, dict[str, object]] = {}
         for axis in AXES:
             inputs = [load for load in axis.inputs if self.occurring[load]]
             if inputs and set(axis.outputs) & set(self.outputs):
                 names = [LOADS[load] for load in inputs]
                 dimensions = int(self.varying[list(axis.inputs)].sum())
-                told[axis.name] = {"inputs": names, "dimensions": dimensions}
-        return told
+                found[axis.name] = {"inputs": names, "dimensions": dimensions}
+        return found
 
     def output_names(self) -> list[str]:
         """Return the names of the outputs that are read."""

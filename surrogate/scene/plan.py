@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..answer import allowed_by
 from ..build import AnyTable
-from ..design.adaptive import Design, next_wrenches
-from ..design.initial import Known, first_count, first_design
+from ..design import Design, Known, first_count, first_design, next_wrenches
 from ..kernel.binding import PackedTable
 from ..kernel.packing import packed_of
 from ..packed.reasons import UNKNOWN_ERROR
@@ -136,10 +135,12 @@ def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
         own, fit = list(outputs), surrogate.fit
         unknown = need.occurring & ~fit.known
         if not len(surrogate.used) or unknown.any():
-            told = [LOADS[load] for load in np.flatnonzero(unknown)]
-            why = f"no row tells the influence of {', '.join(told)}" if len(surrogate.used) else why
+            names = [LOADS[load] for load in np.flatnonzero(unknown)]
+            why = (
+                f"no row tells the influence of {', '.join(names)}" if len(surrogate.used) else why
+            )
             continue
-        most = np.abs(fit.matrix) @ full + fit.bar + solver
+        most = np.abs(fit.matrix) @ full + fit.error + solver
         if not surrogate.linear:
             if not found.coverage.any():  # slopes of a table that is thin here prove nothing
                 most = np.fmin(most, _reach(packed_of(table), need) + found.errors.max(axis=0))
@@ -188,16 +189,16 @@ def _one_compliance(table: AnyTable, need: Need) -> tuple[Floats | None, str]:
     """
     if need.tolerance is None:
         return None, "its response is looked up; no tolerance says what may be left out"
-    asked, read = _sample(need), list(need.outputs)
-    found = packed_of(table).batch(asked, allowed_by(need.tolerance))
+    wrenches, read = _sample(need), list(need.outputs)
+    found = packed_of(table).batch(wrenches, allowed_by(need.tolerance))
     scale = table.load_range.scale
-    told = np.asarray(np.isfinite(found.outputs).all(axis=0))
-    moved = np.where(told, found.outputs, 0.0)
+    finite = np.asarray(np.isfinite(found.outputs).all(axis=0))
+    moved = np.where(finite, found.outputs, 0.0)
     if not np.isfinite(moved).all():
         return None, NO_ROWS
-    columns = np.linalg.lstsq(asked / scale, moved, rcond=None)[0]
-    matrix = np.where(told[:, None], columns.T / scale, 0.0)
-    missed = np.abs(moved - asked @ matrix.T) + found.errors
+    columns = np.linalg.lstsq(wrenches / scale, moved, rcond=None)[0]
+    matrix = np.where(finite[:, None], columns.T / scale, 0.0)
+    missed = np.abs(moved - wrenches @ matrix.T) + found.errors
     share = (missed / np.array(allowed_by(need.tolerance)))[:, read]
     if (share <= 1.0).all():
         reason = f"over the scene's loads one compliance answers within {share.max():.2g} of the "

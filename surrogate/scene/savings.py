@@ -80,10 +80,10 @@ def _wrenches(plan: Plan) -> Floats:
 
 def _us(table: PackedTable, wrenches: Floats) -> float:
     """Return the time of one answer, µs: the best of some runs."""
-    asked, times = [tuple(wrench) for wrench in wrenches.tolist()], []
+    queries, times = [tuple(wrench) for wrench in wrenches.tolist()], []
     for _ in range(RUNS):
         started = perf_counter()
-        for wrench in asked:
+        for wrench in queries:
             table.answer(wrench)
         times.append(perf_counter() - started)
-    return 1e6 * min(times) / len(asked)
+    return 1e6 * min(times) / len(queries)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bars.conformal import conformal_factor
+from ..error_law import conformal_factor
 from .rows import Floats, LoadRange, Rows
 
 RANK = 1e-9  # relative singular value below which the rows do not tell a load
@@ -25,8 +25,8 @@ class ComplianceFit:
     matrix : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
         A column is zero where the rows do not tell the load's influence.
     known : ndarray of bool, shape (6,)
-        Which loads' columns are told by the rows.
-    bar : ndarray, shape (6,), m and rad
+        Which loads' columns the rows determine.
+    error : ndarray, shape (6,), m and rad
         95 % error bar of `matrix @ wrench` on the rows.
     origin : str
         "stored" (mean of the rows' own compliances), "fitted" or "none".
@@ -34,7 +34,7 @@ class ComplianceFit:
 
     matrix: Floats
     known: NDArray[np.bool_]
-    bar: Floats
+    error: Floats
     origin: str
 
     @property
@@ -58,7 +58,7 @@ def fit_compliance(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compli
     moved = np.maximum(np.abs(rows.displacement).max(axis=0), np.abs(fit.matrix) @ full)
     kinds = np.repeat([moved[:3].max(), moved[3:].max()], 3)
     least = np.maximum(LEAST * kinds, SMALLEST)
-    return replace(fit, bar=np.maximum(fit.bar, least))
+    return replace(fit, error=np.maximum(fit.error, least))
 
 
 def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
@@ -68,7 +68,7 @@ def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
     fit = _from_rows(rows, load_range, linear=linear)
     if len(stored) and not fit.complete:
         matrix = np.where(fit.known, fit.matrix, stored.mean(axis=0))
-        return ComplianceFit(matrix, np.ones(6, dtype=bool), fit.bar, fit.origin)
+        return ComplianceFit(matrix, np.ones(6, dtype=bool), fit.error, fit.origin)
     return fit
 
 
@@ -86,17 +86,17 @@ def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compliance
         return ComplianceFit(np.zeros((6, 6)), np.zeros(6, dtype=bool), np.zeros(6), "none")
     _, sizes, directions = np.linalg.svd(scaled, full_matrices=False)
     spanned = directions[sizes > RANK * sizes[0]]
-    # A load is told if its unit vector lies in the span of the rows' wrenches.
+    # A load is determined if its unit vector lies in the span of the rows' wrenches.
     known = (spanned**2).sum(axis=0) > 1 - 1e-6
     columns, *_ = np.linalg.lstsq(scaled, rows.displacement, rcond=RANK)
     residual = rows.displacement - scaled @ columns
     matrix = np.where(known, columns.T / load_range.scale, 0.0)
     if linear:
-        return ComplianceFit(matrix, known, _fit_bar(rows, residual, len(spanned)), "fitted")
-    return ComplianceFit(matrix, known, _secant_bar(rows, scaled, residual), "fitted")
+        return ComplianceFit(matrix, known, _fit_error(rows, residual, len(spanned)), "fitted")
+    return ComplianceFit(matrix, known, _secant_error(rows, scaled, residual), "fitted")
 
 
-def _secant_bar(rows: Rows, scaled: Floats, residual: Floats) -> Floats:
+def _secant_error(rows: Rows, scaled: Floats, residual: Floats) -> Floats:
     """Return the error bar of the secant of a nonlinear table, (6,), m and rad.
 
     It holds 95 % of the rows, each predicted from the others (PRESS residuals: Allen 1974). A row
@@ -111,7 +111,7 @@ def _secant_bar(rows: Rows, scaled: Floats, residual: Floats) -> Floats:
     return conformal_factor(np.abs(missed), np.ones_like(missed)) + stored
 
 
-def _fit_bar(rows: Rows, residual: Floats, rank: int) -> Floats:
+def _fit_error(rows: Rows, residual: Floats, rank: int) -> Floats:
     """Return the error bar that the residual and the rows' own uncertainty leave.
 
     With as many rows as unknowns there is no residual to learn from. An FEA solve is repeatable

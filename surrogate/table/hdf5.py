@@ -1,6 +1,6 @@
 """Tables on disk: one HDF5 file each, replaced as a whole.
 
-A file is never changed in place. A new one is written beside it, synced, and put in its place by
+A file is never changed in place. A new one is written next to it, synced, and put in its place by
 one rename, so that a reader finds the old table or the new one and nothing between.
 
 The first 512 bytes, which HDF5 leaves to others as its user block, hold a digest of all the rest.
@@ -40,7 +40,7 @@ FORMAT = "wrenchbook table"
 # What an upload may unpack to. A row takes 450 bytes, so that this is two million rows; a
 # compressed file of a few bytes can declare any size.
 MOST_FOREIGN_BYTES = 1024 * 1024 * 1024
-MOST_CHUNK_BYTES = 64 * 1024 * 1024  # a chunk is unpacked as a whole, however little is asked of it
+MOST_CHUNK_BYTES = 64 * 1024 * 1024  # a chunk is unpacked as a whole, however little is read of it
 MOST_WORD_BYTES = 1024  # of a source or a fingerprint; each takes as much as the longest
 FOREIGN_PIECE = 20_000  # rows read at once
 
@@ -285,8 +285,8 @@ def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[st
             for start in range(0, count, FOREIGN_PIECE):
                 some = slice(start, start + FOREIGN_PIECE)
                 rows = _read_rows(file, some)
-                held = "rows/note" in file
-                notes = np.asarray(_dataset(file, "rows/note").asstr()[some]) if held else None
+                has_notes = "rows/note" in file
+                notes = np.asarray(_dataset(file, "rows/note").asstr()[some]) if has_notes else None
                 yield rows, [""] * len(rows) if notes is None else notes.tolist()
     except TableFileError:
         raise

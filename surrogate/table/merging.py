@@ -146,7 +146,9 @@ def _put_mean(into: Rows, place: int, merged: Rows) -> None:
     into.displacement[place] = merged.displacement.mean(axis=0)
     stored = np.nan_to_num(merged.uncertainty).max(axis=0)
     into.uncertainty[place] = np.maximum(np.ptp(merged.displacement, axis=0) / 2, stored)
-    told = np.isfinite(merged.compliance).all(axis=(1, 2))
-    into.compliance[place] = merged.compliance[told].mean(axis=0) if told.any() else np.nan
+    has_tangent = np.isfinite(merged.compliance).all(axis=(1, 2))
+    into.compliance[place] = (
+        merged.compliance[has_tangent].mean(axis=0) if has_tangent.any() else np.nan
+    )
     measured = merged.source != "fea"  # solves repeat exactly; a merged row does only if all do
     into.source[place] = merged.source[measured][0] if measured.any() else "fea"

@@ -43,7 +43,7 @@ class TableMeta:
         What becomes of rows that are clean for no axis.
     ledger : str
         Digest of the ledger's rows up to `last_seq`: a file that another ledger wrote, or this
-        one before it lost rows, is told by it.
+        one before it lost rows, is recognised by it.
     edits : tuple of (str, bool, float), or None
         The newest withdrawal or restoring of each row that had one: the row's content key in
         hexadecimal, whether it is withdrawn, when (seconds since the epoch). Withdrawn rows are
@@ -51,7 +51,7 @@ class TableMeta:
         copy. None if they were not known.
     solver_error : mapping or None
         What the solver of the rows may be wrong by, as `surrogate.solver_error` reads it; None if
-        nothing has told.
+        no solve has estimated it.
     locked : tuple of int
         Places, in `LOADS`, of the loads on locked freedoms: answers leave these loads out. The file
         has the names of the freedoms; a file of an older version has none, and no load is locked.

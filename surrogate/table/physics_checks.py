@@ -103,9 +103,9 @@ def _least(energies: Floats) -> tuple[Floats, Floats]:
 
 
 def _positive(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str, Any]:
-    told = np.flatnonzero(fit.known)
-    energies = _energies(fit.matrix, load_range)[np.ix_(told, told)]
-    least, most = _least(energies) if len(told) else (np.float64(0), np.float64(1))
+    known = np.flatnonzero(fit.known)
+    energies = _energies(fit.matrix, load_range)[np.ix_(known, known)]
+    least, most = _least(energies) if len(known) else (np.float64(0), np.float64(1))
     there = np.isfinite(rows.compliance).all(axis=(1, 2))
     wrong = np.zeros(len(rows), dtype=bool)
     low, high = _least(_energies(rows.compliance[there], load_range))
@@ -114,18 +114,18 @@ def _positive(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str
     return {
         "ok": bool(least >= -NEGATIVE * most and not wrong.any()),
         "smallest_over_largest_eigenvalue": float(least / most),
-        "loads_without_influence": [LOADS[load] for load in told[idle]],
+        "loads_without_influence": [LOADS[load] for load in known[idle]],
         "rows": _named(rows, wrong),
     }
 
 
 def _linear(rows: Rows, fit: ComplianceFit) -> dict[str, Any]:
     """Return how far the rows are from one 6x6, and name the farthest."""
-    told = ((rows.wrench == 0) | fit.known).all(axis=1)
-    if not told.any() or fit.origin == "none":
+    known = ((rows.wrench == 0) | fit.known).all(axis=1)
+    if not known.any() or fit.origin == "none":
         return {"ok": None, "reason": "the rows tell no compliance", "rows": []}
     missed = np.abs(rows.displacement - rows.wrench @ fit.matrix.T) / _sizes(rows)
-    missed = np.where(told[:, None], missed, 0.0)
+    missed = np.where(known[:, None], missed, 0.0)
     index = float(missed.max())
     farthest = np.argsort(-missed.max(axis=1))[:5]
     ok = index <= LINEAR
@@ -141,16 +141,16 @@ def _linear(rows: Rows, fit: ComplianceFit) -> dict[str, Any]:
 
 def _work(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
     """Check that loads do positive work, alone and on the way to the nearest other row."""
-    doubt = stored + NEGATIVE * _sizes(rows)
+    uncertainty = stored + NEGATIVE * _sizes(rows)
     work = (rows.wrench * rows.displacement).sum(axis=1)
-    wrong = work < -(np.abs(rows.wrench) * doubt).sum(axis=1)
+    wrong = work < -(np.abs(rows.wrench) * uncertainty).sum(axis=1)
     backward = 0
     pairs = _neighbours(rows, load_range)
     if len(pairs):
         first, second = pairs.T
         step = rows.wrench[second] - rows.wrench[first]
         gain = (step * (rows.displacement[second] - rows.displacement[first])).sum(axis=1)
-        back = gain < -(np.abs(step) * (doubt[first] + doubt[second])).sum(axis=1)
+        back = gain < -(np.abs(step) * (uncertainty[first] + uncertainty[second])).sum(axis=1)
         backward = int(back.sum())
         # The row that several pairs blame is the wrong one.
         blamed = np.bincount(pairs[back].reshape(-1), minlength=len(rows))

@@ -62,7 +62,7 @@ class LoadRange:
     def scale(self) -> Floats:
         """Half the width of each load's range, shape (6,), N and N·m.
 
-        A load held at one value is scaled by that value, one held at zero by 1: a scale is never
+        A load fixed at one value is scaled by that value, one fixed at zero by 1: a scale is never
         zero.
         """
         half = (self.high - self.low) / 2

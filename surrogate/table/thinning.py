@@ -70,6 +70,6 @@ def _outermost(points: Floats) -> NDArray[np.intp]:
 def _sphere() -> Floats:
     """Return directions spread evenly over the sphere, (DIRECTIONS, 3): Fibonacci's spiral."""
     height = 1 - (2 * np.arange(DIRECTIONS) + 1) / DIRECTIONS
-    turn = np.pi * (3 - np.sqrt(5)) * np.arange(DIRECTIONS)
+    angle = np.pi * (3 - np.sqrt(5)) * np.arange(DIRECTIONS)
     radius = np.sqrt(1 - height**2)
-    return np.column_stack((radius * np.cos(turn), radius * np.sin(turn), height))
+    return np.column_stack((radius * np.cos(angle), radius * np.sin(angle), height))

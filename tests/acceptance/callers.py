@@ -13,10 +13,10 @@ import numpy as np
 from tests.service.fmu.made import Opened, answers, judged, slopes
 from wrenchbook.service.client import Client, Displacement, Displacements, Table
 from wrenchbook.service.client.replies import COVERAGE, EXACT, ROUNDED
+from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.kernel import build as kernel_build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.replies import REPLY_SIZE, Reader, Reply
-from wrenchbook.surrogate.packed.codes import METHODS
 from wrenchbook.surrogate.packed.format import map_file
 
 Limit = tuple[float, float] | None

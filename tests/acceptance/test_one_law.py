@@ -36,9 +36,9 @@ from wrenchbook.service.client import Client, Scene, Table
 from wrenchbook.service.fmu.export import NotExportableError, find_compiler, make_fmu
 from wrenchbook.service.ops.backup import back_up
 from wrenchbook.service.ops.restore import restore
+from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.build import AnyTable
 from wrenchbook.surrogate.kernel.binding import PackedTable
-from wrenchbook.surrogate.packed.codes import METHODS
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.hdf5 import read_table

@@ -21,7 +21,7 @@ from tests.benchmarks.peers import SMT_MISSING, smt_kriging
 from tests.surrogate.law import build
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.solve import Solver
-from wrenchbook.surrogate.design.adaptive import next_wrenches
+from wrenchbook.surrogate.design import next_wrenches
 from wrenchbook.surrogate.surrogate import Surrogate
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 

@@ -41,7 +41,7 @@ def test_builds_are_ready_in_time(solves: int) -> None:
     scaling = scaling_of(inside, RANGE)
     equations = equations_of(inside, scaling)
     first = best(lambda: Kriging.build(rows, RANGE), 2)
-    estimate = best(lambda: estimated(equations, scaling, None, DEFAULTS), 1)
+    estimate = best(lambda: estimated(equations, scaling, DEFAULTS), 1)
     before = Kriging.build(rows.take(np.arange(len(rows) - 1)), RANGE)
     bordered = best(lambda: Kriging.build(rows, RANGE, before), 3)
     print(

@@ -11,7 +11,7 @@ import numpy as np
 from tests.surrogate.kriging.responses import Response, noisy_rows, solved, spread_wrenches
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, smooth, table
-from wrenchbook.surrogate.design.adaptive import next_wrenches
+from wrenchbook.surrogate.design import next_wrenches
 from wrenchbook.surrogate.surrogate import Surrogate
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 

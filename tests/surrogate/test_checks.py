@@ -7,7 +7,7 @@ import pytest
 
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.describe.gaps import axis_gaps
+from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.compliance import fit_compliance
 from wrenchbook.surrogate.table.conflicts import conflicts
 from wrenchbook.surrogate.table.physics_checks import check_physics

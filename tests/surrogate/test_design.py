@@ -3,14 +3,19 @@ import time
 import numpy as np
 import pytest
 
-import wrenchbook.surrogate.kriging.dense as dense
+import wrenchbook.surrogate.kriging.calibration as calibration
 from tests.surrogate.kriging.responses import solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, smooth, table
 from wrenchbook.surrogate.answer import allowed_by
-from wrenchbook.surrogate.design.adaptive import ENOUGH, next_wrenches
-from wrenchbook.surrogate.design.initial import CORNERS, Known, first_design, spread_wrenches
-from wrenchbook.surrogate.missing_outputs import MissingOutputs
+from wrenchbook.surrogate.design import (
+    CORNERS,
+    ENOUGH,
+    Known,
+    first_design,
+    next_wrenches,
+    spread_wrenches,
+)
 from wrenchbook.surrogate.surrogate import Surrogate
 from wrenchbook.surrogate.table.axes import clean_rows
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
@@ -194,7 +199,7 @@ def test_a_table_whose_rows_lack_outputs_is_filled_for_those_that_fewest_rows_ho
     moved[15:, 3:] = np.nan  # a rig that measured no rotations
     rows = Rows.of(scaled * HIGH, moved)
     partial = build(rows, RANGE)
-    assert isinstance(partial.table, MissingOutputs)
+    assert partial.rows.partial
     asked = next_wrenches(partial, 12).wrenches
     thin = next_wrenches(partial.thinnest, 12).wrenches
     np.testing.assert_array_equal(asked, thin)
@@ -204,7 +209,9 @@ def test_a_table_of_which_no_row_tells_an_error_covers_nothing_but_has_next_wren
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Its error bars were infinite, or no numbers, and so was what would be left of them."""
-    monkeypatch.setattr(dense, "_level", lambda *_: None)  # as rounding leaves it of a few rows
+    monkeypatch.setattr(
+        calibration, "_level", lambda *_: None
+    )  # as rounding leaves it of a few rows
     wrenches = spread_wrenches(RANGE, 20)
     surrogate = build(Rows.of(wrenches, wrenches * 1e-6, source=["fea"] * 20), RANGE)
     assert isinstance(surrogate.table, Surrogate)

@@ -27,7 +27,7 @@ from tests.surrogate.responses import (
     smooth,
     table,
 )
-from wrenchbook.surrogate.bars.conformal import conformal_factor
+from wrenchbook.surrogate.error_law import conformal_factor
 from wrenchbook.surrogate.packed.reasons import ERRORS_UNKNOWN
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 

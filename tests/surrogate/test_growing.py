@@ -17,8 +17,6 @@ from tests.surrogate.responses import (
     table,
 )
 from wrenchbook.surrogate.build import AnyTable
-from wrenchbook.surrogate.missing_outputs import MissingOutputs
-from wrenchbook.surrogate.surrogate import Surrogate
 from wrenchbook.surrogate.table import thinning
 from wrenchbook.surrogate.table.row_index import RowIndex
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
@@ -94,7 +92,7 @@ def test_tables_that_lack_outputs_grow_to_the_same_digits() -> None:
     moved[:20, 3:] = np.nan
     partial = Rows.of(rows.wrench, moved)
     before = build(partial, RANGE)
-    assert isinstance(before.table, MissingOutputs)
+    assert before.rows.partial
     grown = build(one_more(partial, [0.3, 0, 0, 0, 0.1, 0.2]), RANGE, before=before)
     asked = ASKED[0].tolist()
     fresh = build(one_more(partial, [0.3, 0, 0, 0, 0.1, 0.2]), RANGE)
@@ -105,17 +103,18 @@ def test_no_version_holds_the_one_before() -> None:
     rows = table(smooth, clean_wrenches(30, 1))
     before = build(rows, RANGE)
     after = build(one_more(rows, [0.3, 0, 0, 0, 0.1, 0.2]), RANGE, before=before)
-    assert isinstance(after.table, Surrogate)
     kept = [cut.table for cuts in after.composition.cuts for cut in cuts]
     assert all(one in after.composition.tables for one in kept)
-    assert all(value is not before for value in vars(after).values())
+    holders = after.table, after.thinnest
+    assert all(value is not before.table for one in holders for value in vars(one).values())
+    assert all(value is not before.thinnest for value in vars(after.thinnest).values())
 
 
 def test_a_table_too_large_for_one_factor_is_built_without_its_kriging() -> None:
     rows = table(smooth, np.concatenate((clean_wrenches(1000, 1), full_wrenches(25, 2))))
     surrogate = build(rows, RANGE)
     assert surrogate.default == "griddata"
-    assert "kriging" not in vars(surrogate)
+    assert "kriging" not in vars(surrogate.thinnest)
     assert surrogate.answer(ASKED[0].tolist(), method="kriging").method == "tangent"
 
 

@@ -27,7 +27,6 @@ from tests.surrogate.responses import (
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
 from wrenchbook.surrogate.interpolation.delaunay import Triangulation
 from wrenchbook.surrogate.kernel.packing import packed_of
-from wrenchbook.surrogate.missing_outputs import MissingOutputs
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 CLEAN = clean_wrenches(25, 1)
@@ -95,10 +94,10 @@ def test_full_wrenches_are_thin_on_tables_without_full_wrenches(method: str) -> 
 def test_twenty_full_wrenches_or_four_with_tangents_tell_what_axes_leave_out() -> None:
     for count, known in ((19, False), (20, True)):
         rows = table(coupled, np.concatenate((CLEAN, full_wrenches(count, 5))))
-        assert build(rows, RANGE).doubt.knows_interaction is known
+        assert build(rows, RANGE).evidence.knows_interaction is known
     for count, known in ((3, False), (4, True)):
         rows = with_slopes(coupled, np.concatenate((CLEAN, full_wrenches(count, 5))))
-        assert build(rows, RANGE).doubt.knows_interaction is known
+        assert build(rows, RANGE).evidence.knows_interaction is known
 
 
 def test_forty_full_wrenches_show_the_errors_of_most_full_wrenches() -> None:
@@ -152,7 +151,7 @@ def test_source_of_a_partly_measured_table_is_that_of_the_row_itself() -> None:
     moved[:20, 3:] = np.nan
     source = [f"rig {place}" for place in range(len(CLEAN))]
     surrogate = build(Rows.of(CLEAN * HIGH, moved, source=source), RANGE)
-    assert isinstance(surrogate.table, MissingOutputs)
+    assert surrogate.rows.partial
     for place in (0, 19, 20, 50):
         assert surrogate.source_of((CLEAN[place] * HIGH).tolist()) == f"rig {place}"
     assert surrogate.source_of([1.0] * 6) is None

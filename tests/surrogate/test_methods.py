@@ -18,7 +18,7 @@ from tests.surrogate.responses import (
 )
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
 from wrenchbook.surrogate.kriging import Kriging
-from wrenchbook.surrogate.methods.selection import CLEARLY, ENOUGH_FULL
+from wrenchbook.surrogate.methods import CLEARLY, ENOUGH_FULL
 from wrenchbook.surrogate.table.rows import Rows
 
 PLATE = shipped("plate_thin", 40, 60)

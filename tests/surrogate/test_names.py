@@ -7,7 +7,7 @@ import json
 from tests.surrogate.law import build
 from tests.surrogate.responses import RANGE, clean_wrenches, smooth, table
 from wrenchbook.service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
-from wrenchbook.surrogate.describe.gaps import axis_gaps
+from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.physics_checks import check_physics
 from wrenchbook.surrogate.table.rows import LOADS, OUTPUTS
 

@@ -75,7 +75,7 @@ def told_by_tangents(rows):
 def test_with_the_tangent_the_meshs_share_is_that_of_each_answer():
     rows = column([0.0, 0.5, 0.8])
     lacking = column([0.0, 0.5, 0.8], stiffer=-SHORT).displacement - rows.displacement
-    assert SolverError(SOFT).grown(rows).asks_tangent
+    assert SolverError(SOFT).grown(rows).needs_tangent
     np.testing.assert_allclose(told_by_tangents(rows), np.abs(lacking), rtol=0.05, atol=1e-12)
 
 
@@ -90,7 +90,7 @@ def test_where_no_tangent_is_known_the_square_of_the_load_stands_for_it():
 
 def test_whole_bars_are_the_same_one_by_one_and_in_a_batch_and_hold_the_mesh():
     table = softening_table()
-    assert table.solver_error.asks_tangent
+    assert table.solver_error.needs_tangent
     asked = column([0.05, 0.33, 0.62, 0.8]).wrench
     found = table.batch(asked)
     many, share = whole_bars(table, asked, found), []
@@ -158,11 +158,11 @@ def test_rows_beyond_a_range_that_is_not_symmetric_tell_of_no_growth():
 def test_growth_told_twice_is_the_same_and_goes_with_the_table_file(tmp_path):
     rows, span = column([0.3, 0.8]), LoadRange(-np.ones(6), np.ones(6))
     error = SolverError(SOFT).grown(rows)
-    assert error.grown(rows).told == error.told
-    write_table(tmp_path / "c.h5", rows, TableMeta("c", 3, span, solver_error=error.told))
+    assert error.grown(rows).values == error.values
+    write_table(tmp_path / "c.h5", rows, TableMeta("c", 3, span, solver_error=error.values))
     back, meta = read_table(tmp_path / "c.h5")
     table = build(back, span, solver_error=SolverError.read(meta.solver_error))
-    assert table.solver_error.told == error.told
+    assert table.solver_error.values == error.values
 
 
 def test_a_table_file_carries_it_and_a_table_keeps_its_own_bars(tmp_path):

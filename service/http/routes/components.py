@@ -185,7 +185,7 @@ def _warnings(
     limit = component.tolerance
     if error is None or limit is None:
         return checked
-    now = over_tolerance(error.told, limit.translation, limit.rotation)
+    now = over_tolerance(error.values, limit.translation, limit.rotation)
     return [
         *(one for one in checked if one["where"] != WHERE),
         *({"where": one.where, "message": one.message} for one in now),
@@ -204,7 +204,7 @@ def _solver_error(component: Component, error: SolverError | None) -> dict[str, 
     if error is None:
         return {"mesh": None, "mesh_basis": UNKNOWN}
     words = ("mesh_basis", "linearity_basis", "buckling")
-    said = {name: error.told[name] for name in words if name in error.told}
+    said = {name: error.values[name] for name in words if name in error.values}
     return {**error.at_full_range(), **said}
 
 

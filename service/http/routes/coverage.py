@@ -13,7 +13,7 @@ from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.schemas import Compliance
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.describe.gaps import axis_gaps
+from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.physics_checks import check_physics
 from wrenchbook.surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
 
@@ -59,7 +59,7 @@ def _compliance(name: str, table: ServedTable) -> Response:
         "origin": fit.origin,
         "matrix": fit.matrix.tolist(),
         "known_loads": [load for load, known in zip(LOADS, fit.known, strict=True) if known],
-        "error": fit.bar.tolist(),
+        "error": fit.error.tolist(),
         "rows": [f"{name} [{unit}]" for name, unit in zip(OUTPUTS, OUTPUT_UNITS, strict=True)],
         "columns": [f"{name} [{unit}]" for name, unit in zip(LOADS, LOAD_UNITS, strict=True)],
         **check_physics(table.rows, table.load_range, fit),

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from tests.surrogate.kernel.kinds import KINDS, asked_of, packed_of, special_of, table_of
-from wrenchbook.surrogate.answer import UnknownMethodError
+from wrenchbook.surrogate.answer import ANSWERED, METHODS, NAMES, UnknownMethodError
 from wrenchbook.surrogate.kernel import build as kernel_build
 from wrenchbook.surrogate.kernel import library
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.replies import InverseError
-from wrenchbook.surrogate.packed.codes import ANSWERED, COVERAGE, METHODS
 from wrenchbook.surrogate.packed.writer import write
 
 README = Path(__file__).parents[3] / "README.md"
@@ -44,7 +43,7 @@ def test_a_batch_has_the_bits_of_single_answers(kind):
             error = [np.nan if x is None else x for x in reply.error or (None,) * 6]
             np.testing.assert_array_equal(found.outputs[place], outputs)
             np.testing.assert_array_equal(found.errors[place], error)
-            assert COVERAGE[found.coverage[place]] == reply.coverage
+            assert NAMES[found.coverage[place]] == reply.coverage
 
 
 @pytest.mark.parametrize("kind", ["clean", "solved", "partial", "clean and full"])
@@ -216,7 +215,7 @@ def test_codes_are_those_of_the_header():
     header = (kernel_build.FOLDER / "wrenchbook.h").read_text()
     for number, name in enumerate(METHODS):
         assert f"WB_{name.upper()} = {number}," in header
-    for number, name in enumerate(COVERAGE):
+    for number, name in enumerate(NAMES):
         assert f"WB_{name.upper()} = {number}" in header
     assert f"WB_ROW = {ANSWERED.index('row')}" in header
     assert f"WB_ESTIMATE = {ANSWERED.index('estimate')}" in header

@@ -34,11 +34,9 @@ from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
 from tests.surrogate.law.derivative import derivatives_at
 from tests.surrogate.responses import full_wrenches
-from wrenchbook.surrogate.answer import within_tolerance_many
+from wrenchbook.surrogate.answer import METHODS, within_tolerance_many
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.explain import explain
-from wrenchbook.surrogate.missing_outputs import MissingOutputs
-from wrenchbook.surrogate.packed.codes import METHODS
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.table.rows import OUTPUTS, Rows, Tolerance
 
@@ -211,7 +209,7 @@ def test_the_detail_of_an_answer_is_that_of_the_numpy_law(kind):
 
 def test_a_table_of_partial_outputs_names_those_that_no_row_holds():
     table, packed = table_of("partial"), packed_of("partial")
-    assert isinstance(table.table, MissingOutputs)
+    assert table.rows.partial
     found = packed.answer([1.0] * 6)
     assert found.missing == ("ry",)
     assert found.outputs[OUTPUTS.index("ry")] is None

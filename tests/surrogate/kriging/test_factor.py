@@ -1,4 +1,4 @@
-"""Interpolation at rows, rows left out against refitting, bordering against factorising anew."""
+"""Interpolation at rows, and rows left out against refitting without them."""
 
 import numpy as np
 import pytest
@@ -8,9 +8,8 @@ from tests.surrogate.responses import RANGE
 from wrenchbook.surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms
 from wrenchbook.surrogate.kriging.equations import Equations, equations_of, scaling_of, within
 from wrenchbook.surrogate.kriging.factor import (
-    Factor,
+    KrigingFactor,
     SingularCovarianceError,
-    border,
     diagonal_added,
     factorise,
     inverse_factor,
@@ -30,12 +29,12 @@ def _equations(per_axis: int, full: int, measured: bool = False) -> Equations:
     return equations_of(inside, scaling_of(inside, RANGE))
 
 
-def _factor(equations: Equations, rows: np.ndarray) -> Factor:
+def _factor(equations: Equations, rows: np.ndarray) -> KrigingFactor:
     noise = equations.noise[rows, 0]
     return factorise(equations, HELD, OUTPUTS, rows, noise, SETTINGS)
 
 
-def _answer(equations: Equations, factor: Factor, row: int) -> tuple[np.ndarray, float]:
+def _answer(equations: Equations, factor: KrigingFactor, row: int) -> tuple[np.ndarray, float]:
     """Return value and variance over the process variance at a row, mean's doubt included."""
     own, here = equations.take(factor.rows), equations.take(np.array([row]))
     value = np.zeros((1, 7), dtype=bool)
@@ -68,7 +67,7 @@ def test_left_out_groups_equal_refitting_without_them(measured: bool, size: int)
     for row in every[::3]:
         without = _factor(equations, every[labels != labels[row]])
         value, _ = _answer(equations, without, row)
-        np.testing.assert_allclose(told.errors[row], equations.told[row, 0] - value, atol=1e-8)
+        np.testing.assert_allclose(told.errors[row], equations.data[row, 0] - value, atol=1e-8)
         np.testing.assert_allclose(
             told.mean_covariances[row], without.mean_covariance, rtol=1e-6, atol=1e-8
         )
@@ -85,26 +84,7 @@ def test_left_out_rows_with_the_mean_kept_equal_refitting_about_it() -> None:
         rest = np.delete(every, row)
         without = factorise(equations, HELD, OUTPUTS, rest, np.zeros(len(rest)), settings)
         value, _ = _answer(equations, without, row)
-        np.testing.assert_allclose(told.errors[row], equations.told[row, 0] - value, atol=1e-8)
-
-
-@pytest.mark.parametrize("more", [1, 3])
-def test_bordering_equals_factorising_anew(more: int) -> None:
-    equations = _equations(4, 12)
-    every = np.arange(len(equations))
-    old, new = every[:-more], every[-more:]
-    bordered = border(
-        _factor(equations, old), equations, HELD, new, equations.noise[new, 0], SETTINGS
-    )
-    anew = _factor(equations, every)
-    np.testing.assert_array_equal(bordered.rows, anew.rows)
-    size = np.abs(anew.T).max()
-    np.testing.assert_allclose(bordered.T / size, anew.T / size, atol=1e-10)
-    np.testing.assert_allclose(bordered.coefficients, anew.coefficients, atol=1e-9)
-    place = equations.take(np.array([2]))
-    place.x[:] = 0.31
-    both = [_answer(equations.plus(place), one, len(equations))[0] for one in (bordered, anew)]
-    np.testing.assert_allclose(both[0], both[1], atol=1e-10)
+        np.testing.assert_allclose(told.errors[row], equations.data[row, 0] - value, atol=1e-8)
 
 
 def test_a_singular_covariance_takes_a_larger_nugget_and_says_so() -> None:

@@ -101,34 +101,6 @@ def test_a_pickled_kriging_answers_the_same(kriging: Kriging) -> None:
     np.testing.assert_array_equal(again.answer_many(ASKED)[1], kriging.answer_many(ASKED)[1])
 
 
-def test_a_new_row_borders_the_factor_and_keeps_the_hyperparameters(kriging: Kriging) -> None:
-    more = ROWS + solved(COUPLED, full_wrenches(2, 77))
-    later = Kriging.build(more, RANGE, previous=kriging)
-    assert later.hyperparameters is kriging.hyperparameters
-    assert isinstance(kriging.inside, Dense)
-    assert isinstance(later.inside, Dense)
-    count = len(kriging.inside.shares[0].factor.T)
-    corner = later.inside.shares[0].factor.T[:count, :count]
-    np.testing.assert_array_equal(corner, kriging.inside.shares[0].factor.T)
-    displacement, _ = later.answer_many(more.wrench[-2:])
-    assert (np.abs(displacement - more.displacement[-2:]) / _size(ROWS)).max() < 1e-5
-
-
-def test_a_table_grown_by_a_quarter_estimates_anew(kriging: Kriging) -> None:
-    more = ROWS + solved(COUPLED, full_wrenches(8, 78))
-    later = Kriging.build(more, RANGE, previous=kriging)
-    assert later.hyperparameters is not kriging.hyperparameters
-    assert later.estimated_rows == len(more)
-
-
-def test_an_invalidated_row_is_forgotten(kriging: Kriging) -> None:
-    later = Kriging.build(ROWS.take(np.arange(len(ROWS) - 1)), RANGE, previous=kriging)
-    assert isinstance(later.inside, Dense)
-    assert len(later.inside.equations) == len(ROWS) - 1
-    _, bar = later.answer_many(ROWS.wrench[-1:])
-    assert (bar > kriging.answer_many(ROWS.wrench[-1:])[1]).all()
-
-
 def test_rows_outside_the_load_range_take_no_part(kriging: Kriging) -> None:
     far = Rows.of(ROWS.wrench[:2] * 25, np.ones((2, 6)))
     told = Kriging.build(ROWS + far, RANGE).answer_many(ASKED)[0]

@@ -7,10 +7,10 @@ from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spr
 from tests.surrogate.responses import RANGE, table
 from wrenchbook.surrogate.kriging.correlation import Hyperparameters
 from wrenchbook.surrogate.kriging.equations import Equations, equations_of, scaling_of, within
+from wrenchbook.surrogate.kriging.estimate import spread_rows
+from wrenchbook.surrogate.kriging.factor import Share, shares_of
 from wrenchbook.surrogate.kriging.likelihood import maximise, negative_log_likelihood
 from wrenchbook.surrogate.kriging.settings import KrigingSettings
-from wrenchbook.surrogate.kriging.shares import Share, shares_of
-from wrenchbook.surrogate.kriging.spread_rows import spread_rows
 from wrenchbook.surrogate.table.rows import Rows
 
 PLACE = np.array([-0.5, 0.2, 0.1, -0.3, 0.4, 0.0, -0.7])

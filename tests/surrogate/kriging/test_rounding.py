@@ -27,7 +27,7 @@ def _asked(kriging: Kriging) -> np.ndarray:
 
 def test_weights_that_are_huge_are_told_by_the_floor_of_the_bars(gentle: Kriging) -> None:
     assert np.abs(gentle.inside.weights).sum() > 1e7
-    assert gentle.inside.rounding.max() > 10 * gentle.settings.bar_floor
+    assert gentle.inside.rounding.max() > 10 * gentle.settings.error_floor
 
 
 def test_the_nugget_keeps_rounding_below_a_thousandth_of_every_bar(gentle: Kriging) -> None:

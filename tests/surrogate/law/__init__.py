@@ -57,7 +57,7 @@ class Law:
     def __getattr__(self, name: str) -> Any:
         if name == "table":  # while a copy or a pickle is made
             raise AttributeError(name)
-        return getattr(self.table, name)
+        return getattr(self.table if hasattr(self.table, name) else self.table.thinnest, name)
 
     def answer(
         self,
@@ -192,7 +192,7 @@ class GroupLaw:
     def __init__(self, table: Surrogate) -> None:
         self.table = table
         self.by_row = RowLaw(table.exact, table.load_range, table.locked)
-        self.doubts = DoubtLaw(table.doubt, table.load_range)
+        self.doubts = DoubtLaw(table.evidence, table.load_range)
         self._made: dict[str, Method] = {}
 
     def __getattr__(self, name: str) -> Any:

@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from wrenchbook.surrogate.doubt import Doubt
-from wrenchbook.surrogate.methods.selection import ENOUGH_FULL
+from wrenchbook.surrogate.methods import ENOUGH_FULL
 from wrenchbook.surrogate.packed.reasons import UNKNOWN_AT_REST, UNKNOWN_TOGETHER
+from wrenchbook.surrogate.surrogate import Evidence
 from wrenchbook.surrogate.table.axes import AXES, clean_wrenches
 from wrenchbook.surrogate.table.rows import CLEAN, Floats, LoadRange
 
@@ -19,13 +19,13 @@ Mask = np.ndarray
 class DoubtLaw:
     """What a table's rows do not show, at wrenches."""
 
-    def __init__(self, doubt: Doubt, load_range: LoadRange) -> None:
-        self._doubt, self._range = doubt, load_range
+    def __init__(self, evidence: Evidence, load_range: LoadRange) -> None:
+        self._evidence, self._range = evidence, load_range
 
     @cached_property
     def none(self) -> bool:
         """Whether no wrench is doubtful, whatever it loads."""
-        return self._doubt.knows_interaction and not self._doubt.rest_unknown
+        return self._evidence.knows_interaction and not self._evidence.rest_unknown
 
     def of_many(self, asked: Floats) -> tuple[Mask, Mask]:
         """Return which wrenches (n, 6), N and N·m, are in doubt, and which at rest, (n,).
@@ -34,9 +34,9 @@ class DoubtLaw:
         """
         together = np.zeros(len(asked), dtype=bool)
         at_rest = np.zeros(len(asked), dtype=bool)
-        if not self._doubt.knows_interaction:
+        if not self._evidence.knows_interaction:
             together |= np.asarray(~clean_wrenches(asked, self._range).any(axis=1))
-        if self._doubt.rest_unknown:
+        if self._evidence.rest_unknown:
             at_rest = np.asarray((np.abs(asked) <= self._least).all(axis=1))
         return together, at_rest
 
@@ -46,13 +46,13 @@ class DoubtLaw:
         As `of_many`, without arrays.
         """
         loaded = {load for load in range(6) if abs(wrench[load]) > self._least[load]}
-        if not loaded and self._doubt.rest_unknown:
+        if not loaded and self._evidence.rest_unknown:
             return UNKNOWN_AT_REST
-        if self._doubt.knows_interaction or any(loaded.issubset(axis.inputs) for axis in AXES):
+        if self._evidence.knows_interaction or any(loaded.issubset(axis.inputs) for axis in AXES):
             return ""
-        tangents = " and no tangents" if self._doubt.needed == ENOUGH_FULL else ""
+        tangents = " and no tangents" if self._evidence.needed == ENOUGH_FULL else ""
         return UNKNOWN_TOGETHER.format(
-            full=self._doubt.full_wrenches, tangents=tangents, needed=self._doubt.needed
+            full=self._evidence.full_wrenches, tangents=tangents, needed=self._evidence.needed
         )
 
     @cached_property

@@ -10,12 +10,12 @@ import numpy as np
 from tests.surrogate.law.answer import Answer, over_tolerance
 from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE, THIN, allowed_by
 from wrenchbook.surrogate.composition.axis_table import SOUND
-from wrenchbook.surrogate.composition.composition import OFF_HULL, Composition, Look
+from wrenchbook.surrogate.composition.composition import OFF_HULL, Composition
 from wrenchbook.surrogate.table.axes import AXES, Axis
 from wrenchbook.surrogate.table.compliance import ComplianceFit
 from wrenchbook.surrogate.table.rows import LOADS, OUTPUTS, Floats, Rows, Tolerance
 
-from .reasons import why_axis
+from .reasons import Look, look, why_axis
 
 
 def explain_axes(
@@ -74,8 +74,8 @@ def _axis(
     worst: int,
     tolerance: Tolerance | None,
 ) -> dict[str, Any]:
-    axis, look = AXES[index], composition.look(index, wrench)
-    bars = look.found.rest[0]
+    axis, seen = AXES[index], look(composition, index, wrench)
+    bars = seen.found.rest[0]
     state = OUTSIDE if worst >= OFF_HULL else THIN if worst > SOUND else COVERED
     reason = why_axis(composition, index, wrench) if state != COVERED else ""
     if tolerance is not None and state == COVERED:
@@ -83,10 +83,10 @@ def _axis(
         over = over_tolerance(own.tolist(), allowed_by(tolerance))
         state, reason = (THIN, f"axis {axis.name}: {over}") if over else (state, "")
     told = bars if np.isfinite(bars[list(axis.outputs)]).all() else None
-    return _part(axis, wrench, look.found.additive[0], told) | {
+    return _part(axis, wrench, seen.found.additive[0], told) | {
         "coverage": NAMES[state],
         "reason": reason,
-        "rows": _rows_of(look, members),
+        "rows": _rows_of(seen, members),
     }
 
 

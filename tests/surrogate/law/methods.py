@@ -126,7 +126,9 @@ class StraightDirection(Method):
     def estimate(self, wrenches: Floats) -> Estimates:
         """Answer wrenches, shape (n, 6), N and N·m."""
         composed = self.composition.evaluate(wrenches)
-        displacement = composed.of(self.name)
+        displacement = composed.additive if self.name == "additive" else composed.griddata
+        if self.name == "tangent":
+            displacement = composed.griddata + composed.bend
         best, error = self.reference.against(wrenches, composed)
         error = np.abs(displacement - best) + error
         off = (composed.state >= OFF_HULL)[:, None]
@@ -205,7 +207,7 @@ class Linear(Method):
         """Answer wrenches, shape (n, 6), N and N·m."""
         displacement = wrenches @ self.fit.matrix.T
         # Rounding is that of the sum's parts, which may cancel.
-        error = self.fit.bar + ROUNDING * np.abs(wrenches) @ np.abs(self.fit.matrix).T
+        error = self.fit.error + ROUNDING * np.abs(wrenches) @ np.abs(self.fit.matrix).T
         if self.reference is not None:
             best, bars = self.reference.estimate(wrenches)
             error = np.maximum(error, np.abs(displacement - best) + bars)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from wrenchbook.surrogate.bars.error_law import FEWEST
+from typing import NamedTuple
+
+import numpy as np
+
 from wrenchbook.surrogate.composition.axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
-from wrenchbook.surrogate.composition.composition import NO_ROWS, OFF_HULL, Composition
+from wrenchbook.surrogate.composition.composition import NO_ROWS, OFF_HULL, Composed, Composition
 from wrenchbook.surrogate.composition.pure_moment import ON_HULL
+from wrenchbook.surrogate.error_law import FEWEST
 from wrenchbook.surrogate.table.axes import AXES, Axis
-from wrenchbook.surrogate.table.rows import LOAD_UNITS, LOADS, Floats
+from wrenchbook.surrogate.table.rows import CLEAN, LOAD_UNITS, LOADS, Floats
 
 
 def why_not(composition: Composition, wrench: Floats) -> str:
@@ -24,14 +28,39 @@ def why_not(composition: Composition, wrench: Floats) -> str:
     return "; ".join(dict.fromkeys(reason for reason in reasons if reason))
 
 
+class Look(NamedTuple):
+    """One axis' answer, and the table and the simplex it was read from, if there are any."""
+
+    found: Composed
+    table: AxisTable | None
+    simplex: int | None
+
+
+def look(composition: Composition, index: int, wrench: Floats) -> Look:
+    """Return the answer of one axis to its three loads of a wrench (6,), N and N·m, alone."""
+    axis = AXES[index]
+    loads = np.where(np.isin(np.arange(6), axis.inputs), wrench, 0.0)[None]
+    found = composition.evaluate(loads)
+    loaded = np.flatnonzero(np.abs(loads[0]) > CLEAN * composition.scale)
+    table = composition.tables[index]
+    if len(loaded) == 1 and loaded[0] >= 3:
+        cuts = composition.cuts[loaded[0] - 3]
+        states = [cut.read(loads[0, loaded]).state[0] for cut in cuts]
+        table = cuts[int(np.argmin(states))].table if cuts else None
+    if table is None or not len(loaded):
+        return Look(found, table, None)
+    x = loads[:, list(table.axis.inputs)] / table.scale
+    return Look(found, table, int(table.read(x).simplices[0]))
+
+
 def why_axis(composition: Composition, index: int, wrench: Floats) -> str:
     """Return why one axis does not cover its part of a wrench (6,), N and N·m; empty if it does."""
-    axis, look = AXES[index], composition.look(index, wrench)
-    state = int(look.found.states[0, index])
+    axis, seen = AXES[index], look(composition, index, wrench)
+    state = int(seen.found.states[0, index])
     if state in (OFF_HULL, NO_ROWS):
         return _why_outside(axis, composition.tables[index], wrench)
-    if look.table is not None and look.simplex is not None and state > SOUND:
-        return why_weak(look.table, look.simplex)
+    if seen.table is not None and seen.simplex is not None and state > SOUND:
+        return why_weak(seen.table, seen.simplex)
     if composition.evaluate(wrench[None]).states[0, index] >= OFF_HULL:
         return (
             f"axis {axis.name}: {_amount(axis.inputs[1], wrench)} alone, from which the "

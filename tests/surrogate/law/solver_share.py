@@ -57,7 +57,7 @@ def parts(
     """Return `SolverError.parts` at a wrench whose displacement and tangent are known."""
     state = (None if one is None else one[None] for one in (moved, tangent))
     small, more = (share[0] for share in shares(own, np.array([wrench], dtype=float), *state))
-    if "linearity" not in own.told:
+    if "linearity" not in own.values:
         return {"mesh": None if own.mesh is None else (small + more).tolist()}
     return own.parts(wrench)
 

@@ -56,7 +56,7 @@ def solved(
             bars = part.exact.uncertainty[part.exact.owner[place]]
         elif told == "linear" and table.linear and part.fit.complete:
             most = np.abs(part.fit.matrix) @ table.load_range.scale
-            bars = np.where(part.fit.bar <= ROUNDING * most, 0.0, part.fit.bar)
+            bars = np.where(part.fit.error <= ROUNDING * most, 0.0, part.fit.error)
         for output in outputs:
             found[output] = bool(bars[output] == 0.0)
     return found
@@ -99,7 +99,7 @@ def _widened(
     if error is None:
         return found.error
     tangents, wrenches = None, acting(wrenches, table.locked)
-    if error.asks_tangent:
+    if error.needs_tangent:
         tangents = derivatives_at(table, wrenches, tolerance, method)
     elif (
         error.stiffness is not None
@@ -123,7 +123,7 @@ def _state(
     assert error is not None
     if error.stiffness is None or answer.displacement is None:
         return None, None
-    if not (error.asks_tangent or (by_row and table.load_range.exceeded([wrench]).any())):
+    if not (error.needs_tangent or (by_row and table.load_range.exceeded([wrench]).any())):
         return None, None
     moved = np.array(answer.displacement, dtype=float)
     return moved, derivative_at(table, wrench, method, by_row=by_row)

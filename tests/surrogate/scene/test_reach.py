@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wrenchbook.surrogate.scene.reach import nearest_anywhere
+from wrenchbook.surrogate.scene.cut import nearest_anywhere
 
 
 @settings(max_examples=30)

@@ -1,18 +1,20 @@
-"""Which method answers where nobody asks for one, and why."""
+"""The default method of a table, chosen by errors at rows left out."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..composition.composition import Composition
-from ..kriging import Kriging
-from ..table.axes import AXES, Axis, clean_rows, count_full
-from ..table.compliance import ComplianceFit
-from ..table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
-from .left_out import AxesErrors, axes_errors
+from .composition.axis_table import AxisTable
+from .composition.composition import Composition
+from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
+from .table.axes import AXES, Axis, clean_rows, count_full
+from .table.compliance import ComplianceFit
+from .table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
 
 CLEARLY = 0.8  # of the axes' error: a kriging that is no better than that is not worth its cost
 EXACT = 1e-9  # of the range: a kriging that errs by rounding alone needs no smaller error
@@ -22,16 +24,70 @@ ENOUGH_FULL = 20  # full wrenches that show what loads of several axes do togeth
 # errors on five made-up responses; without any, from clean rows alone, 22 to 100 % (a product of
 # three forces is zero, and so are its slopes, wherever one axis is loaded).
 ENOUGH_WITH_TANGENTS = 4
-NOT_TOLD = (
+INTERACTION_UNKNOWN = (
     f"no tangents and fewer than {ENOUGH_FULL} full wrenches: kriging would not know what loads of "
     "several axes do together"
 )
 LEFT_OUT = 0.95  # quantile of what griddata leaves out: as its error bars hold
 ROUNDING = 1e-12  # of the largest translation: what moves less does not move
 
+MOST_INTERACTION = 200  # full wrenches that tell what the axes miss: one quick factor
+
+MOST = 6000  # rows composed for this: three times what one axis leaves out
+
+
+class AxesErrors(NamedTuple):
+    """Errors (k, 6), m and rad, of two methods at k rows."""
+
+    griddata: Floats
+    additive: Floats
+
+
+def axes_errors(rows: Rows, composition: Composition) -> AxesErrors:
+    """Return the errors at the rows that each axis they belong to was triangulated without.
+
+    Composition is linear in what the axes answer: an answer without a row differs from that with
+    it by what its axes then miss at it. A full wrench that is no axis' own is in no answer anyway.
+    """
+    deviation, used, left = np.zeros((3, len(rows), 6)), *np.zeros((2, 3, len(rows)), dtype=bool)
+    for index, table in enumerate(composition.tables):
+        if table is not None:
+            _put_deviations(table, deviation[index], used[index], left[index])
+    known = np.flatnonzero((left | ~used).all(axis=0))
+    if len(known) > MOST:
+        known = known[np.linspace(0, len(known) - 1, MOST).astype(np.intp)]
+    some, deviation, used = rows.take(known), deviation[:, known], used[:, known]
+    composed = composition.evaluate(some.wrench)
+    clean = np.zeros(len(rows), dtype=bool)
+    for table in composition.tables:
+        if table is not None:
+            clean[[group[0] for group in table.rows.members]] |= table.rows.clean
+    # A moment alone belongs to two axes, and both answer it once together.
+    often = np.where(clean[known], 1.0 / np.maximum(used.sum(axis=0), 1), 1.0)
+    additive = composed.additive - some.displacement + often[:, None] * deviation.sum(axis=0)
+    griddata = additive.copy()
+    for index, axis in enumerate(AXES):
+        own = axis.outputs[0]
+        griddata[:, own] = composed.griddata[:, own] - some.displacement[:, own]
+        griddata[:, own] += deviation[index, :, own]
+    return AxesErrors(griddata, additive)
+
+
+def _put_deviations(
+    table: AxisTable, deviation: Floats, used: NDArray[np.bool_], left: NDArray[np.bool_]
+) -> None:
+    """Fill, of all rows, what an axis misses them by, (n, 6), and which are its points, (n,)."""
+    for group in table.rows.members:
+        used[list(group)] = True
+    if table.others is not None:  # they are no points of the axis: its answers miss them anyway
+        return
+    for place, error in zip(table.left_out.places.tolist(), table.left_out.errors, strict=True):
+        group = list(table.rows.members[place])
+        deviation[group], left[group] = error, True
+
 
 @dataclass(frozen=True)
-class Choice:
+class MethodChoice:
     """The default method of a table.
 
     Attributes
@@ -54,8 +110,8 @@ def full_needed(rows: Rows) -> int:
     Fewer where rows bring tangents: twenty of them, or half the rows of a smaller table.
     """
     tangents = int(np.isfinite(rows.compliance).all(axis=(1, 2)).sum())
-    told = tangents >= min(ENOUGH_FULL, max(len(rows) / 2, 1))
-    return ENOUGH_WITH_TANGENTS if told else ENOUGH_FULL
+    enough = tangents >= min(ENOUGH_FULL, max(len(rows) / 2, 1))
+    return ENOUGH_WITH_TANGENTS if enough else ENOUGH_FULL
 
 
 def knows_interaction(rows: Rows, load_range: LoadRange) -> bool:
@@ -65,13 +121,13 @@ def knows_interaction(rows: Rows, load_range: LoadRange) -> bool:
 
 def linear_choice(
     rows: Rows, load_range: LoadRange, fit: ComplianceFit, composition: Composition | None
-) -> Choice:
+) -> MethodChoice:
     """Return the default of a linear component, by what of its compliance is known."""
     if fit.complete or composition is None:
-        return Choice("linear", "the component is linear: its compliance is exact", {})
+        return MethodChoice("linear", "the component is linear: its compliance is exact", {})
     method, why = _of_the_axes(rows, load_range, composition, axes_errors(rows, composition))
     reason = "the component is linear, but its compliance is not known in all loads yet"
-    return Choice(method, f"{reason}; {why}", {})
+    return MethodChoice(method, f"{reason}; {why}", {})
 
 
 def choose(
@@ -79,7 +135,7 @@ def choose(
     load_range: LoadRange,
     composition: Composition,
     kriging: Callable[[], Kriging | None],
-) -> Choice:
+) -> MethodChoice:
     """Return the default of a nonlinear component's rows inside the load range.
 
     Parameters
@@ -91,28 +147,30 @@ def choose(
     method, why = _of_the_axes(rows, load_range, composition, errors)
     if _interaction_untold(rows, load_range):
         scores = _scores(errors, np.ptp(rows.displacement, axis=0))
-        return Choice(method, f"{NOT_TOLD}; {why}", scores)
+        return MethodChoice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
     made = kriging()
     if made is None:
-        return Choice(method, f"there are too few rows for kriging; {why}", {})
+        return MethodChoice(method, f"there are too few rows for kriging; {why}", {})
     left = made.left_out()
     size = np.where(made.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
     axes = _scores(errors, size)
     scores = {"kriging": _score(left, size)} | axes
     if not axes:
-        return Choice("kriging", "the axes have too few rows to leave one out", scores)
+        return MethodChoice("kriging", "the axes have too few rows to leave one out", scores)
     if made.knows_errors and not _axes_tell_errors(composition):
-        return Choice("kriging", "the axes have too few rows to tell the error of answers", scores)
+        return MethodChoice(
+            "kriging", "the axes have too few rows to tell the error of answers", scores
+        )
     best = min(axes, key=lambda name: axes[name])
-    told = f"{scores['kriging']:.2g} of the range against {best}'s {axes[best]:.2g}"
+    compared = f"{scores['kriging']:.2g} of the range against {best}'s {axes[best]:.2g}"
     if not scores["kriging"] < max(CLEARLY * axes[best], EXACT):
-        return Choice(method, f"kriging errs at left-out rows by {told}; {why}", scores)
-    return Choice("kriging", f"its error at left-out rows is {told}", scores)
+        return MethodChoice(method, f"kriging errs at left-out rows by {compared}; {why}", scores)
+    return MethodChoice("kriging", f"its error at left-out rows is {compared}", scores)
 
 
 def without_kriging(
     rows: Rows, load_range: LoadRange, composition: Composition, detail: str
-) -> Choice:
+) -> MethodChoice:
     """Return the default of rows that one factor does not hold.
 
     Parameters
@@ -124,9 +182,9 @@ def without_kriging(
     method, why = _of_the_axes(rows, load_range, composition, errors)
     scores = _scores(errors, np.ptp(rows.displacement, axis=0))
     if _interaction_untold(rows, load_range):
-        return Choice(method, f"{NOT_TOLD}; {why}", scores)
+        return MethodChoice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
     reason = "kriging by nearest rows takes milliseconds an answer; ask for it by name"
-    return Choice(method, f"{detail}: {reason}; {why}", scores)
+    return MethodChoice(method, f"{detail}: {reason}; {why}", scores)
 
 
 def _of_the_axes(
@@ -196,3 +254,23 @@ def _score(errors: Floats, size: Floats) -> float:
     if not (known.any() and varying.any()):
         return 0.0
     return float(np.sqrt(np.nanmean((errors[known][:, varying] / size[varying]) ** 2)))
+
+
+def interaction_of(rows: Rows, load_range: LoadRange, composition: Composition) -> Kriging | None:
+    """Return the kriging of what `additive` misses the full wrenches by that no axis has.
+
+    None where such wrenches are too few, or contradict each other.
+    """
+    full = np.flatnonzero(~clean_rows(rows, load_range).any(axis=1))
+    tables = [table for table in composition.tables if table is not None]
+    taken = [place for table in tables for group in table.rows.members for place in group]
+    free = np.setdiff1d(full, taken)
+    if len(free) < ENOUGH_FULL:
+        return None
+    some = rows.take(free[:MOST_INTERACTION])
+    missed = some.displacement - composition.evaluate(some.wrench).additive
+    blank = np.full_like(some.compliance, np.nan)
+    try:
+        return Kriging.build(replace(some, displacement=missed, compliance=blank), load_range)
+    except (TooFewRowsError, SingularCovarianceError):
+        return None

@@ -23,25 +23,88 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..answer import allowed_by
-from ..build import AnyTable
-from ..surrogate import Surrogate
-from ..table.axes import AXES
-from ..table.rows import Floats, LoadRange, Tolerance
-from ..table.spread import spread_wrenches
-from .initial import Known, first_count, first_design
+from .answer import allowed_by
+from .build import AnyTable
+from .surrogate import Surrogate
+from .table.axes import AXES
+from .table.rows import CLEAN, LOADS, Floats, LoadRange, Tolerance
+from .table.spread import spread_wrenches
 
-SAMPLE = 256  # wrenches at which bars are held against the tolerance: 95 % of them are 243
+SAMPLE = 256  # wrenches at which error bars are compared with the tolerance: 95 % of them are 243
 ENOUGH = 0.95  # of the sample within the tolerance ends a fill, as bars hold 95 % of errors
 CANDIDATES = 384  # wrenches to choose from: more differ by less than a row changes the bars
 AXIS_CANDIDATES = 32  # of each axis by itself, where a table brings no tangents
-# Each fourth wrench is one of an even spread, as those are that will be asked: where the bar is
+# Each fourth wrench is one of an even spread, as later queries are: where the bar is
 # largest is at the ends of the range, and rows left out there say little of the rest. Over five
 # made-up responses, 39 solves, the worst output's part inside its bar rises from 89 to 93 % by it,
 # and errors stay the same.
 EVENLY = 4
 FAR = 10_000  # into the sequence, so that the even ones are none of the sample's
-LOOKED_AT = 16  # candidates told anew at once: the largest is nearly always among the first few
+LOOKED_AT = 16  # candidates computed anew at once: the largest is nearly always among the first few
+
+# Signs of eight corners: the third of the 2^(6-3) fractions, in which no load's effect is another's
+# (Box and Hunter 1961): the last three are the products of two of the first three.
+_SIGNS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, 8).T
+CORNERS = np.concatenate((_SIGNS, _SIGNS[:, [0, 0, 1]] * _SIGNS[:, [1, 2, 2]]), axis=1)
+# How far out they are: with 15 solves of `plate_thin` the worst output's error is 0.13 to 0.16 % of
+# its range at 0.8, 0.22 to 0.25 % at 1, and 0.18 to 0.30 % without corners; at 54 all are alike.
+OUT = 0.8
+# Wrenches of the first design: two for each load and three more, 15 of six loads.
+A_LOAD, FURTHER = 2, 3
+_FAR = 2.0**62  # steps from no load, of what an int64 holds: no wrench of a query is out there
+
+
+class Known:
+    """The wrenches that need no further solve: rows and pending ones."""
+
+    def __init__(self, load_range: LoadRange, rows: Floats, pending: Floats) -> None:
+        self.scale, self.pending = load_range.scale, pending
+        self.keys = {self._key(wrench) for wrench in np.concatenate((rows, pending))}
+
+    def _key(self, wrench: Floats) -> tuple[int, ...]:
+        with np.errstate(over="ignore"):
+            steps = np.round(wrench / self.scale / CLEAN)
+        return tuple(np.clip(steps, -_FAR, _FAR).astype(np.int64).tolist())
+
+    def new(self, wrenches: Floats) -> Floats:
+        """Return those of some wrenches not known yet, each once, and know them from now on.
+
+        Shape (k, 6), N and N·m, as those given.
+        """
+        fresh = []
+        for wrench in wrenches:
+            key = self._key(wrench)
+            if key not in self.keys:
+                self.keys.add(key)
+                fresh.append(wrench)
+        return np.array(fresh).reshape(-1, 6)
+
+
+def first_count(span: LoadRange) -> int:
+    """Return how many wrenches the first design of a span has; one where no load varies."""
+    vary = int((span.high > span.low).sum())
+    return A_LOAD * vary + FURTHER if vary else 1
+
+
+def first_design(span: LoadRange, known: Known, count: int) -> Floats:
+    """Return new wrenches of the first design within a span, shape (count, 6), N and N·m.
+
+    Zero load, corners of a fraction that keeps the loads' effects apart, then an additive
+    recurrence (Roberts 2018, the R sequence). A load that the span holds at one value keeps it.
+    Fewer come from a span so narrow that there are not as many different wrenches in it.
+    """
+    middle, half = (span.low + span.high) / 2, (span.high - span.low) / 2
+    at_rest = np.clip(np.zeros(len(LOADS)), span.low, span.high)
+    corners = middle + OUT * CORNERS * half
+    chosen = list(known.new(np.concatenate((at_rest[None], corners))))
+    # A place of the sequence is refused only if it is known already. So many refusals mean that
+    # the whole span is.
+    last = count + len(known.keys) if half.any() else 0
+    for place in range(1, last + 1):
+        if len(chosen) >= count:
+            break
+        chosen.extend(known.new(spread_wrenches(span, 1, place)))
+    return np.array(chosen[:count]).reshape(-1, len(LOADS))
 
 
 @dataclass(frozen=True)
@@ -72,7 +135,7 @@ def next_wrenches(
     """Return at most `budget` wrenches that lower the error most, none of them known or pending.
 
     A linear component needs but one solve, which brings its compliance. Without a tolerance (the
-    table's own if None) the refinement goes on as long as it is asked.
+    table's own if None) the refinement has no end.
 
     Parameters
     ----------
@@ -126,14 +189,14 @@ def _linear_design(surrogate: Surrogate, known: Known, budget: int, span: LoadRa
     """
     if surrogate.fit.complete:
         return Design(np.empty((0, 6)), "met", "the 6x6 compliance is known")
-    asked = np.ones(6, dtype=bool)
+    needed = np.ones(6, dtype=bool)
     if span is not surrogate.load_range:
-        asked = (span.low != 0) | (span.high != 0)
-    if surrogate.fit.known[asked].all():
+        needed = (span.low != 0) | (span.high != 0)
+    if surrogate.fit.known[needed].all():
         return Design(np.empty((0, 6)), "met", "the compliance is known in all loads that occur")
     high, low = surrogate.load_range.high, surrogate.load_range.low
     full = np.where(high > 0, high, low)
-    single = np.diag(np.where(full != 0, full, 1.0))[asked]
+    single = np.diag(np.where(full != 0, full, 1.0))[needed]
     if not len(surrogate.rows):
         single = single[:1]
     fresh = known.new(single)
@@ -182,29 +245,29 @@ class _Refinement:
     def _chosen(self, budget: int) -> Floats:
         """Return at most `budget` candidates, shape (k, 6), N and N·m.
 
-        Solved wrenches only ever lower a bar, so a candidate told before some were chosen is at
-        most what it was: only those that may still be the largest are told anew (Minoux 1978).
+        Solved wrenches only ever lower a bar, so a candidate computed before some were chosen is at
+        most what it was: only those that may still be the largest are computed anew (Minoux 1978).
         """
         candidates = self.known.new(_candidates(self.surrogate, self.span))
-        losses, asked = self._losses(candidates), self.known.pending
+        losses, pending = self._losses(candidates), self.known.pending
         if not np.isfinite(losses).all():  # the kriging's own error bars order them all the same
             own = self.kriging.answer_many(candidates)[1] / self.allowed
             losses = own[:, self.outputs].max(axis=1)
-        left = losses * self._left(asked, candidates)
-        before, start = len(self.surrogate.used) + len(asked), len(asked)
-        while len(asked) - start < min(budget, len(candidates)):
-            number = before + len(asked) - start
+        left = losses * self._left(pending, candidates)
+        before, start = len(self.surrogate.used) + len(pending), len(pending)
+        while len(pending) - start < min(budget, len(candidates)):
+            number = before + len(pending) - start
             even = spread_wrenches(self.span, 1, FAR + number // EVENLY)
             fresh = self.known.new(even) if number % EVENLY == 0 else even[:0]
             if not len(fresh):
-                best = self._largest(candidates, losses, left, asked)
+                best = self._largest(candidates, losses, left, pending)
                 losses[best] = left[best] = -1.0
                 fresh = candidates[best : best + 1]
-            asked = np.concatenate((asked, fresh))
-        return asked[start:]
+            pending = np.concatenate((pending, fresh))
+        return pending[start:]
 
-    def _largest(self, candidates: Floats, losses: Floats, left: Floats, asked: Floats) -> int:
-        """Return the place of the largest loss once `asked` is solved; `left` is brought up to it.
+    def _largest(self, candidates: Floats, losses: Floats, left: Floats, solved: Floats) -> int:
+        """Return the place of the largest loss once `solved` are; update `left` to it.
 
         `losses` (n,) are without them.
         """
@@ -215,7 +278,7 @@ class _Refinement:
                 return best
             top = np.argsort(-left)[:LOOKED_AT]
             top = top[known[top] == -np.inf]
-            left[top] = known[top] = losses[top] * self._left(asked, candidates[top])
+            left[top] = known[top] = losses[top] * self._left(solved, candidates[top])
 
     def _losses(self, wrenches: Floats) -> Floats:
         """Return the largest bar over what is allowed (n,) at wrenches (n, 6), as of now."""

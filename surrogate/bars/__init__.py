@@ -1,1 +1,0 @@
-"""By how much deviations are multiplied to hold a level of errors."""

@@ -1,1 +1,0 @@
-"""Coverage and gaps in words and JSON-able values."""

@@ -1,1 +1,0 @@
-"""Which wrench to solve next."""

@@ -1,1 +1,0 @@
-"""The ways to answer, in one registry, and which is the default."""
