@@ -73,6 +73,21 @@ WaitS = Annotated[
     float | None,
     typer.Option(help="seconds to wait for the solve; implies --on-thin wait, whose default is 30"),
 ]
+OnThinWord = Annotated[
+    str | None,
+    typer.Option(
+        help="if the table does not cover the wrench: queue a solve and print the estimate "
+        "(default), wait for the solve, estimate only, or reject (status 1)",
+        metavar="WORD",
+    ),
+]
+Method = Annotated[
+    str | None, typer.Option(help="interpolation, such as griddata; by default the component's")
+]
+TableVersion = Annotated[
+    int | None,
+    typer.Option(help="answer from this earlier version of the table; nothing is queued"),
+]
 ToleranceTranslation = Annotated[
     float | None,
     typer.Option(help="largest error bar of a translation, m; by default the component's"),
@@ -104,20 +119,11 @@ def query(
     name: Name,
     force: Force = ZERO,
     moment: Moment = ZERO,
-    on_thin: Annotated[
-        str | None,
-        typer.Option(
-            help="if the table does not cover the wrench: queue a solve and print the estimate "
-            "(default), wait for the solve, estimate only, or reject (status 1)",
-            metavar="WORD",
-        ),
-    ] = None,
+    on_thin: OnThinWord = None,
     wait_s: WaitS = None,
     tolerance_translation: ToleranceTranslation = None,
     tolerance_rotation: ToleranceRotation = None,
-    method: Annotated[
-        str | None, typer.Option(help="interpolation, such as griddata; by default the component's")
-    ] = None,
+    method: Method = None,
     detail: Annotated[
         bool, typer.Option("--detail", help="add each axis, with its rows, to what --json prints")
     ] = False,
@@ -125,10 +131,7 @@ def query(
         bool, typer.Option("--derivatives", help="add du/dw, 6 x 6, to what --json prints")
     ] = False,
     beyond_range: BeyondRange = False,
-    table_version: Annotated[
-        int | None,
-        typer.Option(help="answer from this earlier version of the table; nothing is queued"),
-    ] = None,
+    table_version: TableVersion = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,

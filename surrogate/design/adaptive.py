@@ -95,10 +95,9 @@ def next_wrenches(
     left = first_count(span) - len(surrogate.used) - len(known.pending)
     if left > 0:
         more = first_design(span, known, min(budget, left))
-        reason = (
-            f"{left} wrenches of the first design are missing; their error bars place the next ones"
+        return _first(
+            more, f"the first design needs {left} solves; their error bars place the next ones"
         )
-        return _first(more, reason)
     if surrogate.kriging is None:
         more = first_design(span, known, budget)
         return _first(

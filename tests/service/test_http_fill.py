@@ -25,7 +25,7 @@ def test_a_fill_that_queues_less_than_its_budget_says_why(http, stand_in):
     stand_in("endless")
     reply = http.post(CALL, json={"budget": 30}).json()
     assert len(reply["jobs"]) == 15
-    assert reply["reason"].startswith("15 of at most 30 solves: 15 wrenches of the first design")
+    assert reply["reason"].startswith("15 of at most 30 solves: the first design needs 15")
 
 
 def test_a_fill_of_some_outputs_is_taken(http, stand_in):
