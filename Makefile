@@ -67,6 +67,9 @@ arch: $(VENV)/.installed-dev
 house: $(VENV)/.installed-dev
 	$(BIN)/python -m tests.house
 
+messages: $(VENV)/.installed-dev  ## print all error messages: where each appears, its text and what to do
+	$(BIN)/python -m tests.messages
+
 format: $(VENV)/.installed-dev  ## format the code by ruff
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .

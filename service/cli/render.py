@@ -264,7 +264,9 @@ def fill(
         for job in failed:
             plain(out, f"job {job.id} failed: {_state(job)}", style="red")
         if len(failed) == len(ended):
-            raise RuntimeError("every solve of this round failed; look at the jobs' files")
+            raise RuntimeError(
+                "every solve of this round failed; the causes: wrenchbook jobs --status failed"
+            )
     now = client.component(name)
     out.print(f"{spent} solves; {name} has {now['rows']} rows.")
     for line in own_error_lines(now):
