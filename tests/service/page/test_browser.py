@@ -275,7 +275,9 @@ def test_the_deformed_plate_shows_the_parts_of_its_error_bar(browser, plate):
     browser.visit(f"{PLATE}/shape")
     browser.drawn("#shape")
     ask(browser, "Show", fz=-900)  # the row's own wrench: between rows one row tells no bar
-    browser.named(".note.thin", "An error bar exceeds the tolerance because of the discretisation error")
+    browser.named(
+        ".note.thin", "An error bar exceeds the tolerance because of the discretisation error"
+    )
     assert re.search(r"interpolation .*m, discretisation \d", browser.one("dl.facts").text)
 
 
