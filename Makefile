@@ -16,7 +16,7 @@ PLATFORMS := manylinux_2_28_x86_64 manylinux_2_28_aarch64 macosx_11_0_x86_64 mac
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  %-15s %s\n", $$1, $$2}'
 
-setup: $(VENV)/.installed  ## make .venv and install what the program runs with
+setup: $(VENV)/.installed  ## make .venv and install the locked packages of the program
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "wrenchbook needs Python 3.11 or newer; name one with: make PYTHON=python3.12 ...")'
@@ -26,31 +26,31 @@ $(VENV)/.installed: $(BIN)/python requirements.lock pyproject.toml
 	$(PIP) install --require-hashes -r requirements.lock
 	@command -v $${CC:-cc} >/dev/null || $(PIP) install --require-hashes -r requirements-zig.lock
 	$(PIP) install --no-deps --no-build-isolation -e .
-	@# Links that show type checker and import-linter the packages as they are imported.
+	@# Links for type checker and import-linter: the packages under their imported names.
 	@mkdir -p $(VENV)/face/wrenchbook
 	@ln -sfn ../../../wrenchbook.py $(VENV)/face/wrenchbook/__init__.py
-	@for room in fea surrogate service; do ln -sfn ../../../$$room $(VENV)/face/wrenchbook/$$room; done
+	@for package in fea surrogate service; do ln -sfn ../../../$$package $(VENV)/face/wrenchbook/$$package; done
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed requirements-dev.lock
 	$(PIP) install --require-hashes -r requirements-dev.lock
 	@touch $@
 
-demo: setup  ## the main job, end to end, on real finite elements
+demo: setup  ## query, solve and fill of a plate with finite elements, about five minutes
 	$(BIN)/wrenchbook demo
 
-serve: setup  ## the API and the embedded solver on 127.0.0.1:8000
+serve: setup  ## the server and its solvers on 127.0.0.1:8000
 	$(BIN)/wrenchbook serve
 
 test: $(VENV)/.installed-dev  ## the test suite
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-test-fast: $(VENV)/.installed-dev  ## the tests without the slow files: servers, browser, engines
+test-fast: $(VENV)/.installed-dev  ## the tests without the slow ones: servers, browser, engines
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
 
-check: lint types arch test  ## all that CI asks: lint, types, import rules, tests
+check: lint types arch test  ## all checks of CI: lint, types, import rules, tests
 
-# ruff: rules and format
+# rules and format by ruff
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -59,20 +59,23 @@ lint: $(VENV)/.installed-dev
 types: $(VENV)/.installed-dev
 	$(BIN)/pyright
 
-# import-linter: who may import what
+# import rules of pyproject.toml by import-linter
 arch: $(VENV)/.installed-dev
 	cd $(VENV)/face && ../bin/lint-imports --config ../../pyproject.toml
 
-# files a room, circles, lengths, duplicates, what docstrings state
+# files a package, import cycles, lengths, duplicates, units in docstrings
 house: $(VENV)/.installed-dev
 	$(BIN)/python -m tests.house
 
-format: $(VENV)/.installed-dev  ## let ruff lay out the code
+messages: $(VENV)/.installed-dev  ## print all error messages: where each appears, its text and what to do
+	$(BIN)/python -m tests.messages
+
+format: $(VENV)/.installed-dev  ## format the code by ruff
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
 NAME ?=
-bench: $(VENV)/.installed-dev  ## make bench NAME=kernel: one benchmark, ratios side by side; without NAME their list
+bench: $(VENV)/.installed-dev  ## one benchmark: make bench NAME=kernel; without NAME their list
 	@if [ -z "$(NAME)" ]; then $(BIN)/python -m tests.benchmarks; else \
 		$(BIN)/python -m pytest -s -p no:cacheprovider --timeout 3600 tests/benchmarks/test_$(NAME).py; fi
 
@@ -93,7 +96,7 @@ soak: $(VENV)/.installed-dev
 soak-recording: $(VENV)/.installed-dev
 	WRENCHBOOK_SOAK=60 $(BIN)/python -m pytest tests/service/test_recording_killed.py -s --timeout 900
 
-validate: setup  ## verify the solver: closed forms, published numbers, CalculiX
+validate: setup  ## verify the solver by closed forms, published numbers and CalculiX
 	$(BIN)/wrenchbook validate all
 
 # the same, and write its tables into fea/README.md
@@ -108,19 +111,21 @@ validate-ccx: $(VENV)/.installed-dev
 pictures: $(VENV)/.installed-dev
 	$(BIN)/python -m tests.pictures
 
-wheels: setup  ## wheels of all five platforms, compiled here by ziglang, into dist/
+wheels: setup  ## wheels of five platforms into dist/, compiled by ziglang
 	$(PIP) install --require-hashes -r requirements-zig.lock
 	for platform in $(PLATFORMS); do \
 		KERNEL_PLATFORM=$$platform $(BIN)/python -m hatchling build -t wheel -d dist || exit 1; \
 	done
 
-image:  ## the container image
+image:  ## build the container image (compose.yaml adds TLS and Dask workers)
 	docker build -t wrenchbook .
 
-# write both lock files anew from pyproject.toml
+# write the lock files anew from pyproject.toml; the image installs the first and the third
 lock: $(VENV)/.installed-dev
 	$(BIN)/uv $(LOCK) -o requirements.lock
 	$(BIN)/uv $(LOCK) --extra dev -c requirements.lock -o requirements-dev.lock
+	$(BIN)/uv pip compile pyproject.toml $(LOCKED) --extra cluster \
+		-c requirements.lock -c requirements-dev.lock -o requirements-cluster.lock
 	echo "ziglang>=0.14" | $(BIN)/uv pip compile - $(LOCKED) -o requirements-zig.lock
 
 clean:  ## remove .venv and caches

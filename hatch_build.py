@@ -1,4 +1,4 @@
-"""Compile the kernel while a wheel or an editable install is made: see surrogate/kernel/build.py.
+"""Compile the kernel in the build of a wheel or an editable install: surrogate/kernel/build.py.
 
 `KERNEL_PLATFORM`, a key of `PLATFORMS` there, makes the wheel of another platform.
 """
@@ -23,10 +23,10 @@ FILES = {
 
 
 class CustomBuildHook(BuildHookInterface):
-    """Puts the compiled kernel beside its sources, and into the wheel."""
+    """Compiles the kernel next to its sources, and adds it to the wheel."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Compile, and name the platform that the wheel is for."""
+        """Compile the kernel, and set the platform of the wheel."""
         build = _load(Path(self.root) / KERNEL / "build.py")
         platform = os.environ.get("KERNEL_PLATFORM", "")
         if not platform:
@@ -39,14 +39,14 @@ class CustomBuildHook(BuildHookInterface):
             build.compile_library(library, target)
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{platform}"
-        if version != "editable":  # which finds all of it in the checkout
+        if version != "editable":  # an editable install reads the checkout
             files = {**FILES, str(library): f"{KERNEL.as_posix()}/{library.name}"}
             for source, place in files.items():
                 build_data["force_include"][source] = f"wrenchbook/{place}"
 
 
 def _system(target: str) -> str:
-    """Return a target's system as `sys.platform` has it."""
+    """Return a target's operating system, a value of `sys.platform`."""
     return "win32" if "windows" in target else "darwin" if "macos" in target else "linux"
 
 

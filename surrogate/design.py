@@ -158,10 +158,14 @@ def next_wrenches(
     left = first_count(span) - len(surrogate.used) - len(known.pending)
     if left > 0:
         more = first_design(span, known, min(budget, left))
-        return _first(more, f"{left} wrenches of the first design to go")
+        return _first(
+            more, f"the first design needs {left} solves; their error bars place the next ones"
+        )
     if surrogate.kriging is None:
         more = first_design(span, known, budget)
-        return _first(more, "too few rows to tell where the error bar is largest")
+        return _first(
+            more, "too few rows to compute error bars, so these wrenches are evenly spread"
+        )
     limit = tolerance or surrogate.tolerance
     return _Refinement(surrogate, known, limit, span, list(outputs)).design(budget)
 
@@ -169,7 +173,11 @@ def next_wrenches(
 def _first(wrenches: Floats, reason: str) -> Design:
     """Return a first design, met where its span has no wrench that is not known."""
     if not len(wrenches):
-        return Design(wrenches, "met", "the range is so narrow that all its wrenches are asked for")
+        return Design(
+            wrenches,
+            "met",
+            "the range is so narrow that all its wrenches are solved or being solved",
+        )
     return Design(wrenches, "first", reason)
 
 
@@ -202,7 +210,9 @@ def _linear_design(surrogate: Surrogate, known: Known, budget: int, span: LoadRa
     fresh = known.new(single)
     if len(known.pending) and not len(surrogate.rows):
         fresh = fresh[:0]
-    return Design(fresh[:budget], "first", "a solve that tells the 6x6 compliance is needed")
+    return Design(
+        fresh[:budget], "first", "the 6x6 compliance of a linear component needs no more solves"
+    )
 
 
 class _Refinement:
@@ -239,7 +249,7 @@ class _Refinement:
         unit = "the tolerance" if self.tolerance is not None else "the outputs' range"
         reason = f"95 % of the error bars are at most {worst:.3g} times {unit}"
         if not np.isfinite(worst):
-            reason = "the rows do not tell yet how large errors are"
+            reason = "the rows do not yet show how large errors are"
         return Design(self._chosen(budget), "refine", reason)
 
     def _chosen(self, budget: int) -> Floats:

@@ -84,7 +84,7 @@ def _at_large(component: Component, solver: Solver, found: list[dict[str, Any]])
         try:
             stress = solver.stresses(solver.solve(one["wrench"]))
         except SolveFailed as error:
-            message = f'are told to first order: the solve at a corner of [range] fails ("{error}")'
+            message = f'are of first order: the solve at a corner of [range] fails ("{error}")'
             return [Problem("stresses", message)]
         equivalent = np.where(numbers == regions.index(one["region"]), von_mises(stress), -1.0)
         worst = int(equivalent.argmax())
@@ -103,7 +103,7 @@ def _yielding(component: Component, found: list[dict[str, Any]]) -> list[Problem
         if strength is None:
             continue
         if material.law == "orthotropic":
-            message = "is held against the von Mises stress, which says little of such a material"
+            message = "is compared with the von Mises stress, a poor measure for such a material"
             told.append(Problem(key, message))
         for one in found:
             if one["region"] == material.region and one["largest"] > strength:

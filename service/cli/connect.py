@@ -1,4 +1,4 @@
-"""The server that a command asks, and the options that all commands have."""
+"""The connection of a command to its server, and the options that commands share."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from wrenchbook.service.client import Client
 
 DEFAULT_SERVER = "http://127.0.0.1:8000"
 
-Name = Annotated[str, typer.Argument(help="the component")]
+Name = Annotated[str, typer.Argument(help="name of the component")]
 Server = Annotated[
     str, typer.Option(envvar="WRENCHBOOK_SERVER", help="address of a running server")
 ]
 Data = Annotated[
     Path | None,
-    typer.Option(help="work on this data directory with a private server of its own instead"),
+    typer.Option(help="use this data directory by a temporary server, instead of --server"),
 ]
 BeyondRange = Annotated[
-    bool, typer.Option(help="solve a wrench outside the component's load range all the same")
+    bool, typer.Option("--beyond-range", help="also solve wrenches outside the load range")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="print the server's reply as JSON")]
 
 
 @contextmanager
 def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Client]:
-    """Give a client of the running server, or of a private one on ``data``."""
+    """Yield a client of the running server, or of a temporary one on ``data``."""
     if data is None:
         with Client(server) as client:
             yield client

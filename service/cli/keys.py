@@ -17,15 +17,15 @@ from wrenchbook.service.keys.record import MEGABYTES, RATE
 DEFAULT_DATA = Path("wrenchbook-data")
 FIRST = "first"
 
-keys = typer.Typer(no_args_is_help=True, help="Keys that let in: list, add, revoke.")
+keys = typer.Typer(no_args_is_help=True, help="List, add and revoke access keys.")
 
 Folder = Annotated[Path, typer.Option(help="data directory", envvar="WRENCHBOOK_DATA")]
-KeyName = Annotated[str, typer.Argument(help="whose the key is")]
+KeyName = Annotated[str, typer.Argument(help="name of the key's owner")]
 ScopeName = Annotated[
     Literal["read", "write", "admin"],
-    typer.Option(help="read: look and ask; write: also change; admin: also keys and decks"),
+    typer.Option(help="read: GET and queries; write: also changes; admin: also keys and decks"),
 ]
-Rate = Annotated[float, typer.Option(help="most requests a second")]
+Rate = Annotated[float, typer.Option(help="largest number of requests a second")]
 Megabytes = Annotated[int, typer.Option(help="largest body, MiB")]
 
 
@@ -37,20 +37,20 @@ def add(
     megabytes: Megabytes = MEGABYTES,
     data: Folder = DEFAULT_DATA,
 ) -> None:
-    """Make a key and print it, this once."""
+    """Make a key and print it once."""
     typer.echo(Keyring(data).add(name, scope, rate=rate, megabytes=megabytes))
-    typer.echo(f"The key {name} for {scope}; it is kept nowhere and not shown again.", err=True)
+    typer.echo(f"The key {name} for {scope}; it is not stored and not shown again.", err=True)
 
 
 @keys.command("list")
 def list_(as_json: AsJson = False, data: Folder = DEFAULT_DATA) -> None:
-    """List the keys there are, without their secrets."""
-    told = [key.public() for key in Keyring(data).listed()]
+    """List the keys, without their secrets."""
+    listed = [key.public() for key in Keyring(data).listed()]
     if as_json:
-        print_json(told)
+        print_json(listed)
         return
     table = Table("name", "scope", "made", "a second", "MiB")
-    for key in told:
+    for key in listed:
         made = time.strftime("%Y-%m-%d", time.gmtime(key["created"]))
         table.add_row(key["name"], key["scope"], made, f"{key['rate']:g}", str(key["megabytes"]))
     Screen().print(table)
@@ -58,13 +58,13 @@ def list_(as_json: AsJson = False, data: Folder = DEFAULT_DATA) -> None:
 
 @keys.command("revoke")
 def revoke(name: KeyName, data: Folder = DEFAULT_DATA) -> None:
-    """Take a key away; whoever has it is refused within a second."""
+    """Revoke a key; servers refuse it within a second."""
     Keyring(data).revoke(name)
     typer.echo(f"The key {name} is revoked.")
 
 
 def make_first_key(data: Path) -> None:
-    """Make a key for admin in a data directory that has none, and print it, this once."""
+    """Make an admin key in a data directory without keys, and print it once."""
     keyring = Keyring(data)
     if len(keyring):
         return

@@ -1,4 +1,4 @@
-"""Commands that work on this machine rather than ask a server."""
+"""Commands that need no running server."""
 
 from __future__ import annotations
 
@@ -145,23 +145,35 @@ def _make_folder(folder: Path) -> None:
 
 
 def work(
-    data: Annotated[Path, typer.Option(help="data directory", envvar="WRENCHBOOK_DATA")] = (
-        DEFAULT_DATA
+    data: Folder = DEFAULT_DATA,
+    solvers: Annotated[int, typer.Option(min=1, help="solves at once; by default one a core")] = (
+        CORES
     ),
-    solvers: Annotated[
-        int, typer.Option(min=1, help="solves at once; by default one a core")
-    ] = CORES,
 ) -> None:
-    """Only solve: take jobs from the data directory that a server accepts them in."""
-    from wrenchbook.service.cli.worker import work as run
+    """Solve the queued jobs of a data directory, next to its server, until SIGINT or SIGTERM."""
+    import signal
+    import threading
 
-    run(data, solvers)
+    from wrenchbook.service.workspace import Settings, Workspace
+
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    workspace = Workspace(Settings(data, solvers))
+    try:
+        workspace.start_solving()
+        print(f"solving for {data} with {solvers} solvers", flush=True)
+        stop.wait()
+    finally:
+        workspace.close()
 
 
 def demo(
-    keep: Annotated[Path | None, typer.Option(help="keep the data directory here")] = None,
+    keep: Annotated[
+        Path | None, typer.Option(help="keep the data directory in this folder")
+    ] = None,
 ) -> None:
-    """Show the main job end to end on real finite elements; about five minutes."""
+    """Show query, solve and fill of a plate with finite elements; about five minutes."""
     from wrenchbook.service.cli.demo import run
 
     raise typer.Exit(run(Screen(), keep))
@@ -177,17 +189,18 @@ def validate(
     ] = "all",
     markdown: Annotated[bool, typer.Option(help="print the tables as Markdown")] = False,
     out: Annotated[
-        Path | None, typer.Option(help="with paper: the folder of page and JSON")
+        Path | None, typer.Option(help="with paper: folder for its page and JSON")
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="with paper: fewer loads, one plate")] = (
         False
     ),
     beside: Annotated[
-        Literal["ccx"] | None, typer.Option("--with", help="solve a component by CalculiX too")
+        Literal["ccx"] | None,
+        typer.Option("--with", help="also solve a component by CalculiX (ccx)"),
     ] = None,
     wrench: Annotated[
         list[str] | None,
-        typer.Option(help="using --with: Fx,Fy,Fz,Mx,My,Mz in N and N·m; again for more"),
+        typer.Option(help="with --with: Fx,Fy,Fz,Mx,My,Mz in N and N·m; repeatable"),
     ] = None,
     data: Folder = DEFAULT_DATA,
 ) -> None:
@@ -238,24 +251,26 @@ def _validate_paper(out: Path, quick: bool, markdown: bool) -> int:
 
 
 def check(
-    bundle: Annotated[Path, typer.Argument(help="the bundle's folder")],
+    bundle: Annotated[Path, typer.Argument(help="folder of the component bundle")],
     as_json: Annotated[bool, typer.Option("--json", help="print the report as JSON")] = False,
     mass: Annotated[
-        float | None, typer.Option(help="kg on the interface, for the natural frequency")
+        float | None, typer.Option(help="mass at the interface, kg, for the natural frequency")
     ] = None,
     inertia: Annotated[
-        str | None, typer.Option(help="kg·m² about its centre: xx,yy,zz or xx,yy,zz,xy,xz,yz")
+        str | None,
+        typer.Option(help="its inertia about its centre, kg·m²: xx,yy,zz or xx,yy,zz,xy,xz,yz"),
     ] = None,
     centre: Annotated[
-        str | None, typer.Option(help="m: x,y,z of that mass's centre from the interface point")
+        str | None, typer.Option(help="its centre from the interface point, m: x,y,z")
     ] = None,
     nonlinear: Annotated[
-        bool, typer.Option("--nonlinear", help="solve for the stresses under the full range")
+        bool,
+        typer.Option("--nonlinear", help="nonlinear solves for the stresses over the load range"),
     ] = False,
 ) -> None:
     """Check a component bundle before it is uploaded: mesh, groups, supports, cost of a solve."""
-    told = {"mass": mass, "inertia": inertia, "centre": centre}
-    carried = [f"--{name}={value}" for name, value in told.items() if value is not None]
+    options = {"mass": mass, "inertia": inertia, "centre": centre}
+    carried = [f"--{name}={value}" for name, value in options.items() if value is not None]
     flags = [*(() if as_json else ("--text",)), *(("--nonlinear",) if nonlinear else ())]
     words = child_command("wrenchbook.fea.check", *flags, *carried, "--", str(bundle))
     raise typer.Exit(subprocess.run(words, check=False).returncode)

@@ -20,14 +20,14 @@ from wrenchbook.service.cli.connect import (
     connected,
     print_json,
 )
-from wrenchbook.service.cli.follow import follow_jobs
+from wrenchbook.service.cli.jobs import jobs
 from wrenchbook.service.cli.keys import keys
 from wrenchbook.service.cli.local import LOCAL_COMMANDS
 from wrenchbook.service.cli.ops import OPS_COMMANDS
 from wrenchbook.service.cli.recording import RECORDING_COMMANDS
 from wrenchbook.service.cli.screen import Screen
 from wrenchbook.service.cli.tables import TABLE_COMMANDS
-from wrenchbook.service.client import Displacement, Job, ProblemError, Scene, ServerUnreachable
+from wrenchbook.service.client import Displacement, ProblemError, Scene, ServerUnreachable
 from wrenchbook.service.client.deformed import deformed_format
 from wrenchbook.service.client.wrenches import OnThin
 
@@ -39,9 +39,9 @@ app = typer.Typer(
 out = Screen()
 
 
-def print_version(asked: bool) -> None:
-    """Print the version and end, if that is asked for."""
-    if asked:
+def print_version(chosen: bool) -> None:
+    """Print the version and end, if the option is given."""
+    if chosen:
         typer.echo(f"wrenchbook {wrenchbook.__version__}")
         raise typer.Exit
 
@@ -49,7 +49,8 @@ def print_version(asked: bool) -> None:
 @app.callback()
 def program(
     version: Annotated[
-        bool, typer.Option("--version", callback=print_version, is_eager=True, help="print it")
+        bool,
+        typer.Option("--version", callback=print_version, is_eager=True, help="print the version"),
     ] = False,
 ) -> None:
     """Displacements of deformable components from tables of finite-element results."""
@@ -57,7 +58,7 @@ def program(
 
 for named, table_command in TABLE_COMMANDS.items():
     app.command(named)(table_command)
-for command in (*LOCAL_COMMANDS, *RECORDING_COMMANDS, *OPS_COMMANDS):
+for command in (*LOCAL_COMMANDS, *RECORDING_COMMANDS, *OPS_COMMANDS, jobs):
     app.command()(command)
 app.add_typer(keys, name="keys")
 
@@ -65,19 +66,51 @@ Three = tuple[float, float, float]
 Six = tuple[float, float, float, float, float, float]
 ZERO: Three = (0.0, 0.0, 0.0)
 
-Force = Annotated[Three, typer.Option(help="F_x F_y F_z, N", metavar="FX FY FZ")]
-Moment = Annotated[Three, typer.Option(help="M_x M_y M_z, N·m", metavar="MX MY MZ")]
-Budget = Annotated[int, typer.Option(min=1, help="most solves to spend")]
-Micro = Annotated[float | None, typer.Option(help="error bar to reach, translations, m")]
-MicroRad = Annotated[float | None, typer.Option(help="error bar to reach, rotations, rad")]
+Force = Annotated[Three, typer.Option(help="force F_x F_y F_z, N", metavar="FX FY FZ")]
+Moment = Annotated[Three, typer.Option(help="moment M_x M_y M_z, N·m", metavar="MX MY MZ")]
+Budget = Annotated[int, typer.Option(min=1, help="largest number of solves")]
+WaitS = Annotated[
+    float | None,
+    typer.Option(help="seconds to wait for the solve; implies --on-thin wait, whose default is 30"),
+]
+OnThinWord = Annotated[
+    str | None,
+    typer.Option(
+        help="if the table does not cover the wrench: queue a solve and print the estimate "
+        "(default), wait for the solve, estimate only, or reject (status 1)",
+        metavar="WORD",
+    ),
+]
+Method = Annotated[
+    str | None, typer.Option(help="interpolation, such as griddata; by default the component's")
+]
+TableVersion = Annotated[
+    int | None,
+    typer.Option(help="answer from this earlier version of the table; nothing is queued"),
+]
+ToleranceTranslation = Annotated[
+    float | None,
+    typer.Option(help="largest error bar of a translation, m; by default the component's"),
+]
+ToleranceRotation = Annotated[
+    float | None,
+    typer.Option(help="largest error bar of a rotation, rad; by default the component's"),
+]
+Former = Annotated[float | None, typer.Option(hidden=True)]  # names of version 0.2
 
 ForceRange = Annotated[
     Six | None,
-    typer.Option(help="only within, N", metavar="FX FX FY FY FZ FZ", show_default=False),
+    typer.Option(
+        help="forces to fill, N: lowest and highest of each; by default the load range",
+        metavar="FX FX FY FY FZ FZ",
+    ),
 ]
 MomentRange = Annotated[
     Six | None,
-    typer.Option(help="only within, N·m", metavar="MX MX MY MY MZ MZ", show_default=False),
+    typer.Option(
+        help="moments to fill, N·m: lowest and highest of each; by default the load range",
+        metavar="MX MX MY MY MZ MZ",
+    ),
 ]
 
 
@@ -86,27 +119,26 @@ def query(
     name: Name,
     force: Force = ZERO,
     moment: Moment = ZERO,
-    on_thin: Annotated[
-        str | None, typer.Option(help="queue, wait (the default), estimate or reject")
-    ] = None,
-    wait_s: Annotated[float, typer.Option(help="with wait: seconds")] = 60.0,
-    method: Annotated[
-        str | None, typer.Option(help="such as griddata; the component's own choice otherwise")
-    ] = None,
-    detail: Annotated[bool, typer.Option(help="what each axis contributes")] = False,
+    on_thin: OnThinWord = None,
+    wait_s: WaitS = None,
+    tolerance_translation: ToleranceTranslation = None,
+    tolerance_rotation: ToleranceRotation = None,
+    method: Method = None,
+    detail: Annotated[
+        bool, typer.Option("--detail", help="add each axis, with its rows, to what --json prints")
+    ] = False,
     derivatives: Annotated[
         bool, typer.Option("--derivatives", help="add du/dw, 6 x 6, to what --json prints")
     ] = False,
     beyond_range: BeyondRange = False,
-    table_version: Annotated[
-        int | None, typer.Option(help="ask the table as it was; where it was thin, estimate")
-    ] = None,
+    table_version: TableVersion = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Ask for the displacement under a wrench."""
-    word = on_thin or ("wait" if table_version is None else "estimate")
+    """Print the displacement under a wrench, with its error bar."""
+    word = on_thin or ("queue" if wait_s is None else "wait")
+    tolerance = _tolerance(tolerance_translation, tolerance_rotation)
     with connected(server, data) as client:
         answer = client.displacement(
             name,
@@ -114,13 +146,14 @@ def query(
             moment,
             on_thin=cast(OnThin, word),  # the client refuses other words
             wait_s=wait_s,
+            tolerance=tolerance,
             method=method,
             detail=detail,
             derivatives=derivatives,
             beyond_range=beyond_range,
             table_version=table_version,
         )
-        _print_answer(answer, as_json)
+    _print_answer(answer, as_json, data)
 
 
 @app.command()
@@ -128,25 +161,25 @@ def solve(
     name: Name,
     force: Force = ZERO,
     moment: Moment = ZERO,
-    wait_s: Annotated[float, typer.Option(help="give up waiting after this long, s")] = 600.0,
+    wait_s: Annotated[float, typer.Option(help="seconds to wait for the solve")] = 600.0,
     beyond_range: BeyondRange = False,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Solve a wrench with finite elements, whatever the table says."""
+    """Solve a wrench with finite elements, even if the table covers it."""
     with connected(server, data) as client:
         answer = client.solve(name, force, moment, beyond_range=beyond_range)
         if answer.job is not None and answer.job.status != "done":
             render.follow(out, client, [answer.job], wait_s)
             answer = client.solve(name, force, moment, beyond_range=beyond_range)
-        _print_answer(answer, as_json)
+    _print_answer(answer, as_json, data)
 
 
 @app.command()
 def deformed(
     name: Name,
-    file: Annotated[Path, typer.Argument(help="written: .glb, .vtu or .json")],
+    file: Annotated[Path, typer.Argument(help="file to write: .glb, .vtu or .json")],
     force: Force = ZERO,
     moment: Moment = ZERO,
     server: Server = DEFAULT_SERVER,
@@ -164,30 +197,29 @@ def deformed(
 def fill(
     name: Name,
     budget: Budget = 100,
-    translation: Micro = None,
-    rotation: MicroRad = None,
+    tolerance_translation: ToleranceTranslation = None,
+    tolerance_rotation: ToleranceRotation = None,
     force_range: ForceRange = None,
     moment_range: MomentRange = None,
     output: Annotated[
-        list[str] | None, typer.Option(help="an output that is wanted, such as uz; repeatable")
+        list[str] | None,
+        typer.Option(help="an output whose error bar counts, such as uz; repeatable; default all"),
     ] = None,
+    translation: Former = None,
+    rotation: Former = None,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Make a table thicker where its error bar is largest."""
-    if (translation is None) != (rotation is None):
-        raise typer.BadParameter("give --translation and --rotation together")
-    tolerance = (
-        {"translation": translation, "rotation": rotation} if translation and rotation else None
-    )
+    """Solve the wrenches where the table's error bar is largest, in rounds of 24."""
+    tolerance = _tolerance(tolerance_translation or translation, tolerance_rotation or rotation)
     if (force_range is None) != (moment_range is None):
         raise typer.BadParameter("give --force-range and --moment-range together")
     span = None
     if force_range and moment_range:
         span = {"force": _pairs(force_range), "moment": _pairs(moment_range)}
-    wanted = {"tolerance": tolerance, "range": span, "outputs": output or None}
+    options = {"tolerance": tolerance, "range": span, "outputs": output or None}
     with connected(server, data) as client:
-        render.fill(out, client, name, budget, wanted)
+        render.fill(out, client, name, budget, options)
 
 
 @app.command()
@@ -199,10 +231,10 @@ def plan(
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Tell what a scene needs of its components: what is left out, and what that saves."""
-    wanted = Scene.read(scene)
+    """Print what a scene needs of each component, what it leaves out, and what that saves."""
+    read = Scene.read(scene)
     with connected(server, data) as client:
-        plans = wanted.plan(client)
+        plans = read.plan(client)
     if as_json:
         print_json({"components": {name: one.raw for name, one in plans.items()}})
     else:
@@ -213,12 +245,14 @@ def plan(
 def report(
     name: Name,
     wrenches: Annotated[int, typer.Option(min=3, help="random wrenches to compare")] = 24,
-    html: Annotated[Path | None, typer.Option(help="write the page with plots here")] = None,
+    html: Annotated[
+        Path | None, typer.Option(help="also write a page with plots to this file")
+    ] = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Report error against run time: methods and table sizes beside three meshes; takes minutes."""
+    """Compare error and run time of methods, table sizes and three meshes; takes minutes."""
     with connected(server, data) as client:
         client.make_report(name, wrenches)
         render.follow_report(out, client, name)
@@ -244,7 +278,7 @@ def compliance(
 
 @app.command()
 def components(as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: Data = None) -> None:
-    """List the library."""
+    """List the components."""
     with connected(server, data) as client:
         found = client.components()
     if as_json:
@@ -253,37 +287,10 @@ def components(as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: D
         out.print(render.component_table(found))
 
 
-@app.command()
-def jobs(
-    component: Annotated[str | None, typer.Option(help="only this component's")] = None,
-    status: Annotated[str | None, typer.Option(help="only these, such as failed")] = None,
-    limit: Annotated[int, typer.Option(min=1, help="at most so many")] = 1000,
-    after: Annotated[int | None, typer.Option(help="go on after this job, to older ones")] = None,
-    follow: Annotated[
-        bool, typer.Option("--follow", help="show what happens from now on, until Ctrl-C")
-    ] = False,
-    as_json: AsJson = False,
-    server: Server = DEFAULT_SERVER,
-    data: Data = None,
-) -> None:
-    """List jobs, newest first, or follow them."""
-    with connected(server, data) as client:
-        if follow:
-            follow_jobs(out, client, component)
-            return
-        found: list[Job] = client.jobs(component, status, limit, after)
-    if as_json:
-        print_json([job.raw for job in found])
-    else:
-        out.print(render.job_table(found))
-        if len(found) == limit:
-            render.plain(out, f"Older ones: wrenchbook jobs --after {found[-1].id}")
-
-
 def main() -> None:
-    """Run the command line; errors a user can mend are one message on stderr and status 1."""
+    """Run the command line; an expected error is one message on stderr and status 1."""
     try:
-        # Named here, because a file run by its path would show that path.
+        # Run by its path, the program would show that path in its help.
         app(prog_name="wrenchbook")
     except ProblemError as error:
         err = Screen(stderr=True)
@@ -296,16 +303,27 @@ def main() -> None:
         sys.exit(1)
 
 
+def _tolerance(translation: float | None, rotation: float | None) -> dict[str, float] | None:
+    """Return a request's tolerance, m and rad, or None for the component's own."""
+    if translation is None and rotation is None:
+        return None
+    if translation is None or rotation is None:
+        raise typer.BadParameter("give --tolerance-translation and --tolerance-rotation together")
+    return {"translation": translation, "rotation": rotation}
+
+
 def _pairs(ends: Six) -> list[list[float]]:
     """Return three spans [low, high] from their six ends."""
     return [list(ends[place : place + 2]) for place in (0, 2, 4)]
 
 
-def _print_answer(answer: Displacement, as_json: bool) -> None:
+def _print_answer(answer: Displacement, as_json: bool, data: Path | None) -> None:
     if as_json:
         print_json(answer.raw)
-    else:
-        out.print(render.answer_table(answer))
+        return
+    out.print(render.answer_table(answer))
+    if line := render.open_job_line(answer, data):
+        render.plain(out, line)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ def backup(
     file: Annotated[Path, typer.Argument(help="the backup to write", dir_okay=False)],
     data: Folder = DEFAULT_DATA,
 ) -> None:
-    """Write all of a data directory into one file, while a server uses it."""
+    """Write a data directory into one file; a server may use it meanwhile."""
     from wrenchbook.service.ops.backup import back_up
 
     manifest = back_up(data, file)
@@ -32,7 +32,7 @@ def restore(
     file: Annotated[Path, typer.Argument(help="the backup", exists=True, dir_okay=False)],
     data: Folder = DEFAULT_DATA,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="move aside what is in the data directory")
+        bool, typer.Option("--overwrite", help="move existing files of the data directory aside")
     ] = False,
 ) -> None:
     """Make a data directory from a backup."""
@@ -42,17 +42,18 @@ def restore(
     start = f"wrenchbook serve{_data_option(data)}"
     plain(_out, f"{data}: {len(manifest.files)} files restored. Start it with: {start}")
     if aside is not None:
-        plain(_out, f"What was there is in {aside}; remove it once you need it no more.")
+        plain(_out, f"The former files are in {aside}; remove them once you need them no more.")
 
 
 def doctor(
     data: Folder = DEFAULT_DATA,
     mend: Annotated[
-        bool, typer.Option("--mend", help="mend what can be from whichever copy is whole")
+        bool,
+        typer.Option("--mend", help="repair the ledger or a table from the copy that is intact"),
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Check the ledger against the tables, files, disk and leftovers; nothing is ever deleted."""
+    """Check the ledger, tables, files and disk of a data directory; nothing is ever deleted."""
     from wrenchbook.service.ops.checks import REPAIR
     from wrenchbook.service.ops.doctor import examine
 

@@ -1,4 +1,4 @@
-"""Commands whose solves are known beforehand: recordings, envelopes, rows of another setup."""
+"""Commands for recorded wrenches, envelopes, and rows of an earlier setup."""
 
 from __future__ import annotations
 
@@ -26,23 +26,22 @@ from wrenchbook.service.client.wrenches import NAMES
 OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 WAIT_S = 86_400.0  # a start may be thousands of solves
 
-Clear = Annotated[bool, typer.Option("--clear", help="forget it")]
-Start = Annotated[bool, typer.Option("--start", help="solve it, and follow the solves")]
+Clear = Annotated[bool, typer.Option("--clear", help="delete the recorded wrenches")]
+Start = Annotated[bool, typer.Option("--start", help="solve them, and show the progress")]
+Budget = Annotated[int | None, typer.Option(min=1, help="largest number of solves")]
 
 
 def recording(
     name: Name,
     start: Start = False,
     clear: Clear = False,
-    budget: Annotated[
-        int | None, typer.Option(min=1, help="with --start: most solves to spend")
-    ] = None,
+    budget: Budget = None,
     beyond_range: BeyondRange = False,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Show the wrenches that loops have recorded (LM_direct); solve or forget them."""
+    """Show, solve or delete the wrenches that simulators have recorded (LM_direct)."""
     _check(start, clear)
     out = Screen()
     with connected(server, data) as client:
@@ -50,10 +49,9 @@ def recording(
             out.print(f"{client.clear_recording(name)} wrenches forgotten.")
         elif start:
             _follow(out, client, client.start_recording(name, budget, beyond_range=beyond_range))
-        elif as_json:
-            print_json(client.recording(name).raw)
         else:
-            _show_recording(out, name, client.recording(name))
+            found = client.recording(name)
+            print_json(found.raw) if as_json else _show_recording(out, name, found)
 
 
 def envelope(
@@ -65,7 +63,7 @@ def envelope(
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Show the extremes that loops have met (LM_max); solve or forget them."""
+    """Show, solve or delete the extreme wrenches that simulators have recorded (LM_max)."""
     _check(start, clear)
     out = Screen()
     with connected(server, data) as client:
@@ -73,20 +71,19 @@ def envelope(
             out.print(f"The envelope of {client.clear_envelope(name)} wrenches is forgotten.")
         elif start:
             _follow(out, client, client.start_envelope(name, beyond_range=beyond_range))
-        elif as_json:
-            print_json(client.envelope(name).raw)
         else:
-            _show_envelope(out, client.envelope(name))
+            found = client.envelope(name)
+            print_json(found.raw) if as_json else _show_envelope(out, found)
 
 
 def resolve(
     name: Name,
-    budget: Annotated[int | None, typer.Option(min=1, help="most solves to spend")] = None,
+    budget: Budget = None,
     beyond_range: BeyondRange = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Solve the wrenches again whose rows belong to another setup of a component."""
+    """Solve again the wrenches of rows that an earlier setup of the component has."""
     with connected(server, data) as client:
         _follow(Screen(), client, client.resolve(name, budget, beyond_range=beyond_range))
 

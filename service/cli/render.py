@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -39,6 +40,20 @@ _OVER = (
     "The bar is over the tolerance by the solver's own error (its mesh, say), which no more solves "
     "lower: the component's warnings say what to do."
 )
+
+
+def open_job_line(answer: Displacement, data: Path | None) -> str:
+    """Return a sentence on the open job of an answer: what it does and how to see its state.
+
+    `data` is the data directory whose private server has ended, if one had been started.
+    """
+    if answer.job is None or answer.job.ended:
+        return ""
+    value = "No estimate yet" if answer.vector is None else "The values are an estimate"
+    job = f"{value}: job {answer.job.id} solves this wrench or one close to it."
+    if data is not None:
+        return f"{job} It runs while a server is up: wrenchbook serve --data {data}"
+    return f"{job} Its state: wrenchbook jobs --component {answer.component}"
 
 
 def own_error_lines(component: dict[str, Any]) -> list[str]:
@@ -249,7 +264,9 @@ def fill(
         for job in failed:
             plain(out, f"job {job.id} failed: {_state(job)}", style="red")
         if len(failed) == len(ended):
-            raise RuntimeError("every solve of this round failed; look at the jobs' files")
+            raise RuntimeError(
+                "every solve of this round failed; the causes: wrenchbook jobs --status failed"
+            )
     now = client.component(name)
     out.print(f"{spent} solves; {name} has {now['rows']} rows.")
     for line in own_error_lines(now):

@@ -1,4 +1,4 @@
-"""Commands that carry tables in and out."""
+"""Commands that import and export tables."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from wrenchbook.service.client.library import check_readable, table_format
 from wrenchbook.service.files.durable import write_whole_bytes
 
 out = Screen()
-_Unit = Annotated[str | None, typer.Option(help="csv, xlsx: the unit to write in; SI otherwise")]
+_Unit = Annotated[str | None, typer.Option(help="unit in a CSV or XLSX file; SI by default")]
 _Read = Annotated[
     Path,
     typer.Argument(
         help="a CSV, XLSX, Parquet, JSON or HDF5 table, gzipped or not", exists=True, dir_okay=False
     ),
 ]
-_DryRun = Annotated[bool, typer.Option(help="only check")]
+_DryRun = Annotated[bool, typer.Option("--dry-run", help="check the file and load nothing")]
 _Partial = Annotated[
-    bool, typer.Option("--partial", help="load the good rows though others have mistakes")
+    bool, typer.Option("--partial", help="load the correct rows even if others have mistakes")
 ]
 _Decimal = Annotated[
     str | None, typer.Option(help="the decimal mark of a CSV: . or ,", metavar="MARK")
@@ -43,26 +43,26 @@ _Columns = Annotated[
     list[str] | None,
     typer.Option(
         metavar="FILE=TABLE",
-        help="what a column is: --column 'Load cell=fz [N]', or =-fz [N] to turn its sign",
+        help="meaning of a column: --column 'Load cell=fz [N]'; =-fz [N] for the opposite sign",
     ),
 ]
 _Zero = Annotated[
-    bool, typer.Option("--missing-loads-zero", help="loads without a column were zero")
+    bool, typer.Option("--missing-loads-zero", help="loads without a column are zero")
 ]
 _Tare = Annotated[
-    int, typer.Option(min=0, help="rows at the beginning whose mean is taken off the others")
+    int, typer.Option(min=0, help="first rows, whose mean is subtracted from the others")
 ]
-_Sheet = Annotated[str | None, typer.Option(help="XLSX: its name; the first otherwise")]
+_Sheet = Annotated[str | None, typer.Option(help="sheet of an XLSX file; the first by default")]
 _Moved = Annotated[
     Path | None,
     typer.Option(
-        help="a second log, joined by time; FILE is then the log of the loads",
+        help="log of the displacements, joined by time with FILE, the log of the loads",
         exists=True,
         dir_okay=False,
     ),
 ]
-_Offset = Annotated[float, typer.Option(help="added to the displacements' times, s")]
-_Note = Annotated[str | None, typer.Option(help="kept with the import")]
+_Offset = Annotated[float, typer.Option(help="seconds to add to the displacements' times")]
+_Note = Annotated[str | None, typer.Option(help="a note to store with the import")]
 _Written = Annotated[
     Path,
     typer.Argument(
@@ -70,10 +70,10 @@ _Written = Annotated[
     ),
 ]
 _Method = Annotated[
-    str | None, typer.Option(help="with .fmu: how it answers; the table's default otherwise")
+    str | None, typer.Option(help="with .fmu: its interpolation; by default the table's")
 ]
 _Version = Annotated[
-    int | None, typer.Option(help="the table as it was at this version; now otherwise")
+    int | None, typer.Option(help="an earlier version of the table; by default the newest")
 ]
 
 
@@ -96,9 +96,9 @@ def import_table(
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Load a table from outside: all its rows, or none and the reasons."""
-    check_readable(file)  # before a server is asked, or started, for nothing
-    said: dict[str, Any] = {
+    """Load a table from a file: all of its rows, or none and every mistake."""
+    check_readable(file)  # before a server is called or started
+    options: dict[str, Any] = {
         "partial": partial or None,
         "ignore_extra": ignore_extra or None,
         "missing_loads": "zero" if missing_loads_zero else None,
@@ -111,8 +111,8 @@ def import_table(
         "ignore": ignore or (),
     }
     with connected(server, data) as client:
-        reply = client.import_table(name, file, dry_run=dry_run, decimal=decimal, **said)
-    (print_json if as_json else _tell)(reply)
+        reply = client.import_table(name, file, dry_run=dry_run, decimal=decimal, **options)
+    (print_json if as_json else _print_import)(reply)
     raise typer.Exit(1 if reply["errors"] and not partial else 0)
 
 
@@ -142,34 +142,48 @@ def export_table(
         sys.stdout.write(content)
         return
     content = content.encode() if isinstance(content, str) else content
-    told = f"{file} written."
+    message = f"{file} written."
     if fmu:
-        from wrenchbook.service.cli.fmu import fmu_of  # the compiler: no other command waits for it
-
-        content, told = fmu_of(file, name, content, method)
+        content, message = _fmu(file, name, content, method)
     write_whole_bytes(file, content)
-    out.print(told)
+    out.print(message)
+
+
+def _fmu(file: Path, name: str, table: bytes, method: str | None) -> tuple[bytes, str]:
+    """Return the FMU of a packed table and a message; the server compiles nothing."""
+    # Imported here: no other command needs the compiler.
+    from wrenchbook.service.fmu.export import make_fmu
+    from wrenchbook.surrogate.kernel.binding import PackedTable
+
+    made = make_fmu(name, PackedTable.from_bytes(table), method)
+    if made.platform:
+        return made.content, f"{file} written: FMI 2.0, {made.platform}, method {made.method}."
+    return made.content, (
+        f"{file} written: FMI 2.0, method {made.method}, sources only, since this machine has no C "
+        "compiler for a platform of FMI 2.0. Tools that compile sources can use it; or install "
+        "gcc, or name a compiler with CC=..., and export again."
+    )
 
 
 TABLE_COMMANDS = {"import": import_table, "export": export_table}
 
 
-def _tell(reply: dict[str, Any]) -> None:
-    """Say what became of a file's rows."""
+def _print_import(reply: dict[str, Any]) -> None:
+    """Print how many of a file's rows were loaded, and why others were not."""
     render.row_errors(out, reply["errors"])
     if reply["ignored"]:
         render.plain(out, f"Columns left out: {', '.join(reply['ignored'])}.")
-    if above := reply.get("above"):  # servers before 0.2 do not tell it
+    if above := reply.get("above"):  # servers before 0.2 leave it out
         render.plain(out, f"Lines above the header left out: {'; '.join(above)}.")
     verb = "would be inserted" if reply["dry_run"] else "inserted"
     out.print(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
     rows = reply["rows"]
     others = {"refused": "have mistakes", "tare": "are the tare", "unmatched": "have no load"}
-    told = [f"{rows[word]} {what}" for word, what in others.items() if rows[word]]
-    if told:
-        out.print(f"Of {rows['read']} rows read {', '.join(told)}.")
+    parts = [f"{rows[word]} {what}" for word, what in others.items() if rows[word]]
+    if parts:
+        out.print(f"Of {rows['read']} rows read {', '.join(parts)}.")
     if not (reply["dry_run"] or reply["errors"] or reply["in_use"]):
-        out.print("The server still builds its table; it answers from the new rows shortly.")
+        out.print("The server still builds its table and answers from the new rows shortly.")
 
 
 def _pair(text: str) -> tuple[str, str]:

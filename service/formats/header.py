@@ -214,7 +214,7 @@ class _ColumnNames:
                 return None
             raise UnitError(str(error)) from None
         if sign < 0 and name not in (*WRENCH, *DISPLACEMENT):
-            raise UnitError("only a load or a displacement has a sign that can be turned")
+            raise UnitError("a - before a name is for loads and displacements only; leave it out")
         return HeaderColumn(index, label, name, factor * sign, unit)
 
     def _read(self, label: str, below: str) -> tuple[str, str, Decimal]:

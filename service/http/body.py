@@ -52,7 +52,7 @@ def _table_too_large(most: int) -> ProblemError:
 def busy() -> ProblemError:
     """Return the refusal of a body while too many others are worked on."""
     detail = "Nothing was changed; send it again in a minute."
-    return ProblemError(503, "busy", "Too much is being sent", detail)
+    return ProblemError(503, "busy", "Too many large bodies at once", detail)
 
 
 def counted(receive: Receive, most: int, refusal: Refusal = too_large) -> Receive:

@@ -186,7 +186,7 @@ def problem_of(error: Exception) -> ProblemError:
 def crash_of(method: str, path: str) -> ProblemError:
     """Return what a call answers that came to a mistake of ours."""
     detail = f"{method} {path} failed; the server's log has the traceback."
-    return ProblemError(500, "internal", "The server made a mistake", detail)
+    return ProblemError(500, "internal", "Internal server error", detail)
 
 
 def install(app: FastAPI) -> None:

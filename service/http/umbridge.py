@@ -132,7 +132,7 @@ def read_query(fields: dict[str, Any], call: Call) -> Query:
     config = _config(fields.get("config"))
     inputs = fields.get("input")
     if not isinstance(inputs, list) or len(inputs) != 1:
-        raise _invalid("input must be a list of one list: the six numbers Fx Fy Fz Mx My Mz")
+        raise _invalid("input must be a list of one list, the six numbers Fx Fy Fz Mx My Mz")
     tolerance = config.tolerance
     return Query(
         wrench=tuple(_numbers(inputs[0], "input[0]")),

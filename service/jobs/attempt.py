@@ -136,7 +136,7 @@ def read_outcome(folder: Path, spec: Spec) -> dict[str, Any] | None:
         outcome = json.loads((folder / OUTCOME).read_bytes())
         digest = outcome.pop("digest")
         if digest != _digest(outcome):
-            raise ValueError("its numbers are not those that were written")
+            raise ValueError("its checksum is wrong: the file is damaged")
         asked = outcome.pop("asked")
     except FileNotFoundError:
         return None

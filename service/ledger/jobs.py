@@ -65,7 +65,7 @@ def get(db: Connection, job_id: int) -> Job:
     """Return a job by its number; raises UnknownJobError."""
     found = _select(db, "WHERE id = ?", (job_id,))
     if not found:
-        raise UnknownJobError(f"there is no job {job_id}")
+        raise UnknownJobError(f"there is no job {job_id}; GET /v1/jobs lists all")
     return found[0]
 
 

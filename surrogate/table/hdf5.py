@@ -114,7 +114,7 @@ def _read(source: Path, part: Callable[[h5py.File], T]) -> T:
         raise FileNotFoundError(source)
     try:
         if not is_as_written(source):
-            raise _unreadable(source, "its bytes are not those that were written")
+            raise _unreadable(source, "its checksum is wrong: the file is damaged")
         with h5py.File(source, "r") as file:
             _check_schema(file, source)
             return part(file)
@@ -277,7 +277,7 @@ def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[st
         with h5py.File(path, "r") as file:
             _check_contained(file)
         if not is_as_written(source):
-            raise _unreadable(source, "its bytes are not those that were written")
+            raise _unreadable(source, "its checksum is wrong: the file is damaged")
         with h5py.File(path, "r") as file:
             _check_schema(file, source)
             _read_meta(file)
@@ -315,7 +315,10 @@ def _check_contained(file: h5py.File) -> None:
             ):
                 raise TableFileError(f"has chunks of more than {MOST_CHUNK_BYTES >> 20} MiB")
             if name != "note" and (found.dtype.hasobject or found.dtype.itemsize > MOST_WORD_BYTES):
-                raise TableFileError(f"holds words in {folder}/{name} that no table of ours has")
+                raise TableFileError(
+                    f"holds texts in {folder}/{name} that a wrenchbook table does not have; send "
+                    "a file that wrenchbook wrote"
+                )
             room -= found.nbytes
     if room < 0:
         raise TableFileError(

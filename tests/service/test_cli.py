@@ -49,6 +49,41 @@ def test_query_sends_what_its_options_say_and_prints_the_reply_as_json(stub: Stu
     assert stub.seen[0].body["beyond_range"] is True
 
 
+def test_query_queues_by_default_and_says_how_to_look_at_the_job(stub: Stub, run: Run):
+    estimate = {"translation": [0.0, 0.0, 1e-5], "rotation": [0.0] * 3}
+    stub.answers(Answer({**QUEUED, **estimate}, status=202))
+    status, out, _ = run("query", "plate")
+    assert status == 0
+    assert stub.seen[0].body["on_thin"] == "queue"
+    says = " ".join(out.split())
+    assert "The values are an estimate: job 7 solves this wrench or one close to it." in says
+    assert "Its state: wrenchbook jobs --component plate" in says
+
+
+def test_query_with_seconds_to_wait_waits(stub: Stub, run: Run):
+    stub.answers(Answer(COVERED))
+    assert run("query", "plate", "--wait-s", "5")[0] == 0
+    assert (stub.seen[0].body["on_thin"], stub.seen[0].body["wait_s"]) == ("wait", 5.0)
+
+
+@pytest.mark.parametrize("command", ["query", "fill"])
+def test_a_tolerance_has_the_same_options_in_query_and_fill(stub: Stub, run: Run, command: str):
+    done = {**COVERED, "jobs": [], "stage": "met", "reason": "", "rows": 7, "coverage": "covered"}
+    stub.answers(Answer(done), Answer(done))
+    options = ("--tolerance-translation", "1e-6", "--tolerance-rotation", "1e-5")
+    assert run(command, "plate", *options)[0] == 0
+    assert stub.seen[0].body["tolerance"] == {"translation": 1e-6, "rotation": 1e-5}
+
+
+def test_fill_takes_the_former_names_of_its_tolerance(stub: Stub, run: Run):
+    stub.answers(
+        Answer({"component": "plate", "jobs": [], "stage": "met", "reason": "thick enough"}),
+        Answer({"name": "plate", "rows": 7}),
+    )
+    assert run("fill", "plate", "--translation", "1e-6", "--rotation", "1e-5")[0] == 0
+    assert stub.seen[0].body["tolerance"] == {"translation": 1e-6, "rotation": 1e-5}
+
+
 def test_query_prints_why_there_is_no_job(stub: Stub, run: Run):
     stub.answers(Answer({**QUEUED, "job": None, "reason": "the queue is full"}, status=202))
     status, out, _ = run("query", "plate", "--on-thin", "queue")
@@ -87,7 +122,11 @@ def test_a_refusal_is_one_message_with_each_mistake_and_status_1(stub: Stub, run
         (("query", "bar", "--force", "nan", "0", "0"), 1, "fx is nan, not finite"),
         (("query", "bar", "--on-thin", "maybe"), 1, "on_thin must be one of queue, wait"),
         (("query", "bar", "--force", "1", "2"), 2, "'--force' requires 3 arguments"),
-        (("fill", "bar", "--translation", "1e-6"), 2, "--translation and --rotation together"),
+        (
+            ("fill", "bar", "--tolerance-translation", "1e-6"),
+            2,
+            "give --tolerance-translation and",
+        ),
         (("qeury", "bar"), 2, "No such command 'qeury'"),
     ],
 )

@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wrenchbook.service.fields.codec import Column, DamagedFieldsError, pack, read_meta, unpack
+from wrenchbook.service.fields.codec import (
+    MAGIC,
+    Column,
+    DamagedFieldsError,
+    pack,
+    read_meta,
+    unpack,
+)
 
 FIELD = np.random.default_rng(1).standard_normal((50, 3)) * [1e-3, 1.0, 1e6]
 NAMES = np.arange(12, dtype=np.int32).reshape(4, 3)
@@ -64,6 +71,13 @@ def test_no_byte_may_change(data):
     # JSON may be written in two ways that say the same; then it says the same.
     np.testing.assert_array_equal(found[1]["exact"], FIELD)
     assert found[0] == unpack(example())[0]
+
+
+@pytest.mark.parametrize("number", ["NaN", "1e999"])
+def test_a_header_with_a_number_that_is_not_finite_is_damaged(number):
+    header = f'{{"meta": {{"force": {number}}}, "columns": [], "digest": ""}}'.encode()
+    with pytest.raises(DamagedFieldsError):
+        unpack(MAGIC + len(header).to_bytes(4, "little") + header)
 
 
 @pytest.mark.parametrize("part", [0, 3, 20, 24, 100, -1])

@@ -21,6 +21,13 @@ def test_the_solves_of_a_fill_lie_within_its_range(http, stand_in):
     assert len(np.unique(wrenches, axis=0)) == 6
 
 
+def test_a_fill_that_queues_less_than_its_budget_says_why(http, stand_in):
+    stand_in("endless")
+    reply = http.post(CALL, json={"budget": 30}).json()
+    assert len(reply["jobs"]) == 15
+    assert reply["reason"].startswith("15 of at most 30 solves: the first design needs 15")
+
+
 def test_a_fill_of_some_outputs_is_taken(http, stand_in):
     stand_in("endless")
     reply = http.post(CALL, json={"budget": 2, "outputs": ["uz", "rx"]})

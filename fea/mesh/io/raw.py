@@ -78,7 +78,7 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     number = np.full(len(raw.points), -1, dtype=np.int64)
     number[used] = np.arange(len(used))
     if not np.isfinite(raw.points[used]).all():
-        raise MeshFileError("has coordinates that are not finite numbers")
+        raise MeshFileError("has coordinates that are not finite numbers; write the mesh anew")
     kinds = list(dict.fromkeys(raw.blocks[i][0] for i in solids))
     cells = {k: number[np.concatenate([b for kind, b in raw.blocks if kind == k])] for k in kinds}
     once = {kind: _without_twins(nodes) for kind, nodes in cells.items()}

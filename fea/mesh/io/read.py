@@ -82,7 +82,7 @@ def _read_meshio(path: Path) -> RawMesh:
     node_sets = {**_point_groups(read), **read.point_sets}
     points = np.asarray(read.points, dtype=float)
     if points.shape[1] != 3:
-        raise MeshFileError("is flat; the solver takes solid meshes in space")
+        raise MeshFileError("is flat; write a mesh of solid cells in three dimensions")
     nodes = {name: _as_numbers(ids) for name, ids in node_sets.items()}
     return RawMesh(points, blocks, element_sets, nodes)
 

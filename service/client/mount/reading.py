@@ -33,8 +33,8 @@ def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
             raise
         raise SensorError(
             f"the reading is no wrench: {error}. The simulation has diverged before this step; "
-            "nothing was asked and no pose was given. Go back to a state before it, with a "
-            "smaller time step."
+            "no displacement was requested and no pose was set. Go back to a state before it, "
+            "with a smaller time step."
         ) from error
 
 

@@ -197,7 +197,7 @@ def beyond_scope(permission: Permission, needed: Scope) -> ProblemError:
     return ProblemError(
         403,
         "scope",
-        "The key is not for this",
+        "The key's scope does not allow this",
         f"The key {permission.key.name!r} is for {permission.key.scope}, this call needs {needed}; "
         f"nothing was changed.{also} Make another with: wrenchbook keys add NAME --scope {needed}",
     )

@@ -146,11 +146,14 @@ def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
         component = workspace.library[name]
         need = need_from(component, order.range, order.outputs, order.tolerance, "range")
     design, jobs = workspace.fill(name, order.budget, limit, need)
+    fewer = (
+        f"{len(jobs)} of at most {order.budget} solves: " if 0 < len(jobs) < order.budget else ""
+    )
     return {
         "component": name,
         "jobs": [job_link(job) for job in jobs],
         "stage": design.stage,
-        "reason": design.reason,
+        "reason": fewer + design.reason,
     }
 
 

@@ -33,7 +33,7 @@ CODE = pathlib.Path(__file__).parents[3]
 def _within(job_id: int) -> int:
     """Return a number that a job could have: SQLite's integers end at 2**63."""
     if job_id >= 2**63:
-        raise UnknownJobError("there is no job of that number")
+        raise UnknownJobError("there is no job of that number; GET /v1/jobs lists all")
     return job_id
 
 

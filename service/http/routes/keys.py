@@ -78,7 +78,7 @@ def _keyring(request: Request) -> Keyring:
             409,
             "no-keys",
             "This server has no keys",
-            "Everybody on this machine may ask it. Make the first key on the machine itself: "
+            "Every user of this machine may call it. Make the first key on the machine itself: "
             "wrenchbook keys add NAME --scope admin; from then on every call needs one.",
         )
     return access.keyring

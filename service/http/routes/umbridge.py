@@ -172,7 +172,9 @@ def _refused(error: Exception) -> Response:
         told = umbridge.error_of(problem_of(error))
     except Exception:
         log.exception("a call of /umbridge failed")
-        told = UmBridgeError("InvalidOutput", "the server made a mistake; its log tells which")
+        told = UmBridgeError(
+            "InvalidOutput", "internal server error; the server's log has the traceback"
+        )
     return _reply(told.body(), told.status)
 
 

@@ -11,7 +11,7 @@ export async function show(root, _, signal) {
       el("section", { class: "card" }, el("h2", {}, "A bundle, with finite elements"),
         el("p", { class: "muted" }, "The zip of a folder with a component.toml: mesh, materials, supports, interface, load range."), bundle(signal)),
       el("section", { class: "card" }, el("h2", {}, "A table only"),
-        el("p", { class: "muted" }, "For measured rows: nothing is solved, the table answers what you import."), tableOnly(signal))));
+        el("p", { class: "muted" }, "For measured rows: the table answers from imported rows; nothing is solved."), tableOnly(signal))));
 }
 
 const goTo = (name) => { location.hash = `#/c/${encodeURIComponent(name)}`; };
@@ -24,7 +24,7 @@ function bundle(signal) {
     const body = new FormData();
     body.append("bundle", input.files[0]);
     try {
-      put(state, el("p", { class: "muted" }, "Checking it …"));
+      put(state, el("p", { class: "muted" }, "Checking the bundle …"));
       goTo((await (await send("POST", "v1/components", { body, signal })).json()).name);
     } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
   };

@@ -56,9 +56,9 @@ export const caughtUp = (name, signal) => get(`${of(name)}/drawing?most=1`, sign
 
 // What is shown where a call has failed: the server's own words, which say what to do.
 export function trouble(error) {
-  const title = error instanceof Problem ? error.body.title : "The page made a mistake";
+  const title = error instanceof Problem ? error.body.title : "Error in the page";
   const mistakes = error.body?.errors || [];
   return note("outside",
-    el("strong", {}, title || "It did not work"), el("span", {}, error.message),
+    el("strong", {}, title || "The call failed"), el("span", {}, error.message),
     mistakes.length > 1 ? el("ul", {}, mistakes.slice(0, 20).map((one) => el("li", {}, `${one.loc}: ${one.msg}`))) : null);
 }

@@ -5,12 +5,12 @@ import { el, facts, note, pill, put } from "./dom.js";
 import { LOADS, OUTPUTS, count, number, percent, symbol } from "./format.js";
 
 const CHECKS = {
-  zero_at_zero_load: ["Nothing moves without load", (one) => one.reason],
+  zero_at_zero_load: ["The displacement at zero load is zero", (one) => one.reason],
   symmetric: ["The compliance is symmetric (Maxwell, Betti)", (one) => `asymmetry ${percent(one.asymmetry)} of ${percent(one.allowed)} allowed`],
   positive: ["Loads do positive work", (one) => `smallest over largest eigenvalue ${number(one.smallest_over_largest_eigenvalue, 3)}`],
-  linear: ["One 6 × 6 suffices", (one) => one.says],
-  work: ["Work grows from row to row", (one) => `${count(one.pairs_that_give_work_back ?? 0)} pairs give work back`],
-  tangents: ["Tangents lead to the neighbours", (one) => one.largest_miss !== undefined && one.largest_miss !== null ? `largest miss ${percent(one.largest_miss)}` : one.reason],
+  linear: ["The response is linear (one 6 × 6 compliance)", (one) => one.says],
+  work: ["Work does not decrease from row to row", (one) => `${count(one.pairs_that_give_work_back ?? 0)} pairs of rows lose work`],
+  tangents: ["Tangents agree with neighbouring rows", (one) => one.largest_miss !== undefined && one.largest_miss !== null ? `largest deviation ${percent(one.largest_miss)}` : one.reason],
 };
 
 export async function show(root, about, signal) {
@@ -18,11 +18,11 @@ export async function show(root, about, signal) {
   const beside = await get(`${of(about.name)}/disagreement`, signal).catch(() => null);
   put(root,
     el("section", { class: "card" }, el("h2", {}, "Compliance at zero load"),
-      told.tangent_origin === "none" ? el("p", { class: "muted" }, "No rows tell it yet.") : matrix(told.tangent, "Tangent at zero load", `${ORIGINS[told.tangent_origin] || `du/dw of ${told.tangent_origin}`} at zero load`)),
+      told.tangent_origin === "none" ? el("p", { class: "muted" }, "Not known yet: there are no rows.") : matrix(told.tangent, "Tangent at zero load", `${ORIGINS[told.tangent_origin] || `du/dw of ${told.tangent_origin}`} at zero load`)),
     told.origin === "none" ? null : el("section", { class: "card" }, el("h2", {}, "Mean compliance over the load range"),
       matrix(mean(told), "Mean compliance", `${told.origin} from ${count(told.rows_checked)} rows`)),
-    el("section", { class: "card" }, el("h2", {}, "What physics asks of the rows"), checks(told)),
-    beside?.compared ? el("section", { class: "card" }, el("h2", {}, "Measured beside solved"), disagreement(beside)) : null);
+    el("section", { class: "card" }, el("h2", {}, "Physical checks of the rows"), checks(told)),
+    beside?.compared ? el("section", { class: "card" }, el("h2", {}, "Measured against solved rows"), disagreement(beside)) : null);
 }
 
 const ORIGINS = { row: "tangent of the row" };
@@ -50,7 +50,7 @@ function matrix(values, name, origin) {
 }
 
 function checks(told) {
-  if (!told.rows_checked) return el("p", { class: "muted" }, "There are no whole rows to check.");
+  if (!told.rows_checked) return el("p", { class: "muted" }, "There are no rows with all six outputs to check.");
   const lines = Object.entries(told.checks).map(([name, one]) => {
     const [title, words] = CHECKS[name] || [name, () => ""];
     const verdict = one.ok === null ? pill("unknown", "") : one.ok ? pill("holds", "ok") : pill(name === "linear" ? "no" : "broken", name === "linear" ? "thin" : "wrong");
@@ -62,7 +62,7 @@ function checks(told) {
 
 function disagreement(told) {
   return [
-    told.outside ? note("thin", `${told.outside} of ${told.compared} measured values lie outside the bar of the solved rows.`) : note("covered", `All ${told.compared} measured values lie within the bar of the solved rows.`),
+    told.outside ? note("thin", `${told.outside} of ${told.compared} measured values lie outside the error bar of the solved rows.`) : note("covered", `All ${told.compared} measured values lie within the error bar of the solved rows.`),
     (told.rows || []).length ? facts(told.rows.slice(0, 20).map((one) => [`row ${one.row}, ${one.output}`, `${number(one.measured)} measured, ${number(one.expected)} ± ${number(one.bar, 2)} expected: ${number(one.ratio, 2)} bars off`])) : null,
   ];
 }

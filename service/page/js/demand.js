@@ -16,25 +16,25 @@ export async function show(root, about, signal) {
     told = await get(`${of(about.name)}/demand`, signal);
   } catch (error) {
     if (!(error instanceof Problem) || error.status !== 404) throw error;
-    put(root, el("p", { class: "empty" }, "This server does not keep what was asked."));
+    put(root, el("p", { class: "empty" }, "This server keeps no query statistics."));
     return;
   }
   if (!told.cells?.length) {
-    put(root, el("p", { class: "empty" }, "All that was asked was covered."));
+    put(root, el("p", { class: "empty" }, "All queries were covered."));
     return;
   }
   const place = el("div", { class: "plot", id: "demand" });
-  const view = figure(place, `What was asked of ${about.name}`);
+  const view = figure(place, `Uncovered queries of ${about.name}`);
   const state = { axis: "z" };
   let drawing = null;
   const forget = async () => { await send("DELETE", `${of(about.name)}/demand`); notify("Forgotten."); await show(root, about, signal); };
   put(root,
     el("section", { class: "card" },
       el("div", { class: "line bottom ends" }, choice("demand-axis", "Loads of", Object.keys(AXES).map((one) => [one, `axis ${one}`]), "z", (value) => { state.axis = value; drawing?.again(); }),
-        el("button", { type: "button", class: "small", onclick: forget }, "Forget it")),
-      el("p", { class: "muted" }, `${count(told.asked)} answers were thin or outside. The larger a mark, the more often its loads were asked for; the frame is the load range.`), view.root),
-    el("section", { class: "card" }, el("h2", {}, "Asked most often"), most(told)));
-  drawing = await draw(place, (shade) => picture(about, told, state.axis, shade, view.camera()), signal, `${told.cells.length} places that were asked and not covered`);
+        el("button", { type: "button", class: "small", onclick: forget }, "Delete the statistics")),
+      el("p", { class: "muted" }, `${count(told.asked)} answers were thin or outside. The size of a mark is the number of queries; the frame is the load range.`), view.root),
+    el("section", { class: "card" }, el("h2", {}, "Most frequent"), most(told)));
+  drawing = await draw(place, (shade) => picture(about, told, state.axis, shade, view.camera()), signal, `${told.cells.length} places with uncovered queries`);
   view.hold(drawing);
 }
 

@@ -35,7 +35,7 @@ function form(signal, { inputs, action, id, first }, done) {
 }
 
 function notes(about, signal) {
-  const text = el("textarea", { value: about.notes, id: "notes", "aria-label": "Notes", placeholder: "What the next one should know: bolts, gauges, drawings. The search finds it.", maxlength: 10000 });
+  const text = el("textarea", { value: about.notes, id: "notes", "aria-label": "Notes", placeholder: "For example bolts, gauges, drawings. The search reads it.", maxlength: 10000 });
   return form(signal, { inputs: text, action: "Save the notes", id: "save-notes", first: true }, async () => {
     await send("PUT", `${of(about.name)}/notes`, { json: { text: text.value }, signal });
     return el("span", { class: "muted" }, "Saved.");
@@ -55,12 +55,12 @@ function naming(about, signal) {
     goTo((await post(`${of(about.name)}/rename`, { name: renamed.value.trim() }, signal)).name);
   });
   return el("div", { class: "stack" }, rename,
-    el("p", { class: "muted small" }, "The rows go along; the old name is archived and goes on answering."), copy);
+    el("p", { class: "muted small" }, "The rows move with it; the old name is archived and still answers."), copy);
 }
 
 function away(about, signal, again) {
   const verb = about.archived ? "unarchive" : "archive";
-  const words = about.archived ? "It is out of the library's list, and answers all the same." : "Takes it out of the library's list; it goes on answering, and can be brought back.";
+  const words = about.archived ? "The library's list leaves it out; queries still work." : "The library's list leaves it out; queries still work, and it can be brought back.";
   return form(signal, { inputs: el("p", { class: "muted" }, words), action: about.archived ? "Bring it back" : "Archive it", id: verb }, async () => {
     await post(`${of(about.name)}/${verb}`, {}, signal);
     await again();

@@ -23,7 +23,7 @@ export function importForm(about, signal) {
   };
   const input = el("input", { type: "file", id: "file", "aria-label": "A table file", onchange: () => take(input.files[0]) });
   const drop = el("div", { class: "drop" }, el("strong", {}, "Drop a table here, or choose a file"),
-    el("span", { class: "small" }, "CSV with a header such as Fz [N], ux [mm]; Excel, Parquet; the JSON or HDF5 of an export; each gzipped or not. It is checked first; nothing is loaded before you say so."), input);
+    el("span", { class: "small" }, "CSV with a header such as Fz [N], ux [mm]; Excel, Parquet; the JSON or HDF5 of an export; each gzipped or not. The file is checked first; rows are loaded only after you confirm."), input);
   const over = (event) => { event.preventDefault(); drop.classList.add("over"); };
   drop.addEventListener("dragenter", over);
   drop.addEventListener("dragover", over);
@@ -63,7 +63,7 @@ async function check(state) {
 
 function ready(state, told) {
   return [
-    note("covered", el("strong", {}, `${state.file.name}: every row is in order.`), tallies(told)),
+    note("covered", el("strong", {}, `${state.file.name}: all rows are correct.`), tallies(told)),
     preview(told), state.options.columns.draw(told), again(state), el("div", {}, importButton(state, told)),
   ];
 }
@@ -82,7 +82,7 @@ function again(state, mend = () => {}) {
 function tallies(told) {
   const { read, refused, tare, unmatched } = told.rows;
   return [
-    el("span", {}, `${count(told.inserted)} new rows${told.existing ? `, ${count(told.existing)} are in the table already` : ""}; ${count(read)} read${refused ? `, ${count(refused)} refused` : ""}${tare ? `, ${count(tare)} taken as tare` : ""}${unmatched ? `, ${count(unmatched)} without a partner` : ""}.`),
+    el("span", {}, `${count(told.inserted)} new rows${told.existing ? `, ${count(told.existing)} are in the table already` : ""}; ${count(read)} read${refused ? `, ${count(refused)} refused` : ""}${tare ? `, ${count(tare)} taken as tare` : ""}${unmatched ? `, ${count(unmatched)} without a load at their time` : ""}.`),
     told.ignored?.length ? el("span", {}, `Columns left out: ${told.ignored.join(", ")}.`) : null,
   ];
 }
@@ -91,7 +91,7 @@ function preview(told) {
   if (!told.preview?.length) return null;
   const head = ["#row", ...LOADS.map((one) => `#${plain(one)}, ${unitOfLoad(one)}`), ...OUTPUTS.map((one) => `#${one}, ${unitOfOutput(one)}`)];
   const lines = told.preview.map((one) => [String(one.row), ...[...one.wrench, ...one.displacement].map((value) => number(value, 6))]);
-  const shown = table(head, lines, { scrolls: true, caption: "The first good rows, in SI" });
+  const shown = table(head, lines, { scrolls: true, caption: "The first correct rows, in SI" });
   shown.id = "preview";
   return shown;
 }
@@ -103,7 +103,7 @@ async function load(state) {
     await caughtUp(state.about.name, state.signal);
     const name = encodeURIComponent(state.about.name);
     put(state.place, note("covered", el("strong", {}, `${count(told.inserted)} rows are in the table.`), told.errors.length || told.existing || told.rows.tare ? tallies(told) : null,
-      el("span", {}, el("a", { href: `#/c/${name}/query` }, "Ask it"), ", or look at ", el("a", { href: `#/c/${name}/rows` }, "the rows"), ". This is ", el("a", { href: `#/c/${name}/entry` }, `version ${told.table_version}`), ".")));
+      el("span", {}, el("a", { href: `#/c/${name}/query` }, "Query it"), ", or see ", el("a", { href: `#/c/${name}/rows` }, "the rows"), ". This is ", el("a", { href: `#/c/${name}/entry` }, `version ${told.table_version}`), ".")));
   } catch (error) { if (!state.signal.aborted) put(state.place, trouble(error)); }
 }
 
@@ -119,7 +119,7 @@ function mistakes(state, errors, told) {
       byRow.size > MENDED ? el("span", {}, `The first ${MENDED} are shown.`) : null),
     el("div", { class: "stack", id: "mistakes" }, shown.map(([row, list]) => mistake(state, row, list, edits))),
     told.columns || byRow.has(1) || byRow.has(0) ? state.options.columns.draw(told, errors) : null,
-    edits.size ? null : el("p", { class: "muted" }, "Mend them in the file and drop it again, or say otherwise here."),
+    edits.size ? null : el("p", { class: "muted" }, "Correct them in the file and drop it again, or change the options here."),
     again(state, mend),
     told.partial && told.inserted ? [preview(told), el("div", {}, importButton(state, told))] : null,
   ];

@@ -16,17 +16,17 @@ export function importOptions(changed) {
     const input = el("input", { type: "checkbox", onchange: changed });
     return [input, el("label", { class: "check" }, input, text)];
   };
-  const [zero, zeroLine] = check("Loads without a column were zero");
+  const [zero, zeroLine] = check("Loads without a column are zero");
   const [extra, extraLine] = check("Leave out all unknown columns");
-  const [partial, partialLine] = check("Load the good rows though others have mistakes");
+  const [partial, partialLine] = check("Load the correct rows even if others have mistakes");
   const tare = el("input", { type: "number", min: 0, step: 1, value: 0, onchange: changed, id: "tare" });
-  const decimal = select([["", "as the file tells"], [".", "point"], [",", "comma"]], "", changed);
+  const decimal = select([["", "as in the file"], [".", "point"], [",", "comma"]], "", changed);
   const sheet = el("input", { autocomplete: "off", placeholder: "the first", onchange: changed, id: "sheet" });
   const said = el("input", { autocomplete: "off", maxlength: 10000, id: "import-note" });
   const root = el("details", { id: "import-options" }, el("summary", {}, "Options"),
     el("div", { class: "stack" }, zeroLine, extraLine, partialLine,
-      el("div", { class: "few" }, field("Tare: first rows, whose mean is taken off", tare), field("Decimal mark (CSV)", decimal), field("Sheet (Excel)", sheet)),
-      field("Note, kept with the import", said)));
+      el("div", { class: "few" }, field("Tare: number of first rows, whose mean is subtracted", tare), field("Decimal mark (CSV)", decimal), field("Sheet (Excel)", sheet)),
+      field("Note, stored with the import", said)));
   const columns = columnTable();
   const query = () => {
     const asked = new URLSearchParams();
@@ -62,13 +62,13 @@ function columnTable() {
     const wrong = new Map(errors.filter((one) => one.row <= 1 && !["header", "file", "line", "form", "rows"].includes(one.field)).map((one) => [one.field, one.message]));
     const names = [...new Set([...known.keys(), ...(told.ignored || []), ...wrong.keys(), ...before.keys()])];
     inputs = new Map(names.map((name) => [name, el("input", {
-      value: before.get(name)?.value ?? "", placeholder: known.get(name) || (wrong.has(name) ? "say what it is" : LEFT_OUT),
+      value: before.get(name)?.value ?? "", placeholder: known.get(name) || (wrong.has(name) ? "meaning?" : LEFT_OUT),
       list: MEANINGS, "aria-label": `What ${name} is`, autocomplete: "off", spellcheck: "false",
     })]));
     const bare = [...wrong].map(([name, message]) => [name, message.match(/has no unit; write for example (\w+) \[/)?.[1]]).filter(([, one]) => one);
     return el("details", { id: "columns", open: wrong.size > 0 || [...before.values()].some((one) => one.value) },
-      el("summary", {}, "What the columns are"),
-      el("p", { class: "muted small" }, `Empty: as the file says. Otherwise a name with its unit, such as fz [kN]; a - before it turns the sign; or “${LEFT_OUT}”.`),
+      el("summary", {}, "Meaning of the columns"),
+      el("p", { class: "muted small" }, `Empty: as the file says. Otherwise a name with its unit, such as fz [kN]; a - before it reverses the sign; or “${LEFT_OUT}”.`),
       bare.length ? unitsOf(bare, inputs) : null,
       meanings(), el("div", { class: "few columns" }, names.map((name) => field(name, inputs.get(name)))));
   };

@@ -26,7 +26,7 @@ export async function jobList(root, component, signal) {
   older.addEventListener("click", () => load(following.replace(/^\//, ""), false));
   const filter = el("select", { "aria-label": "Which jobs", onchange: (event) => { status.value = event.target.value; fresh(); } },
     ["", "waiting", "running", "done", "failed", "cancelled"].map((one) => el("option", { value: one }, one || "all")));
-  const cancelAll = el("button", { type: "button", class: "small", onclick: () => cancelWaiting(component) }, "Cancel all that wait");
+  const cancelAll = el("button", { type: "button", class: "small", onclick: () => cancelWaiting(component) }, "Cancel all waiting jobs");
   const head = ["job", component ? null : "component", "state", "wrench", "took", ""].filter((one) => one !== null);
   put(root,
     el("div", { class: "line ends" }, el("label", { class: "line" }, "Show", filter), cancelAll),
@@ -92,7 +92,7 @@ export async function showLog(id) {
   document.body.append(dialog);
   dialog.showModal();
   try {
-    text.textContent = (await (await send("GET", `v1/jobs/${id}/log`)).text()) || "The solver has printed nothing.";
+    text.textContent = (await (await send("GET", `v1/jobs/${id}/log`)).text()) || "The solver printed nothing.";
   } catch (error) {
     text.textContent = error.message;
   }
@@ -119,5 +119,5 @@ export function jobFacts(job) {
 function failure({ kind, message, remedy }) {
   const words = kind && message.startsWith(`${kind}: `) ? message.slice(kind.length + 2) : message;
   return note("outside", el("strong", {}, (kind || "failed").replaceAll("_", " ")), el("span", {}, words),
-    remedy && !words.includes(remedy) ? el("span", {}, `What helps: ${remedy}`) : null);
+    remedy && !words.includes(remedy) ? el("span", {}, `Remedy: ${remedy}`) : null);
 }

@@ -21,11 +21,11 @@ export async function show(root, _, signal, archived = false) {
     await show(root, _, signal, box.checked);
     document.getElementById("archived")?.focus();
   } });
-  const away = el("label", { class: "check" }, box, "Archived too");
+  const away = el("label", { class: "check" }, box, "Show archived");
   put(root,
     el("div", { class: "head" },
       el("div", {}, el("h1", {}, "Library"),
-        el("p", { class: "muted" }, "Deformable parts, and how much of each load range their tables answer within the tolerance.")),
+        el("p", { class: "muted" }, "Deformable components, and the share of each load range that the table answers within the tolerance.")),
       el("div", { class: "line" }, el("div", { class: "search" }, search), away, el("a", { class: "button", href: "#/add" }, "Add a component"))),
     broken.length ? note("outside", el("strong", {}, "Not usable"), broken.map((one) => el("span", {}, `${one.name}: ${one.reason}`))) : null,
     components.length ? list : el("p", { class: "empty" }, "No components yet."));

@@ -22,7 +22,7 @@ async function show() {
   const [file, found] = viewOf(address);
   document.title = "wrenchbook";
   if (!file) {
-    put(main, el("h1", {}, "Nothing here"), el("p", {}, el("a", { href: "#/" }, "Go to the library")));
+    put(main, el("h1", {}, "No such page"), el("p", {}, el("a", { href: "#/" }, "Go to the library")));
     return;
   }
   try {
@@ -73,11 +73,11 @@ function askForKey() {
     onsubmit: (event) => { event.preventDefault(); setKey(input.value.trim()); close(); markKey(); show(); },
   },
     el("h2", {}, "Key"),
-    el("p", {}, "A server that is not on this machine alone asks for one. It is kept until this tab is closed and is sent to this server only."),
+    el("p", {}, "A server that other machines can reach needs a key. The key is stored until this tab is closed and is sent to this server only."),
     input,
     el("div", { class: "line" },
       el("button", { class: "first" }, "Use this key"),
-      el("button", { type: "button", onclick: () => { input.value = ""; form.requestSubmit(); } }, "Forget it"),
+      el("button", { type: "button", onclick: () => { input.value = ""; form.requestSubmit(); } }, "Delete the key"),
       el("button", { type: "button", class: "quiet", onclick: close }, "Cancel")));
   const dialog = el("dialog", { "aria-label": "Key", onclose: () => dialog.remove() }, form);
   document.body.append(dialog);
@@ -95,7 +95,7 @@ function setTheme(name) {
   document.documentElement.style.colorScheme = scheme;
   const button = document.getElementById("theme");
   button.textContent = text;
-  button.title = `Colours: ${text}. Press for the next.`;
+  button.title = `Colours: ${text}. Click for the next scheme.`;
   button.setAttribute("aria-label", `Colours: ${text}`);
   window.dispatchEvent(new Event("theme"));
 }

@@ -14,12 +14,12 @@ export async function show(root, { name }, signal) {
   const ofRows = about.warnings.filter((one) => one.where === "rows");
   put(root,
     ofRows.length ? note("thin", ofRows.map((one) => el("p", {}, textOf(one))), about.another_setup.wrenches ? resolve(about) : null) : null,
-    checked.length ? note("thin", el("strong", {}, "What the check of its bundle says"), el("ul", {}, checked.map((one) => el("li", {}, textOf(one))))) : null,
+    checked.length ? note("thin", el("strong", {}, "Warnings of the bundle check"), el("ul", {}, checked.map((one) => el("li", {}, textOf(one))))) : null,
     el("div", { class: "halves" },
-      el("section", { class: "card" }, el("h2", {}, "How much is answered"), glance),
-      el("section", { class: "card" }, el("h2", {}, "How it answers"), method(about)),
-      el("section", { class: "card" }, el("h2", {}, "Loads expected"), loads(about)),
-      el("section", { class: "card" }, el("h2", {}, "The contract"), contract(about))));
+      el("section", { class: "card" }, el("h2", {}, "Coverage"), glance),
+      el("section", { class: "card" }, el("h2", {}, "Method and rows"), method(about)),
+      el("section", { class: "card" }, el("h2", {}, "Load range"), loads(about)),
+      el("section", { class: "card" }, el("h2", {}, "Conventions"), contract(about))));
   const refresh = () => cover(glance, about, signal);
   listen(about.name, signal, (kind) => { if (kind === "table") refresh(); });
   await refresh();
@@ -32,7 +32,7 @@ async function cover(place, about, signal) {
   const parts = [];
   if (rows) {
     parts.push(sharesOf(await get(`${of(about.name)}/glance`, signal)));
-    parts.push(el("p", { class: "muted small" }, "Of loads spread over the range, and over the three loads of each axis: the part answered within the tolerance."));
+    parts.push(el("p", { class: "muted small" }, "Share of the load range, and of each axis' three loads, that the table answers within the tolerance."));
   } else parts.push(el("p", {}, "The table has no rows yet."));
   if (about.has_fea) parts.push(fill(about));
   else parts.push(el("p", {}, el("a", { href: `#/c/${about.name}/table` }, "Import measured rows"), "."));
@@ -51,7 +51,7 @@ function resolve(about) {
 }
 
 function fill(about) {
-  const budget = el("input", { type: "number", min: 1, max: 10000, value: 24, "aria-label": "Solves at most" });
+  const budget = el("input", { type: "number", min: 1, max: 10000, value: 24, "aria-label": "Largest number of solves" });
   budget.style.width = "6rem";
   const order = async (event) => {
     event.preventDefault();
@@ -61,7 +61,7 @@ function fill(about) {
     } catch (error) { notify(error.message, "wrong"); }
   };
   return el("form", { class: "line bottom", onsubmit: order },
-    field("Solves at most", budget), el("button", { class: "first" }, "Fill the table"));
+    field("Largest number of solves", budget), el("button", { class: "first" }, "Fill the table"));
 }
 
 function method(about) {
@@ -76,7 +76,7 @@ function method(about) {
     ["Rows", sources || "none"],
     ["Method", cover.method],
     ["Why", cover.method_reason],
-    ["Error at rows left out", errors],
+    ["Cross-validation error", errors],
     ["Tolerance", tolerance],
     ["Jobs", jobs || "none"],
     ["Contradictions", cover.conflicting_wrenches ? `${cover.conflicting_wrenches} wrenches have rows that disagree` : ""],

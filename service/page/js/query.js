@@ -9,12 +9,12 @@ import { curlOf, pythonOf, snippet, versionQuery } from "./snippet.js";
 import { versionField } from "./version.js";
 import { wrenchForm } from "./wrench_form.js";
 
-const ON_THIN = [["queue", "queue a solve"], ["estimate", "estimate, flagged"], ["reject", "refuse"]];
-const METHODS = [["", "the table's own"], ["kriging", "kriging"], ["griddata", "griddata"], ["additive", "additive"], ["linear", "linear"], ["tangent", "tangent"], ["nearest", "nearest"]];
+const ON_THIN = [["queue", "queue a solve"], ["estimate", "estimate only"], ["reject", "reject"]];
+const METHODS = [["", "default of the table"], ["kriging", "kriging"], ["griddata", "griddata"], ["additive", "additive"], ["linear", "linear"], ["tangent", "tangent"], ["nearest", "nearest"]];
 
 export async function show(root, about, signal) {
   const answer = el("section", { class: "stack", "aria-live": "polite" },
-    el("p", { class: "empty" }, "Type the wrench that acts on the component at its interface point, in the undeformed interface frame."));
+    el("p", { class: "empty" }, "Enter the wrench that acts on the component at its interface point, in the undeformed interface frame."));
   const curl = snippet("From a shell"), python = snippet("From Python");
   const onThin = select(about.has_fea ? ON_THIN : ON_THIN.slice(1), about.has_fea ? "queue" : "estimate", () => tell());
   const method = select(METHODS, "", () => tell());
@@ -23,7 +23,7 @@ export async function show(root, about, signal) {
   const ask = (wrench) => query(answer, about, wrench, options(), signal);
   const form = wrenchForm(about, {
     action: "Ask", asked: ask, changed: () => tell(),
-    more: el("div", { class: "stack" }, field("Where the table is too thin", onThin), field("Method", method), version.root),
+    more: el("div", { class: "stack" }, field("If the table does not cover the wrench", onThin), field("Method", method), version.root),
   });
   const tell = () => {
     curl.say(curlOf(about.name, form.read(), options()));
@@ -49,7 +49,7 @@ async function query(place, about, wrench, options, signal, watched = null) {
   if (answer.job && answer.job.id !== watched) await watch(place, about, wrench, options, answer.job, signal);
 }
 
-const BEYOND = "The bar is over the tolerance by the solver's own error, of its mesh say. More solves do not lower that; the component's overview says what does.";
+const BEYOND = "The error bar exceeds the tolerance because of the discretisation error. More solves do not lower it; the component's overview says what does.";
 
 function shown(answer, about, wrench) {
   const values = answer.translation ? [...answer.translation, ...answer.rotation] : null;
@@ -61,7 +61,7 @@ function shown(answer, about, wrench) {
     const share = allowed && bars[place] !== null && bars[place] !== undefined ? percent(bars[place] / allowed) : "";
     return row(symbol(output), value, bar, share);
   });
-  const head = ["", "value", "95 % bar", limit ? "of the tolerance" : ""].map((one, place) =>
+  const head = ["", "value", "95 % error bar", limit ? "of the tolerance" : ""].map((one, place) =>
     el("th", { scope: "col", class: place ? "number" : null }, one));
   return [
     el("div", { class: "line" }, pill(answer.coverage), el("span", { class: "muted small" }, about_(answer))),

@@ -29,14 +29,14 @@ function order(about, state, body, signal) {
   };
   return el("form", { class: "line bottom", onsubmit: make },
     field("Wrenches to compare", wrenches), el("button", {}, "Make the report"),
-    el("span", { class: "muted small" }, "It solves each on three meshes: minutes."));
+    el("span", { class: "muted small" }, "Each wrench is solved on three meshes; this takes minutes."));
 }
 
 async function latest(about, state, body, signal) {
   for (;;) {
     const now = await get(`${of(about.name)}/report?format=state`, signal);
     if (now.state === "running") put(state, el("progress", { max: "1", value: now.fraction }), el("span", { class: "muted small" }, now.message));
-    else if (now.state === "failed") put(state, note("outside", "Making it failed: ", now.message));
+    else if (now.state === "failed") put(state, note("outside", "The report could not be made: ", now.message));
     else put(state);
     if (now.state !== "running") break;
     await new Promise((done) => setTimeout(done, LOOK_S));
@@ -73,7 +73,7 @@ async function page(body, about, told, signal) {
       el("ul", { class: "key-of-marks" }, keys.map((name) => { const mark = el("i", {}); mark.style.background = `var(--${LOOKS[name][0]})`; return el("li", {}, mark, name); })),
       el("p", { class: "muted small" }, `${told.wrenches.compared} of ${told.wrenches.asked} random wrenches, none of them in the table, which has ${count(told.rows)} rows. Errors are RMS over the range of the worst output.`)),
     el("section", { class: "card" }, el("h2", {}, "Figures"),
-      table(["", "#error", "#one answer", "#covered", "#inside the bar"], lines, { scrolls: true }),
+      table(["", "#error", "#one answer", "#covered", "#inside the error bar"], lines, { scrolls: true }),
       el("div", { class: "line" }, el("span", { class: "muted small" }, "★ nothing else is both better and faster"), files(about))));
   await draw(place, (shade) => front(told, shade), signal, "Error against run time, both logarithmic; the figures are in the table below.");
 }

@@ -27,7 +27,7 @@ export async function show(root, about, signal) {
     put(told, labelOf(state));
   };
   const symbols = (names) => names.map((name) => [name, symbol(name)]);
-  const others = wrenchForm(about, { action: "Use these", asked: (wrench) => { state.at = wrench; load(); } });
+  const others = wrenchForm(about, { action: "Apply", asked: (wrench) => { state.at = wrench; load(); } });
   others.inputs.forEach((input) => { input.value = "0"; });
   put(root, el("section", { class: "card" },
     el("div", { class: "line bottom" },
@@ -35,7 +35,7 @@ export async function show(root, about, signal) {
       choice("output", "Output", symbols(OUTPUTS), state.output, (value) => { state.output = value; again(); })),
     place, told,
     el("details", {}, el("summary", {}, "The other five loads"),
-      el("div", { class: "stack" }, note("", "Rows are drawn only where all of them are zero."), others.form))));
+      el("div", { class: "stack" }, note("", "Rows are drawn only if all five are zero."), others.form))));
   await load();
 }
 
@@ -52,10 +52,10 @@ async function ask(about, state, signal) {
 function labelOf({ sweep, rows, output, load }) {
   const thin = sweep.coverage.filter((one) => one > 0).length;
   const share = Math.round(100 * (1 - thin / sweep.coverage.length));
-  const drawn = rows ? `${rows.shown === 1 ? "1 row lies" : `${rows.shown} rows lie`} on this line` : "no rows are drawn: other loads act";
+  const drawn = rows ? `${rows.shown === 1 ? "1 row lies" : `${rows.shown} rows lie`} on this line` : "rows are not drawn, since other loads act";
   const k = OUTPUTS.indexOf(output), bars = sweep.error.map((one) => one[k] ?? 0);
   const widest = quantity(Math.max(...bars), unitOfOutput(output), 2);
-  return `${plain(output)} over ${plain(load)} by ${sweep.method}. The band is its 95 % error bar, ${sweep.bars_are_whole ? "" : "without what the solver's mesh is off, which is not known, "}at most ± ${widest}; ${share} % of the line is covered; ${drawn}.`;
+  return `${plain(output)} over ${plain(load)} by ${sweep.method}. The band is its 95 % error bar, ${sweep.bars_are_whole ? "" : "without the discretisation error, which is not known, "}at most ± ${widest}; ${share} % of the line is covered; ${drawn}.`;
 }
 
 function picture(state, shade) {

@@ -28,7 +28,7 @@ async function axisOf(stage, about, axis, signal) {
   ]);
   let gap = { hull: [], worst: [] };
   const place = el("div", { class: "plot", id: "rows" });
-  const below = el("div", { class: "halves" }, el("p", { class: "muted" }, "Looking for the hull …"));
+  const below = el("div", { class: "halves" }, el("p", { class: "muted" }, "Computing the convex hull …"));
   const view = figure(place, `Rows of axis ${axis}`, marks());
   put(stage,
     el("section", { class: "card" },
@@ -39,8 +39,8 @@ async function axisOf(stage, about, axis, signal) {
   view.hold(drawing);
   const cover = await get(`${of(about.name)}/coverage`, signal); // seconds for 100,000 rows
   gap = cover.gaps.find((one) => one.axis === axis) || gap;
-  put(below, el("section", { class: "card" }, el("h2", {}, "What this axis holds"), holds(rows, cover.axes.find((one) => one.axis === axis))),
-    el("section", { class: "card" }, el("h2", {}, "Where its rows lie least close"), worst(gap)));
+  put(below, el("section", { class: "card" }, el("h2", {}, "Coverage of this axis"), holds(rows, cover.axes.find((one) => one.axis === axis))),
+    el("section", { class: "card" }, el("h2", {}, "Largest gaps between rows"), worst(gap)));
   if (stage.contains(place)) await drawing.again();
 }
 
@@ -57,8 +57,8 @@ function marks() {
     mark.style.background = `var(--${colour})`;
     return el("li", {}, mark, text);
   };
-  return el("ul", { class: "key-of-marks" }, one("", "accent", "row that loads this axis alone"), one("hollow", "card", "row with other loads too"),
-    one("square", "thin", "asked here, thin"), one("square", "outside", "asked here, outside"), one("square", "query", "latest queries"));
+  return el("ul", { class: "key-of-marks" }, one("", "accent", "row with loads of this axis only"), one("hollow", "card", "row with other loads too"),
+    one("square", "thin", "query of this tab, thin"), one("square", "outside", "query of this tab, outside"), one("square", "query", "latest queries"));
 }
 
 function picture(about, rows, gap, latest, shade, camera) {
@@ -96,13 +96,13 @@ function holds(rows, summary) {
   if (!summary) return el("p", {}, "The table's compliance answers: all loads are covered by six unit solves, whatever the rows.");
   const lines = Object.entries(summary.spans).map(([load, [low, high]]) => [symbol(load), number(low), number(high), unitOfLoad(load)]);
   return [
-    el("p", {}, `${count(summary.rows)} rows, ${count(summary.corrected)} of them with other loads too, span ${summary.dimensions ?? 0} dimensions. Their hull takes ${percent(summary.part_of_range)} of the range.`),
+    el("p", {}, `${count(summary.rows)} rows, ${count(summary.corrected)} of them with other loads too, span ${summary.dimensions ?? 0} dimensions. Their convex hull covers ${percent(summary.part_of_range)} of the range.`),
     lines.length ? table(["Load", "#from", "#to", ""], lines) : null,
   ];
 }
 
 function worst(gap) {
-  if (!gap.worst.length) return el("p", {}, "Nothing lies between rows.");
+  if (!gap.worst.length) return el("p", {}, "There are no gaps.");
   const loads = Object.keys(gap.worst[0].loads);
   return table([...loads.map((load) => `#${plain(load)}, ${unitOfLoad(load)}`), "#of the range"],
     gap.worst.map((one) => [...loads.map((load) => number(one.loads[load], 3)), percent(one.part_of_range)]), { scrolls: true });

@@ -25,7 +25,7 @@ export async function show(root, _, signal) {
   };
   put(root,
     el("div", { class: "head" }, el("div", {}, el("h1", {}, "Scene plan"),
-      el("p", { class: "muted" }, "Say which loads can occur and which outputs are read: what is not needed is not solved, kept or computed."))),
+      el("p", { class: "muted" }, "Enter the loads that can occur and the outputs that the simulation reads. Other loads and outputs are not solved, stored or computed."))),
     el("form", { class: "stack", onsubmit: ask },
       el("fieldset", { class: "card" }, el("legend", { class: "unseen" }, "Components of the scene"),
         el("div", { class: "line" }, components.map((one) => el("label", { class: "check" }, el("input", { type: "checkbox", onchange: toggle(one) }), one.name)))),
@@ -73,6 +73,6 @@ function planned(name, one) {
       ["First solves", `${count(one.solves.scene)} of ${count(one.solves.whole)}`],
       ["Saves", [saved.build_s > 0 ? `${seconds(saved.build_s)} of building` : "", saved.memory_bytes > 0 ? `${number(saved.memory_bytes / 1e6, 3)} MB` : "", saved.us_per_answer > 0 ? `${number(saved.us_per_answer, 3)} µs an answer` : ""].filter(Boolean).join(", ")],
     ]),
-    el("details", {}, el("summary", {}, "No displacement exceeds"), facts(bound)),
+    el("details", {}, el("summary", {}, "Largest displacements"), facts(bound)),
     one.decision === "rigid" ? note("covered", "Leave it out: the bound is below the tolerance.") : null);
 }

@@ -27,7 +27,7 @@ async function bend(stage, about, wrench, signal) {
     shape = await get(`${of(about.name)}/deformed?${queryOf(wrench)}`, signal);
   } catch (error) {
     if (signal.aborted) return;
-    const hint = error.status === 409 && about.has_fea ? el("p", {}, "A solve of this wrench gives one: ", el("a", { href: `#/c/${about.name}/query` }, "ask for it"), ".") : null;
+    const hint = error.status === 409 && about.has_fea ? el("p", {}, "A solve of this wrench gives one: see ", el("a", { href: `#/c/${about.name}/query` }, "Query"), ".") : null;
     put(stage, trouble(error), hint);
     return;
   }
@@ -59,7 +59,7 @@ async function stageOf(stage, about, wrench, shape, signal) {
     view.root,
     el("div", { class: "line" }, el("label", { for: "magnify" }, "Magnified"), told,
       el("button", { type: "button", class: "small", onclick: () => set(1, true) }, "True scale"),
-      el("button", { type: "button", class: "small", onclick: () => set(round(natural), true) }, "As first shown")),
+      el("button", { type: "button", class: "small", onclick: () => set(round(natural), true) }, "Initial scale")),
     slider,
     el("div", { class: "line bottom ends" }, choice("colour", "Colour", SHOWN(), "size", (value) => { state.colour = value; drawing?.again(); }), download(about, wrench)),
     measured(shape, sizes, largest));
@@ -71,18 +71,18 @@ async function stageOf(stage, about, wrench, shape, signal) {
 const round = (factor) => (factor > 2 ? Number(factor.toPrecision(2)) : Math.round(factor * 100) / 100);
 const said = (about, largest) => `The deformed surface of ${about.name}; its largest displacement is ${quantity(largest, "m")}.`;
 
-const BEYOND = "A bar is over the tolerance by the solver's own error, of its mesh say. More solves do not lower that; the component's overview says what does.";
+const BEYOND = "An error bar exceeds the tolerance because of the discretisation error. More solves do not lower it; the component's overview says what does.";
 
 function warned({ coverage, error_parts: parts, within_tolerance: within }) {
-  if (parts && parts.mesh === null) return note("thin", `The bars lack what the solver's own mesh is off: ${parts.mesh_basis}.`);
+  if (parts && parts.mesh === null) return note("thin", `The error bars lack the discretisation error: ${parts.mesh_basis}.`);
   return coverage === "covered" && within === false ? note("thin", BEYOND) : null;
 }
 
-const CAUSES = ["table", "mesh", "linearity"];
+const CAUSES = { table: "interpolation", mesh: "discretisation", linearity: "linear analysis" };
 
 function sharesOf(parts) {
   if (!parts) return "";
-  return CAUSES.filter((cause) => cause in parts).map((cause) => `${cause} ${parts[cause] === null ? "not known" : quantity(parts[cause], "m", 2)}`).join(", ");
+  return Object.entries(CAUSES).filter(([cause]) => cause in parts).map(([cause, name]) => `${name} ${parts[cause] === null ? "not known" : quantity(parts[cause], "m", 2)}`).join(", ");
 }
 
 function sourceOf(shape) {
@@ -123,8 +123,8 @@ function measured(shape, sizes, largest) {
   const found = shape.stress;
   return facts([
     ["Largest displacement", `${quantity(largest, "m", 4)}${bar === null ? "" : ` ± ${quantity(bar, "m", 2)}`} at ${at(where)}`],
-    ["Error bar, at most", sharesOf(shape.error_parts)],
-    ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : ` ± ${stress(found.error)} (of the table alone)`} at ${at(found.at)}` : "not told between rows here"],
+    ["Error bar", sharesOf(shape.error_parts)],
+    ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : ` ± ${stress(found.error)} (interpolation error only)`} at ${at(found.at)}` : "not known between the rows here"],
     ["Yields", found && found.yields !== null ? (found.yields ? "yes" : `no (yield strength ${stress(found.yield_strength)})`) : ""],
     ["Surface", `${shape.vertices.length} points, ${shape.triangles.length} triangles${shape.simplified ? `, simplified from ${shape.simplified.from} points` : ""}`],
   ]);

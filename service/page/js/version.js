@@ -8,7 +8,7 @@ export function versionField(about, signal, changed) {
   const list = el("datalist", { id: id("versions") });
   const input = el("input", {
     type: "number", min: 0, step: 1, placeholder: "the newest", list: list.id, name: "table_version", oninput: () => changed?.(),
-    title: "The table as it was: the same answers again, whatever rows have come since",
+    title: "An earlier version of the table gives its answers again, without the rows that came later",
   });
   get(`${of(about.name)}/imports`, signal).then(({ imports }) => {
     list.replaceChildren(...imports.filter((one) => one.table_version !== null).slice(0, 50)

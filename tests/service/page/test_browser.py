@@ -228,7 +228,7 @@ def test_rows_of_another_setup_are_told_and_solved_again_by_one_button(
     browser.until(lambda: not client.component("reworked")["another_setup"]["wrenches"])
     assert client.component("reworked")["rows"] > 0
     browser.visit("#/c/reworked")
-    browser.named("h2", "How it answers")
+    browser.named("h2", "Method and rows")
     assert not [one for one in browser.all(".note") if "another setup" in one.text]
     assert browser.mistakes() == []
 
@@ -271,12 +271,14 @@ def test_the_deformed_plate_is_magnified_and_turned(browser, plate):
     assert browser.mistakes() == []
 
 
-def test_the_deformed_plate_tells_what_its_bars_are_the_sum_of(browser, plate):
+def test_the_deformed_plate_shows_the_parts_of_its_error_bar(browser, plate):
     browser.visit(f"{PLATE}/shape")
     browser.drawn("#shape")
     ask(browser, "Show", fz=-900)  # the row's own wrench: between rows one row tells no bar
-    browser.named(".note.thin", "A bar is over the tolerance by the solver's own error")
-    assert re.search(r"table .*m, mesh \d", browser.one("dl.facts").text)
+    browser.named(
+        ".note.thin", "An error bar exceeds the tolerance because of the discretisation error"
+    )
+    assert re.search(r"interpolation .*m, discretisation \d", browser.one("dl.facts").text)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,24 @@
+"""The catalogue of messages has each kind of error, with its place and its placeholders."""
+
+import pytest
+
+from tests.messages import messages
+
+
+@pytest.mark.parametrize(
+    ("package", "place", "text"),
+    [
+        ("service/cli", "exit 2", "give --start or --clear, not both"),
+        ("service/http/access", "403", "Host {host[:100]!r} is not allowed"),
+        ("service", "409", "{name!r} has rows loaded from outside"),
+        ("fea/mesh/cad", "422, check: exit 1", "there is no {kind} {number}"),
+        ("fea", "failed job, 424", "Lower the load range, or stiffen the part"),
+    ],
+)
+def test_the_catalogue_has_the_errors_of_each_kind(package: str, place: str, text: str):
+    found = [one for one in messages() if one.package == package and one.place == place]
+    assert any(text.replace("!r", "") in one.text for one in found)
+
+
+def test_the_catalogue_names_the_line_of_a_message():
+    assert all(one.source.rpartition(":")[2].isdigit() for one in messages())
