@@ -171,15 +171,15 @@ class Solver:
     @cached_property
     def notes(self) -> tuple[str, ...]:
         """What an engineer should know: the warnings of `fea.check`, and how it is solved."""
-        told = tuple(f"{one.where}: {one.message}" for one in warnings_of(self.component))
-        told += pressure_notes(self._system.body.parts)
+        notes = tuple(f"{one.where}: {one.message}" for one in warnings_of(self.component))
+        notes += pressure_notes(self._system.body.parts)
         lost = self._system.condition * ROUNDOFF
         if lost > _ROUNDOFF_WORTH_TELLING:
-            told += (
+            notes += (
                 f"Scaled condition about {self._system.condition:.0e}: a single solution of the "
                 f"equations would be right to {lost:.0e}; it was corrected from its stresses.",
             )
-        return told
+        return notes
 
     def vibration(self, riding: Riding) -> Vibration:
         """Return the first natural frequency with a rigid mass on the interface, unloaded.
@@ -290,7 +290,7 @@ class Solver:
     ) -> Solution:
         path = LoadPath(self._system, acting, progress)
         try:
-            found = path.follow(lambda balance: _require_small_turn(balance, acting), start)
+            found = path.follow(lambda balance: _require_small_state(balance, acting), start)
         except SolveFailed as failure:
             failure.history = tuple(path.history)
             factor, nodes = path.last_state()
@@ -341,7 +341,7 @@ def _require_small_rotation(displacement: Array, share: float = 1.0) -> None:
         raise rotation_too_large(degrees, MOST_DEGREES, share)
 
 
-def _require_small_turn(balance: Balance, wrench: Array) -> None:
+def _require_small_state(balance: Balance, wrench: Array) -> None:
     largest = np.abs(wrench).argmax()
     _require_small_rotation(
         balance.state.interface, float(balance.wrench[largest] / wrench[largest])

@@ -23,7 +23,7 @@ _WORTH_A_MESH = 30.0
 
 
 def over_tolerance(
-    told: Mapping[str, Any] | None, translation: float, rotation: float
+    solver_error: Mapping[str, Any] | None, translation: float, rotation: float
 ) -> list[Problem]:
     """Return what of `fea.accuracy.estimate.accuracy_of` is over a tolerance, m and rad.
 
@@ -31,17 +31,19 @@ def over_tolerance(
     beyond it, each with a bar that says so. At the full range, all loads at once, with what solved
     rows have told since (``mesh_growth``).
     """
-    if told is None:
+    if solver_error is None:
         return []
-    loads = np.array(told["loads"])
+    loads = np.array(solver_error["loads"])
     allowed = np.repeat([translation, rotation], 3)
     found = []
-    if told.get("mesh") is not None:
-        bars = np.array(told["mesh"]) @ loads + np.array(told.get("mesh_growth", 0.0))
-        found += _of_mesh(bars, allowed, told.get("cell_size"))
-    if told.get("linearity") is not None:
-        found += _of_linearity(np.array(told["linearity"]), allowed)
-    return found + _of_buckling(told.get("buckling"))
+    if solver_error.get("mesh") is not None:
+        bars = np.array(solver_error["mesh"]) @ loads + np.array(
+            solver_error.get("mesh_growth", 0.0)
+        )
+        found += _of_mesh(bars, allowed, solver_error.get("cell_size"))
+    if solver_error.get("linearity") is not None:
+        found += _of_linearity(np.array(solver_error["linearity"]), allowed)
+    return found + _of_buckling(solver_error.get("buckling"))
 
 
 def _of_mesh(bars: Array, allowed: Array, cell_size: float | None) -> list[Problem]:

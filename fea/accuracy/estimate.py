@@ -52,11 +52,11 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     """
     bundle = solver.component.bundle
     second = coarser(solver)
-    told = {**_mesh(solver, second), "loads": _largest(bundle)}
-    told["cell_size"] = _cell_size(solver.component.mesh)
+    result = {**_mesh(solver, second), "loads": _largest(bundle)}
+    result["cell_size"] = _cell_size(solver.component.mesh)
     if bundle is None or solver.component.analysis.nonlinear:
-        return told
-    return told | _linearity(second or solver, bundle.range)
+        return result
+    return result | _linearity(second or solver, bundle.range)
 
 
 def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
@@ -133,12 +133,12 @@ def _largest(bundle: Bundle | None) -> list[float]:
 
 def _linearity(solver: Solver, loads: LoadRange) -> dict[str, Any]:
     found = beyond_linear(solver, loads)
-    known = bool(np.isfinite(found.bar).all())
+    known = bool(np.isfinite(found.deviation).all())
     basis = "nonlinear solves at two opposite corners of the load range"
     if found.why:
         basis += f", a part of them since {found.why}"
     return {
-        "linearity": found.bar.tolist() if known else None,
+        "linearity": found.deviation.tolist() if known else None,
         "linearity_basis": basis,
         "buckling": found.buckling,
     }

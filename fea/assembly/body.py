@@ -86,8 +86,8 @@ class Body:
         """The numbers of the leaves, and how many cells the leaves before each hold."""
         parts = self.dissection.substructures
         numbers = np.array([i for i, part in enumerate(parts) if not part.children], dtype=int)
-        held = np.cumsum([0, *(parts[i].cells.size for i in numbers)])
-        return numbers, held[:-1]
+        starts = np.cumsum([0, *(parts[i].cells.size for i in numbers)])
+        return numbers, starts[:-1]
 
     def forces(
         self, displacement: Array, step: tuple[Array, Array] | None = None
@@ -298,8 +298,8 @@ class _Scatter:
 
     def __init__(self, dissection: Dissection, nodes: Array, first: int) -> None:
         positions = np.moveaxis(unknowns_of(dissection.positions[nodes]), 2, 1)
-        held = np.broadcast_to(dissection.positions[nodes][:, None, :] < 0, positions.shape)
-        positions = np.where(held, -1, positions).reshape(len(nodes), -1)
+        fixed = np.broadcast_to(dissection.positions[nodes][:, None, :] < 0, positions.shape)
+        positions = np.where(fixed, -1, positions).reshape(len(nodes), -1)
         self.diagonal = np.where(positions < 0, dissection.unknowns, positions)
         self.leaves: dict[int, _Leaf] = {}
         for number, part in enumerate(dissection.substructures):

@@ -85,7 +85,7 @@ class System:
         start = Linearisation(
             self.body, self.coupling, self.balance_at_rest, self.body.tangent(None)
         )
-        self._require_held(start)
+        self._require_supported(start)
         return start
 
     @cached_property
@@ -106,7 +106,7 @@ class System:
         nodal = np.where(self.body.free[:, None], nodal, 0.0)
         return Balance(state, wrench, forces, energy, least, nodal, border)
 
-    def _require_held(self, start: Linearisation) -> None:
+    def _require_supported(self, start: Linearisation) -> None:
         factor = start.tangent.factor
         if factor.pivot_ratio < _LEAST_PIVOT:
             energy = softest_energy(self.body, start.tangent)

@@ -30,7 +30,7 @@ def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
     file = bundle_file(keys, "file", folder)
     command = keys.texts("command", least=1, repeats=True)
     output = keys.table("output")
-    reader, told = (None, {}) if output is None else _output(output)
+    reader, options = (None, {}) if output is None else _output(output)
     files = _files(keys, folder, file)
     unit = keys.choice("unit", tuple(UNITS), required=False) or "m"
     timeout = keys.number("timeout", "s", above=0.0, below=_LONGEST, required=False)
@@ -39,7 +39,7 @@ def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
     if file is None or command is None or reader is None:
         return None
     moment = moment or reader.moment
-    return Deck(file, command, told, files, unit, timeout or 3600.0, moment)
+    return Deck(file, command, options, files, unit, timeout or 3600.0, moment)
 
 
 def _output(keys: Keys) -> tuple[Reader | None, dict[str, str]]:

@@ -16,7 +16,7 @@ from wrenchbook.fea.spec.problems import Problem
 Array = np.ndarray
 
 _MOST_BODIES = 40
-_MOST_TOLD = 5
+_MOST_REPORTED = 5
 
 
 def parts(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
@@ -55,10 +55,10 @@ def motion_problems(component: Component, bodies: Bodies, pairs: Array) -> list[
         return []
     if bodies.count == 1:
         return [_too_few_supports(component, motions[0])]
-    told = [_free_part(component, bodies, n, motions[n], pairs) for n in loose[:_MOST_TOLD]]
-    if len(loose) > _MOST_TOLD:
-        told.append(Problem("mesh", f"{len(loose) - _MOST_TOLD} more parts are free"))
-    return told
+    problems = [_free_part(component, bodies, n, motions[n], pairs) for n in loose[:_MOST_REPORTED]]
+    if len(loose) > _MOST_REPORTED:
+        problems.append(Problem("mesh", f"{len(loose) - _MOST_REPORTED} more parts are free"))
+    return problems
 
 
 def _too_few_supports(component: Component, motions: Array) -> Problem:

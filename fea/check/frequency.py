@@ -43,10 +43,10 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
         found = solver.vibration(carried)
     except (ValueError, SolveFailed) as error:
         return {}, [*warnings, Problem("material", f"no natural frequency: {error}")]
-    told = {
+    result = {
         "mass": found.mass if len(silent) < len(component.materials) else None,
         "first_frequency": found.frequency,
         "motion": found.interface.tolist(),
         "riding_mass": carried.mass,
     }
-    return told, warnings
+    return result, warnings

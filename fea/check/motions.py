@@ -52,13 +52,13 @@ def describe(motion: Array, centre: Array, extent: float) -> str:
 
     The motion has shape (6,), m, the mesh's centre (3,), m; the mesh's size is in m.
     """
-    shift, turn = motion[:3], motion[3:] / extent
+    shift, rotation = motion[:3], motion[3:] / extent
     if np.linalg.norm(motion[3:]) < 1e-6:
         return f"slide along {_direction(shift)}"
-    square = turn @ turn
-    at = centre + np.cross(turn, shift) / square
-    pitch = shift @ turn / square
-    line = f"turn about the line through {_place(at)} m along {_direction(turn)}"
+    square = rotation @ rotation
+    at = centre + np.cross(rotation, shift) / square
+    pitch = shift @ rotation / square
+    line = f"turn about the line through {_place(at)} m along {_direction(rotation)}"
     return line if abs(pitch) < 1e-6 * extent else f"{line}, sliding along it"
 
 
@@ -78,9 +78,9 @@ class _Equations:
 
     def hold_supports(self) -> None:
         for number, nodes in enumerate(self.bodies.nodes):
-            held = nodes[np.isin(nodes, self.component.fixed_nodes)]
-            if held.size:
-                self._add({number: _condensed(self._moves(held))})
+            fixed = nodes[np.isin(nodes, self.component.fixed_nodes)]
+            if fixed.size:
+                self._add({number: _condensed(self._moves(fixed))})
 
     def join_bodies(self) -> None:
         if self.bodies.count == 1:

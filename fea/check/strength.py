@@ -97,14 +97,14 @@ def _at_large(component: Component, solver: Solver, found: list[dict[str, Any]])
 
 
 def _yielding(component: Component, found: list[dict[str, Any]]) -> list[Problem]:
-    told = []
+    problems = []
     for number, material in enumerate(component.materials):
         key, strength = f"material[{number}].yield_strength", material.yield_strength
         if strength is None:
             continue
         if material.law == "orthotropic":
             message = "is held against the von Mises stress, which says little of such a material"
-            told.append(Problem(key, message))
+            problems.append(Problem(key, message))
         for one in found:
             if one["region"] == material.region and one["largest"] > strength:
                 message = (
@@ -112,5 +112,5 @@ def _yielding(component: Component, found: list[dict[str, Any]]) -> list[Problem
                     f"{one['largest'] / strength:.2g} times it; materials here do not yield: "
                     "answers there are too stiff. Narrow [range], or strengthen the part"
                 )
-                told.append(Problem(key, message))
-    return told
+                problems.append(Problem(key, message))
+    return problems

@@ -40,7 +40,7 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Pr
 
     Returns
     -------
-    told
+    result
         ``size`` (three numbers, m), ``volume`` (m^3), ``mass`` (kg; None where a material tells no
         density), ``deflection``: the largest of each output over the load range by the linear
         compliance, six numbers, m and rad; None where it was not tried or ``failed`` (then true).
@@ -48,17 +48,17 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Pr
         ``mechanism`` and ``ill_conditioned``, in the words of the failure.
     """
     points, bundle = solver.component.mesh.points, solver.component.bundle
-    told = {"size": np.ptp(points, axis=0).tolist(), **_volume_and_mass(solver)}
-    told["deflection"] = None
+    result = {"size": np.ptp(points, axis=0).tolist(), **_volume_and_mass(solver)}
+    result["deflection"] = None
     if cost["linear_seconds"] > _MOST_SECONDS or cost["memory_bytes"] > _MOST_BYTES:
-        return told, []
+        return result, []
     try:
         compliance = solver.compliance
     except SolveFailed as failure:
-        told["failed"] = True
-        return told, [_problem(failure)]
-    told["deflection"] = largest(compliance, bundle.range.low, bundle.range.high).tolist()
-    return told, []
+        result["failed"] = True
+        return result, [_problem(failure)]
+    result["deflection"] = largest(compliance, bundle.range.low, bundle.range.high).tolist()
+    return result, []
 
 
 def largest(compliance: Array, low: Array, high: Array) -> Array:
@@ -72,17 +72,17 @@ def deflection_warnings(component: Component, deflection: list[float] | None) ->
     """Return warnings where the whole load range moves the part by nothing, or by too much."""
     if deflection is None:
         return []
-    moved, told = np.array(deflection), []
+    moved, problems = np.array(deflection), []
     degrees = float(np.degrees(np.linalg.norm(moved[3:])))
     if degrees > MOST_DEGREES:
         message = (
             f"turns the interface by {degrees:.3g} degrees at the full range, linearly: more than "
             f"{MOST_DEGREES:g} is refused. {_UNITS}"
         )
-        told.append(Problem("range", message))
+        problems.append(Problem("range", message))
     limit = component.bundle.tolerance
     if limit is None:
-        return told
+        return problems
     allowed = np.repeat([limit.translation, limit.rotation], 3)
     free = np.array([name not in component.locked for name in FREEDOMS])
     if free.any() and (moved <= allowed)[free].all():
@@ -90,8 +90,8 @@ def deflection_warnings(component: Component, deflection: list[float] | None) ->
             f"moves the interface by {moved[:3].max():.2g} m and {moved[3:].max():.2g} rad at "
             f"most, within the tolerance: the part is rigid for its users. {_UNITS}"
         )
-        told.append(Problem("range", message))
-    return told
+        problems.append(Problem("range", message))
+    return problems
 
 
 _UNITS = (

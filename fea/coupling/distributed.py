@@ -156,10 +156,10 @@ class _Turned:
     """The section's quantities at one state."""
 
     def __init__(self, coupling: Distributed, state: State) -> None:
-        turn = rotation_less_identity(state.interface[3:])
+        R_minus_I = rotation_less_identity(state.interface[3:])
         self.spin = spin_per_vector(state.interface[3:])
-        self.arms = coupling._arms + coupling._arms @ turn.T
-        self.centre = coupling._centre + turn @ coupling._centre
+        self.arms = coupling._arms + coupling._arms @ R_minus_I.T
+        self.centre = coupling._centre + R_minus_I @ coupling._centre
         self.places = coupling._places + state.nodes[coupling._nodes]
         self.weights = coupling._weights
         self.force, self.moment = state.multipliers[:3], state.multipliers[3:]

@@ -56,8 +56,8 @@ class Rigid:
         interface = state.interface.copy()
         interface[self.active] += border
         placed = state.nodes + nodes
-        turn = rotation_less_identity(interface[3:])
-        placed[self._nodes] = interface[:3] + self._arms @ turn.T
+        R_minus_I = rotation_less_identity(interface[3:])
+        placed[self._nodes] = interface[:3] + self._arms @ R_minus_I.T
         return State(placed, interface, state.multipliers)
 
     def residual(self, state: State, forces: Array, wrench: Array) -> tuple[Array, Array]:

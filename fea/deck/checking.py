@@ -39,7 +39,7 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[Problem]]:
     if problems:
         raise BundleError(problems)
     program = _found(deck)
-    told = {
+    summary = {
         "file": deck.file.name,
         "program": program,
         "reader": deck.output["reader"],
@@ -47,7 +47,7 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[Problem]]:
         "unit": deck.unit,
         "timeout": deck.timeout,
     }
-    return told, [] if program else [_not_here(deck.command[0])]
+    return summary, [] if program else [_not_here(deck.command[0])]
 
 
 def _missing(placeholder: str) -> Problem:

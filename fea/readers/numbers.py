@@ -18,9 +18,9 @@ class Numbers:
     moment = "spatial"
     keys: tuple[str, ...] = ("file",)
 
-    def read(self, run: Run, told: Mapping[str, str]) -> Reading:
+    def read(self, run: Run, options: Mapping[str, str]) -> Reading:
         """Return the six numbers."""
-        name = told["file"].replace("{job}", run.job)
+        name = options["file"].replace("{job}", run.job)
         try:
             words = (run.folder / name).read_text(encoding="utf-8").replace(",", " ").split()
         except (OSError, UnicodeDecodeError):

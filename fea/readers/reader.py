@@ -69,7 +69,7 @@ class Reader(Protocol):
     keys: tuple[str, ...]
     """The keys of ``[deck] output`` it needs besides ``reader``."""
 
-    def read(self, run: Run, told: Mapping[str, str]) -> Reading:
+    def read(self, run: Run, options: Mapping[str, str]) -> Reading:
         """Return what the run found; raise `OutputError` if it cannot be read."""
         ...
 

@@ -82,8 +82,8 @@ def fields_of(component: Component, body: Body, solution: Solution) -> SolveFiel
         stress = changes @ solution.wrench
     else:
         # Changes that nobody keeps are not made: they take six times the stresses.
-        wanted = slopes if kept.stop is None else slopes[:, :, :0]
-        stress, changes = cauchy_stress(body, nodes, wanted)
+        fields = slopes if kept.stop is None else slopes[:, :, :0]
+        stress, changes = cauchy_stress(body, nodes, fields)
     regions = tuple(material.region for material in component.materials)
     equivalent = von_mises(stress)
     worst = int(equivalent.argmax())

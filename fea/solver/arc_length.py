@@ -28,7 +28,7 @@ _LEAST = 1.0 / 256  # of the first step
 _FINE = 1.0 / 8  # of the first step: short enough to tell a limit point from a bifurcation
 _REACH = 0.01  # of the part's size: the furthest that a node may go in one step
 _LONGEST = 8.0  # times the first step
-_STRAIGHT = 0.7  # cosine of a path that bends no more than it should in one step
+_LEAST_COSINE = 0.7  # cosine of a path that bends no more than it should in one step
 
 
 class Ending(NamedTuple):
@@ -114,7 +114,7 @@ class ArcPath:
                     break
                 continue
             course = self._course(ahead)
-            if abs(course) < _STRAIGHT and self._length > _LEAST * self._first:
+            if abs(course) < _LEAST_COSINE and self._length > _LEAST * self._first:
                 self._length *= 0.5
                 continue
             turned = course < 0

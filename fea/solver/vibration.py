@@ -133,10 +133,10 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     SolveFailed
         ``mechanism`` or ``ill_conditioned``.
     """
-    held = np.zeros((6, 6))
+    interface_mass = np.zeros((6, 6))
     active = system.coupling.active
-    held[np.ix_(active, active)] = riding.matrix[np.ix_(active, active)]
-    inertia = Inertia(system, mass, held)
+    interface_mass[np.ix_(active, active)] = riding.matrix[np.ix_(active, active)]
+    inertia = Inertia(system, mass, interface_mass)
     own = float(mass.sum())
     x = _lowest(inertia) if mass.nnz else _massless(inertia)
     fields, interface = inertia.fields(x)
@@ -148,8 +148,8 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
 class Inertia:
     """The mass matrix over free nodes and active interface freedoms, and K^-1."""
 
-    def __init__(self, system: System, mass: csr_array, held: Array) -> None:
-        self._mass, self.held = mass, held
+    def __init__(self, system: System, mass: csr_array, interface_mass: Array) -> None:
+        self._mass, self.interface_mass = mass, interface_mass
         self._start = system.undeformed
         self.active = system.coupling.active
         self._free = np.flatnonzero(system.body.free)
@@ -172,7 +172,7 @@ class Inertia:
         nodes, interface = self.fields(np.asarray(x).reshape(-1))
         forces = np.asarray(self._mass @ nodes)
         border = contract(self._ties, forces[:, :, None])[:, 0]
-        border += (self.held @ interface)[self.active]
+        border += (self.interface_mass @ interface)[self.active]
         return np.concatenate([forces[self._free].ravel(), border])
 
     def solved(self, loads: Array) -> Array:
@@ -216,7 +216,7 @@ def _massless(inertia: Inertia) -> Array:
     moved = np.stack([inertia.solved(unit) for unit in units], axis=1)
     compliance = moved[-count:]
     lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
-    carried = inertia.held[np.ix_(inertia.active, inertia.active)]
+    carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]
     values, motions = np.linalg.eigh(lower.T @ carried @ lower)
     if not values[-1] > 0:
         raise ValueError(

@@ -35,7 +35,7 @@ class Keys:
 
     def __init__(self, table: Mapping[str, Any], problems: list[Problem], where: str = "") -> None:
         self._table = table
-        self._asked: list[str] = []
+        self._known: list[str] = []
         self.problems = problems
         self.where = where
 
@@ -56,14 +56,14 @@ class Keys:
     def close(self) -> None:
         """Note every key that was not asked for, with the nearest one that exists."""
         for key in self._table:
-            if key not in self._asked:
-                known = ", ".join(self._asked)
-                hint = suggest(key, self._asked)
+            if key not in self._known:
+                known = ", ".join(self._known)
+                hint = suggest(key, self._known)
                 self.wrong(key, f"unknown key{hint} (known here: {known})")
 
     def raw(self, key: str, kind: type, required: bool = True) -> Any:
         """Return the value of `key` if it is of the TOML type `kind`, else None."""
-        self._asked.append(key)
+        self._known.append(key)
         value = self._table.get(key, _MISSING)
         if value is _MISSING:
             if required:
@@ -88,7 +88,7 @@ class Keys:
     def choice(self, key: str, among: Sequence[str], required: bool = True) -> str | None:
         """Return one of the words `among`."""
         if required and key not in self._table:
-            self._asked.append(key)
+            self._known.append(key)
             self.wrong(key, f"missing; write one of {', '.join(among)}")
             return None
         value = self.text(key, required)
@@ -111,7 +111,7 @@ class Keys:
         required: bool = True,
     ) -> float | None:
         """Return a finite number strictly between two bounds; `unit` is for the message."""
-        self._asked.append(key)
+        self._known.append(key)
         if key not in self._table:
             if required:
                 self.wrong(key, f"missing; write a number in {unit}")
@@ -120,7 +120,7 @@ class Keys:
 
     def whole(self, key: str, least: int, required: bool = True) -> int | None:
         """Return a whole number from `least` to a thousand million."""
-        self._asked.append(key)
+        self._known.append(key)
         if key not in self._table:
             if required:
                 self.wrong(key, f"missing; write a whole number from {least} up")

@@ -49,7 +49,7 @@ def installed() -> bool:
 def solve_rigid(
     part: Component,
     wrench: Sequence[float],
-    turn: Array | None = None,
+    rotation: Array | None = None,
     *,
     tight: bool = True,
     timeout: float = 600.0,
@@ -62,7 +62,7 @@ def solve_rigid(
         In any analysis; CalculiX follows it.
     wrench
         Shape (6,), N and N·m.
-    turn
+    rotation
         The rotation vector that the answer will have, shape (3,), rad: CalculiX takes the moment
         that works on the rotation vector, m = J_left(turn)^-T M. None where it is small.
     tight
@@ -76,11 +76,11 @@ def solve_rigid(
     RuntimeError
         If ccx ends without an answer.
     """
-    told = np.array(wrench, dtype=float)
-    if turn is not None:
-        told[3:] = spin_per_vector(turn).T @ told[3:]
+    loads = np.array(wrench, dtype=float)
+    if rotation is not None:
+        loads[3:] = spin_per_vector(rotation).T @ loads[3:]
     deck = deck_of(part)
-    for placeholder, load in zip(PLACEHOLDERS, told, strict=True):
+    for placeholder, load in zip(PLACEHOLDERS, loads, strict=True):
         deck = deck.replace(placeholder, f"{load:.12e}")
     rows, seconds = _run(deck if tight else deck.replace(_TIGHT, ""), timeout)
     count = len(part.mesh.points)
@@ -105,8 +105,8 @@ def solve_distributed(part: Component, wrench: Sequence[float], timeout: float =
     loads = weights[:, None] * (force + np.cross(spin, arms))
     rows, seconds = _run(_with_loads(part, loads), timeout)
     moved = np.array([rows[int(node) + 1] for node in part.section.node_ids])
-    turn = np.linalg.solve(inertia, weights @ np.cross(arms, moved))
-    return Reply(np.concatenate([weights @ moved - np.cross(turn, centre), turn]), seconds)
+    rotation = np.linalg.solve(inertia, weights @ np.cross(arms, moved))
+    return Reply(np.concatenate([weights @ moved - np.cross(rotation, centre), rotation]), seconds)
 
 
 def _with_loads(part: Component, loads: Array) -> str:

@@ -85,7 +85,7 @@ def _plane_stress(angle: float) -> Array:
     minor = RATIO * ACROSS / apart
     own = np.array([[ALONG / apart, minor, 0], [minor, ACROSS / apart, 0], [0, 0, SHEAR]])
     # Strains (x, y, 2 xy) seen from the fibres.
-    turn = np.array(
+    rotation = np.array(
         [[c * c, s * s, s * c], [s * s, c * c, -s * c], [-2 * s * c, 2 * s * c, c * c - s * s]]
     )
-    return np.asarray(turn.T @ own @ turn)
+    return np.asarray(rotation.T @ own @ rotation)

@@ -31,7 +31,7 @@ SQUEEZE = (250.0, -100.0, -900.0, 0.5, 1.0, 0.8)
 def orthotropic_same_mesh() -> Iterator[Finding]:
     """Orthotropic bar, 50 x 20 x 400 mm, nine constants askew, on the same mesh as CalculiX."""
     for kind in ("hex20", "tet10"):
-        part = orthotropic_bar(kind)
+        part = orthotropic_beam(kind)
         for nonlinear in (False, True):
             yield from same_mesh(kind, part, TIP_LOAD, nonlinear=nonlinear)
 
@@ -46,7 +46,7 @@ def rubber_same_mesh() -> Iterator[Finding]:
             yield from same_mesh(name, part, SQUEEZE, nonlinear=nonlinear)
 
 
-def orthotropic_bar(kind: str, divisions: tuple[int, int, int] = (2, 2, 5)) -> Component:
+def orthotropic_beam(kind: str, divisions: tuple[int, int, int] = (2, 2, 5)) -> Component:
     """Return a bar of `CARBON`, its interface turned too."""
     axes = rotation(np.array([0.2, 0.1, -0.4]))
     mesh = box(kind, divisions, (0.05, 0.02, 0.4))

@@ -45,9 +45,9 @@ def _bend(section: Section) -> None:
     """Move the middles of arcs out to their circles; those of spokes are on theirs already."""
     corners, middles = section.quads[:, :4], section.quads[:, 4:]
     radius = np.linalg.norm(section.points, axis=1)
-    wanted = 0.5 * (radius[corners] + radius[np.roll(corners, -1, axis=1)])
+    target = 0.5 * (radius[corners] + radius[np.roll(corners, -1, axis=1)])
     factor = np.ones(len(radius))
-    factor[middles] = wanted / radius[middles]
+    factor[middles] = target / radius[middles]
     section.points[:] *= factor[:, None]
 
 

@@ -45,6 +45,6 @@ def worst_gap(found: Array, expected: Array) -> float:
 
     Both are exactly zero in what a guide holds.
     """
-    held = (found == 0) & (expected == 0)
-    scale = np.where(held, 1.0, np.abs(expected))
+    zero = (found == 0) & (expected == 0)
+    scale = np.where(zero, 1.0, np.abs(expected))
     return float(np.abs((found - expected) / scale).max())

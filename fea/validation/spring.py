@@ -85,11 +85,11 @@ class Rod:
         whole = 2 * np.pi * self.turns
         sin0, sin = self.height / self.length, (self.height - shortening) / self.length
         cos0, cos = np.sqrt(1 - sin0**2), np.sqrt(1 - sin**2)
-        turn = whole * (1 - (cos0 * cos + a * sin0 * sin) / (cos**2 + a * sin**2))
-        left = whole - turn
+        rotation = whole * (1 - (cos0 * cos + a * sin0 * sin) / (cos**2 + a * sin**2))
+        left = whole - rotation
         radius = self.length * cos / left
         force = self.torsion * (whole * sin0 - left * sin) / (self.length * radius * cos)
-        return float(force), float(turn)
+        return float(force), float(rotation)
 
 
 def rod_of(part: Component) -> Rod:
@@ -125,11 +125,11 @@ def pressed() -> Iterator[Finding]:
     rod, solver = rod_of(part), Solver(part)
     for load in FORCES:
         found = solver.solve([0, 0, -load, 0, 0, 0]).displacement
-        force, turn = rod.pressed(-found[2])
+        force, rotation = rod.pressed(-found[2])
         turned = float(-np.degrees(found[5]))
         at = f"at {-1e3 * found[2]:.2f} mm"
         yield Finding(f"force {at}, N", _ROD, force, load, 5e-3)
-        yield Finding(f"turn {at}, degrees", _ROD, float(np.degrees(turn)), turned, 1e-2)
+        yield Finding(f"turn {at}, degrees", _ROD, float(np.degrees(rotation)), turned, 1e-2)
         if -1e3 * found[2] <= PRINTED_14[0][-1]:
             printed = float(np.interp(-1e3 * found[2], *PRINTED_14))
             yield Finding(f"turn {at}, degrees", f"{_PAPER}, equation 14", printed, turned)

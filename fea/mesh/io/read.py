@@ -91,13 +91,13 @@ def _quietly(path: Path) -> meshio.Mesh:
     """Let meshio read, which prints what it dislikes and may end the interpreter."""
     # It knows this kind in every table but the one of dimensions, and fails on its files.
     _mesh.topological_dimension.setdefault("wedge15", 3)
-    said = io.StringIO()
+    output = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
             return meshio.read(path)
     except (Exception, SystemExit) as error:
-        told = " ".join(f"{said.getvalue()} {error}".split())
-        message = f"cannot be read as a {path.suffix or 'mesh'} file ({told[:200]})"
+        details = " ".join(f"{output.getvalue()} {error}".split())
+        message = f"cannot be read as a {path.suffix or 'mesh'} file ({details[:200]})"
         raise MeshFileError(message) from None
 
 

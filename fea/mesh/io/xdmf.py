@@ -30,14 +30,14 @@ def refuse_outside(path: Path) -> None:
         kind, text = item.get("Format"), (item.text or "").strip()
         if kind == "Binary":
             raise MeshFileError('holds numbers in another file as bytes; write Format="HDF"')
-        if kind == "HDF" and not _lies_beside(path, text.partition(":")[0]):
+        if kind == "HDF" and not _in_same_folder(path, text.partition(":")[0]):
             raise MeshFileError(
                 f'holds numbers in "{text[:100]}", which is outside the bundle; put that file '
                 "beside it and name it without a folder"
             )
 
 
-def _lies_beside(path: Path, name: str) -> bool:
+def _in_same_folder(path: Path, name: str) -> bool:
     """Tell whether a name is that of a file in the same folder, and no link out of it."""
     folder = path.parent.resolve()
     return Path(name).name == name and (folder / name).resolve().parent == folder
