@@ -19,7 +19,7 @@ from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, LoadRange
 Array = np.ndarray
 
 _RECOVERED_ALONE = 1.25
-"""On the recovered error without a second mesh beside it: Roache's for three meshes, 1994."""
+"""On the recovered error without a second mesh: Roache's for three meshes, 1994."""
 
 
 def accuracy_of(solver: Solver) -> dict[str, Any]:
@@ -28,9 +28,9 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     Where a second mesh can be made the mesh's error is the mean, entry by entry, of what that
     changes and of what `recovered_error` finds; elsewhere the latter alone, with a margin. Either
     errs where the other does not: on a bracket of one tetrahedron a wall the change holds 7 errors
-    of 10, on a block with round holes the recovered stresses 5. Their mean held 98 of 100 on eight
-    parts at 2.8 times the error, the larger of both 99 at 4.2 (`make bench NAME=mesh_error`). It
-    costs a fifth to a half of a linear solve where a generator makes the mesh, 1.5 to 2.8 of one on
+    of 10, on a block with round holes the recovered stresses 5. Their mean covered 98 of 100 on
+    eight parts at 2.8 times the error, the larger of both 99 at 4.2 (`make bench NAME=mesh_error`).
+    It costs a fifth to a half of a linear solve where a generator makes the mesh, 1.5 to 2.8 of one on
     STEP parts (most of it gmsh, turning back coarse cells that curved edges fold); a linear
     component costs two nonlinear solves besides, on the coarser mesh if there is one.
 
@@ -77,9 +77,9 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
     )
 
 
-def _report(compliance: Array, shares: Array, basis: str) -> dict[str, Any]:
-    """Return what is told of shares (n, 6, 6) that add up to what the compliance lacks."""
-    found = {"mesh": np.abs(shares).sum(axis=0).tolist(), "mesh_basis": basis}
+def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
+    """Return the report of `errors`, shape (n, 6, 6), the parts of the compliance's error."""
+    found = {"mesh": np.abs(errors).sum(axis=0).tolist(), "mesh_basis": basis}
     # Loads on locked freedoms move nothing: what remains is as stiff as it is without them.
     acting = np.diag(compliance) > 0
     scale = np.sqrt(np.where(acting, np.diag(compliance), 1.0))
@@ -87,7 +87,7 @@ def _report(compliance: Array, shares: Array, basis: str) -> dict[str, Any]:
     stiffness = np.zeros((6, 6))
     stiffness[own] = np.linalg.inv((compliance / np.outer(scale, scale))[own])
     stiffness /= np.outer(scale, scale)
-    return found | {"mesh_stiffness": (stiffness @ shares.sum(axis=0) @ stiffness).tolist()}
+    return found | {"mesh_stiffness": (stiffness @ errors.sum(axis=0) @ stiffness).tolist()}
 
 
 def _cell_size(mesh: Mesh) -> float:
@@ -122,7 +122,7 @@ def unknown_of_deck(bundle: Bundle) -> dict[str, Any]:
 def _largest(bundle: Bundle | None) -> list[float]:
     """Return the largest of each load in the range, N and N·m, 0 where a guide takes it.
 
-    A share that grows with the square of the largest load must not grow with one that is not felt.
+    An error that grows with the square of the largest load must not grow with one that is not felt.
     """
     if bundle is None:
         return [1.0] * 6

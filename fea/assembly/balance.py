@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrenchbook.fea.coupling import State
+from wrenchbook.fea.coupling import CoupledState
 
 Array = np.ndarray
 
@@ -32,7 +32,7 @@ class Balance:
         (border,), N and N·m for interface freedoms, m and m^2 for constraints.
     """
 
-    state: State
+    state: CoupledState
     wrench: Array
     forces: Array
     energy: float

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from wrenchbook.fea.assembly.balance import Balance
-from wrenchbook.fea.assembly.body import Body, Tangent
+from wrenchbook.fea.assembly.body import ElasticBody, Tangent
 from wrenchbook.fea.coupling import Coupling
 from wrenchbook.fea.failure import mechanism
 
@@ -24,7 +24,9 @@ class Linearisation:
     roundoff nothing holds the interface.
     """
 
-    def __init__(self, body: Body, coupling: Coupling, balance: Balance, tangent: Tangent) -> None:
+    def __init__(
+        self, body: ElasticBody, coupling: Coupling, balance: Balance, tangent: Tangent
+    ) -> None:
         self._body = body
         self._coupling = coupling
         self.state = balance.state
@@ -71,7 +73,7 @@ class Linearisation:
     def stable(self) -> bool:
         """Whether every small disturbance costs energy: body and interface both.
 
-        A body that is unstable by itself may be held by its section: then the constraints, and
+        A body that is unstable by itself may be stable with its section: then the constraints, and
         nothing else, give the bordered matrix its negative eigenvalues.
         """
         factor, coupling = self.tangent.factor, self._coupling

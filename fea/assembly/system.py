@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from wrenchbook.fea.assembly.balance import Balance
-from wrenchbook.fea.assembly.body import Body
+from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.assembly.condition import scaled_condition, softest_energy, unheld
 from wrenchbook.fea.assembly.linearisation import Linearisation
-from wrenchbook.fea.coupling import Coupling, State
+from wrenchbook.fea.coupling import CoupledState, Coupling
 
 Array = np.ndarray
 
@@ -32,7 +32,7 @@ class System:
         Shape (n, 3), m: where the nodes are in the mesh's own axes, for messages.
     """
 
-    def __init__(self, body: Body, coupling: Coupling, places: Array | None = None) -> None:
+    def __init__(self, body: ElasticBody, coupling: Coupling, places: Array | None = None) -> None:
         self._places = body.points if places is None else places
         self.body = body
         self.coupling = coupling
@@ -42,7 +42,7 @@ class System:
         """Free nodal unknowns and interface freedoms."""
         return self.body.dissection.unknowns + len(self.coupling.active)
 
-    def balance(self, state: State, wrench: Array) -> Balance:
+    def balance(self, state: CoupledState, wrench: Array) -> Balance:
         """Weigh the internal forces of a state against a wrench, shape (6,), N and N·m."""
         forces, energy, least = self.body.forces(state.nodes)
         return self._balance(state, wrench, forces, energy, least)
@@ -65,7 +65,8 @@ class System:
         balance
             The state and its forces.
         step
-            The last step of Newton's method, two fields of shape (n, 3), m: see `Body.tangent`.
+            The last step of Newton's method, two fields of shape (n, 3), m: see
+            `ElasticBody.tangent`.
         """
         if step is not None:
             balance = replace(balance, forces=self.body.forces(balance.state.nodes, step)[0])
@@ -100,7 +101,7 @@ class System:
         return self._balance(state, np.zeros(6), np.zeros_like(state.nodes), 0.0, 1.0)
 
     def _balance(
-        self, state: State, wrench: Array, forces: Array, energy: float, least: float
+        self, state: CoupledState, wrench: Array, forces: Array, energy: float, least: float
     ) -> Balance:
         nodal, border = self.coupling.residual(state, forces, wrench)
         nodal = np.where(self.body.free[:, None], nodal, 0.0)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from wrenchbook.fea.readers.reader import Reader
+from wrenchbook.fea.readers.reader import DeckReader
 from wrenchbook.fea.readers.registry import reader_named, reader_names
 from wrenchbook.fea.spec.files import bundle_file
 from wrenchbook.fea.spec.schema import MOMENTS, UNITS, Deck
@@ -42,7 +42,7 @@ def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
     return Deck(file, command, options, files, unit, timeout or 3600.0, moment)
 
 
-def _output(keys: Keys) -> tuple[Reader | None, dict[str, str]]:
+def _output(keys: Keys) -> tuple[DeckReader | None, dict[str, str]]:
     name = keys.choice("reader", reader_names())
     if name is None:
         return None, {}

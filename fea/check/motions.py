@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.inspection.bodies import Bodies
 from wrenchbook.fea.spec.schema import FREEDOMS
 
@@ -26,14 +26,14 @@ _ZERO = 1e-7
 """Singular value, relative to the largest, that counts as none."""
 
 
-def free_motions(component: Component, bodies: Bodies) -> list[Array]:
+def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
     """Return for each body the motions left to it.
 
     Returns
     -------
     list of Array
         Each of shape (k, 6), m: translation of the mesh's centre and rotation times the mesh's
-        size, orthonormal; k = 0 for a body that is held.
+        size, orthonormal; k = 0 for a body without free motion.
     """
     equations = _Equations(component, bodies)
     equations.hold_supports()
@@ -65,7 +65,7 @@ def describe(motion: Array, centre: Array, extent: float) -> str:
 class _Equations:
     """Rows of a matrix over the motions of all bodies, the interface's last."""
 
-    def __init__(self, component: Component, bodies: Bodies) -> None:
+    def __init__(self, component: ComponentModel, bodies: Bodies) -> None:
         self.component = component
         self.bodies = bodies
         points = component.mesh.points
@@ -96,14 +96,14 @@ class _Equations:
         interface = self.bodies.count
         section = self.component.section
         owner = self.owner[section.node_ids]
-        share = {n: self._moves(section.node_ids[owner == n]) for n in np.unique(owner).tolist()}
+        moves_of = {n: self._moves(section.node_ids[owner == n]) for n in np.unique(owner).tolist()}
         if self.component.coupling == "rigid":
-            for number, moves in share.items():
+            for number, moves in moves_of.items():
                 tie = _condensed(moves)
                 self._add({number: tie, interface: -tie})
         else:
-            weights = {n: np.repeat(section.weights[owner == n], 3) for n in share}
-            own = {n: (moves.T * weights[n]) @ moves for n, moves in share.items()}
+            weights = {n: np.repeat(section.weights[owner == n], 3) for n in moves_of}
+            own = {n: (moves.T * weights[n]) @ moves for n, moves in moves_of.items()}
             whole = np.linalg.inv(sum(own.values(), np.zeros((6, 6))))
             self._add({n: -whole @ one for n, one in own.items()} | {interface: np.eye(6)})
         at_point = self._moves_of(self.component.point[None])

@@ -19,7 +19,7 @@ from wrenchbook.fea.check.frequency import frequency
 from wrenchbook.fea.check.strength import strength
 from wrenchbook.fea.check.text import as_text
 from wrenchbook.fea.check.trial import deflection_warnings, solver_of, trial
-from wrenchbook.fea.component import Component, build, mesh_of
+from wrenchbook.fea.component import ComponentModel, build, mesh_of
 from wrenchbook.fea.deck.checking import deck_report
 from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
 from wrenchbook.fea.inspection.cells import quality, quality_warnings
@@ -33,7 +33,7 @@ from wrenchbook.fea.spec.schema import GEOMETRY_ENDINGS
 
 _MOST_SECONDS = 5.0
 """Of a linear solve, to estimate the solver's error too: that takes up to three more."""
-_MOST_BYTES = 1e9  # of the same: a coarser mesh and nonlinear solves stand beside the first
+_MOST_BYTES = 1e9  # of the same: a coarser mesh and nonlinear solves come on top
 
 
 def report(
@@ -59,8 +59,8 @@ def report(
         ``has_fea``; ``faces`` and ``bodies`` of a geometry file; ``unknowns`` (three a node),
         ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection.cells`), ``parts``,
         ``coincident_nodes``; ``materials``, ``section``, ``supports`` and ``estimate`` (see
-        `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density or a mass is told
-        ``vibration`` (see `fea.check.frequency`), and where a yield strength is told ``strength``
+        `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density or a mass is given
+        ``vibration`` (see `fea.check.frequency`), and where a yield strength is given ``strength``
         (see `fea.check.strength`), and where it takes no longer than a check may ``solver_error``
         (see `fea.accuracy.estimate`). Lengths in m. Instead of all from ``faces`` on,
         ``deck`` (see `fea.deck.checking`).
@@ -131,7 +131,7 @@ def _look_at_mesh(
 
 
 def _try_out(
-    component: Component, riding: Riding | None, nonlinear: bool, summary: dict[str, Any]
+    component: ComponentModel, riding: Riding | None, nonlinear: bool, summary: dict[str, Any]
 ) -> None:
     """Find what every solve would refuse, then how the part moves and swings."""
     solver, problems = solver_of(component)
@@ -160,7 +160,7 @@ def _tell_accuracy(solver: Solver, summary: dict[str, Any]) -> None:
 
 
 def _look_at_component(
-    component: Component, bodies: Bodies, pairs: Any, summary: dict[str, Any]
+    component: ComponentModel, bodies: Bodies, pairs: Any, summary: dict[str, Any]
 ) -> None:
     summary |= _what_is_set(component)
     _warn(summary, set_up_warnings(component))
@@ -187,7 +187,7 @@ def _counts(mesh: Mesh) -> dict[str, Any]:
     }
 
 
-def _what_is_set(component: Component) -> dict[str, Any]:
+def _what_is_set(component: ComponentModel) -> dict[str, Any]:
     numbers = component.material_of_cells
     section = component.section
     return {

@@ -167,8 +167,8 @@ def _vibration(report: Mapping[str, Any]) -> list[str]:
 def _strength(report: Mapping[str, Any]) -> list[str]:
     lines = []
     for one in report.get("strength", []):
-        share = one["yield_strength"] and one["largest"] / one["yield_strength"]
-        ends = "" if share is None else f", {100 * share:.3g} % of its yield strength"
+        used = one["yield_strength"] and one["largest"] / one["yield_strength"]
+        ends = "" if used is None else f", {100 * used:.3g} % of its yield strength"
         order = " to first order (--nonlinear solves)" if one["first_order"] else ""
         lines.append(
             f"largest von Mises stress of {one['region']} under the full range{order}: "

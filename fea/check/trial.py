@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import MOST_DEGREES, Solver
 from wrenchbook.fea.spec.problems import Problem
@@ -15,12 +15,12 @@ from wrenchbook.fea.spec.schema import FREEDOMS
 Array = np.ndarray
 
 _MOST_SECONDS = 60.0  # of the linear solve by its estimate: an upload waits for it, 300 s at most
-_MOST_BYTES = 4e9  # of the same; the server's other solvers run beside it
+_MOST_BYTES = 4e9  # of the same; the server's other solvers run at the same time
 
 _WHERE = {"locking_material": "material", "inverted_elements": "mesh", "mechanism": "supports"}
 
 
-def solver_of(component: Component) -> tuple[Solver | None, list[Problem]]:
+def solver_of(component: ComponentModel) -> tuple[Solver | None, list[Problem]]:
     """Return the solver, or the problem that every solve of the component would end with."""
     try:
         return Solver(component), []
@@ -68,7 +68,7 @@ def largest(compliance: Array, low: Array, high: Array) -> Array:
     return np.maximum(np.abs(most), np.abs(least))
 
 
-def deflection_warnings(component: Component, deflection: list[float] | None) -> list[Problem]:
+def deflection_warnings(component: ComponentModel, deflection: list[float] | None) -> list[Problem]:
     """Return warnings where the whole load range moves the part by nothing, or by too much."""
     if deflection is None:
         return []

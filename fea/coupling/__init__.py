@@ -15,11 +15,11 @@ import numpy as np
 
 from wrenchbook.fea.coupling.distributed import Distributed
 from wrenchbook.fea.coupling.rigid import Rigid
-from wrenchbook.fea.coupling.state import Border, State
+from wrenchbook.fea.coupling.state import Border, CoupledState
 
 Array = np.ndarray
 
-__all__ = ["Border", "Coupling", "Distributed", "Rigid", "State"]
+__all__ = ["Border", "CoupledState", "Coupling", "Distributed", "Rigid"]
 
 
 class Coupling(Protocol):
@@ -41,11 +41,11 @@ class Coupling(Protocol):
         """
         ...
 
-    def start(self) -> State:
+    def start(self) -> CoupledState:
         """Return the undeformed state."""
         ...
 
-    def moved(self, state: State, nodes: Array, border: Array) -> State:
+    def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
         """Return the state after a correction.
 
         Parameters
@@ -59,7 +59,7 @@ class Coupling(Protocol):
         """
         ...
 
-    def residual(self, state: State, forces: Array, wrench: Array) -> tuple[Array, Array]:
+    def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return what is out of balance.
 
         Parameters
@@ -80,7 +80,7 @@ class Coupling(Protocol):
         """
         ...
 
-    def bordered(self, state: State, forces: Array, wrench: Array) -> Border:
+    def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
         """Return how the border joins the body's tangent.
 
         Parameters
@@ -94,7 +94,7 @@ class Coupling(Protocol):
         """
         ...
 
-    def wrench_columns(self, state: State) -> Array:
+    def wrench_columns(self, state: CoupledState) -> Array:
         """Return minus the derivative of the border's residual by the wrench.
 
         Shape (border, 6), dimensionless; rows of constraints are zero.

@@ -10,7 +10,7 @@ from wrenchbook.fea.coupling.rotation import (
     spin_per_vector,
     spin_slope,
 )
-from wrenchbook.fea.coupling.state import Border, State
+from wrenchbook.fea.coupling.state import Border, CoupledState
 
 Array = np.ndarray
 
@@ -48,20 +48,20 @@ class Distributed:
         self._centre = self._weights @ self._places
         self._arms = self._places - self._centre
 
-    def start(self) -> State:
+    def start(self) -> CoupledState:
         """Return the undeformed state."""
-        return State(np.zeros((self._size, 3)), np.zeros(6), np.zeros(6))
+        return CoupledState(np.zeros((self._size, 3)), np.zeros(6), np.zeros(6))
 
-    def moved(self, state: State, nodes: Array, border: Array) -> State:
+    def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
         """Return the state after a correction of nodes, shape (n, 3), m, and border.
 
         The border's correction has shape (border,): m and rad, then the multipliers' N and N/m.
         """
         interface = state.interface.copy()
         interface[self.active] += border[:-6]
-        return State(state.nodes + nodes, interface, state.multipliers + border[-6:])
+        return CoupledState(state.nodes + nodes, interface, state.multipliers + border[-6:])
 
-    def residual(self, state: State, forces: Array, wrench: Array) -> tuple[Array, Array]:
+    def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return what is out of balance under forces (n, 3), N, and a wrench (6,), N and N·m.
 
         Shape (n, 3), N, at the nodes; shape (border,) in the interface freedoms, N and N·m, and in
@@ -87,7 +87,7 @@ class Distributed:
         )
         return nodes, np.concatenate([border[self.active], gaps])
 
-    def bordered(self, state: State, forces: Array, wrench: Array) -> Border:
+    def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
         """Return the derivatives of the residual by the border; nothing is tied.
 
         Forces have shape (n, 3), N, the wrench shape (6,), N and N·m.
@@ -106,7 +106,7 @@ class Distributed:
         columns = columns[:, :, chosen]
         return Border(np.zeros_like(columns), columns, block[np.ix_(chosen, chosen)])
 
-    def wrench_columns(self, state: State) -> Array:
+    def wrench_columns(self, state: CoupledState) -> Array:
         """Return minus the derivative of the border's residual by the wrench.
 
         Shape (border, 6), dimensionless; the rows of the six constraints are zero.
@@ -155,7 +155,7 @@ class Distributed:
 class _Turned:
     """The section's quantities at one state."""
 
-    def __init__(self, coupling: Distributed, state: State) -> None:
+    def __init__(self, coupling: Distributed, state: CoupledState) -> None:
         R_minus_I = rotation_less_identity(state.interface[3:])
         self.spin = spin_per_vector(state.interface[3:])
         self.arms = coupling._arms + coupling._arms @ R_minus_I.T

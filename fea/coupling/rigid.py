@@ -10,7 +10,7 @@ from wrenchbook.fea.coupling.rotation import (
     spin_per_vector,
     spin_slope,
 )
-from wrenchbook.fea.coupling.state import Border, State
+from wrenchbook.fea.coupling.state import Border, CoupledState
 
 Array = np.ndarray
 
@@ -44,11 +44,11 @@ class Rigid:
         """The section's nodes, shape (k,), int64, indices."""
         return self._nodes
 
-    def start(self) -> State:
+    def start(self) -> CoupledState:
         """Return the undeformed state."""
-        return State(np.zeros((self._size, 3)), np.zeros(6), np.zeros(6))
+        return CoupledState(np.zeros((self._size, 3)), np.zeros(6), np.zeros(6))
 
-    def moved(self, state: State, nodes: Array, border: Array) -> State:
+    def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
         """Return the state after a correction, of shapes (n, 3), m, and (border,), m and rad.
 
         The section is placed exactly, not incrementally.
@@ -58,9 +58,9 @@ class Rigid:
         placed = state.nodes + nodes
         R_minus_I = rotation_less_identity(interface[3:])
         placed[self._nodes] = interface[:3] + self._arms @ R_minus_I.T
-        return State(placed, interface, state.multipliers)
+        return CoupledState(placed, interface, state.multipliers)
 
-    def residual(self, state: State, forces: Array, wrench: Array) -> tuple[Array, Array]:
+    def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return what is out of balance, N and N·m, under forces (n, 3) and a wrench (6,).
 
         Shape (n, 3) at the nodes, shape (border,) in the interface freedoms.
@@ -71,7 +71,7 @@ class Rigid:
         border = np.concatenate([pull.sum(axis=0) - wrench[:3], spin.T @ (moment - wrench[3:])])
         return forces, border[self.active]
 
-    def bordered(self, state: State, forces: Array, wrench: Array) -> Border:
+    def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
         """Return the ties, and what turning the arms adds to the moment.
 
         Forces have shape (n, 3), N, the wrench shape (6,), N and N·m.
@@ -85,7 +85,7 @@ class Rigid:
         ties = self._ties(arms, spin)
         return Border(ties, np.zeros_like(ties), block[np.ix_(self.active, self.active)])
 
-    def wrench_columns(self, state: State) -> Array:
+    def wrench_columns(self, state: CoupledState) -> Array:
         """Return minus the derivative of the border's residual by the wrench.
 
         Shape (border, 6), dimensionless.
@@ -103,7 +103,7 @@ class Rigid:
         rows[self.active] = border
         return rows
 
-    def _turned(self, state: State) -> Array:
+    def _turned(self, state: CoupledState) -> Array:
         return self._arms + self._arms @ rotation_less_identity(state.interface[3:]).T
 
     def _ties(self, arms: Array, spin: Array) -> Array:

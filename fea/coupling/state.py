@@ -11,7 +11,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class CoupledState:
     """One configuration.
 
     Attributes

@@ -1,4 +1,4 @@
-"""What can be told of a deck without running it."""
+"""Checks of a deck without running it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wrenchbook.fea.spec.schema import Deck
 
 
 def deck_report(deck: Deck) -> tuple[dict[str, Any], list[Problem]]:
-    """Return what can be told of a deck, and warnings.
+    """Return a summary of a deck, and warnings.
 
     A program that is not installed here is a warning and no mistake of the bundle: solves may run
     elsewhere, and one that does not says so.

@@ -12,7 +12,7 @@ import numpy as np
 
 from wrenchbook.fea.deck import failures
 from wrenchbook.fea.deck.command import OutOfTime, run_command
-from wrenchbook.fea.readers.reader import Complaint, OutputError, Reader, Reading, Run
+from wrenchbook.fea.readers.reader import Complaint, DeckReader, DeckRun, OutputError, Reading
 from wrenchbook.fea.readers.registry import reader_named
 from wrenchbook.fea.solution import Progress
 from wrenchbook.fea.spec.schema import UNITS, Deck
@@ -89,7 +89,7 @@ def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tup
     for file in deck.files:
         shutil.copy(file, folder / file.name)
     (folder / deck.file.name).write_bytes(text)
-    run = Run(folder, deck.file.stem, folder / PRINTED)
+    run = DeckRun(folder, deck.file.stem, folder / PRINTED)
     reading = _run(deck, run, reader_named(deck.output["reader"]), progress)
     displacement = np.array(reading.displacement, dtype=float)
     if displacement.shape != (6,) or not np.isfinite(displacement).all():
@@ -98,7 +98,7 @@ def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tup
     return np.concatenate([displacement[:3] * metres, displacement[3:]]), reading.unknowns
 
 
-def _run(deck: Deck, run: Run, reader: Reader, progress: Progress) -> Reading:
+def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Reading:
     command = [word.replace("{job}", run.job) for word in deck.command]
 
     def watch() -> None:
@@ -119,7 +119,7 @@ def _run(deck: Deck, run: Run, reader: Reader, progress: Progress) -> Reading:
         raise failures.bad_output(str(error), run.folder) from None
 
 
-def _require_success(program: str, code: int, complaint: Complaint | None, run: Run) -> None:
+def _require_success(program: str, code: int, complaint: Complaint | None, run: DeckRun) -> None:
     if complaint is not None and complaint.not_converged:
         raise failures.not_converged(program, complaint.quoted)
     if complaint is not None:

@@ -23,7 +23,7 @@ FOLDER = "deck"
 """Subfolder of the work folder; below it each run of the command has a folder of its own."""
 
 _MOMENT_GAP = 1e-5
-"""Part of the moment by which the one that acted may be off the one asked for."""
+"""Largest relative difference between the moment that acted and the required one."""
 
 _MOST_RUNS = 12  # 20 degrees take half of them
 _LINEAR_GAP = 1e-5  # CalculiX prints seven digits
@@ -188,7 +188,7 @@ def _require_reciprocal(compliance: Array, sizes: Array) -> None:
     """Raise unless the compliance is one that an elastic body can have: Betti, and work done.
 
     Compared is the work (J) that loads of these `sizes` do on each other's displacement, so a
-    freedom that is held may show roundoff.
+    locked freedom may show roundoff.
     """
     work = compliance * np.outer(sizes, sizes)
     own = np.diagonal(work)

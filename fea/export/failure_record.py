@@ -8,19 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.export.vtu import write_state
 from wrenchbook.fea.failure import SolveFailed
 
 HISTORY, LAST_STATE = "history.json", "last_state.vtu"
 
 
-def keep(folder: Path, failure: SolveFailed, component: Component) -> None:
+def keep(folder: Path, failure: SolveFailed, component: ComponentModel) -> None:
     """Write the history of a failure and the last converged state.
 
     ``history.json`` has the failure's kind, message and remedy, the load factor of the last state
     found and that at which the part gives way (null if unknown), and each iteration. The state is
-    the undeformed mesh if there was none. What cannot be written is told on standard error: the
+    the undeformed mesh if there was none. What cannot be written is reported on standard error: the
     failure itself matters more.
     """
     factor, nodes = failure.last or (0.0, np.zeros_like(component.mesh.points))

@@ -8,7 +8,7 @@ from typing import Any
 import meshio
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 
 Array = np.ndarray
 
@@ -24,7 +24,7 @@ _NAMES = {
 _CORNERS = {"wedge15": 6}
 
 
-def write_state(path: Path, component: Component, displacements: Array) -> None:
+def write_state(path: Path, component: ComponentModel, displacements: Array) -> None:
     """Write the undeformed mesh with a displacement at each point.
 
     Parameters

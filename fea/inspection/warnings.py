@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
 from wrenchbook.fea.inspection.cells import quality, quality_warnings
 from wrenchbook.fea.mesh.facets import facets_within, outer_surface
@@ -25,7 +25,7 @@ _USUAL_YOUNGS_MODULUS = (1e6, 1e12)
 _LONGEST_LEVER = 3.0
 
 
-def warnings_of(component: Component) -> list[Problem]:
+def warnings_of(component: ComponentModel) -> list[Problem]:
     """Return all that `fea.check` would warn of, in its order."""
     mesh = component.mesh
     bodies, pairs = bodies_of(mesh), coincident_nodes(mesh)
@@ -33,7 +33,7 @@ def warnings_of(component: Component) -> list[Problem]:
     return shape + coincidence_warnings(mesh, bodies, pairs) + set_up_warnings(component)
 
 
-def set_up_warnings(component: Component) -> list[Problem]:
+def set_up_warnings(component: ComponentModel) -> list[Problem]:
     """Return warnings on what the bundle attaches to the mesh: sections, supports and units."""
     return place_warnings(component) + support_warnings(component) + unit_warnings(component)
 
@@ -70,7 +70,7 @@ def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Probl
     return problems
 
 
-def place_warnings(component: Component) -> list[Problem]:
+def place_warnings(component: ComponentModel) -> list[Problem]:
     """Return warnings on where the section and the supports are."""
     mesh, section = component.mesh, component.section
     problems = []
@@ -96,7 +96,7 @@ def place_warnings(component: Component) -> list[Problem]:
     return problems
 
 
-def support_warnings(component: Component) -> list[Problem]:
+def support_warnings(component: ComponentModel) -> list[Problem]:
     """Return a warning if the supports hold single nodes only, which answer to mesh size."""
     surface = outer_surface(component.mesh.blocks)
     if facets_within(surface, component.fixed_nodes).blocks:
@@ -108,7 +108,7 @@ def support_warnings(component: Component) -> list[Problem]:
     return [Problem("supports.fixed", message)]
 
 
-def unit_warnings(component: Component) -> list[Problem]:
+def unit_warnings(component: ComponentModel) -> list[Problem]:
     """Return warnings on numbers that are rather written in another unit than SI."""
     problems = []
     low, high = _USUAL_YOUNGS_MODULUS

@@ -114,7 +114,7 @@ class FaceFinder:
         Parameters
         ----------
         kind
-            Kind of the facets asked for.
+            Kind of the facets.
         nodes
             Shape (f, k): indices of their nodes, corners first.
         """

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from wrenchbook.fea.readers.reader import Complaint, OutputError, Reading, Run, number
+from wrenchbook.fea.readers.reader import Complaint, DeckRun, OutputError, Reading, number
 from wrenchbook.fea.spec.schema import Deck
 
 _HEAD = re.compile(r"^ displacements \(vx,vy,vz\) for set (\S+) and time\s+(\S+)\s*$")
@@ -39,7 +39,7 @@ class CalculixDat:
     moment = "conjugate"
     keys: tuple[str, ...] = ("point", "rotation")
 
-    def read(self, run: Run, options: Mapping[str, str]) -> Reading:
+    def read(self, run: DeckRun, options: Mapping[str, str]) -> Reading:
         """Return the last motion printed of the two sets, which must be of the same time."""
         name = f"{run.job}.dat"
         path = run.folder / name
@@ -53,7 +53,7 @@ class CalculixDat:
         found = _UNKNOWNS.findall(_text(run.printed))
         return Reading((*place, *rotation), int(found[-1]) if found else 0)
 
-    def complaint(self, run: Run) -> Complaint | None:
+    def complaint(self, run: DeckRun) -> Complaint | None:
         """Return what ccx printed after ``*ERROR``; it may end with exit code 0 all the same."""
         errors = list(_errors(_text(run.printed)))
         if not errors:
@@ -64,7 +64,7 @@ class CalculixDat:
         apart = any(words in error for error in errors for words in _NO_EQUILIBRIUM)
         return Complaint(quoted, apart)
 
-    def stage(self, run: Run) -> tuple[float, str] | None:
+    def stage(self, run: DeckRun) -> tuple[float, str] | None:
         """Return the last line of the .sta file: the increment and the time within the step."""
         words = (_text(run.folder / f"{run.job}.sta").splitlines() or [""])[-1].split()
         try:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from wrenchbook.fea.readers.reader import Complaint, OutputError, Reading, Run, number
+from wrenchbook.fea.readers.reader import Complaint, DeckRun, OutputError, Reading, number
 from wrenchbook.fea.spec.schema import Deck
 
 
-class Numbers:
+class NumbersReader:
     """Reader "numbers": a text file of six numbers, written by the command itself.
 
     ``file`` names it; ``{job}`` stands for the deck's name without its ending. The numbers are the
@@ -18,7 +18,7 @@ class Numbers:
     moment = "spatial"
     keys: tuple[str, ...] = ("file",)
 
-    def read(self, run: Run, options: Mapping[str, str]) -> Reading:
+    def read(self, run: DeckRun, options: Mapping[str, str]) -> Reading:
         """Return the six numbers."""
         name = options["file"].replace("{job}", run.job)
         try:
@@ -29,11 +29,11 @@ class Numbers:
             raise OutputError(f"{name} has {len(words)} numbers; it must have six.")
         return Reading(tuple(number(word, name) for word in words))
 
-    def complaint(self, run: Run) -> Complaint | None:
+    def complaint(self, run: DeckRun) -> Complaint | None:
         """Return None: the exit code tells."""
         return None
 
-    def stage(self, run: Run) -> tuple[float, str] | None:
+    def stage(self, run: DeckRun) -> tuple[float, str] | None:
         """Return None: nothing is known of the command."""
         return None
 

@@ -15,13 +15,13 @@ from __future__ import annotations
 from importlib.metadata import EntryPoints, entry_points
 
 from wrenchbook.fea.readers.calculix_dat import CalculixDat
-from wrenchbook.fea.readers.numbers import Numbers
-from wrenchbook.fea.readers.reader import Reader
+from wrenchbook.fea.readers.numbers import NumbersReader
+from wrenchbook.fea.readers.reader import DeckReader
 
 ENTRY_POINTS = "wrenchbook.deck_readers"
 """The group of entry points under which packages offer readers."""
 
-_BUILT_IN: dict[str, type[Reader]] = {"calculix-dat": CalculixDat, "numbers": Numbers}
+_BUILT_IN: dict[str, type[DeckReader]] = {"calculix-dat": CalculixDat, "numbers": NumbersReader}
 
 
 def reader_names() -> tuple[str, ...]:
@@ -29,7 +29,7 @@ def reader_names() -> tuple[str, ...]:
     return tuple(sorted({*_BUILT_IN, *(entry.name for entry in _offered())}))
 
 
-def reader_named(name: str) -> Reader:
+def reader_named(name: str) -> DeckReader:
     """Return the reader of that name.
 
     Raises

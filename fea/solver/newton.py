@@ -123,13 +123,13 @@ def find_equilibrium(
     """Iterate from a state out of balance.
 
     The first correction uses `tangent` as it is. While steps are large the tangents after it take
-    the stress that the step aimed at (`Body.tangent`); the last are tangents proper at the state
-    itself, and only their corrections count as proof of convergence.
+    the stress that the step aimed at (`ElasticBody.tangent`); the last are tangents proper at the
+    state itself, and only their corrections count as proof of convergence.
 
     Parameters
     ----------
     balance
-        Where to start, under the wrench wanted.
+        Where to start, under the required wrench.
     tangent
         A linearisation at, or near, that state.
     report

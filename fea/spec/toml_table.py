@@ -21,7 +21,7 @@ class Keys:
     """One table of the file and where it stands.
 
     Each reading method takes a key, notes a `Problem` if its value will not do, and then returns
-    None. `close` notes the keys that nobody asked for.
+    None. `close` notes the keys that no method has read.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Keys:
         self.problems.append(Problem(self.path(key), message))
 
     def close(self) -> None:
-        """Note every key that was not asked for, with the nearest one that exists."""
+        """Note every key that no method has read, with the nearest known one."""
         for key in self._table:
             if key not in self._known:
                 known = ", ".join(self._known)

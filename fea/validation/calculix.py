@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.rotation import spin_per_vector
 from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
 
@@ -26,7 +26,7 @@ PROGRAM = "ccx"
 ABSENT = "ccx is not installed"
 
 
-class Reply(NamedTuple):
+class CalculixResult(NamedTuple):
     """What ccx found.
 
     Attributes
@@ -47,13 +47,13 @@ def installed() -> bool:
 
 
 def solve_rigid(
-    part: Component,
+    part: ComponentModel,
     wrench: Sequence[float],
     rotation: Array | None = None,
     *,
     tight: bool = True,
     timeout: float = 600.0,
-) -> Reply:
+) -> CalculixResult:
     """Solve a component with a rigid coupling.
 
     Parameters
@@ -64,7 +64,7 @@ def solve_rigid(
         Shape (6,), N and N·m.
     rotation
         The rotation vector that the answer will have, shape (3,), rad: CalculiX takes the moment
-        that works on the rotation vector, m = J_left(turn)^-T M. None where it is small.
+        that works on the rotation vector, m = J_left(rotation)^-T M. None where it is small.
     tight
         Nonlinear: converge to 1e-7 instead of CalculiX's default, which leaves up to 5e-3 in small
         rotations.
@@ -84,10 +84,12 @@ def solve_rigid(
         deck = deck.replace(placeholder, f"{load:.12e}")
     rows, seconds = _run(deck if tight else deck.replace(_TIGHT, ""), timeout)
     count = len(part.mesh.points)
-    return Reply(np.array(rows[count + 1] + rows[count + 2]), seconds)
+    return CalculixResult(np.array(rows[count + 1] + rows[count + 2]), seconds)
 
 
-def solve_distributed(part: Component, wrench: Sequence[float], timeout: float = 600.0) -> Reply:
+def solve_distributed(
+    part: ComponentModel, wrench: Sequence[float], timeout: float = 600.0
+) -> CalculixResult:
     """Solve a component with a distributed coupling in linear analysis.
 
     CalculiX reports no motion of its own distributing coupling and takes no moment there. So the
@@ -106,10 +108,12 @@ def solve_distributed(part: Component, wrench: Sequence[float], timeout: float =
     rows, seconds = _run(_with_loads(part, loads), timeout)
     moved = np.array([rows[int(node) + 1] for node in part.section.node_ids])
     rotation = np.linalg.solve(inertia, weights @ np.cross(arms, moved))
-    return Reply(np.concatenate([weights @ moved - np.cross(rotation, centre), rotation]), seconds)
+    return CalculixResult(
+        np.concatenate([weights @ moved - np.cross(rotation, centre), rotation]), seconds
+    )
 
 
-def _with_loads(part: Component, loads: Array) -> str:
+def _with_loads(part: ComponentModel, loads: Array) -> str:
     """Return the deck with nodal loads, shape (k, 3), N, in place of the rigid body."""
     linear = replace(part.analysis, nonlinear=False)
     deck = deck_of(replace(part, coupling="rigid", analysis=linear))

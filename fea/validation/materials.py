@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.spec.orthotropic import Orthotropic
 from wrenchbook.fea.spec.schema import Material
@@ -46,8 +46,8 @@ def rubber_same_mesh() -> Iterator[Finding]:
             yield from same_mesh(name, part, SQUEEZE, nonlinear=nonlinear)
 
 
-def orthotropic_beam(kind: str, divisions: tuple[int, int, int] = (2, 2, 5)) -> Component:
-    """Return a bar of `CARBON`, its interface turned too."""
+def orthotropic_beam(kind: str, divisions: tuple[int, int, int] = (2, 2, 5)) -> ComponentModel:
+    """Return a bar of `CARBON`, its interface rotated too."""
     axes = rotation(np.array([0.2, 0.1, -0.4]))
     mesh = box(kind, divisions, (0.05, 0.02, 0.4))
     part = clamped(mesh, "z0", "z1", (1.0, 0.0), axes=axes)
@@ -55,7 +55,9 @@ def orthotropic_beam(kind: str, divisions: tuple[int, int, int] = (2, 2, 5)) -> 
     return replace(part, materials=(own,))
 
 
-def rubber_block(kind: str, ratio: float, divisions: tuple[int, int, int] = (2, 2, 2)) -> Component:
+def rubber_block(
+    kind: str, ratio: float, divisions: tuple[int, int, int] = (2, 2, 2)
+) -> ComponentModel:
     """Return a block of neo-Hookean rubber of 3 MPa between rigid plates."""
     part = clamped(box(kind, divisions, (0.05, 0.05, 0.04)), "z0", "z1", (1.0, 0.0))
     return replace(part, materials=(Material("all", 3e6, ratio, law="neo-hookean"),))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from wrenchbook.fea.assembly.blocks import filled_cells
-from wrenchbook.fea.assembly.body import Body
+from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solve import Solver
@@ -39,14 +39,14 @@ def distort(amount: float) -> Warp:
     return warp
 
 
-def body_of(mesh: Mesh, fixed: Array, integration: str = "reduced") -> Body:
+def body_of(mesh: Mesh, fixed: Array, integration: str = "reduced") -> ElasticBody:
     """Return the body of a mesh of `MATERIAL` whose `fixed` nodes do not move.
 
     `fixed` has shape (n,), bool, dimensionless.
     """
     numbers = [np.zeros(len(block), dtype=int) for block in mesh.blocks]
     filled = filled_cells(mesh, [Material("all", *MATERIAL)], numbers, integration)
-    return Body(mesh, filled, ~fixed)
+    return ElasticBody(mesh, filled, ~fixed)
 
 
 def on_the_surface(mesh: Mesh) -> Array:
@@ -55,7 +55,7 @@ def on_the_surface(mesh: Mesh) -> Array:
     return np.asarray(from_middle > 0.5 - 1e-9)
 
 
-def solve_with_boundary(body: Body, boundary: Array) -> Array:
+def solve_with_boundary(body: ElasticBody, boundary: Array) -> Array:
     """Solve for the free nodes with the others displaced as `boundary`, shape (n, 3), m, says."""
     prescribed = np.where(body.free[:, None], 0.0, boundary)
     forces = body.small_strain_forces(prescribed[:, :, None])
@@ -81,7 +81,7 @@ def constant_strain() -> Iterator[Finding]:
 
 @case("patch")
 def large_constant_deformation() -> Iterator[Finding]:
-    """Patch test at large deformation: 27 distorted cells, stretched 10 % and turned 49 degrees."""
+    """Patch test at large deformation: 27 distorted cells, stretched 10 %, rotated 49 degrees."""
     stretch = np.eye(3) + 0.1 * np.array([[1.0, 0.3, 0.1], [0.2, -0.4, 0.5], [0.6, 0.1, 0.8]])
     gradient = rotation(_ROTATION_VECTOR) @ stretch
     for kind in KINDS:
@@ -121,7 +121,7 @@ def rigid_motion_costs_nothing() -> Iterator[Finding]:
 
 @case("patch")
 def turned_component() -> Iterator[Finding]:
-    """Rigid-body invariance: a component turned and moved as a whole answers the same."""
+    """Rigid-body invariance: a component rotated and moved as a whole answers the same."""
     mesh = box("hex20", (4, 3, 2), (0.3, 0.2, 0.006))
     R, point = rotation(_ROTATION_VECTOR), np.array([0.31, 0.13, 0.05])
     wrench = [300.0, 150.0, -100.0, 4.0, 8.0, 6.0]
@@ -130,13 +130,13 @@ def turned_component() -> Iterator[Finding]:
             mesh, "x0", "x1", (70e9, 0.33), coupling=coupling, nonlinear=True, point=point
         )
         shift = np.array([1.0, -2.0, 3.0])
-        turned = replace(
+        moved = replace(
             part,
             mesh=replace(mesh, points=mesh.points @ R.T + shift),
             point=R @ point + shift,
             axes=part.axes @ R.T,
         )
-        first, second = (Solver(p).solve(wrench).displacement for p in (part, turned))
+        first, second = (Solver(p).solve(wrench).displacement for p in (part, moved))
         gap = float(np.abs(second - first).max() / np.abs(first).max())
         quantity = f"{coupling}, nonlinear: largest change of a displacement, relative"
         yield Finding(quantity, "objectivity", 0.0, gap, 1e-8, "absolute")

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrenchbook.fea.mesh.generators.plane import Section, quadratic, ring_quads
+from wrenchbook.fea.mesh.generators.plane import PlaneMesh, quadratic, ring_quads
 from wrenchbook.fea.mesh.generators.sweep import sweep
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.solve import Solver
@@ -41,7 +41,7 @@ def annulus(rings: int, around: int) -> Mesh:
     return Mesh(plate.points, (plate.cells,), facet_groups=walls)
 
 
-def _bend(section: Section) -> None:
+def _bend(section: PlaneMesh) -> None:
     """Move the middles of arcs out to their circles; those of spokes are on theirs already."""
     corners, middles = section.quads[:, :4], section.quads[:, 4:]
     radius = np.linalg.norm(section.points, axis=1)

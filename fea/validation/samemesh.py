@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.validation import calculix
 from wrenchbook.fea.validation.finding import Finding
@@ -21,7 +21,7 @@ _SOURCE = "CalculiX ccx, tolerance 1e-7"
 
 
 def same_mesh(
-    name: str, part: Component, wrench: Sequence[float], *, nonlinear: bool
+    name: str, part: ComponentModel, wrench: Sequence[float], *, nonlinear: bool
 ) -> Iterator[Finding]:
     """Compare one solve on one mesh: the largest relative difference of the six components."""
     part = replace(part, analysis=replace(part.analysis, nonlinear=nonlinear))

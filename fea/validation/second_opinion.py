@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from wrenchbook.fea.bundle.read import read_bundle
-from wrenchbook.fea.component import Component, build
+from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.element.pressure_projection import projects
 from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.failure import SolveFailed
@@ -72,7 +72,7 @@ class Opinion:
         return self.difference <= self.tolerance
 
 
-def comparable(part: Component) -> tuple[Component, tuple[str, ...]]:
+def comparable(part: ComponentModel) -> tuple[ComponentModel, tuple[str, ...]]:
     """Return the component that both can solve, and how it differs from the user's."""
     if part.coupling == "rigid" or not part.analysis.nonlinear:
         return part, ()
@@ -131,7 +131,7 @@ def difference(found: Array, expected: Array) -> float:
     return worst
 
 
-def chosen_wrenches(part: Component, texts: Sequence[str]) -> list[tuple[float, ...]]:
+def chosen_wrenches(part: ComponentModel, texts: Sequence[str]) -> list[tuple[float, ...]]:
     """Return the wrenches that the texts tell; without any, half the range's upper bounds.
 
     Raises
@@ -167,10 +167,10 @@ def table(opinion: Opinion) -> str:
     for i, name in enumerate(FREEDOMS):
         own, theirs = opinion.found[i], opinion.calculix[i]
         size = max(map(abs, opinion.calculix[:3] if i < 3 else opinion.calculix[3:]))
-        share = f"{abs(own - theirs) / size:.1e}" if size > 0 else ""
+        relative = f"{abs(own - theirs) / size:.1e}" if size > 0 else ""
         unit = "m" if i < 3 else "rad"
         lines.append(
-            f"  {name:<4} {own:>15.7e} {theirs:>15.7e} {own - theirs:>12.2e} {share:>9} {unit}"
+            f"  {name:<4} {own:>15.7e} {theirs:>15.7e} {own - theirs:>12.2e} {relative:>9} {unit}"
         )
     verdict = "agrees" if opinion.agrees else "DIFFERS"
     return "\n".join(
@@ -224,7 +224,7 @@ def _made_ready(
     return Solver(part), wrenches, [*notes, *_projections(part)]
 
 
-def _projections(part: Component) -> list[str]:
+def _projections(part: ComponentModel) -> list[str]:
     ratios = np.array([material.poisson_ratio for material in part.materials])
     numbers = zip(part.mesh.blocks, part.material_of_cells, strict=True)
     cells = sum(int(projects(block, ratios[own]).sum()) for block, own in numbers)

@@ -11,7 +11,7 @@ ENDINGS = (".xdmf", ".xmf")
 
 
 def refuse_outside(path: Path) -> None:
-    """Refuse an XDMF file whose numbers lie in a file that is not beside it.
+    """Refuse an XDMF file whose numbers lie in a file outside its folder.
 
     A stranger's bundle could else have whatever this machine holds read as a mesh, and look at it
     as a deformed shape.
