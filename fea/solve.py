@@ -10,11 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.assembly.balance import Balance
 from wrenchbook.fea.assembly.blocks import filled_cells
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.assembly.condition import ROUNDOFF
-from wrenchbook.fea.assembly.mass import consistent_mass
+from wrenchbook.fea.assembly.linearisation import Balance
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
@@ -29,7 +28,7 @@ from wrenchbook.fea.solution import Progress, Solution, checked_wrench
 from wrenchbook.fea.solver.buckling import buckling_factors
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
 from wrenchbook.fea.solver.load_steps import LoadPath
-from wrenchbook.fea.solver.vibration import Riding, Vibration, first_vibration
+from wrenchbook.fea.solver.vibration import Riding, Vibration, consistent_mass, first_vibration
 from wrenchbook.fea.solver.warm_start import WarmFolder
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 

@@ -1,4 +1,4 @@
-"""The front: what a component's answers may be wrong by, in a form that can be stored."""
+"""Estimate of the solver's error, as stored with a table: discretisation and linearity."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import numpy as np
 
 from wrenchbook.fea.accuracy.beyond_linear import beyond_linear
 from wrenchbook.fea.accuracy.recovered import recovered_error
-from wrenchbook.fea.accuracy.second_mesh import coarser
+from wrenchbook.fea.component import build
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.facets import EDGES
 from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, LoadRange
@@ -30,8 +31,8 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     errs where the other does not: on a bracket of one tetrahedron a wall the change holds 7 errors
     of 10, on a block with round holes the recovered stresses 5. Their mean covered 98 of 100 on
     eight parts at 2.8 times the error, the larger of both 99 at 4.2 (`make bench NAME=mesh_error`).
-    It costs a fifth to a half of a linear solve where a generator makes the mesh, 1.5 to 2.8 of one on
-    STEP parts (most of it gmsh, turning back coarse cells that curved edges fold); a linear
+    It costs a fifth to a half of a linear solve where a generator makes the mesh, 1.5 to 2.8 of
+    one on STEP parts (most of it gmsh, which repairs coarse cells that curved edges fold); a linear
     component costs two nonlinear solves besides, on the coarser mesh if there is one.
 
     Returns
@@ -142,3 +143,38 @@ def _linearity(solver: Solver, loads: LoadRange) -> dict[str, Any]:
         "linearity_basis": basis,
         "buckling": found.buckling,
     }
+
+
+COARSER = 0.5
+"""Cells along each direction of the second mesh, over those of the first.
+
+A linear solve of it takes a sixth of the first's (generators) to two thirds (STEP parts whose own
+edges keep cells small). Its error is two to four times the
+first's (first- to second-order convergence of the displacements, by the corners where loads and
+supports end), so that what the two differ by holds what the first still lacks.
+"""
+
+_SMALLER = 0.75
+"""Of the first mesh's nodes: one that has more tells nothing, its cells are the geometry's own."""
+
+
+def coarser(solver: Solver) -> Solver | None:
+    """Return the component on a coarser mesh; None if none can be made, or it is no smaller.
+
+    Mesh files have none: only their author can mesh anew. Nor has a mesh of single cells, or one
+    whose cells the geometry's own edges keep small.
+    """
+    bundle = solver.component.bundle
+    if bundle is None:
+        return None
+    other = refined(bundle, COARSER)
+    if other is None:
+        return None
+    try:
+        found = Solver(build(other))
+        if len(found.component.mesh.points) > _SMALLER * len(solver.component.mesh.points):
+            return None
+        _ = found.linear
+    except (BundleError, SolveFailed):
+        return None  # too coarse for the shape, or for reduced integration to hold it
+    return found

@@ -7,10 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from wrenchbook.fea.assembly.balance import Balance
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.assembly.condition import scaled_condition, softest_energy, unheld
-from wrenchbook.fea.assembly.linearisation import Linearisation
+from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.coupling import CoupledState, Coupling
 
 Array = np.ndarray

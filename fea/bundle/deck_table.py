@@ -16,9 +16,8 @@ from pathlib import Path
 
 from wrenchbook.fea.readers.reader import DeckReader
 from wrenchbook.fea.readers.registry import reader_named, reader_names
-from wrenchbook.fea.spec.files import bundle_file
 from wrenchbook.fea.spec.schema import MOMENTS, UNITS, Deck
-from wrenchbook.fea.spec.toml_table import Keys
+from wrenchbook.fea.spec.toml_table import Keys, bundle_file
 
 _LONGEST = 1e7  # seconds
 

@@ -6,7 +6,6 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 
 from wrenchbook.fea.mesh.generators import GENERATORS
-from wrenchbook.fea.spec.files import bundle_file
 from wrenchbook.fea.spec.schema import (
     GEOMETRY_ENDINGS,
     UNITS,
@@ -14,7 +13,7 @@ from wrenchbook.fea.spec.schema import (
     MeshSource,
     Selector,
 )
-from wrenchbook.fea.spec.toml_table import Keys
+from wrenchbook.fea.spec.toml_table import Keys, bundle_file
 
 _AXES = ("x", "y", "z")
 _FACE_WAYS = ("faces", "near", "plane", "radius")

@@ -15,10 +15,9 @@ from wrenchbook.fea.accuracy.estimate import accuracy_or_why
 from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
 from wrenchbook.fea.check import findings
 from wrenchbook.fea.check.cost import estimate
-from wrenchbook.fea.check.frequency import frequency
 from wrenchbook.fea.check.strength import strength
 from wrenchbook.fea.check.text import as_text
-from wrenchbook.fea.check.trial import deflection_warnings, solver_of, trial
+from wrenchbook.fea.check.trial import deflection_warnings, frequency, solver_of, trial
 from wrenchbook.fea.component import ComponentModel, build, mesh_of
 from wrenchbook.fea.deck.checking import deck_report
 from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
@@ -60,7 +59,7 @@ def report(
         ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection.cells`), ``parts``,
         ``coincident_nodes``; ``materials``, ``section``, ``supports`` and ``estimate`` (see
         `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density or a mass is given
-        ``vibration`` (see `fea.check.frequency`), and where a yield strength is given ``strength``
+        ``vibration`` (see `fea.check.trial`), and where a yield strength is given ``strength``
         (see `fea.check.strength`), and where it takes no longer than a check may ``solver_error``
         (see `fea.accuracy.estimate`). Lengths in m. Instead of all from ``faces`` on,
         ``deck`` (see `fea.deck.checking`).

@@ -10,9 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrenchbook.fea.element.cell_state import CellState, Which
+from wrenchbook.fea.element.cell_state import (
+    COLUMNS,
+    ROWS,
+    UNIT_STRAINS,
+    CellState,
+    DenseState,
+    Which,
+)
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
-from wrenchbook.fea.element.dense_law import COLUMNS, ROWS, UNIT_STRAINS, DenseState
 
 Array = np.ndarray
 

@@ -93,14 +93,6 @@ class Dissection:
         """Three for each free node."""
         return 3 * self.nodes.size
 
-    @property
-    def factor_entries(self) -> int:
-        """Numbers that the Cholesky factor holds."""
-        return sum(
-            s.eliminated * (s.eliminated + 1) // 2 + s.eliminated * s.boundary.size
-            for s in self.substructures
-        )
-
 
 def dissect(cells: list[Array], centres: Array, free: Array) -> Dissection:
     """Cut a mesh into nested substructures.

@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wrenchbook.fea.assembly.balance import Balance
-from wrenchbook.fea.assembly.linearisation import Linearisation
+from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling import CoupledState
 from wrenchbook.fea.coupling.rotation import rotation, rotation_vector

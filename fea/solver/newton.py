@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.assembly.balance import Balance
-from wrenchbook.fea.assembly.linearisation import Linearisation
+from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import System
 
 Array = np.ndarray

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from wrenchbook.fea.spec.problems import Problem, suggest
@@ -217,3 +218,25 @@ def _shown(value: object) -> str:
     """Return `value` shortened to what fits into a message."""
     text = repr(value).replace("'", '"') if type(value) is not bool else str(value).lower()
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def bundle_file(keys: Keys, key: str, folder: Path, required: bool = True) -> Path | None:
+    """Return the path of a file of the bundle that exists and lies within its folder."""
+    name = keys.text(key, required)
+    if name is None:
+        return None
+    path = folder / name
+    # Resolved, so that a symbolic link out of the folder is refused too.
+    if Path(name).is_absolute() or not path.resolve().is_relative_to(folder.resolve()):
+        keys.wrong(key, f'"{name}" is outside the bundle; put the file into its folder')
+        return None
+    try:
+        there = path.is_file()
+    except OSError as error:  # a name that no disk takes
+        keys.wrong(key, f'"{name[:100]}" cannot be a file ({error.strerror})')
+        return None
+    if not there:
+        known = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
+        keys.wrong(key, f'there is no file "{name}" in the bundle (it has {", ".join(known)})')
+        return None
+    return path

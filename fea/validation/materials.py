@@ -12,9 +12,9 @@ from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.spec.orthotropic import Orthotropic
 from wrenchbook.fea.spec.schema import Material
 from wrenchbook.fea.validation.boxes import box
+from wrenchbook.fea.validation.calculix import same_mesh
 from wrenchbook.fea.validation.clamped import clamped
 from wrenchbook.fea.validation.finding import Finding, case
-from wrenchbook.fea.validation.samemesh import same_mesh
 
 _X, _Y, _Z = rotation(np.array([0.3, -0.8, 0.5])).tolist()
 CARBON = Orthotropic(

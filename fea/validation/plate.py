@@ -11,9 +11,9 @@ from wrenchbook.fea.mesh.generators.plane import PlaneMesh, quadratic, ring_quad
 from wrenchbook.fea.mesh.generators.sweep import sweep
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation.calculix import same_mesh
 from wrenchbook.fea.validation.clamped import clamped, shipped
 from wrenchbook.fea.validation.finding import Finding, case
-from wrenchbook.fea.validation.samemesh import same_mesh
 
 Array = np.ndarray
 

@@ -30,7 +30,7 @@ from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError, Problem
 from wrenchbook.fea.spec.schema import FREEDOMS
 from wrenchbook.fea.validation import calculix
-from wrenchbook.fea.validation.samemesh import LINEAR, NONLINEAR
+from wrenchbook.fea.validation.calculix import LINEAR, NONLINEAR
 
 Array = np.ndarray
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation.calculix import same_mesh
 from wrenchbook.fea.validation.clamped import shipped
 from wrenchbook.fea.validation.finding import Finding, case
-from wrenchbook.fea.validation.samemesh import same_mesh
 
 Array = np.ndarray
 

@@ -18,8 +18,8 @@ from wrenchbook.fea.deck.checking import deck_report
 from wrenchbook.fea.deck.running import filled
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.readers import registry
-from wrenchbook.fea.readers.numbers import NumbersReader
 from wrenchbook.fea.readers.reader import Reading
+from wrenchbook.fea.readers.registry import NumbersReader
 from wrenchbook.fea.solve import solve
 
 NUMBER = st.floats(allow_nan=False, allow_infinity=False)
