@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.coupling.state import CoupledState
+from wrenchbook.fea.coupling.coupling import CoupledState
 
 Array = np.ndarray
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from wrenchbook.fea.coupling.coupling import Border, CoupledState, Coupling
 from wrenchbook.fea.coupling.rotation import (
     rotation_less_identity,
     skew,
     spin_per_vector,
     spin_slope,
 )
-from wrenchbook.fea.coupling.state import Border, CoupledState
 
 Array = np.ndarray
 
 
-class Distributed:
+class Distributed(Coupling):
     """Weighted mean translation and rotation of the section; the wrench is spread conjugately.
 
     With weights w_i of sum 1, section centre c, rho_i = x_i - c (undeformed), b_i = R rho_i:
@@ -38,19 +38,14 @@ class Distributed:
         Indices of the interface freedoms that are not locked.
     """
 
+    multipliers = 6
+
     def __init__(self, points: Array, nodes: Array, weights: Array, active: Array) -> None:
-        self.active = active
-        self.border = len(active) + 6
-        self._size = len(points)
-        self._nodes = nodes
+        super().__init__(points, nodes, active)
         self._weights = weights / weights.sum()
         self._places = points[nodes]
         self._centre = self._weights @ self._places
         self._arms = self._places - self._centre
-
-    def start(self) -> CoupledState:
-        """Return the undeformed state."""
-        return CoupledState(np.zeros((self._size, 3)), np.zeros(6), np.zeros(6))
 
     def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
         """Return the state after a correction of nodes, shape (n, 3), m, and border.
@@ -115,20 +110,6 @@ class Distributed:
         columns[:3, :3] = np.eye(3)
         columns[3:6, 3:] = spin_per_vector(state.interface[3:]).T
         return columns[self._chosen]
-
-    def displacement_rows(self, border: Array) -> Array:
-        """Pick the interface displacement out of border unknowns: (border, k) -> (6, k).
-
-        In m and rad, or both over the unit of a load; locked freedoms are zero.
-        """
-        rows = np.zeros((6, border.shape[1]))
-        rows[self.active] = border[:-6]
-        return rows
-
-    @property
-    def tied(self) -> Array:
-        """No node is, shape (0,), int64, indices: the section's nodes stay free."""
-        return self._nodes[:0]
 
     @property
     def _chosen(self) -> Array:

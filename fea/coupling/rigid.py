@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from wrenchbook.fea.coupling.coupling import Border, CoupledState, Coupling
 from wrenchbook.fea.coupling.rotation import (
     rotation_less_identity,
     skew,
     spin_per_vector,
     spin_slope,
 )
-from wrenchbook.fea.coupling.state import Border, CoupledState
 
 Array = np.ndarray
 
 
-class Rigid:
+class Rigid(Coupling):
     """Tie u_i = t + (R - I) x_i for the section's nodes, x_i measured from the interface point.
 
     The section's nodes are no unknowns of the body; its reactions there balance the wrench. The
@@ -33,20 +33,13 @@ class Rigid:
     """
 
     def __init__(self, points: Array, nodes: Array, active: Array) -> None:
-        self.active = active
-        self.border = len(active)
-        self._size = len(points)
-        self._nodes = nodes
+        super().__init__(points, nodes, active)
         self._arms = points[nodes]
 
     @property
     def tied(self) -> Array:
         """The section's nodes, shape (k,), int64, indices."""
         return self._nodes
-
-    def start(self) -> CoupledState:
-        """Return the undeformed state."""
-        return CoupledState(np.zeros((self._size, 3)), np.zeros(6), np.zeros(6))
 
     def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
         """Return the state after a correction, of shapes (n, 3), m, and (border,), m and rad.
@@ -93,15 +86,6 @@ class Rigid:
         columns = np.eye(6)
         columns[3:, 3:] = spin_per_vector(state.interface[3:]).T
         return columns[self.active]
-
-    def displacement_rows(self, border: Array) -> Array:
-        """Pick the interface displacement out of border unknowns: (border, k) -> (6, k).
-
-        In m and rad, or both over the unit of a load; locked freedoms are zero.
-        """
-        rows = np.zeros((6, border.shape[1]))
-        rows[self.active] = border
-        return rows
 
     def _turned(self, state: CoupledState) -> Array:
         return self._arms + self._arms @ rotation_less_identity(state.interface[3:]).T
