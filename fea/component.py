@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrenchbook.fea.coupling.section import Section, section_of_facets, section_of_nodes
+from wrenchbook.fea.coupling.section import InterfaceSection, section_of_facets, section_of_nodes
 from wrenchbook.fea.mesh.cad import mesh_geometry
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
 from wrenchbook.fea.mesh.facets import facets_within, outer_surface
@@ -22,7 +22,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Component:
+class ComponentModel:
     """A deformable part, ready to be solved; all in metres and pascals.
 
     Attributes
@@ -49,7 +49,7 @@ class Component:
     materials: tuple[Material, ...]
     material_of_cells: tuple[Array, ...]
     fixed_nodes: Array
-    section: Section
+    section: InterfaceSection
     point: Array
     axes: Array
     coupling: str
@@ -57,7 +57,7 @@ class Component:
     analysis: Analysis
 
 
-def build(bundle: Bundle, mesh: Mesh | None = None) -> Component:
+def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     """Build the mesh of `bundle`, unless it is given, and resolve the groups it names.
 
     Raises
@@ -78,7 +78,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> Component:
     if problems or section is None:
         raise BundleError(problems)
     interface = bundle.interface
-    return Component(
+    return ComponentModel(
         bundle=bundle,
         mesh=mesh,
         materials=bundle.materials,
@@ -156,7 +156,7 @@ def _fixed_nodes(mesh: Mesh, names: Iterable[str], problems: list[Problem]) -> A
     return nodes
 
 
-def _section(mesh: Mesh, interface: Interface, problems: list[Problem]) -> Section | None:
+def _section(mesh: Mesh, interface: Interface, problems: list[Problem]) -> InterfaceSection | None:
     key = "interface.section"
     nodes = _group_nodes(mesh, key, interface.section, problems)
     if not len(nodes):
@@ -197,7 +197,7 @@ def _listed(groups: list[str]) -> str:
 
 
 def _check_apart(
-    mesh: Mesh, fixed: Array, section: Section | None, problems: list[Problem]
+    mesh: Mesh, fixed: Array, section: InterfaceSection | None, problems: list[Problem]
 ) -> None:
     shared = 0 if section is None else len(np.intersect1d(fixed, section.node_ids))
     if shared:

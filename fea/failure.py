@@ -93,7 +93,7 @@ def snap_through(message: str) -> SolveFailed:
 
 
 def gave_way(kind: str, factor: float) -> SolveFailed | None:
-    """Return the failure of a part whose equilibrium path ends below the load asked for.
+    """Return the failure of a part whose equilibrium path ends below the full load.
 
     Parameters
     ----------
@@ -124,17 +124,17 @@ def locking_material(message: str) -> SolveFailed:
     )
 
 
-def rotation_too_large(degrees: float, limit: float, share: float = 1.0) -> SolveFailed:
-    """Return the failure of an interface that turns further than tables may hold.
+def rotation_too_large(degrees: float, limit: float, load_factor: float = 1.0) -> SolveFailed:
+    """Return the failure of an interface that rotates further than tables cover.
 
     Parameters
     ----------
     degrees, limit
-        What it turns by, and may turn by.
-    share
+        Its rotation, and the largest allowed one.
+    load_factor
         The part of the wrench under which it does.
     """
-    under = f" under {share:.3g} of this wrench already" if share < 1.0 else ""
+    under = f" under {load_factor:.3g} of this wrench already" if load_factor < 1.0 else ""
     return SolveFailed(
         "rotation_too_large",
         f"The interface turns by {degrees:.1f} degrees{under}; tables hold at most {limit:.0f}.",

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.coupling.state import State
+from wrenchbook.fea.coupling.coupling import CoupledState
 
 Array = np.ndarray
 
@@ -83,7 +83,7 @@ class Solution:
     nodes: Array
     notes: tuple[str, ...] = ()
     tangents: Array | None = None
-    state: State | None = None
+    state: CoupledState | None = None
 
 
 def checked_wrench(wrench: Sequence[float] | Array) -> Array:

@@ -10,14 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.assembly.balance import Balance
 from wrenchbook.fea.assembly.blocks import filled_cells
-from wrenchbook.fea.assembly.body import Body
+from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.assembly.condition import ROUNDOFF
-from wrenchbook.fea.assembly.mass import consistent_mass
+from wrenchbook.fea.assembly.linearisation import Balance
 from wrenchbook.fea.assembly.system import System
-from wrenchbook.fea.component import Component, build
-from wrenchbook.fea.coupling import Coupling, Distributed, Rigid, State
+from wrenchbook.fea.component import ComponentModel, build
+from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.pressure_projection import pressure_notes
 from wrenchbook.fea.export.failure_record import keep
@@ -29,7 +28,7 @@ from wrenchbook.fea.solution import Progress, Solution, checked_wrench
 from wrenchbook.fea.solver.buckling import buckling_factors
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
 from wrenchbook.fea.solver.load_steps import LoadPath
-from wrenchbook.fea.solver.vibration import Riding, Vibration, first_vibration
+from wrenchbook.fea.solver.vibration import Riding, Vibration, consistent_mass, first_vibration
 from wrenchbook.fea.solver.warm_start import WarmFolder
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 
@@ -44,7 +43,7 @@ MOST_DEGREES = 20.0
 
 
 def solve(
-    bundle: Bundle | Component | Solver,
+    bundle: Bundle | ComponentModel | Solver,
     wrench: Sequence[float] | Array,
     progress: Progress | None = None,
     folder: Path | None = None,
@@ -124,8 +123,8 @@ class Solver:
         ``inverted_elements`` or ``locking_material``.
     """
 
-    def __init__(self, bundle: Bundle | Component) -> None:
-        self.component = bundle if isinstance(bundle, Component) else build(bundle)
+    def __init__(self, bundle: Bundle | ComponentModel) -> None:
+        self.component = bundle if isinstance(bundle, ComponentModel) else build(bundle)
         self._active = np.array(
             [i for i, name in enumerate(FREEDOMS) if name not in self.component.locked], dtype=int
         )
@@ -137,7 +136,7 @@ class Solver:
         return self._system.unknowns
 
     @property
-    def body(self) -> Body:
+    def body(self) -> ElasticBody:
         """The cells and their materials, in the interface frame."""
         return self._system.body
 
@@ -171,15 +170,15 @@ class Solver:
     @cached_property
     def notes(self) -> tuple[str, ...]:
         """What an engineer should know: the warnings of `fea.check`, and how it is solved."""
-        told = tuple(f"{one.where}: {one.message}" for one in warnings_of(self.component))
-        told += pressure_notes(self._system.body.parts)
+        notes = tuple(f"{one.where}: {one.message}" for one in warnings_of(self.component))
+        notes += pressure_notes(self._system.body.parts)
         lost = self._system.condition * ROUNDOFF
         if lost > _ROUNDOFF_WORTH_TELLING:
-            told += (
+            notes += (
                 f"Scaled condition about {self._system.condition:.0e}: a single solution of the "
                 f"equations would be right to {lost:.0e}; it was corrected from its stresses.",
             )
-        return told
+        return notes
 
     def vibration(self, riding: Riding) -> Vibration:
         """Return the first natural frequency with a rigid mass on the interface, unloaded.
@@ -232,7 +231,7 @@ class Solver:
         self,
         wrench: Sequence[float] | Array,
         progress: Progress | None = None,
-        start: State | None = None,
+        start: CoupledState | None = None,
     ) -> Solution:
         """Solve for one wrench.
 
@@ -286,11 +285,11 @@ class Solver:
         )
 
     def _solve_nonlinear(
-        self, wrench: Array, acting: Array, progress: Progress | None, start: State | None
+        self, wrench: Array, acting: Array, progress: Progress | None, start: CoupledState | None
     ) -> Solution:
         path = LoadPath(self._system, acting, progress)
         try:
-            found = path.follow(lambda balance: _require_small_turn(balance, acting), start)
+            found = path.follow(lambda balance: _require_small_state(balance, acting), start)
         except SolveFailed as failure:
             failure.history = tuple(path.history)
             factor, nodes = path.last_state()
@@ -316,7 +315,7 @@ class Solver:
         return np.einsum("ji,njk->nik", self.component.axes, fields)
 
 
-def _system(component: Component, active: Array) -> System:
+def _system(component: ComponentModel, active: Array) -> System:
     """Set up the equations in the interface frame, its origin at the interface point."""
     mesh = component.mesh
     mesh = replace(mesh, points=(mesh.points - component.point) @ component.axes.T)
@@ -332,16 +331,16 @@ def _system(component: Component, active: Array) -> System:
     materials, numbers = component.materials, component.material_of_cells
     integration = component.analysis.integration
     filled = filled_cells(mesh, materials, numbers, integration, component.axes)
-    return System(Body(mesh, filled, free), coupling, component.mesh.points)
+    return System(ElasticBody(mesh, filled, free), coupling, component.mesh.points)
 
 
-def _require_small_rotation(displacement: Array, share: float = 1.0) -> None:
+def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> None:
     degrees = float(np.degrees(np.linalg.norm(displacement[3:])))
     if degrees > MOST_DEGREES:
-        raise rotation_too_large(degrees, MOST_DEGREES, share)
+        raise rotation_too_large(degrees, MOST_DEGREES, load_factor)
 
 
-def _require_small_turn(balance: Balance, wrench: Array) -> None:
+def _require_small_state(balance: Balance, wrench: Array) -> None:
     largest = np.abs(wrench).argmax()
     _require_small_rotation(
         balance.state.interface, float(balance.wrench[largest] / wrench[largest])

@@ -1,4 +1,4 @@
-"""What the solver's own error means beside a tolerance, and what to do about it; in words.
+"""Warnings about a solver error that exceeds the tolerance, each with a remedy.
 
 It needs no mesh and no solver: whoever serves a table says it of an estimate that was stored.
 """
@@ -15,7 +15,7 @@ from wrenchbook.fea.spec.problems import Problem
 Array = np.ndarray
 
 WHERE = "tolerance"
-"""Where these findings are said to be: the estimate that is newest takes the place of others."""
+"""Key of these warnings: the newest estimate replaces earlier ones."""
 
 _OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 _WORTH_A_MESH = 30.0
@@ -23,29 +23,31 @@ _WORTH_A_MESH = 30.0
 
 
 def over_tolerance(
-    told: Mapping[str, Any] | None, translation: float, rotation: float
+    solver_error: Mapping[str, Any] | None, translation: float, rotation: float
 ) -> list[Problem]:
     """Return what of `fea.accuracy.estimate.accuracy_of` is over a tolerance, m and rad.
 
     No solve lowers it: a component whose mesh alone is over its tolerance has covered answers
     beyond it, each with a bar that says so. At the full range, all loads at once, with what solved
-    rows have told since (``mesh_growth``).
+    rows have added since (``mesh_growth``).
     """
-    if told is None:
+    if solver_error is None:
         return []
-    loads = np.array(told["loads"])
+    loads = np.array(solver_error["loads"])
     allowed = np.repeat([translation, rotation], 3)
     found = []
-    if told.get("mesh") is not None:
-        bars = np.array(told["mesh"]) @ loads + np.array(told.get("mesh_growth", 0.0))
-        found += _of_mesh(bars, allowed, told.get("cell_size"))
-    if told.get("linearity") is not None:
-        found += _of_linearity(np.array(told["linearity"]), allowed)
-    return found + _of_buckling(told.get("buckling"))
+    if solver_error.get("mesh") is not None:
+        errors = np.array(solver_error["mesh"]) @ loads + np.array(
+            solver_error.get("mesh_growth", 0.0)
+        )
+        found += _of_mesh(errors, allowed, solver_error.get("cell_size"))
+    if solver_error.get("linearity") is not None:
+        found += _of_linearity(np.array(solver_error["linearity"]), allowed)
+    return found + _of_buckling(solver_error.get("buckling"))
 
 
-def _of_mesh(bars: Array, allowed: Array, cell_size: float | None) -> list[Problem]:
-    worst, words = _worst(bars, allowed)
+def _of_mesh(errors: Array, allowed: Array, cell_size: float | None) -> list[Problem]:
+    worst, words = _worst(errors, allowed)
     if worst <= 1.0:
         return []
     # Edges and corners where supports end make displacements converge with about the square.
@@ -62,8 +64,8 @@ def _of_mesh(bars: Array, allowed: Array, cell_size: float | None) -> list[Probl
     return [Problem(WHERE, message)]
 
 
-def _of_linearity(bars: Array, allowed: Array) -> list[Problem]:
-    worst, words = _worst(bars, allowed)
+def _of_linearity(errors: Array, allowed: Array) -> list[Problem]:
+    worst, words = _worst(errors, allowed)
     if worst <= 1.0:
         return []
     message = (
@@ -84,13 +86,13 @@ def _of_buckling(factor: float | None) -> list[Problem]:
     return [Problem(WHERE, message)]
 
 
-def _worst(bars: Array, allowed: Array) -> tuple[float, str]:
-    """Return the largest bar over what is allowed, and that in words."""
-    shares = bars / allowed
-    output = int(shares.argmax())
-    unit = "m" if output < 3 else "rad"
-    return float(shares[output]), (
-        f"{bars[output]:.2g} {unit} in {_OUTPUTS[output]}, {shares[output]:.2g} times the tolerance"
+def _worst(errors: Array, allowed: Array) -> tuple[float, str]:
+    """Return the largest ratio of error to tolerance, and that in words."""
+    ratios = errors / allowed
+    output = int(ratios.argmax())
+    worst, unit = float(ratios[output]), "m" if output < 3 else "rad"
+    return worst, (
+        f"{errors[output]:.2g} {unit} in {_OUTPUTS[output]}, {worst:.2g} times the tolerance"
     )
 
 

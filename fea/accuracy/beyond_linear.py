@@ -35,7 +35,7 @@ class BeyondLinear:
 
     Attributes
     ----------
-    bar
+    deviation
         Shape (6,), m and rad: at a load as large as its range, growing with the load's square;
         NaN where no nonlinear solve gave an answer.
     buckling
@@ -46,12 +46,14 @@ class BeyondLinear:
         What kept a nonlinear solve from an answer; often empty.
     """
 
-    bar: Array
+    deviation: Array
     buckling: float | None
     why: str = ""
 
 
-_MOST_TOLD = 10.0  # a factor beyond which nobody asks for it, and its continuation tells nothing
+_MOST_REPORTED = (
+    10.0  # a factor beyond which nobody asks for it, and its continuation tells nothing
+)
 
 
 def beyond_linear(solver: Solver, loads: LoadRange) -> BeyondLinear:
@@ -69,16 +71,18 @@ def beyond_linear(solver: Solver, loads: LoadRange) -> BeyondLinear:
         solver.component, analysis=replace(solver.component.analysis, nonlinear=True)
     )
     other = Solver(nonlinear)
-    bar, why = np.full(6, np.nan), ""
+    deviation, why = np.full(6, np.nan), ""
     factors: list[float] = []
     for corner in _corners(compliance, loads):
         factors.append(solver.buckling(corner)[0])
         found = _Corner(other, compliance, corner, factors[-1])
-        bar = np.fmax(bar, found.bar)
+        deviation = np.fmax(deviation, found.deviation)
         factors += found.factors
         why = why or found.why
     lowest = min(factors, default=np.inf)
-    return BeyondLinear(_SAFETY * bar, float(lowest) if lowest <= _MOST_TOLD else None, why)
+    return BeyondLinear(
+        _SAFETY * deviation, float(lowest) if lowest <= _MOST_REPORTED else None, why
+    )
 
 
 def _corners(compliance: Array, loads: LoadRange) -> list[Array]:
@@ -96,7 +100,7 @@ class _Corner:
     """The nonlinear answer at one corner of the range, or at a part of it."""
 
     def __init__(self, solver: Solver, compliance: Array, wrench: Array, buckling: float) -> None:
-        self.bar = np.full(6, np.nan)
+        self.deviation = np.full(6, np.nan)
         self.factors: list[float] = []
         self.why = ""
         most = 1.0
@@ -111,5 +115,5 @@ class _Corner:
                     self.factors.append(part * failure.load_factor)
                 continue
             missed = np.abs(found.displacement - compliance @ (part * wrench)) / part**2
-            self.bar = np.repeat(missed.reshape(2, 3).max(axis=1), 3)
+            self.deviation = np.repeat(missed.reshape(2, 3).max(axis=1), 3)
             return

@@ -1,4 +1,4 @@
-"""The front: what a component's answers may be wrong by, in a form that can be stored."""
+"""Estimate of the solver's error, as stored with a table: discretisation and linearity."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import numpy as np
 
 from wrenchbook.fea.accuracy.beyond_linear import beyond_linear
 from wrenchbook.fea.accuracy.recovered import recovered_error
-from wrenchbook.fea.accuracy.second_mesh import coarser
+from wrenchbook.fea.component import build
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.facets import EDGES
 from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, LoadRange
@@ -19,7 +20,7 @@ from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, LoadRange
 Array = np.ndarray
 
 _RECOVERED_ALONE = 1.25
-"""On the recovered error without a second mesh beside it: Roache's for three meshes, 1994."""
+"""On the recovered error without a second mesh: Roache's for three meshes, 1994."""
 
 
 def accuracy_of(solver: Solver) -> dict[str, Any]:
@@ -28,10 +29,10 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     Where a second mesh can be made the mesh's error is the mean, entry by entry, of what that
     changes and of what `recovered_error` finds; elsewhere the latter alone, with a margin. Either
     errs where the other does not: on a bracket of one tetrahedron a wall the change holds 7 errors
-    of 10, on a block with round holes the recovered stresses 5. Their mean held 98 of 100 on eight
-    parts at 2.8 times the error, the larger of both 99 at 4.2 (`make bench NAME=mesh_error`). It
-    costs a fifth to a half of a linear solve where a generator makes the mesh, 1.5 to 2.8 of one on
-    STEP parts (most of it gmsh, turning back coarse cells that curved edges fold); a linear
+    of 10, on a block with round holes the recovered stresses 5. Their mean covered 98 of 100 on
+    eight parts at 2.8 times the error, the larger of both 99 at 4.2 (`make bench NAME=mesh_error`).
+    It costs a fifth to a half of a linear solve where a generator makes the mesh, 1.5 to 2.8 of
+    one on STEP parts (most of it gmsh, which repairs coarse cells that curved edges fold); a linear
     component costs two nonlinear solves besides, on the coarser mesh if there is one.
 
     Returns
@@ -52,11 +53,11 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     """
     bundle = solver.component.bundle
     second = coarser(solver)
-    told = {**_mesh(solver, second), "loads": _largest(bundle)}
-    told["cell_size"] = _cell_size(solver.component.mesh)
+    result = {**_mesh(solver, second), "loads": _largest(bundle)}
+    result["cell_size"] = _cell_size(solver.component.mesh)
     if bundle is None or solver.component.analysis.nonlinear:
-        return told
-    return told | _linearity(second or solver, bundle.range)
+        return result
+    return result | _linearity(second or solver, bundle.range)
 
 
 def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
@@ -77,9 +78,9 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
     )
 
 
-def _report(compliance: Array, shares: Array, basis: str) -> dict[str, Any]:
-    """Return what is told of shares (n, 6, 6) that add up to what the compliance lacks."""
-    found = {"mesh": np.abs(shares).sum(axis=0).tolist(), "mesh_basis": basis}
+def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
+    """Return the report of `errors`, shape (n, 6, 6), the parts of the compliance's error."""
+    found = {"mesh": np.abs(errors).sum(axis=0).tolist(), "mesh_basis": basis}
     # Loads on locked freedoms move nothing: what remains is as stiff as it is without them.
     acting = np.diag(compliance) > 0
     scale = np.sqrt(np.where(acting, np.diag(compliance), 1.0))
@@ -87,7 +88,7 @@ def _report(compliance: Array, shares: Array, basis: str) -> dict[str, Any]:
     stiffness = np.zeros((6, 6))
     stiffness[own] = np.linalg.inv((compliance / np.outer(scale, scale))[own])
     stiffness /= np.outer(scale, scale)
-    return found | {"mesh_stiffness": (stiffness @ shares.sum(axis=0) @ stiffness).tolist()}
+    return found | {"mesh_stiffness": (stiffness @ errors.sum(axis=0) @ stiffness).tolist()}
 
 
 def _cell_size(mesh: Mesh) -> float:
@@ -122,7 +123,7 @@ def unknown_of_deck(bundle: Bundle) -> dict[str, Any]:
 def _largest(bundle: Bundle | None) -> list[float]:
     """Return the largest of each load in the range, N and N·m, 0 where a guide takes it.
 
-    A share that grows with the square of the largest load must not grow with one that is not felt.
+    An error that grows with the square of the largest load must not grow with one that is not felt.
     """
     if bundle is None:
         return [1.0] * 6
@@ -133,12 +134,47 @@ def _largest(bundle: Bundle | None) -> list[float]:
 
 def _linearity(solver: Solver, loads: LoadRange) -> dict[str, Any]:
     found = beyond_linear(solver, loads)
-    known = bool(np.isfinite(found.bar).all())
+    known = bool(np.isfinite(found.deviation).all())
     basis = "nonlinear solves at two opposite corners of the load range"
     if found.why:
         basis += f", a part of them since {found.why}"
     return {
-        "linearity": found.bar.tolist() if known else None,
+        "linearity": found.deviation.tolist() if known else None,
         "linearity_basis": basis,
         "buckling": found.buckling,
     }
+
+
+COARSER = 0.5
+"""Cells along each direction of the second mesh, over those of the first.
+
+A linear solve of it takes a sixth of the first's (generators) to two thirds (STEP parts whose own
+edges keep cells small). Its error is two to four times the
+first's (first- to second-order convergence of the displacements, by the corners where loads and
+supports end), so that what the two differ by holds what the first still lacks.
+"""
+
+_SMALLER = 0.75
+"""Of the first mesh's nodes: one that has more tells nothing, its cells are the geometry's own."""
+
+
+def coarser(solver: Solver) -> Solver | None:
+    """Return the component on a coarser mesh; None if none can be made, or it is no smaller.
+
+    Mesh files have none: only their author can mesh anew. Nor has a mesh of single cells, or one
+    whose cells the geometry's own edges keep small.
+    """
+    bundle = solver.component.bundle
+    if bundle is None:
+        return None
+    other = refined(bundle, COARSER)
+    if other is None:
+        return None
+    try:
+        found = Solver(build(other))
+        if len(found.component.mesh.points) > _SMALLER * len(solver.component.mesh.points):
+            return None
+        _ = found.linear
+    except (BundleError, SolveFailed):
+        return None  # too coarse for the shape, or for reduced integration to hold it
+    return found

@@ -2,11 +2,11 @@
 
 The outputs being the loads, C - C_h of a compliance is the strain energy of the errors of the unit
 loads' fields, pair by pair: C_ij - C_h,ij = a(u_i - u_h,i, u_j - u_h,j). The error of a strain or
-stress is told by smoother ones (Zienkiewicz and Zhu 1987): in each cell those at the solver's own
-integration points, where they are most exact (Barlow 1976), are continued to the corners by least
-squares and averaged there over the cells of one material by volume; what is interpolated between
-those corners stands for the exact field. The solver's points and no others: at the 27 points of a
-hex20 with reduced integration the strains of a thin plate are thirty times too large.
+stress is estimated by smoother ones (Zienkiewicz and Zhu 1987): in each cell those at the solver's
+own integration points, where they are most exact (Barlow 1976), are continued to the corners by
+least squares and averaged there over the cells of one material by volume; what is interpolated
+between those corners stands for the exact field. The solver's points and no others: at the 27
+points of a hex20 with reduced integration the strains of a thin plate are thirty times too large.
 """
 
 from __future__ import annotations
@@ -117,8 +117,8 @@ def _at_corners(pieces: list[_Piece], nodes: int) -> dict[int, Array]:
         fit = np.linalg.pinv(piece.functions)
         cells, points = piece.weights.shape
         by_cell = piece.fields.transpose(2, 3, 0, 1, 4, 5).reshape(cells, points, -1)
-        told = (fit @ by_cell) * own[:, None, None]  # at each cell's corners
-        total += _sums(piece.corners, nodes) @ told.reshape(piece.corners.size, -1)
+        recovered = (fit @ by_cell) * own[:, None, None]  # at each cell's corners
+        total += _sums(piece.corners, nodes) @ recovered.reshape(piece.corners.size, -1)
         volume += np.bincount(
             piece.corners.ravel(), np.repeat(own, piece.corners.shape[1]), minlength=nodes
         )
@@ -140,9 +140,9 @@ def _sums(corners: Array, nodes: int) -> csr_array:
 def _energy(piece: _Piece, smooth: Array) -> Array:
     """Return the strain energies (6, 6) of the differences of smooth and found fields, twice."""
     cells, corners = piece.corners.shape
-    told = piece.functions @ smooth[piece.corners].reshape(cells, corners, -1)
-    told = told.reshape(cells, -1, 2, 6, 3, 3).transpose(2, 3, 0, 1, 4, 5)
-    strain, stress = told - piece.fields
+    recovered = piece.functions @ smooth[piece.corners].reshape(cells, corners, -1)
+    recovered = recovered.reshape(cells, -1, 2, 6, 3, 3).transpose(2, 3, 0, 1, 4, 5)
+    strain, stress = recovered - piece.fields
     if piece.projected:
         strain, stress = _deviatoric(strain), _deviatoric(stress)
     strain = strain * piece.weights[:, :, None, None]

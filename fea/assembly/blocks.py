@@ -46,7 +46,7 @@ def filled_cells(
     SolveFailed
         ``inverted_elements`` or ``locking_material``.
     """
-    turn = np.eye(3) if axes is None else axes
+    frame = np.eye(3) if axes is None else axes
     filled = []
     for block, number, chosen, law, projected in sorted_cells(mesh, materials, numbers):
         own = CellBlock(block.kind, block.nodes[chosen])
@@ -55,7 +55,7 @@ def filled_cells(
         modes = None
         if projected:
             modes = volume_modes(mesh.points, own, gradients.weights, integration)
-        filled.append((own, _stiffness(law, gradients, one_each, modes, turn)))
+        filled.append((own, _stiffness(law, gradients, one_each, modes, frame)))
     return filled
 
 
@@ -86,10 +86,10 @@ def sorted_cells(
 
 
 def _stiffness(
-    law: str, gradients: Gradients, materials: list[Material], modes: Array | None, turn: Array
+    law: str, gradients: Gradients, materials: list[Material], modes: Array | None, frame: Array
 ) -> CellStiffness:
     if law == "orthotropic":
-        elasticities = {id(m): _elasticity(m, turn) for m in materials}
+        elasticities = {id(m): _elasticity(m, frame) for m in materials}
         return OrthotropicStiffness(gradients, np.array([elasticities[id(m)] for m in materials]))
     kind = NeoHookeanStiffness if law == "neo-hookean" else Stiffness
     young = np.array([material.youngs_modulus for material in materials])
@@ -97,10 +97,10 @@ def _stiffness(
     return kind(gradients, *_lame(young, poisson), modes)
 
 
-def _elasticity(material: Material, turn: Array) -> Array:
+def _elasticity(material: Material, frame: Array) -> Array:
     own = material.orthotropic
     assert own is not None
-    return turned_elasticity(own.elasticity, np.array(own.axes) @ turn.T)
+    return turned_elasticity(own.elasticity, np.array(own.axes) @ frame.T)
 
 
 def _lame(young: Array, poisson: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""The deformable body: all cells with their materials, less the nodes that are held."""
+"""The deformable body: all cells with their materials, and the free nodes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
-from wrenchbook.fea.linalg.multifrontal import Factor
+from wrenchbook.fea.linalg.multifrontal import MultifrontalFactor
 from wrenchbook.fea.linalg.nested_dissection import Dissection, dissect, unknowns_of
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 
@@ -24,7 +24,7 @@ _FIELDS_AT_A_TIME = 1024
 """Cells whose nodes' six fields are there at once: 1.5 to 3 MB; a flange's 8,100 took 23 MB."""
 
 
-class Body:
+class ElasticBody:
     """Cells, and the free nodes in their order of elimination.
 
     Parameters
@@ -86,8 +86,8 @@ class Body:
         """The numbers of the leaves, and how many cells the leaves before each hold."""
         parts = self.dissection.substructures
         numbers = np.array([i for i, part in enumerate(parts) if not part.children], dtype=int)
-        held = np.cumsum([0, *(parts[i].cells.size for i in numbers)])
-        return numbers, held[:-1]
+        starts = np.cumsum([0, *(parts[i].cells.size for i in numbers)])
+        return numbers, starts[:-1]
 
     def forces(
         self, displacement: Array, step: tuple[Array, Array] | None = None
@@ -193,14 +193,14 @@ class Body:
 
 
 class Tangent:
-    """The tangent at one state, and its factor once it is asked for.
+    """The tangent at one state, factorised at first use.
 
     The cells' matrices are made when they are due and are gone after that: all at once they take
     nearly as much memory as the factor.
     """
 
     def __init__(
-        self, body: Body, displacement: Array | None, step: tuple[Array, Array] | None
+        self, body: ElasticBody, displacement: Array | None, step: tuple[Array, Array] | None
     ) -> None:
         self._body = body
         self._displacement, self._step = displacement, step
@@ -212,9 +212,9 @@ class Tangent:
         return [self._cells(i, np.arange(len(part))) for i, part in enumerate(self._body.parts)]
 
     @cached_property
-    def factor(self) -> Factor:
+    def factor(self) -> MultifrontalFactor:
         """The factor over the free nodes."""
-        return Factor(self._body.dissection, self._leaf)
+        return MultifrontalFactor(self._body.dissection, self._leaf)
 
     @property
     def scaled_norm(self) -> float:
@@ -282,9 +282,9 @@ class Tangent:
         return total
 
     def solve(self, loads: Array) -> Array:
-        """Solve for nodal loads, shape (n, 3, k), N; what acts on nodes that are held is ignored.
+        """Solve for nodal loads, shape (n, 3, k), N; loads on fixed nodes are ignored.
 
-        The displacements have shape (n, 3, k), m, and are zero at nodes that are held.
+        The displacements have shape (n, 3, k), m, and are zero at fixed nodes.
         """
         order = self._body.dissection.nodes
         found = np.zeros_like(loads)
@@ -298,8 +298,8 @@ class _Scatter:
 
     def __init__(self, dissection: Dissection, nodes: Array, first: int) -> None:
         positions = np.moveaxis(unknowns_of(dissection.positions[nodes]), 2, 1)
-        held = np.broadcast_to(dissection.positions[nodes][:, None, :] < 0, positions.shape)
-        positions = np.where(held, -1, positions).reshape(len(nodes), -1)
+        fixed = np.broadcast_to(dissection.positions[nodes][:, None, :] < 0, positions.shape)
+        positions = np.where(fixed, -1, positions).reshape(len(nodes), -1)
         self.diagonal = np.where(positions < 0, dissection.unknowns, positions)
         self.leaves: dict[int, _Leaf] = {}
         for number, part in enumerate(dissection.substructures):
@@ -320,7 +320,7 @@ class _Leaf(NamedTuple):
     size: int
 
     def sum(self, matrices: Array) -> Array:
-        """Add up the cells' matrices; a last row and column collect held unknowns and go."""
+        """Add up the cells' matrices; a last row and column collect fixed unknowns, cut off."""
         width = self.size + 1
         flat = self.local[:, :, None] * width + self.local[:, None, :]
         matrix = np.bincount(flat.ravel(), matrices.ravel(), minlength=width * width)

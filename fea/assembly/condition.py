@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, onenormest
 
-from wrenchbook.fea.assembly.body import Body, Tangent
+from wrenchbook.fea.assembly.body import ElasticBody, Tangent
 from wrenchbook.fea.failure import SolveFailed, ill_conditioned, mechanism
 
 Array = np.ndarray
@@ -45,7 +45,7 @@ def scaled_condition(tangent: Tangent) -> float:
     return float(inverse_norm) * tangent.scaled_norm
 
 
-def softest_energy(body: Body, tangent: Tangent) -> float:
+def softest_energy(body: ElasticBody, tangent: Tangent) -> float:
     """Return the strain energy of the softest motion, relative to that of its nodes one by one.
 
     The motion comes from the factor by inverse iteration, its energy from its strains: those of a

@@ -2,16 +2,56 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from wrenchbook.fea.assembly.balance import Balance
-from wrenchbook.fea.assembly.body import Body, Tangent
-from wrenchbook.fea.coupling import Coupling
+from wrenchbook.fea.assembly.body import ElasticBody, Tangent
+from wrenchbook.fea.coupling import CoupledState, Coupling
 from wrenchbook.fea.failure import mechanism
 
 Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """A state and the forces in it under one wrench.
+
+    Attributes
+    ----------
+    state
+        The configuration.
+    wrench
+        Shape (6,), N and N·m.
+    forces
+        Shape (n, 3), N: internal nodal forces.
+    energy
+        Strain energy, J.
+    least_stretch
+        Smallest determinant of the deformation gradient.
+    nodal, border
+        What is out of balance: shape (n, 3), N, at the free nodes, zero at others; and shape
+        (border,), N and N·m for interface freedoms, m and m^2 for constraints.
+    """
+
+    state: CoupledState
+    wrench: Array
+    forces: Array
+    energy: float
+    least_stretch: float
+    nodal: Array
+    border: Array
+
+    @property
+    def norm(self) -> float:
+        """Euclidean norm of the nodal forces out of balance, N."""
+        return float(np.linalg.norm(self.nodal))
+
+    @property
+    def scale(self) -> float:
+        """Euclidean norm of all nodal forces, those of supports and interface with them, N."""
+        return float(np.linalg.norm(self.forces))
 
 
 class Linearisation:
@@ -24,7 +64,9 @@ class Linearisation:
     roundoff nothing holds the interface.
     """
 
-    def __init__(self, body: Body, coupling: Coupling, balance: Balance, tangent: Tangent) -> None:
+    def __init__(
+        self, body: ElasticBody, coupling: Coupling, balance: Balance, tangent: Tangent
+    ) -> None:
         self._body = body
         self._coupling = coupling
         self.state = balance.state
@@ -71,7 +113,7 @@ class Linearisation:
     def stable(self) -> bool:
         """Whether every small disturbance costs energy: body and interface both.
 
-        A body that is unstable by itself may be held by its section: then the constraints, and
+        A body that is unstable by itself may be stable with its section: then the constraints, and
         nothing else, give the bordered matrix its negative eigenvalues.
         """
         factor, coupling = self.tangent.factor, self._coupling

@@ -7,11 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from wrenchbook.fea.assembly.balance import Balance
-from wrenchbook.fea.assembly.body import Body
+from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.assembly.condition import scaled_condition, softest_energy, unheld
-from wrenchbook.fea.assembly.linearisation import Linearisation
-from wrenchbook.fea.coupling import Coupling, State
+from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
+from wrenchbook.fea.coupling import CoupledState, Coupling
 
 Array = np.ndarray
 
@@ -32,7 +31,7 @@ class System:
         Shape (n, 3), m: where the nodes are in the mesh's own axes, for messages.
     """
 
-    def __init__(self, body: Body, coupling: Coupling, places: Array | None = None) -> None:
+    def __init__(self, body: ElasticBody, coupling: Coupling, places: Array | None = None) -> None:
         self._places = body.points if places is None else places
         self.body = body
         self.coupling = coupling
@@ -42,7 +41,7 @@ class System:
         """Free nodal unknowns and interface freedoms."""
         return self.body.dissection.unknowns + len(self.coupling.active)
 
-    def balance(self, state: State, wrench: Array) -> Balance:
+    def balance(self, state: CoupledState, wrench: Array) -> Balance:
         """Weigh the internal forces of a state against a wrench, shape (6,), N and N·m."""
         forces, energy, least = self.body.forces(state.nodes)
         return self._balance(state, wrench, forces, energy, least)
@@ -65,7 +64,8 @@ class System:
         balance
             The state and its forces.
         step
-            The last step of Newton's method, two fields of shape (n, 3), m: see `Body.tangent`.
+            The last step of Newton's method, two fields of shape (n, 3), m: see
+            `ElasticBody.tangent`.
         """
         if step is not None:
             balance = replace(balance, forces=self.body.forces(balance.state.nodes, step)[0])
@@ -85,7 +85,7 @@ class System:
         start = Linearisation(
             self.body, self.coupling, self.balance_at_rest, self.body.tangent(None)
         )
-        self._require_held(start)
+        self._require_supported(start)
         return start
 
     @cached_property
@@ -100,13 +100,13 @@ class System:
         return self._balance(state, np.zeros(6), np.zeros_like(state.nodes), 0.0, 1.0)
 
     def _balance(
-        self, state: State, wrench: Array, forces: Array, energy: float, least: float
+        self, state: CoupledState, wrench: Array, forces: Array, energy: float, least: float
     ) -> Balance:
         nodal, border = self.coupling.residual(state, forces, wrench)
         nodal = np.where(self.body.free[:, None], nodal, 0.0)
         return Balance(state, wrench, forces, energy, least, nodal, border)
 
-    def _require_held(self, start: Linearisation) -> None:
+    def _require_supported(self, start: Linearisation) -> None:
         factor = start.tangent.factor
         if factor.pivot_ratio < _LEAST_PIVOT:
             energy = softest_energy(self.body, start.tangent)

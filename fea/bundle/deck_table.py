@@ -14,11 +14,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from wrenchbook.fea.readers.reader import Reader
+from wrenchbook.fea.readers.reader import DeckReader
 from wrenchbook.fea.readers.registry import reader_named, reader_names
-from wrenchbook.fea.spec.files import bundle_file
 from wrenchbook.fea.spec.schema import MOMENTS, UNITS, Deck
-from wrenchbook.fea.spec.toml_table import Keys
+from wrenchbook.fea.spec.toml_table import Keys, bundle_file
 
 _LONGEST = 1e7  # seconds
 
@@ -30,7 +29,7 @@ def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
     file = bundle_file(keys, "file", folder)
     command = keys.texts("command", least=1, repeats=True)
     output = keys.table("output")
-    reader, told = (None, {}) if output is None else _output(output)
+    reader, options = (None, {}) if output is None else _output(output)
     files = _files(keys, folder, file)
     unit = keys.choice("unit", tuple(UNITS), required=False) or "m"
     timeout = keys.number("timeout", "s", above=0.0, below=_LONGEST, required=False)
@@ -39,10 +38,10 @@ def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
     if file is None or command is None or reader is None:
         return None
     moment = moment or reader.moment
-    return Deck(file, command, told, files, unit, timeout or 3600.0, moment)
+    return Deck(file, command, options, files, unit, timeout or 3600.0, moment)
 
 
-def _output(keys: Keys) -> tuple[Reader | None, dict[str, str]]:
+def _output(keys: Keys) -> tuple[DeckReader | None, dict[str, str]]:
     name = keys.choice("reader", reader_names())
     if name is None:
         return None, {}

@@ -6,9 +6,14 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 
 from wrenchbook.fea.mesh.generators import GENERATORS
-from wrenchbook.fea.spec.files import bundle_file
-from wrenchbook.fea.spec.schema import GEOMETRY_ENDINGS, UNITS, Choice, Geometry, MeshSource
-from wrenchbook.fea.spec.toml_table import Keys
+from wrenchbook.fea.spec.schema import (
+    GEOMETRY_ENDINGS,
+    UNITS,
+    GeometryMeshing,
+    MeshSource,
+    Selector,
+)
+from wrenchbook.fea.spec.toml_table import Keys, bundle_file
 
 _AXES = ("x", "y", "z")
 _FACE_WAYS = ("faces", "near", "plane", "radius")
@@ -88,10 +93,10 @@ def _from_geometry(keys: Keys, file: Path) -> MeshSource | None:
         keys.wrong("regions.all", '"all" is every cell of the mesh; take another name')
     if size is None:
         return None
-    return MeshSource(file=file, geometry=Geometry(size, curvature or 0, groups, regions))
+    return MeshSource(file=file, geometry=GeometryMeshing(size, curvature or 0, groups, regions))
 
 
-def _choices(keys: Keys, key: str, ways: tuple[str, ...]) -> dict[str, Choice]:
+def _choices(keys: Keys, key: str, ways: tuple[str, ...]) -> dict[str, Selector]:
     """Return the named choices of the table `key`."""
     table = keys.table(key, required=False)
     if table is None:
@@ -105,11 +110,11 @@ def _choices(keys: Keys, key: str, ways: tuple[str, ...]) -> dict[str, Choice]:
     return found
 
 
-def _choice(keys: Keys, ways: tuple[str, ...]) -> Choice:
+def _choice(keys: Keys, ways: tuple[str, ...]) -> Selector:
     given = [way for way in ways if way in keys]
     if not given:
         keys.wrong(ways[0], f"missing; choose by {', '.join(ways[:-1])} or {ways[-1]}")
-    return Choice(
+    return Selector(
         numbers=_numbers(keys, ways[0]),
         near=_points(keys),
         plane=_plane(keys) if "plane" in ways else None,

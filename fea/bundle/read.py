@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.bundle.deck_table import read_deck
-from wrenchbook.fea.bundle.material_table import read_material
 from wrenchbook.fea.bundle.mesh_table import read_mesh
 from wrenchbook.fea.bundle.tables import (
     read_analysis,
     read_interface,
+    read_material,
     read_name,
     read_range,
     read_supports,

@@ -6,18 +6,21 @@ when there are any; `fea.bundle.read` raises them all together.
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
 
-from wrenchbook.fea.bundle.axes import read_axes
+from wrenchbook.fea.spec.orthotropic import MOST_ISOTROPIC_RATIO, Orthotropic
 from wrenchbook.fea.spec.schema import (
     COUPLINGS,
     FREEDOMS,
     INTEGRATIONS,
+    LAWS,
     Analysis,
     Interface,
     LoadRange,
+    Material,
     Supports,
     Tolerance,
 )
@@ -155,3 +158,107 @@ def read_tolerance(keys: Keys | None) -> Tolerance | None:
     if translation is None or rotation is None:
         return None
     return Tolerance(translation, rotation)
+
+
+def read_material(keys: Keys) -> Material | None:
+    """Return one ``[[material]]``."""
+    region = keys.text("region")
+    law = keys.choice("law", LAWS, required=False) or "isotropic"
+    if law == "orthotropic":
+        own = _orthotropic(keys)
+        constants = None if own is None else (max(own.youngs_moduli), own.isotropic_ratio)
+    else:
+        own, constants = None, _isotropic(keys)
+    density = keys.number("density", "kg/m^3", above=0.0, required=False)
+    strength = keys.number("yield_strength", "Pa", above=0.0, required=False)
+    keys.close()
+    if region is None or constants is None:
+        return None
+    return Material(region, *constants, density, strength, law, own)
+
+
+def _isotropic(keys: Keys) -> tuple[float, float] | None:
+    modulus = keys.number("youngs_modulus", "Pa", above=0.0)
+    ratio = keys.number("poisson_ratio", "no unit", above=-1.0, below=0.5)
+    return None if modulus is None or ratio is None else (modulus, ratio)
+
+
+def _orthotropic(keys: Keys) -> Orthotropic | None:
+    """Return nine constants and their directions; None if no material can have them."""
+    young = _three(keys, "youngs_modulus", "E1, E2, E3", "Pa", positive=True)
+    ratios = _three(keys, "poisson_ratio", "nu12, nu13, nu23", "no unit", positive=False)
+    shears = _three(keys, "shear_modulus", "G12, G13, G23", "Pa", positive=True)
+    axes = read_axes(keys)
+    if young is None or ratios is None or shears is None or axes is None:
+        return None
+    x, y, z = ((float(row[0]), float(row[1]), float(row[2])) for row in axes)
+    own = Orthotropic(young, ratios, shears, (x, y, z))
+    if not own.stable:
+        message = (
+            "no material has these: some strain would give energy back. Each |nu_ij| must be below "
+            "sqrt(E_i / E_j); nu12 is the strain along 2 when pulled along 1 (nu21 = nu12 E2 / E1)"
+        )
+        keys.wrong("poisson_ratio", message)
+        return None
+    if own.isotropic_ratio > MOST_ISOTROPIC_RATIO:
+        message = (
+            f"the material keeps its volume like an isotropic one of {own.isotropic_ratio:.3g}; "
+            f"orthotropic cells lock (are too stiff) above {MOST_ISOTROPIC_RATIO:g}"
+        )
+        keys.wrong("poisson_ratio", message)
+        return None
+    return own
+
+
+def _three(
+    keys: Keys, key: str, which: str, unit: str, positive: bool
+) -> tuple[float, float, float] | None:
+    values = keys.numbers(key, 3, f"{unit} ({which})")
+    if values is None:
+        return None
+    if positive and min(values) <= 0.0:
+        keys.wrong(key, f"must be above 0 ({unit}), all three")
+        return None
+    return values[0], values[1], values[2]
+
+
+def read_axes(keys: Keys) -> np.ndarray | None:
+    """Return ``axes`` exactly orthonormal, shape (3, 3), dimensionless; by default the mesh's."""
+    rows = keys.raw("axes", list, required=False)
+    if rows is None:
+        return np.eye(3)
+    if len(rows) != 3:
+        keys.wrong("axes", "must be three directions, the frame's x, y and z")
+        return None
+    read = [keys.as_numbers(f"axes[{i}]", row, 3, "no unit") for i, row in enumerate(rows)]
+    if None in read:
+        return None
+    axes = np.array(read)
+    # A direction that is far from a unit's length would overflow in the product.
+    if np.abs(axes).max() > 2.0 or np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6:
+        keys.wrong("axes", "must be three unit directions square to each other (to 1e-6)")
+    elif np.linalg.det(axes) < 0.0:
+        keys.wrong("axes", "must be right-handed; turn one direction round")
+    else:
+        return _orthonormal(axes.tolist())
+    return None
+
+
+def _orthonormal(axes: list[list[float]]) -> np.ndarray:
+    """Return directions written to a few digits as an exact frame with the same x.
+
+    In plain floats: the digits go into the fingerprint, so they must not depend on a machine's
+    linear algebra library.
+    """
+    x = _unit(axes[0])
+    z = _unit(_cross(x, axes[1]))
+    return np.array([x, _unit(_cross(z, x)), z])
+
+
+def _unit(v: list[float]) -> list[float]:
+    length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    return [each / length for each in v]
+
+
+def _cross(a: list[float], b: list[float]) -> list[float]:
+    return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]

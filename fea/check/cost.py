@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.pressure_projection import NEARLY_INCOMPRESSIBLE
 from wrenchbook.fea.linalg.nested_dissection import dissect
 
@@ -37,7 +37,7 @@ _PROJECTED = 2.0  # times that where pressure is an unknown of its own: more, an
 _MESHER = 35e6  # bytes of gmsh, which stays loaded
 
 
-def estimate(component: Component) -> dict[str, Any]:
+def estimate(component: ComponentModel) -> dict[str, Any]:
     """Return the estimated seconds and bytes of one solve.
 
     Returns
@@ -69,20 +69,20 @@ def estimate(component: Component) -> dict[str, Any]:
     }
 
 
-def _mesher_bytes(component: Component) -> float:
+def _mesher_bytes(component: ComponentModel) -> float:
     bundle = component.bundle
     from_geometry = bundle is not None and bundle.mesh is not None and bundle.mesh.geometry
     return _MESHER if from_geometry else 0.0
 
 
-def _projects(component: Component) -> bool:
+def _projects(component: ComponentModel) -> bool:
     """Return whether some cells take the pressure for an unknown of its own."""
     kinds = {"hex20", "hex27"} & set(component.mesh.cell_counts)
     ratios = [one.poisson_ratio for one in component.materials if one.law != "orthotropic"]
     return bool(kinds) and any(np.max(ratio) > NEARLY_INCOMPRESSIBLE for ratio in ratios)
 
 
-def _counted(component: Component, free: np.ndarray) -> tuple[float, float]:
+def _counted(component: ComponentModel, free: np.ndarray) -> tuple[float, float]:
     mesh = component.mesh
     cells = [nodes for block in mesh.blocks for nodes in block.nodes]
     centres = np.concatenate([mesh.points[block.nodes].mean(axis=1) for block in mesh.blocks])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.check.motions import describe, free_motions, middle, size_of
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.inspection.bodies import Bodies, gap
 from wrenchbook.fea.inspection.warnings import place_in_words
 from wrenchbook.fea.mesh.mesh import Mesh
@@ -16,7 +16,7 @@ from wrenchbook.fea.spec.problems import Problem
 Array = np.ndarray
 
 _MOST_BODIES = 40
-_MOST_TOLD = 5
+_MOST_REPORTED = 5
 
 
 def parts(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
@@ -32,7 +32,7 @@ def parts(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
     ]
 
 
-def motion_problems(component: Component, bodies: Bodies, pairs: Array) -> list[Problem]:
+def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> list[Problem]:
     """Return a problem for each body that supports and coupling do not hold.
 
     Parameters
@@ -55,13 +55,13 @@ def motion_problems(component: Component, bodies: Bodies, pairs: Array) -> list[
         return []
     if bodies.count == 1:
         return [_too_few_supports(component, motions[0])]
-    told = [_free_part(component, bodies, n, motions[n], pairs) for n in loose[:_MOST_TOLD]]
-    if len(loose) > _MOST_TOLD:
-        told.append(Problem("mesh", f"{len(loose) - _MOST_TOLD} more parts are free"))
-    return told
+    problems = [_free_part(component, bodies, n, motions[n], pairs) for n in loose[:_MOST_REPORTED]]
+    if len(loose) > _MOST_REPORTED:
+        problems.append(Problem("mesh", f"{len(loose) - _MOST_REPORTED} more parts are free"))
+    return problems
 
 
-def _too_few_supports(component: Component, motions: Array) -> Problem:
+def _too_few_supports(component: ComponentModel, motions: Array) -> Problem:
     message = (
         f"the part is a mechanism, {_motions_in_words(component, motions)}; fix at least three "
         "points that are not on one line"
@@ -70,7 +70,7 @@ def _too_few_supports(component: Component, motions: Array) -> Problem:
 
 
 def _free_part(
-    component: Component, bodies: Bodies, number: int, motions: Array, pairs: Array
+    component: ComponentModel, bodies: Bodies, number: int, motions: Array, pairs: Array
 ) -> Problem:
     mesh, nodes = component.mesh, bodies.nodes[number]
     size = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(mesh.points[nodes], axis=0))
@@ -82,7 +82,7 @@ def _free_part(
     return Problem("mesh", message)
 
 
-def _motions_in_words(component: Component, motions: Array) -> str:
+def _motions_in_words(component: ComponentModel, motions: Array) -> str:
     if len(motions) == 6:
         return "it can move in all six ways, nothing holds it"
     points = component.mesh.points

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.inspection.bodies import Bodies
 from wrenchbook.fea.spec.schema import FREEDOMS
 
@@ -26,14 +26,14 @@ _ZERO = 1e-7
 """Singular value, relative to the largest, that counts as none."""
 
 
-def free_motions(component: Component, bodies: Bodies) -> list[Array]:
+def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
     """Return for each body the motions left to it.
 
     Returns
     -------
     list of Array
         Each of shape (k, 6), m: translation of the mesh's centre and rotation times the mesh's
-        size, orthonormal; k = 0 for a body that is held.
+        size, orthonormal; k = 0 for a body without free motion.
     """
     equations = _Equations(component, bodies)
     equations.hold_supports()
@@ -52,20 +52,20 @@ def describe(motion: Array, centre: Array, extent: float) -> str:
 
     The motion has shape (6,), m, the mesh's centre (3,), m; the mesh's size is in m.
     """
-    shift, turn = motion[:3], motion[3:] / extent
+    shift, rotation = motion[:3], motion[3:] / extent
     if np.linalg.norm(motion[3:]) < 1e-6:
         return f"slide along {_direction(shift)}"
-    square = turn @ turn
-    at = centre + np.cross(turn, shift) / square
-    pitch = shift @ turn / square
-    line = f"turn about the line through {_place(at)} m along {_direction(turn)}"
+    square = rotation @ rotation
+    at = centre + np.cross(rotation, shift) / square
+    pitch = shift @ rotation / square
+    line = f"turn about the line through {_place(at)} m along {_direction(rotation)}"
     return line if abs(pitch) < 1e-6 * extent else f"{line}, sliding along it"
 
 
 class _Equations:
     """Rows of a matrix over the motions of all bodies, the interface's last."""
 
-    def __init__(self, component: Component, bodies: Bodies) -> None:
+    def __init__(self, component: ComponentModel, bodies: Bodies) -> None:
         self.component = component
         self.bodies = bodies
         points = component.mesh.points
@@ -78,9 +78,9 @@ class _Equations:
 
     def hold_supports(self) -> None:
         for number, nodes in enumerate(self.bodies.nodes):
-            held = nodes[np.isin(nodes, self.component.fixed_nodes)]
-            if held.size:
-                self._add({number: _condensed(self._moves(held))})
+            fixed = nodes[np.isin(nodes, self.component.fixed_nodes)]
+            if fixed.size:
+                self._add({number: _condensed(self._moves(fixed))})
 
     def join_bodies(self) -> None:
         if self.bodies.count == 1:
@@ -96,14 +96,14 @@ class _Equations:
         interface = self.bodies.count
         section = self.component.section
         owner = self.owner[section.node_ids]
-        share = {n: self._moves(section.node_ids[owner == n]) for n in np.unique(owner).tolist()}
+        moves_of = {n: self._moves(section.node_ids[owner == n]) for n in np.unique(owner).tolist()}
         if self.component.coupling == "rigid":
-            for number, moves in share.items():
+            for number, moves in moves_of.items():
                 tie = _condensed(moves)
                 self._add({number: tie, interface: -tie})
         else:
-            weights = {n: np.repeat(section.weights[owner == n], 3) for n in share}
-            own = {n: (moves.T * weights[n]) @ moves for n, moves in share.items()}
+            weights = {n: np.repeat(section.weights[owner == n], 3) for n in moves_of}
+            own = {n: (moves.T * weights[n]) @ moves for n, moves in moves_of.items()}
             whole = np.linalg.inv(sum(own.values(), np.zeros((6, 6))))
             self._add({n: -whole @ one for n, one in own.items()} | {interface: np.eye(6)})
         at_point = self._moves_of(self.component.point[None])

@@ -15,11 +15,10 @@ from wrenchbook.fea.accuracy.estimate import accuracy_or_why
 from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
 from wrenchbook.fea.check import findings
 from wrenchbook.fea.check.cost import estimate
-from wrenchbook.fea.check.frequency import frequency
 from wrenchbook.fea.check.strength import strength
 from wrenchbook.fea.check.text import as_text
-from wrenchbook.fea.check.trial import deflection_warnings, solver_of, trial
-from wrenchbook.fea.component import Component, build, mesh_of
+from wrenchbook.fea.check.trial import deflection_warnings, frequency, solver_of, trial
+from wrenchbook.fea.component import ComponentModel, build, mesh_of
 from wrenchbook.fea.deck.checking import deck_report
 from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
 from wrenchbook.fea.inspection.cells import quality, quality_warnings
@@ -33,7 +32,7 @@ from wrenchbook.fea.spec.schema import GEOMETRY_ENDINGS
 
 _MOST_SECONDS = 5.0
 """Of a linear solve, to estimate the solver's error too: that takes up to three more."""
-_MOST_BYTES = 1e9  # of the same: a coarser mesh and nonlinear solves stand beside the first
+_MOST_BYTES = 1e9  # of the same: a coarser mesh and nonlinear solves come on top
 
 
 def report(
@@ -59,41 +58,41 @@ def report(
         ``has_fea``; ``faces`` and ``bodies`` of a geometry file; ``unknowns`` (three a node),
         ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection.cells`), ``parts``,
         ``coincident_nodes``; ``materials``, ``section``, ``supports`` and ``estimate`` (see
-        `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density or a mass is told
-        ``vibration`` (see `fea.check.frequency`), and where a yield strength is told ``strength``
+        `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density or a mass is given
+        ``vibration`` (see `fea.check.trial`), and where a yield strength is given ``strength``
         (see `fea.check.strength`), and where it takes no longer than a check may ``solver_error``
         (see `fea.accuracy.estimate`). Lengths in m. Instead of all from ``faces`` on,
         ``deck`` (see `fea.deck.checking`).
     """
-    told: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
+    summary: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
     folder = Path(folder)
     try:
-        _look(folder, riding, nonlinear, told)
+        _look(folder, riding, nonlinear, summary)
     except BundleError as error:
-        told["problems"] += [_entry(problem) for problem in error.problems]
-    told["ok"] = not told["problems"]
-    return told
+        summary["problems"] += [_entry(problem) for problem in error.problems]
+    summary["ok"] = not summary["problems"]
+    return summary
 
 
-def _look(folder: Path, riding: Riding | None, nonlinear: bool, told: dict[str, Any]) -> None:
-    """Fill in `told`, ending where something stops the way."""
+def _look(folder: Path, riding: Riding | None, nonlinear: bool, summary: dict[str, Any]) -> None:
+    """Fill in `summary`, ending where something stops the way."""
     try:
         bundle = read_bundle(folder)
     except BundleError:
-        _list_geometry(_geometry_named_in(folder), told)
+        _list_geometry(_geometry_named_in(folder), summary)
         raise
-    told |= {
+    summary |= {
         "name": bundle.name,
         "fingerprint": bundle.fingerprint,
         "has_fea": bundle.has_fea,
     }
     if bundle.deck is not None:  # it answers in place of the embedded solver
-        told["deck"], warnings = deck_report(bundle.deck)
-        _warn(told, warnings)
+        summary["deck"], warnings = deck_report(bundle.deck)
+        _warn(summary, warnings)
     elif bundle.mesh is not None:
         if bundle.mesh.geometry is not None:
-            _list_geometry(bundle.mesh.file, told)
-        _look_at_mesh(bundle, mesh_of(bundle.mesh), riding, nonlinear, told)
+            _list_geometry(bundle.mesh.file, summary)
+        _look_at_mesh(bundle, mesh_of(bundle.mesh), riding, nonlinear, summary)
 
 
 def _geometry_named_in(folder: Path) -> Path | None:
@@ -107,67 +106,67 @@ def _geometry_named_in(folder: Path) -> Path | None:
     return path if fits and path.is_file() else None
 
 
-def _list_geometry(path: Path | None, told: dict[str, Any]) -> None:
+def _list_geometry(path: Path | None, summary: dict[str, Any]) -> None:
     if path is not None:
         faces, bodies = list_shape(path)
-        told["faces"] = [asdict(face) for face in faces]
-        told["bodies"] = [asdict(body) for body in bodies]
+        summary["faces"] = [asdict(face) for face in faces]
+        summary["bodies"] = [asdict(body) for body in bodies]
 
 
 def _look_at_mesh(
-    bundle: Bundle, mesh: Mesh, riding: Riding | None, nonlinear: bool, told: dict[str, Any]
+    bundle: Bundle, mesh: Mesh, riding: Riding | None, nonlinear: bool, summary: dict[str, Any]
 ) -> None:
-    told |= _counts(mesh)
-    told["quality"] = quality(mesh)
-    _warn(told, [Problem("mesh", words) for words in quality_warnings(told["quality"])])
+    summary |= _counts(mesh)
+    summary["quality"] = quality(mesh)
+    _warn(summary, [Problem("mesh", words) for words in quality_warnings(summary["quality"])])
     bodies = bodies_of(mesh)
     pairs = coincident_nodes(mesh)
-    told["parts"] = findings.parts(mesh, bodies)
-    told["coincident_nodes"] = len(pairs)
-    _warn(told, coincidence_warnings(mesh, bodies, pairs))
+    summary["parts"] = findings.parts(mesh, bodies)
+    summary["coincident_nodes"] = len(pairs)
+    _warn(summary, coincidence_warnings(mesh, bodies, pairs))
     component = build(bundle, mesh)
-    _look_at_component(component, bodies, pairs, told)
-    _try_out(component, riding, nonlinear, told)
+    _look_at_component(component, bodies, pairs, summary)
+    _try_out(component, riding, nonlinear, summary)
 
 
 def _try_out(
-    component: Component, riding: Riding | None, nonlinear: bool, told: dict[str, Any]
+    component: ComponentModel, riding: Riding | None, nonlinear: bool, summary: dict[str, Any]
 ) -> None:
     """Find what every solve would refuse, then how the part moves and swings."""
     solver, problems = solver_of(component)
     if solver is None:
         raise BundleError(problems)
-    told["trial"], problems = trial(solver, told["estimate"])
+    summary["trial"], problems = trial(solver, summary["estimate"])
     if problems:
         raise BundleError(problems)
-    _warn(told, deflection_warnings(component, told["trial"]["deflection"]))
-    told["vibration"], warnings = frequency(solver, riding)
-    _warn(told, warnings)
-    told["strength"], warnings = strength(solver, nonlinear)
-    _warn(told, warnings)
-    _tell_accuracy(solver, told)
+    _warn(summary, deflection_warnings(component, summary["trial"]["deflection"]))
+    summary["vibration"], warnings = frequency(solver, riding)
+    _warn(summary, warnings)
+    summary["strength"], warnings = strength(solver, nonlinear)
+    _warn(summary, warnings)
+    _tell_accuracy(solver, summary)
 
 
-def _tell_accuracy(solver: Solver, told: dict[str, Any]) -> None:
+def _tell_accuracy(solver: Solver, summary: dict[str, Any]) -> None:
     """Find what the solver's answers may be wrong by, and whether that is over the tolerance."""
-    cost, bundle = told["estimate"], solver.component.bundle
+    cost, bundle = summary["estimate"], solver.component.bundle
     if cost["linear_seconds"] > _MOST_SECONDS or cost["memory_bytes"] > _MOST_BYTES:
         return
-    told["solver_error"] = accuracy_or_why(solver)
+    summary["solver_error"] = accuracy_or_why(solver)
     limit = None if bundle is None else bundle.tolerance
     if limit is not None:
-        _warn(told, over_tolerance(told["solver_error"], limit.translation, limit.rotation))
+        _warn(summary, over_tolerance(summary["solver_error"], limit.translation, limit.rotation))
 
 
 def _look_at_component(
-    component: Component, bodies: Bodies, pairs: Any, told: dict[str, Any]
+    component: ComponentModel, bodies: Bodies, pairs: Any, summary: dict[str, Any]
 ) -> None:
-    told |= _what_is_set(component)
-    _warn(told, set_up_warnings(component))
+    summary |= _what_is_set(component)
+    _warn(summary, set_up_warnings(component))
     problems = findings.motion_problems(component, bodies, pairs)
     if problems:
         raise BundleError(problems)
-    told["estimate"] = estimate(component)
+    summary["estimate"] = estimate(component)
 
 
 def _counts(mesh: Mesh) -> dict[str, Any]:
@@ -187,7 +186,7 @@ def _counts(mesh: Mesh) -> dict[str, Any]:
     }
 
 
-def _what_is_set(component: Component) -> dict[str, Any]:
+def _what_is_set(component: ComponentModel) -> dict[str, Any]:
     numbers = component.material_of_cells
     section = component.section
     return {
@@ -216,8 +215,8 @@ def _what_is_set(component: Component) -> dict[str, Any]:
     }
 
 
-def _warn(told: dict[str, Any], warnings: list[Problem]) -> None:
-    told["warnings"] += [_entry(warning) for warning in warnings]
+def _warn(summary: dict[str, Any], warnings: list[Problem]) -> None:
+    summary["warnings"] += [_entry(warning) for warning in warnings]
 
 
 def _entry(problem: Problem) -> dict[str, str]:
@@ -241,9 +240,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (argparse.ArgumentError, ValueError) as error:
         print(f"{parser.format_usage()}{error}")
         return 2
-    told = report(options.folder, riding, options.nonlinear)
-    print(as_text(told) if options.text else json.dumps(told))
-    return 0 if told["ok"] else 1
+    summary = report(options.folder, riding, options.nonlinear)
+    print(as_text(summary) if options.text else json.dumps(summary))
+    return 0 if summary["ok"] else 1
 
 
 def _numbers(text: str) -> list[float]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.recovery.stress import places_of
@@ -51,7 +51,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
     return found, warnings + _yielding(component, found)
 
 
-def _first_order(component: Component, solver: Solver) -> list[dict[str, Any]]:
+def _first_order(component: ComponentModel, solver: Solver) -> list[dict[str, Any]]:
     """Return the worst corner of the range for each material that has cells."""
     loads = component.bundle.range
     corners = np.array(list(product(*zip(loads.low, loads.high, strict=True))))
@@ -76,7 +76,9 @@ def _first_order(component: Component, solver: Solver) -> list[dict[str, Any]]:
     return found
 
 
-def _at_large(component: Component, solver: Solver, found: list[dict[str, Any]]) -> list[Problem]:
+def _at_large(
+    component: ComponentModel, solver: Solver, found: list[dict[str, Any]]
+) -> list[Problem]:
     """Put the nonlinear stresses at the worst corners in place of the first-order ones."""
     regions = [material.region for material in component.materials]
     places, numbers = places_of(component, component.mesh.points)
@@ -96,15 +98,15 @@ def _at_large(component: Component, solver: Solver, found: list[dict[str, Any]])
     return []
 
 
-def _yielding(component: Component, found: list[dict[str, Any]]) -> list[Problem]:
-    told = []
+def _yielding(component: ComponentModel, found: list[dict[str, Any]]) -> list[Problem]:
+    problems = []
     for number, material in enumerate(component.materials):
         key, strength = f"material[{number}].yield_strength", material.yield_strength
         if strength is None:
             continue
         if material.law == "orthotropic":
             message = "is compared with the von Mises stress, a poor measure for such a material"
-            told.append(Problem(key, message))
+            problems.append(Problem(key, message))
         for one in found:
             if one["region"] == material.region and one["largest"] > strength:
                 message = (
@@ -112,5 +114,5 @@ def _yielding(component: Component, found: list[dict[str, Any]]) -> list[Problem
                     f"{one['largest'] / strength:.2g} times it; materials here do not yield: "
                     "answers there are too stiff. Narrow [range], or strengthen the part"
                 )
-                told.append(Problem(key, message))
-    return told
+                problems.append(Problem(key, message))
+    return problems

@@ -104,7 +104,7 @@ def _set_up(report: Mapping[str, Any]) -> list[str]:
         return []
     section = report["section"]
     area = "no area" if section["area"] is None else f"{1e6 * section['area']:.5g} mm^2"
-    held = f", locked {', '.join(section['locked'])}" if section["locked"] else ""
+    locked = f", locked {', '.join(section['locked'])}" if section["locked"] else ""
     lines = [
         f"material {m['region']}: {_law(m)}{_optional(m)}{m['cells']} cells"
         for m in report["materials"]
@@ -112,7 +112,7 @@ def _set_up(report: Mapping[str, Any]) -> list[str]:
     return [
         *lines,
         f"supports: {report['supports']['nodes']} nodes fixed",
-        f"interface: {section['nodes']} nodes, {area}, {section['coupling']}{held}, "
+        f"interface: {section['nodes']} nodes, {area}, {section['coupling']}{locked}, "
         f"point at {_place(section['point'])} m",
     ]
 
@@ -167,8 +167,8 @@ def _vibration(report: Mapping[str, Any]) -> list[str]:
 def _strength(report: Mapping[str, Any]) -> list[str]:
     lines = []
     for one in report.get("strength", []):
-        share = one["yield_strength"] and one["largest"] / one["yield_strength"]
-        ends = "" if share is None else f", {100 * share:.3g} % of its yield strength"
+        used = one["yield_strength"] and one["largest"] / one["yield_strength"]
+        ends = "" if used is None else f", {100 * used:.3g} % of its yield strength"
         order = " to first order (--nonlinear solves)" if one["first_order"] else ""
         lines.append(
             f"largest von Mises stress of {one['region']} under the full range{order}: "

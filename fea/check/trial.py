@@ -1,4 +1,4 @@
-"""A trial of the solver: what each solve would refuse, and how far the range moves the part."""
+"""A trial of the solver: failures of a solve, deflection at the full range, first frequency."""
 
 from __future__ import annotations
 
@@ -6,21 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import MOST_DEGREES, Solver
+from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import Problem
 from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 
 _MOST_SECONDS = 60.0  # of the linear solve by its estimate: an upload waits for it, 300 s at most
-_MOST_BYTES = 4e9  # of the same; the server's other solvers run beside it
+_MOST_BYTES = 4e9  # of the same; the server's other solvers run at the same time
 
 _WHERE = {"locking_material": "material", "inverted_elements": "mesh", "mechanism": "supports"}
 
 
-def solver_of(component: Component) -> tuple[Solver | None, list[Problem]]:
+def solver_of(component: ComponentModel) -> tuple[Solver | None, list[Problem]]:
     """Return the solver, or the problem that every solve of the component would end with."""
     try:
         return Solver(component), []
@@ -40,7 +41,7 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Pr
 
     Returns
     -------
-    told
+    result
         ``size`` (three numbers, m), ``volume`` (m^3), ``mass`` (kg; None where a material tells no
         density), ``deflection``: the largest of each output over the load range by the linear
         compliance, six numbers, m and rad; None where it was not tried or ``failed`` (then true).
@@ -48,17 +49,17 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Pr
         ``mechanism`` and ``ill_conditioned``, in the words of the failure.
     """
     points, bundle = solver.component.mesh.points, solver.component.bundle
-    told = {"size": np.ptp(points, axis=0).tolist(), **_volume_and_mass(solver)}
-    told["deflection"] = None
+    result = {"size": np.ptp(points, axis=0).tolist(), **_volume_and_mass(solver)}
+    result["deflection"] = None
     if cost["linear_seconds"] > _MOST_SECONDS or cost["memory_bytes"] > _MOST_BYTES:
-        return told, []
+        return result, []
     try:
         compliance = solver.compliance
     except SolveFailed as failure:
-        told["failed"] = True
-        return told, [_problem(failure)]
-    told["deflection"] = largest(compliance, bundle.range.low, bundle.range.high).tolist()
-    return told, []
+        result["failed"] = True
+        return result, [_problem(failure)]
+    result["deflection"] = largest(compliance, bundle.range.low, bundle.range.high).tolist()
+    return result, []
 
 
 def largest(compliance: Array, low: Array, high: Array) -> Array:
@@ -68,21 +69,21 @@ def largest(compliance: Array, low: Array, high: Array) -> Array:
     return np.maximum(np.abs(most), np.abs(least))
 
 
-def deflection_warnings(component: Component, deflection: list[float] | None) -> list[Problem]:
+def deflection_warnings(component: ComponentModel, deflection: list[float] | None) -> list[Problem]:
     """Return warnings where the whole load range moves the part by nothing, or by too much."""
     if deflection is None:
         return []
-    moved, told = np.array(deflection), []
+    moved, problems = np.array(deflection), []
     degrees = float(np.degrees(np.linalg.norm(moved[3:])))
     if degrees > MOST_DEGREES:
         message = (
             f"turns the interface by {degrees:.3g} degrees at the full range, linearly: more than "
             f"{MOST_DEGREES:g} is refused. {_UNITS}"
         )
-        told.append(Problem("range", message))
+        problems.append(Problem("range", message))
     limit = component.bundle.tolerance
     if limit is None:
-        return told
+        return problems
     allowed = np.repeat([limit.translation, limit.rotation], 3)
     free = np.array([name not in component.locked for name in FREEDOMS])
     if free.any() and (moved <= allowed)[free].all():
@@ -90,8 +91,8 @@ def deflection_warnings(component: Component, deflection: list[float] | None) ->
             f"moves the interface by {moved[:3].max():.2g} m and {moved[3:].max():.2g} rad at "
             f"most, within the tolerance: the part is rigid for its users. {_UNITS}"
         )
-        told.append(Problem("range", message))
-    return told
+        problems.append(Problem("range", message))
+    return problems
 
 
 _UNITS = (
@@ -115,3 +116,45 @@ def _problem(failure: SolveFailed) -> Problem:
     return Problem(
         where, f"every solve would fail, {failure.kind}: {failure.message} {failure.remedy}"
     )
+
+
+def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], list[Problem]]:
+    """Return what the component weighs and how slowly it swings, and what stands in the way.
+
+    Parameters
+    ----------
+    solver
+        Of the component; its materials without a density weigh nothing.
+    riding
+        The rigid mass on the interface; None for none.
+
+    Returns
+    -------
+    vibration
+        ``mass`` (kg, of the component; None without any density), ``first_frequency`` (Hz),
+        ``motion`` of the interface (6 numbers, m and rad, of length one), ``riding_mass`` (kg);
+        empty where neither the bundle nor the argument tells a mass, or no frequency was found.
+    warnings
+        Why not, or that some materials count as weightless.
+    """
+    component = solver.component
+    silent = [one.region for one in component.materials if one.density is None]
+    if riding is None and len(silent) == len(component.materials):
+        return {}, []
+    carried = riding or Riding.of()
+    warnings = []
+    if silent:
+        names = ", ".join(f'"{name}"' for name in silent)
+        message = f"no density for {names}: it counts as weightless in mass and frequency"
+        warnings.append(Problem("material", message))
+    try:
+        found = solver.vibration(carried)
+    except (ValueError, SolveFailed) as error:
+        return {}, [*warnings, Problem("material", f"no natural frequency: {error}")]
+    result = {
+        "mass": found.mass if len(silent) < len(component.materials) else None,
+        "first_frequency": found.frequency,
+        "motion": found.interface.tolist(),
+        "riding_mass": carried.mass,
+    }
+    return result, warnings

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from wrenchbook.fea.coupling.coupling import Border, CoupledState, Coupling
 from wrenchbook.fea.coupling.rotation import (
     rotation_less_identity,
     skew,
     spin_per_vector,
     spin_slope,
 )
-from wrenchbook.fea.coupling.state import Border, State
 
 Array = np.ndarray
 
 
-class Distributed:
+class Distributed(Coupling):
     """Weighted mean translation and rotation of the section; the wrench is spread conjugately.
 
     With weights w_i of sum 1, section centre c, rho_i = x_i - c (undeformed), b_i = R rho_i:
@@ -38,30 +38,25 @@ class Distributed:
         Indices of the interface freedoms that are not locked.
     """
 
+    multipliers = 6
+
     def __init__(self, points: Array, nodes: Array, weights: Array, active: Array) -> None:
-        self.active = active
-        self.border = len(active) + 6
-        self._size = len(points)
-        self._nodes = nodes
+        super().__init__(points, nodes, active)
         self._weights = weights / weights.sum()
         self._places = points[nodes]
         self._centre = self._weights @ self._places
         self._arms = self._places - self._centre
 
-    def start(self) -> State:
-        """Return the undeformed state."""
-        return State(np.zeros((self._size, 3)), np.zeros(6), np.zeros(6))
-
-    def moved(self, state: State, nodes: Array, border: Array) -> State:
+    def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
         """Return the state after a correction of nodes, shape (n, 3), m, and border.
 
         The border's correction has shape (border,): m and rad, then the multipliers' N and N/m.
         """
         interface = state.interface.copy()
         interface[self.active] += border[:-6]
-        return State(state.nodes + nodes, interface, state.multipliers + border[-6:])
+        return CoupledState(state.nodes + nodes, interface, state.multipliers + border[-6:])
 
-    def residual(self, state: State, forces: Array, wrench: Array) -> tuple[Array, Array]:
+    def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return what is out of balance under forces (n, 3), N, and a wrench (6,), N and N·m.
 
         Shape (n, 3), N, at the nodes; shape (border,) in the interface freedoms, N and N·m, and in
@@ -87,7 +82,7 @@ class Distributed:
         )
         return nodes, np.concatenate([border[self.active], gaps])
 
-    def bordered(self, state: State, forces: Array, wrench: Array) -> Border:
+    def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
         """Return the derivatives of the residual by the border; nothing is tied.
 
         Forces have shape (n, 3), N, the wrench shape (6,), N and N·m.
@@ -106,7 +101,7 @@ class Distributed:
         columns = columns[:, :, chosen]
         return Border(np.zeros_like(columns), columns, block[np.ix_(chosen, chosen)])
 
-    def wrench_columns(self, state: State) -> Array:
+    def wrench_columns(self, state: CoupledState) -> Array:
         """Return minus the derivative of the border's residual by the wrench.
 
         Shape (border, 6), dimensionless; the rows of the six constraints are zero.
@@ -115,20 +110,6 @@ class Distributed:
         columns[:3, :3] = np.eye(3)
         columns[3:6, 3:] = spin_per_vector(state.interface[3:]).T
         return columns[self._chosen]
-
-    def displacement_rows(self, border: Array) -> Array:
-        """Pick the interface displacement out of border unknowns: (border, k) -> (6, k).
-
-        In m and rad, or both over the unit of a load; locked freedoms are zero.
-        """
-        rows = np.zeros((6, border.shape[1]))
-        rows[self.active] = border[:-6]
-        return rows
-
-    @property
-    def tied(self) -> Array:
-        """No node is, shape (0,), int64, indices: the section's nodes stay free."""
-        return self._nodes[:0]
 
     @property
     def _chosen(self) -> Array:
@@ -155,11 +136,11 @@ class Distributed:
 class _Turned:
     """The section's quantities at one state."""
 
-    def __init__(self, coupling: Distributed, state: State) -> None:
-        turn = rotation_less_identity(state.interface[3:])
+    def __init__(self, coupling: Distributed, state: CoupledState) -> None:
+        R_minus_I = rotation_less_identity(state.interface[3:])
         self.spin = spin_per_vector(state.interface[3:])
-        self.arms = coupling._arms + coupling._arms @ turn.T
-        self.centre = coupling._centre + turn @ coupling._centre
+        self.arms = coupling._arms + coupling._arms @ R_minus_I.T
+        self.centre = coupling._centre + R_minus_I @ coupling._centre
         self.places = coupling._places + state.nodes[coupling._nodes]
         self.weights = coupling._weights
         self.force, self.moment = state.multipliers[:3], state.multipliers[3:]

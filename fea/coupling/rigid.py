@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from wrenchbook.fea.coupling.coupling import Border, CoupledState, Coupling
 from wrenchbook.fea.coupling.rotation import (
     rotation_less_identity,
     skew,
     spin_per_vector,
     spin_slope,
 )
-from wrenchbook.fea.coupling.state import Border, State
 
 Array = np.ndarray
 
 
-class Rigid:
+class Rigid(Coupling):
     """Tie u_i = t + (R - I) x_i for the section's nodes, x_i measured from the interface point.
 
     The section's nodes are no unknowns of the body; its reactions there balance the wrench. The
@@ -33,10 +33,7 @@ class Rigid:
     """
 
     def __init__(self, points: Array, nodes: Array, active: Array) -> None:
-        self.active = active
-        self.border = len(active)
-        self._size = len(points)
-        self._nodes = nodes
+        super().__init__(points, nodes, active)
         self._arms = points[nodes]
 
     @property
@@ -44,11 +41,7 @@ class Rigid:
         """The section's nodes, shape (k,), int64, indices."""
         return self._nodes
 
-    def start(self) -> State:
-        """Return the undeformed state."""
-        return State(np.zeros((self._size, 3)), np.zeros(6), np.zeros(6))
-
-    def moved(self, state: State, nodes: Array, border: Array) -> State:
+    def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
         """Return the state after a correction, of shapes (n, 3), m, and (border,), m and rad.
 
         The section is placed exactly, not incrementally.
@@ -56,11 +49,11 @@ class Rigid:
         interface = state.interface.copy()
         interface[self.active] += border
         placed = state.nodes + nodes
-        turn = rotation_less_identity(interface[3:])
-        placed[self._nodes] = interface[:3] + self._arms @ turn.T
-        return State(placed, interface, state.multipliers)
+        R_minus_I = rotation_less_identity(interface[3:])
+        placed[self._nodes] = interface[:3] + self._arms @ R_minus_I.T
+        return CoupledState(placed, interface, state.multipliers)
 
-    def residual(self, state: State, forces: Array, wrench: Array) -> tuple[Array, Array]:
+    def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return what is out of balance, N and N·m, under forces (n, 3) and a wrench (6,).
 
         Shape (n, 3) at the nodes, shape (border,) in the interface freedoms.
@@ -71,7 +64,7 @@ class Rigid:
         border = np.concatenate([pull.sum(axis=0) - wrench[:3], spin.T @ (moment - wrench[3:])])
         return forces, border[self.active]
 
-    def bordered(self, state: State, forces: Array, wrench: Array) -> Border:
+    def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
         """Return the ties, and what turning the arms adds to the moment.
 
         Forces have shape (n, 3), N, the wrench shape (6,), N and N·m.
@@ -85,7 +78,7 @@ class Rigid:
         ties = self._ties(arms, spin)
         return Border(ties, np.zeros_like(ties), block[np.ix_(self.active, self.active)])
 
-    def wrench_columns(self, state: State) -> Array:
+    def wrench_columns(self, state: CoupledState) -> Array:
         """Return minus the derivative of the border's residual by the wrench.
 
         Shape (border, 6), dimensionless.
@@ -94,16 +87,7 @@ class Rigid:
         columns[3:, 3:] = spin_per_vector(state.interface[3:]).T
         return columns[self.active]
 
-    def displacement_rows(self, border: Array) -> Array:
-        """Pick the interface displacement out of border unknowns: (border, k) -> (6, k).
-
-        In m and rad, or both over the unit of a load; locked freedoms are zero.
-        """
-        rows = np.zeros((6, border.shape[1]))
-        rows[self.active] = border
-        return rows
-
-    def _turned(self, state: State) -> Array:
+    def _turned(self, state: CoupledState) -> Array:
         return self._arms + self._arms @ rotation_less_identity(state.interface[3:]).T
 
     def _ties(self, arms: Array, spin: Array) -> Array:

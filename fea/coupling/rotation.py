@@ -1,4 +1,4 @@
-"""Rotation vectors: the exponential map and how a rotation vector turns into a spin."""
+"""Rotation vectors: the exponential map and the spin of a changing rotation vector."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Section:
+class InterfaceSection:
     """The interface's nodes with area weights.
 
     Attributes
@@ -39,7 +39,9 @@ class Section:
     by_area: bool
 
 
-def section_of_facets(points: Array, group: FacetGroup, node_ids: Array | None = None) -> Section:
+def section_of_facets(
+    points: Array, group: FacetGroup, node_ids: Array | None = None
+) -> InterfaceSection:
     """Return the section that the facets of `group` make.
 
     Parameters
@@ -58,10 +60,10 @@ def section_of_facets(points: Array, group: FacetGroup, node_ids: Array | None =
     area = float(areas.sum())
     # Isoparametric facets: the integral of x is the weighted sum of the nodes' places.
     centre = areas @ points[covered] / area
-    return Section(ids, weights, area, centre, by_area=True)
+    return InterfaceSection(ids, weights, area, centre, by_area=True)
 
 
-def section_of_nodes(points: Array, node_ids: Array) -> Section:
+def section_of_nodes(points: Array, node_ids: Array) -> InterfaceSection:
     """Return the section of nodes that bound no facet: each counts the same.
 
     Parameters
@@ -73,4 +75,4 @@ def section_of_nodes(points: Array, node_ids: Array) -> Section:
     """
     ids = np.unique(node_ids)
     weights = np.full(len(ids), 1.0 / len(ids))
-    return Section(ids, weights, 1.0, points[ids].mean(axis=0), by_area=False)
+    return InterfaceSection(ids, weights, 1.0, points[ids].mean(axis=0), by_area=False)

@@ -1,4 +1,4 @@
-"""What can be told of a deck without running it."""
+"""Checks of a deck without running it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wrenchbook.fea.spec.schema import Deck
 
 
 def deck_report(deck: Deck) -> tuple[dict[str, Any], list[Problem]]:
-    """Return what can be told of a deck, and warnings.
+    """Return a summary of a deck, and warnings.
 
     A program that is not installed here is a warning and no mistake of the bundle: solves may run
     elsewhere, and one that does not says so.
@@ -39,7 +39,7 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[Problem]]:
     if problems:
         raise BundleError(problems)
     program = _found(deck)
-    told = {
+    summary = {
         "file": deck.file.name,
         "program": program,
         "reader": deck.output["reader"],
@@ -47,7 +47,7 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[Problem]]:
         "unit": deck.unit,
         "timeout": deck.timeout,
     }
-    return told, [] if program else [_not_here(deck.command[0])]
+    return summary, [] if program else [_not_here(deck.command[0])]
 
 
 def _missing(placeholder: str) -> Problem:

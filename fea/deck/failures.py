@@ -33,7 +33,7 @@ def timed_out(program: str, seconds: float) -> SolveFailed:
 
 
 def solver_failed(program: str, how: str, quoted: str, folder: Path) -> SolveFailed:
-    """Return the failure of a program that said so itself, by its exit code or in its output."""
+    """Return the failure that a program reports, by its exit code or in its output."""
     return SolveFailed("solver_failed", f'"{program}" {how}. It printed: {quoted}', _look(folder))
 
 
@@ -68,7 +68,7 @@ def moment_unsettled(runs: int, gap: float) -> SolveFailed:
 
 
 def not_linear(gap: float) -> SolveFailed:
-    """Return the failure of a deck that is said to be linear and is not."""
+    """Return the failure of a deck that its bundle calls linear and that is not."""
     return SolveFailed(
         "not_linear",
         f"The deck's answer to this wrench is {gap:.1e} off what its answers to single loads add "

@@ -23,7 +23,7 @@ FOLDER = "deck"
 """Subfolder of the work folder; below it each run of the command has a folder of its own."""
 
 _MOMENT_GAP = 1e-5
-"""Part of the moment by which the one that acted may be off the one asked for."""
+"""Largest relative difference between the moment that acted and the required one."""
 
 _MOST_RUNS = 12  # 20 degrees take half of them
 _LINEAR_GAP = 1e-5  # CalculiX prints seven digits
@@ -70,11 +70,11 @@ def solve_deck(
     whole = checked_wrench(wrench)
     if bundle.deck is None:
         raise ValueError("the bundle has no deck")
-    told = progress or (lambda fraction, message: None)
+    report = progress or (lambda fraction, message: None)
     with _work_folder(folder) as place:
-        found = _solution(_Runs(bundle.deck, place, told, accept), bundle, whole)
+        found = _solution(_Runs(bundle.deck, place, report, accept), bundle, whole)
     accept(found.displacement)
-    told(1.0, "done")
+    report(1.0, "done")
     return replace(found, seconds=time.perf_counter() - started)
 
 
@@ -104,10 +104,10 @@ class _Runs:
 def _solution(runs: _Runs, bundle: Bundle, wrench: Array) -> Solution:
     """Run the deck as often as it takes, and gather what is known."""
     if bundle.analysis.nonlinear:
-        displacement, compliance = _bent(runs, wrench), np.full((6, 6), np.nan)
+        displacement, compliance = _nonlinear(runs, wrench), np.full((6, 6), np.nan)
         work = np.nan
     else:
-        displacement, compliance = _straight(runs, wrench, bundle.range)
+        displacement, compliance = _linear(runs, wrench, bundle.range)
         work = float(wrench @ displacement)
     return Solution(
         wrench=wrench,
@@ -122,7 +122,7 @@ def _solution(runs: _Runs, bundle: Bundle, wrench: Array) -> Solution:
     )
 
 
-def _bent(runs: _Runs, wrench: Array) -> Array:
+def _nonlinear(runs: _Runs, wrench: Array) -> Array:
     """Return the displacement of a nonlinear deck under a spatial wrench.
 
     The virtual work of a spatial moment M is M . J(r) dr, with J the left Jacobian of the rotation
@@ -137,8 +137,8 @@ def _bent(runs: _Runs, wrench: Array) -> Array:
     displacement = np.zeros(6)
     for number in range(_MOST_RUNS):
         name = f"wrench-{number + 1}"
-        told = np.concatenate([wrench[:3], acting])
-        displacement = runs.run(name, told, 1.0 - 0.5**number, 1.0 - 0.5 ** (number + 1))
+        loads = np.concatenate([wrench[:3], acting])
+        displacement = runs.run(name, loads, 1.0 - 0.5**number, 1.0 - 0.5 ** (number + 1))
         excess = acting - spin_per_vector(displacement[3:]).T @ moment
         gap = float(np.linalg.norm(excess))
         if gap <= _MOMENT_GAP * size:
@@ -160,7 +160,7 @@ def _broyden(inverse: Array, step: Array, change: Array) -> Array:
     return inverse + np.outer(step - inverse @ change, row) / scale
 
 
-def _straight(runs: _Runs, wrench: Array, expected: LoadRange) -> tuple[Array, Array]:
+def _linear(runs: _Runs, wrench: Array, expected: LoadRange) -> tuple[Array, Array]:
     """Return displacement and compliance of a linear deck."""
     displacement = runs.run("wrench", wrench, 0.0, 1.0 / 7.0)
     # Loads of the size expected, so that nothing in the deck is far from what it was made for.
@@ -188,7 +188,7 @@ def _require_reciprocal(compliance: Array, sizes: Array) -> None:
     """Raise unless the compliance is one that an elastic body can have: Betti, and work done.
 
     Compared is the work (J) that loads of these `sizes` do on each other's displacement, so a
-    freedom that is held may show roundoff.
+    locked freedom may show roundoff.
     """
     work = compliance * np.outer(sizes, sizes)
     own = np.diagonal(work)

@@ -46,7 +46,7 @@ class CellState(ABC):
         """Replace the stress by its linear extrapolation from the state one step before.
 
         Here of a law whose stress is linear in E, which is quadratic in the displacement.
-        `step` has shape (2, cells, 3, nodes), m: see `fea.assembly.body.Body.tangent`.
+        `step` has shape (2, cells, 3, nodes), m: see `fea.assembly.body.ElasticBody.tangent`.
         """
         aim, change = (self.gradient(field) for field in step)
         E = green_strain(aim) - 0.5 * (change.swapaxes(2, 3) @ change)
@@ -69,18 +69,18 @@ class CellState(ABC):
 
         All fields' 3x3 matrices stand one below the other, so that each product is one for all.
         """
-        turned, shape = self.F.swapaxes(2, 3), (*self.F.shape[:2], len(fields))
+        F_T, shape = self.F.swapaxes(2, 3), (*self.F.shape[:2], len(fields))
         scale = (1.0 / (np.linalg.det(self.F) * self.weights))[..., None, None]
-        stress = self.F @ self.wS @ turned * scale
+        stress = self.F @ self.wS @ F_T * scale
         below = fields.swapaxes(0, 1).reshape(shape[0], 1, 3 * len(fields), fields.shape[3])
         dF = below @ self.slopes.swapaxes(2, 3)
-        half = _each_turned(dF) @ self.F
-        strain = (0.5 * (half + _each_turned(half))).reshape(*shape, 3, 3)
+        half = _each_transposed(dF) @ self.F
+        strain = (0.5 * (half + _each_transposed(half))).reshape(*shape, 3, 3)
         wdS = np.moveaxis(self.weighted_change(np.moveaxis(strain, 2, 0)), 0, 2)
-        FdS = _each_turned(wdS.reshape(dF.shape) @ turned)
-        one_side = (dF @ self.wS + 0.5 * FdS) @ turned
-        growth = dF.reshape(*shape, 9) @ np.linalg.inv(turned).reshape(*shape[:2], 9, 1)
-        changes = ((one_side + _each_turned(one_side)) * scale).reshape(*shape, 3, 3)
+        FdS = _each_transposed(wdS.reshape(dF.shape) @ F_T)
+        one_side = (dF @ self.wS + 0.5 * FdS) @ F_T
+        growth = dF.reshape(*shape, 9) @ np.linalg.inv(F_T).reshape(*shape[:2], 9, 1)
+        changes = ((one_side + _each_transposed(one_side)) * scale).reshape(*shape, 3, 3)
         changes -= stress[:, :, None] * growth[..., None]
         return stress, np.moveaxis(changes, 2, 0)
 
@@ -103,7 +103,47 @@ def green_strain(H: Array) -> Array:
     return 0.5 * (H + H.swapaxes(-1, -2) + H.swapaxes(-1, -2) @ H)
 
 
-def _each_turned(below: Array) -> Array:
+def _each_transposed(below: Array) -> Array:
     """Transpose each of the 3x3 matrices that stand one below the other: (..., 3 k, 3)."""
     each = below.reshape(*below.shape[:2], below.shape[2] // 3, 3, 3)
     return each.swapaxes(3, 4).reshape(below.shape)
+
+
+ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+"""Of the six numbers of a symmetric 3x3 matrix: xx, yy, zz, xy, xz, yz."""
+
+UNIT_STRAINS = np.zeros((6, 3, 3))
+"""Strains of which one of the six, the shears as 2 E_ij, is one."""
+UNIT_STRAINS[range(6), ROWS, COLUMNS] += 0.5
+UNIT_STRAINS[range(6), COLUMNS, ROWS] += 0.5
+
+
+class DenseState(CellState):
+    """Strains and stresses of a few cells of a material that has nothing to save by."""
+
+    @abstractmethod
+    def moduli(self) -> Array:
+        """Return the change of `wS` with E, shape (cells, points, 6, 6), Pa times m^3."""
+
+    def tangent(self, out: Array) -> None:
+        """Write the tangent stiffness, shape (cells, size, size), N/m."""
+        cells, points, _, nodes = self.slopes.shape
+        B = self._strains_of_unknowns()
+        below = B.reshape(cells, 6 * points, 3 * nodes)
+        stress = (self.moduli() @ B).reshape(below.shape)
+        np.matmul(below.swapaxes(1, 2), stress, out=out)
+        if not self.undeformed:
+            K, geometric = out.reshape(cells, 3, nodes, 3, nodes), self.stressed()
+            for axis in range(3):
+                K[:, axis, :, axis] += geometric
+
+    def _strains_of_unknowns(self) -> Array:
+        """Return the six strains of each unit displacement, shape (cells, points, 6, size)."""
+        cells, points, _, nodes = self.slopes.shape
+        F = np.broadcast_to(np.eye(3), (cells, points, 3, 3)) if self.undeformed else self.F
+        B = np.empty((cells, points, 6, 3, nodes))
+        for number, (i, j) in enumerate(zip(ROWS, COLUMNS, strict=True)):
+            B[:, :, number] = F[..., i, None] * self.slopes[:, :, None, j]
+            if i != j:
+                B[:, :, number] += F[..., j, None] * self.slopes[:, :, None, i]
+        return B.reshape(cells, points, 6, 3 * nodes)

@@ -83,8 +83,8 @@ class CellStiffness(ABC):
         displacement
             Shape (cells, 3, nodes), m.
         step
-            Shape (2, cells, 3, nodes), m: the last step of Newton's method, see `Body.tangent`;
-            None for the forces proper.
+            Shape (2, cells, 3, nodes), m: the last step of Newton's method, see
+            `ElasticBody.tangent`; None for the forces proper.
 
         Returns
         -------
@@ -114,8 +114,8 @@ class CellStiffness(ABC):
         displacement
             Theirs, shape (k, 3, nodes), m; None for the undeformed state.
         step
-            Theirs, shape (2, k, 3, nodes), m: the last step of Newton's method, see `Body.tangent`;
-            None for the tangent proper.
+            Theirs, shape (2, k, 3, nodes), m: the last step of Newton's method, see
+            `ElasticBody.tangent`; None for the tangent proper.
         cells
             Shape (k,), their numbers, dimensionless.
 

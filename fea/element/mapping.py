@@ -74,9 +74,9 @@ def area_weights(points: Array, group: FacetGroup) -> tuple[Array, Array]:
         element = reference_element(kind)
         tangents = points[facets].transpose(0, 2, 1)[:, None] @ element.slopes
         area = np.linalg.norm(np.cross(tangents[..., 0], tangents[..., 1]), axis=-1)
-        share = (area * element.weights) @ element.values
+        part = (area * element.weights) @ element.values
         weights += np.bincount(
-            np.searchsorted(nodes, facets.ravel()), share.ravel(), minlength=nodes.size
+            np.searchsorted(nodes, facets.ravel()), part.ravel(), minlength=nodes.size
         )
     return nodes, weights
 

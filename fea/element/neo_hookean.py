@@ -22,8 +22,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrenchbook.fea.element.cell_state import CellState, Which, green_strain
-from wrenchbook.fea.element.dense_law import COLUMNS, ROWS, UNIT_STRAINS, DenseState
+from wrenchbook.fea.element.cell_state import (
+    COLUMNS,
+    ROWS,
+    UNIT_STRAINS,
+    CellState,
+    DenseState,
+    Which,
+    green_strain,
+)
 from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness, projected_gram, weighted
 
 Array = np.ndarray

@@ -1,7 +1,7 @@
 """Cells of an orthotropic material: S = C : E with nine constants in directions of its own.
 
 The law of isotropic cells (St. Venant-Kirchhoff) with another C; at large rotations the directions
-turn with the material, since E and S stand in the undeformed axes.
+rotate with the material, since E and S stand in the undeformed axes.
 """
 
 from __future__ import annotations
@@ -10,9 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrenchbook.fea.element.cell_state import CellState, Which
+from wrenchbook.fea.element.cell_state import (
+    COLUMNS,
+    ROWS,
+    UNIT_STRAINS,
+    CellState,
+    DenseState,
+    Which,
+)
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
-from wrenchbook.fea.element.dense_law import COLUMNS, ROWS, UNIT_STRAINS, DenseState
 
 Array = np.ndarray
 
@@ -68,7 +74,7 @@ def turned_elasticity(elasticity: Array, directions: Array) -> Array:
     elasticity
         Shape (6, 6), Pa: in the material's own directions, as in `OrthotropicStiffness`.
     directions
-        Shape (3, 3): row i is the material's direction i in the axes wanted.
+        Shape (3, 3): row i is the material's direction i in the target axes.
     """
     strains = directions @ UNIT_STRAINS @ directions.T
     stresses = _stress(elasticity, strains)

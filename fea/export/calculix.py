@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
-from wrenchbook.fea.component import Component, build
+from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.spec.orthotropic import Orthotropic
 from wrenchbook.fea.spec.problems import Problem
@@ -45,7 +45,7 @@ _NONLINEAR = (
 _LINEAR = ("*STEP", "*STATIC")
 
 
-def deck_of(component: Component, comments: Iterable[str] = ()) -> str:
+def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
     """Return the deck of a component with a rigid coupling, in metres, newtons and pascals.
 
     Its global axes are the interface frame's, so the wrench and the motion need no turning. The
@@ -70,7 +70,7 @@ def deck_of(component: Component, comments: Iterable[str] = ()) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _require_counterparts(component: Component) -> None:
+def _require_counterparts(component: ComponentModel) -> None:
     problems = []
     if component.coupling != "rigid":
         message = (
@@ -87,7 +87,7 @@ def _require_counterparts(component: Component) -> None:
         raise BundleError(problems)
 
 
-def _body(component: Component) -> Iterator[str]:
+def _body(component: ComponentModel) -> Iterator[str]:
     """Yield everything above the step."""
     points = component.mesh.points @ component.axes.T
     place = _numbers(component.axes @ component.point)
@@ -135,7 +135,7 @@ def _orientation(number: int, own: Orthotropic, axes: Array) -> Iterator[str]:
     yield f"*ORIENTATION, NAME=O{number}\n{_numbers([*x, *y])}"
 
 
-def _elements(component: Component) -> Iterator[str]:
+def _elements(component: ComponentModel) -> Iterator[str]:
     """Yield the cells, one set for each material."""
     number = 1
     for block, materials in zip(component.mesh.blocks, component.material_of_cells, strict=True):
@@ -148,12 +148,12 @@ def _elements(component: Component) -> Iterator[str]:
                 number += 1
 
 
-def _element(block: CellBlock, component: Component) -> str:
+def _element(block: CellBlock, component: ComponentModel) -> str:
     full = block.kind == "hex20" and component.analysis.integration == "full"
     return "C3D20" if full else _ELEMENTS[block.kind]
 
 
-def _step(component: Component) -> Iterator[str]:
+def _step(component: ComponentModel) -> Iterator[str]:
     yield from _NONLINEAR if component.analysis.nonlinear else _LINEAR
     yield "*CLOAD"
     for name, placeholder in zip(FREEDOMS, PLACEHOLDERS, strict=True):

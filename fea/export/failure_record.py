@@ -1,26 +1,27 @@
-"""What a failed solve leaves in its attempt's folder, for whoever has to find out why."""
+"""Files of a failed solve in its attempt's folder: the history, and the last state as VTU."""
 
 from __future__ import annotations
 
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
+import meshio
 import numpy as np
 
-from wrenchbook.fea.component import Component
-from wrenchbook.fea.export.vtu import write_state
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.failure import SolveFailed
 
 HISTORY, LAST_STATE = "history.json", "last_state.vtu"
 
 
-def keep(folder: Path, failure: SolveFailed, component: Component) -> None:
+def keep(folder: Path, failure: SolveFailed, component: ComponentModel) -> None:
     """Write the history of a failure and the last converged state.
 
     ``history.json`` has the failure's kind, message and remedy, the load factor of the last state
     found and that at which the part gives way (null if unknown), and each iteration. The state is
-    the undeformed mesh if there was none. What cannot be written is told on standard error: the
+    the undeformed mesh if there was none. What cannot be written is reported on standard error: the
     failure itself matters more.
     """
     factor, nodes = failure.last or (0.0, np.zeros_like(component.mesh.points))
@@ -40,3 +41,48 @@ def keep(folder: Path, failure: SolveFailed, component: Component) -> None:
 
 
 _COLUMNS = ("load_factor", "iteration", "residual_norm")
+
+
+Array = np.ndarray
+
+_NAMES = {
+    "hex8": "hexahedron",
+    "hex20": "hexahedron20",
+    "hex27": "hexahedron27",
+    "tet4": "tetra",
+    "tet10": "tetra10",
+    "wedge6": "wedge",
+    "wedge15": "wedge",  # meshio 5.3 cannot hold wedges of 15 nodes: their corners only
+}
+_CORNERS = {"wedge15": 6}
+
+
+def write_state(path: Path, component: ComponentModel, displacements: Array) -> None:
+    """Write the undeformed mesh with a displacement at each point.
+
+    Parameters
+    ----------
+    path
+        Ends in ``.vtu``.
+    component
+        Its mesh, materials, supports and section.
+    displacements
+        Shape (n, 3), m, in the mesh's own axes. "Warp by vector" shows the part displaced.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    mesh = component.mesh
+    marks = {"supported": component.fixed_nodes, "interface": component.section.node_ids}
+    point_data: dict[str, Any] = {"displacement": displacements}
+    for name, nodes in marks.items():
+        point_data[name] = np.zeros(len(mesh.points), dtype=np.int8)
+        point_data[name][nodes] = 1
+    meshio.Mesh(
+        mesh.points,
+        [(_NAMES[block.kind], block.nodes[:, : _CORNERS.get(block.kind)]) for block in mesh.blocks],
+        point_data=point_data,
+        cell_data={"material": list(component.material_of_cells)},
+    ).write(path, file_format="vtu")

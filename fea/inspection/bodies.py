@@ -16,7 +16,7 @@ from wrenchbook.fea.mesh.mesh import Mesh
 Array = np.ndarray
 
 _SAME_PLACE = 1e-2
-"""Share of the shortest edge within which two nodes count as in one place."""
+"""Fraction of the shortest edge within which two nodes count as in one place."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -112,18 +112,18 @@ def quality(mesh: Mesh) -> dict[str, dict[str, Any]]:
 
 def quality_warnings(found: dict[str, dict[str, Any]]) -> list[str]:
     """Return a sentence for each measure with cells beyond its limit."""
-    told = []
+    warnings = []
     for measure in MEASURES:
         one = found[measure.name]
         if one["bad"]:
             place = ", ".join(f"{x:.4g}" for x in one["at"])
-            told.append(
+            warnings.append(
                 f"{one['bad']} cells are {measure.words} ({measure.name.replace('_', ' ')} "
                 f"{'over' if measure.larger_is_worse else 'under'} {measure.limit:g}; the worst, a "
                 f"{one['kind']} near ({place}) m, has {one['worst']:.3g}); stresses and stiffness "
                 "there are not to be trusted"
             )
-    return told
+    return warnings
 
 
 def _worst(mesh: Mesh, measure: Measure) -> dict[str, Any]:

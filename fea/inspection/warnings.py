@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
 from wrenchbook.fea.inspection.cells import quality, quality_warnings
 from wrenchbook.fea.mesh.facets import facets_within, outer_surface
@@ -18,14 +18,14 @@ from wrenchbook.fea.spec.problems import Problem
 
 Array = np.ndarray
 
-_MOST_TOLD = 5
+_MOST_REPORTED = 5
 # Pa. From soft rubber to nearly diamond (1.1e12); steel written in MPa or GPa is far below.
 _USUAL_YOUNGS_MODULUS = (1e6, 1e12)
 # Of the mesh's diagonal. Longer levers than this are millimetres written where metres belong.
 _LONGEST_LEVER = 3.0
 
 
-def warnings_of(component: Component) -> list[Problem]:
+def warnings_of(component: ComponentModel) -> list[Problem]:
     """Return all that `fea.check` would warn of, in its order."""
     mesh = component.mesh
     bodies, pairs = bodies_of(mesh), coincident_nodes(mesh)
@@ -33,7 +33,7 @@ def warnings_of(component: Component) -> list[Problem]:
     return shape + coincidence_warnings(mesh, bodies, pairs) + set_up_warnings(component)
 
 
-def set_up_warnings(component: Component) -> list[Problem]:
+def set_up_warnings(component: ComponentModel) -> list[Problem]:
     """Return warnings on what the bundle attaches to the mesh: sections, supports and units."""
     return place_warnings(component) + support_warnings(component) + unit_warnings(component)
 
@@ -53,8 +53,8 @@ def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Probl
     for number, nodes in enumerate(bodies.nodes):
         owner[nodes] = number
     between = np.sort(owner[pairs], axis=1)
-    told = []
-    for first, second in np.unique(between, axis=0)[:_MOST_TOLD].tolist():
+    problems = []
+    for first, second in np.unique(between, axis=0)[:_MOST_REPORTED].tolist():
         here = pairs[(between == [first, second]).all(axis=1)]
         where = place_in_words(mesh.points[here[0, 0]])
         if first == second:
@@ -66,37 +66,37 @@ def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Probl
             "but not one node; merge them in the mesher (gmsh: Coherence Mesh or "
             "removeDuplicateNodes; Abaqus: merge nodes) if the material is to hold together there"
         )
-        told.append(Problem("mesh", message))
-    return told
+        problems.append(Problem("mesh", message))
+    return problems
 
 
-def place_warnings(component: Component) -> list[Problem]:
+def place_warnings(component: ComponentModel) -> list[Problem]:
     """Return warnings on where the section and the supports are."""
     mesh, section = component.mesh, component.section
-    told = []
+    problems = []
     if not section.by_area:
         message = (
             "is a bare set of nodes that bounds no face, so every node counts the same; name a "
             "facet group, or all nodes of the face, for area weights"
         )
-        told.append(Problem("interface.section", message))
+        problems.append(Problem("interface.section", message))
     surface = outer_surface(mesh.blocks).node_ids
     inside = np.setdiff1d(section.node_ids, surface)
     if inside.size:
         message = f"{inside.size} of its nodes are inside the body, not on its surface"
-        told.append(Problem("interface.section", message))
-    held = np.union1d(component.fixed_nodes, section.node_ids)
-    between = sum(int(np.isin(block.nodes, held).all(axis=1).sum()) for block in mesh.blocks)
+        problems.append(Problem("interface.section", message))
+    constrained = np.union1d(component.fixed_nodes, section.node_ids)
+    between = sum(int(np.isin(block.nodes, constrained).all(axis=1).sum()) for block in mesh.blocks)
     if between:
         message = (
             f"{between} cells have every node fixed or in the section, so they do not deform; "
             "mesh more cells between section and supports"
         )
-        told.append(Problem("mesh", message))
-    return told
+        problems.append(Problem("mesh", message))
+    return problems
 
 
-def support_warnings(component: Component) -> list[Problem]:
+def support_warnings(component: ComponentModel) -> list[Problem]:
     """Return a warning if the supports hold single nodes only, which answer to mesh size."""
     surface = outer_surface(component.mesh.blocks)
     if facets_within(surface, component.fixed_nodes).blocks:
@@ -108,9 +108,9 @@ def support_warnings(component: Component) -> list[Problem]:
     return [Problem("supports.fixed", message)]
 
 
-def unit_warnings(component: Component) -> list[Problem]:
+def unit_warnings(component: ComponentModel) -> list[Problem]:
     """Return warnings on numbers that are rather written in another unit than SI."""
-    told = []
+    problems = []
     low, high = _USUAL_YOUNGS_MODULUS
     for number, material in enumerate(component.materials):
         if not low <= material.youngs_modulus <= high:
@@ -118,7 +118,7 @@ def unit_warnings(component: Component) -> list[Problem]:
                 f"is {material.youngs_modulus:.4g} Pa, softer than rubber or stiffer than "
                 "diamond; if it was meant in MPa or GPa, write it in Pa"
             )
-            told.append(Problem(f"material[{number}].youngs_modulus", message))
+            problems.append(Problem(f"material[{number}].youngs_modulus", message))
     points = component.mesh.points
     low_corner, high_corner = points.min(axis=0), points.max(axis=0)
     away = component.point - np.clip(component.point, low_corner, high_corner)
@@ -128,8 +128,8 @@ def unit_warnings(component: Component) -> list[Problem]:
             f"is {lever:.4g} m away from a mesh {size:.4g} m large; if it was meant in the "
             "mesh's unit, write it in m"
         )
-        told.append(Problem("interface.point", message))
-    return told
+        problems.append(Problem("interface.point", message))
+    return problems
 
 
 def place_in_words(place: Array) -> str:

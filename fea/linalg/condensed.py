@@ -1,10 +1,10 @@
 """What an eliminated substructure hands on: its boundary's stiffness as a lower triangle.
 
-It is held in block columns, each without the rows above it: five eighths of the square at four
+It is stored in block columns, each without the rows above it: five eighths of the square at four
 columns. It waits until the other half of the cut is done, and after the factor it is the most of a
 solve's memory: as a square the peak of a block of 42,500 unknowns is some 30 MB of 335 higher.
 
-The sign is turned, W^T W - C in place of C - W^T W: then the product comes first and is written
+The sign is reversed, W^T W - C in place of C - W^T W: then the product comes first and is written
 once, and the pivot block, gone by then, and this never take memory together.
 """
 

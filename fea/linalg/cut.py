@@ -59,8 +59,8 @@ def incidence(cells: list[Array], free: Array) -> Incidence:
     """
     nodes = np.concatenate(cells) if cells else np.empty(0, dtype=np.int64)
     owners = np.repeat(np.arange(len(cells)), [len(own) for own in cells])
-    wanted = free[nodes]
-    nodes, owners = nodes[wanted], owners[wanted]
+    is_free = free[nodes]
+    nodes, owners = nodes[is_free], owners[is_free]
     order = np.argsort(nodes, kind="stable")
     return Incidence(nodes[order], owners[order])
 
@@ -78,30 +78,30 @@ class Cutter:
         self._centres = centres
         self._rank = np.empty(len(centres), dtype=np.int64)
 
-    def halves(self, cells: Array, held: Incidence) -> list[tuple[Array, Incidence]]:
+    def halves(self, cells: Array, pairs: Incidence) -> list[tuple[Array, Incidence]]:
         """Return two sets of cells, each with its incidence.
 
         Parameters
         ----------
         cells
             Shape (c,), int64: numbers of at least two cells, dimensionless.
-        held
+        pairs
             Their incidence.
         """
-        beyond = self._best(cells, held)
+        beyond = self._best(cells, pairs)
         self._rank[cells] = beyond
-        side = self._rank[held.cells] == 1
+        side = self._rank[pairs.cells] == 1
         return [
-            (cells[own], Incidence(held.nodes[part], held.cells[part]))
+            (cells[own], Incidence(pairs.nodes[part], pairs.cells[part]))
             for own, part in ((~beyond, ~side), (beyond, side))
         ]
 
-    def _best(self, cells: Array, held: Incidence) -> Array:
+    def _best(self, cells: Array, pairs: Incidence) -> Array:
         """Return which cells lie beyond the cheapest cut, shape (c,), bool."""
         count = cells.size
         places = self._centres[cells]
-        held = _shared(held)
-        starts = _starts(held.nodes)
+        pairs = _shared(pairs)
+        starts = _starts(pairs.nodes)
         low = max(int(count * (0.5 - _WINDOW)), 1)
         sizes = np.arange(low, max(count - low, low) + 1)  # of the first half
         dearer = 1.0 + _UNEVEN * (2.0 * sizes / count - 1.0) ** 2
@@ -111,7 +111,7 @@ class Cutter:
             rank = np.empty(count, dtype=np.int64)
             rank[order] = np.arange(count)
             self._rank[cells] = rank
-            cost = _on_both_sides(self._rank[held.cells], starts, count)[sizes] * dearer
+            cost = _on_both_sides(self._rank[pairs.cells], starts, count)[sizes] * dearer
             least = int(cost.argmin())
             if cost[least] < best:
                 best, chosen = cost[least], rank >= sizes[least]
@@ -129,11 +129,11 @@ def _directions(places: Array) -> Array:
     return np.concatenate([_AXES, own, _DIAGONALS])
 
 
-def _shared(held: Incidence) -> Incidence:
+def _shared(pairs: Incidence) -> Incidence:
     """Leave out the nodes of one cell, which no cut can share."""
-    same = held.nodes[1:] == held.nodes[:-1]
+    same = pairs.nodes[1:] == pairs.nodes[:-1]
     several = np.append(same, False) | np.append(False, same)
-    return Incidence(held.nodes[several], held.cells[several])
+    return Incidence(pairs.nodes[several], pairs.cells[several])
 
 
 def _starts(nodes: Array) -> Array:

@@ -43,7 +43,7 @@ class NotDefinite(ArithmeticError):  # noqa: N818 - a finding about the matrix
     """A pivot block is not positive definite."""
 
 
-class Factor:
+class MultifrontalFactor:
     """A factorised stiffness matrix.
 
     Parameters
@@ -51,7 +51,7 @@ class Factor:
     dissection
         The order of elimination.
     leaf
-        Gives the matrix of each leaf, N/m; asked when it is due, so that few are there at a time.
+        Gives the matrix of each leaf, N/m; called when the leaf is due, so that few are in memory.
 
     Attributes
     ----------

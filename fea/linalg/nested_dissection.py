@@ -93,14 +93,6 @@ class Dissection:
         """Three for each free node."""
         return 3 * self.nodes.size
 
-    @property
-    def factor_entries(self) -> int:
-        """Numbers that the Cholesky factor holds."""
-        return sum(
-            s.eliminated * (s.eliminated + 1) // 2 + s.eliminated * s.boundary.size
-            for s in self.substructures
-        )
-
 
 def dissect(cells: list[Array], centres: Array, free: Array) -> Dissection:
     """Cut a mesh into nested substructures.
@@ -134,12 +126,12 @@ class _Builder:
         self.eliminated: list[Array] = []
         self.boundaries: list[Array] = []
 
-    def cut(self, cells: Array, held: Incidence) -> tuple[int, Array, Array]:
+    def cut(self, cells: Array, pairs: Incidence) -> tuple[int, Array, Array]:
         """Add the tree over `cells`; return its number, boundary nodes and their uses in it."""
         if cells.size <= 1 or self.sizes[cells].sum() <= _LEAF_NODES:
             nodes = np.concatenate([self.cells[c] for c in cells]) if cells.size else cells
             return self._add(cells, (), nodes, np.ones(nodes.size, dtype=np.int64))
-        first, second = self.cutter.halves(cells, held)
+        first, second = self.cutter.halves(cells, pairs)
         left, left_nodes, left_uses = self.cut(*first)
         right, right_nodes, right_uses = self.cut(*second)
         return self._add(
@@ -154,8 +146,8 @@ class _Builder:
     ) -> tuple[int, Array, Array]:
         nodes, inverse = np.unique(nodes, return_inverse=True)
         uses = np.bincount(inverse, weights=uses, minlength=nodes.size).astype(np.int64)
-        wanted = self.free[nodes]
-        nodes, uses = nodes[wanted], uses[wanted]
+        is_free = self.free[nodes]
+        nodes, uses = nodes[is_free], uses[is_free]
         complete = uses == self.uses[nodes]
         self.parts.append(Substructure(cells, children))
         self.eliminated.append(nodes[complete])

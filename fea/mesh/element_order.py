@@ -102,14 +102,14 @@ def _raised(block: CellBlock, pairs: Array, middles: Array) -> CellBlock:
     )
 
 
-def _find(pairs: Array, wanted: Array) -> tuple[Array, Array]:
-    """Return where `wanted` pairs are among sorted unique `pairs`, and whether they are."""
+def _find(pairs: Array, queries: Array) -> tuple[Array, Array]:
+    """Return where `queries` pairs are among sorted unique `pairs`, and whether they are."""
     if not len(pairs):
-        return np.zeros(len(wanted), dtype=np.int64), np.zeros(len(wanted), dtype=bool)
-    base = max(int(pairs.max()), int(wanted.max(initial=0))) + 1
-    keys, asked = pairs @ [base, 1], wanted @ [base, 1]
-    place = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)
-    return place, keys[place] == asked
+        return np.zeros(len(queries), dtype=np.int64), np.zeros(len(queries), dtype=bool)
+    base = max(int(pairs.max()), int(queries.max(initial=0))) + 1
+    keys, query_keys = pairs @ [base, 1], queries @ [base, 1]
+    place = np.minimum(np.searchsorted(keys, query_keys), len(keys) - 1)
+    return place, keys[place] == query_keys
 
 
 def _facet_groups(mesh: Mesh, blocks: tuple[CellBlock, ...]) -> dict[str, FacetGroup]:

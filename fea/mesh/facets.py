@@ -114,18 +114,18 @@ class FaceFinder:
         Parameters
         ----------
         kind
-            Kind of the facets asked for.
+            Kind of the facets.
         nodes
             Shape (f, k): indices of their nodes, corners first.
         """
         count = corners_of(kind)
-        wanted = np.unique(np.sort(nodes[:, :count], axis=1), axis=0)
-        missing = len(wanted)
+        sought = np.unique(np.sort(nodes[:, :count], axis=1), axis=0)
+        missing = len(sought)
         found = []
         for face_kind, faces in self._by_corners[count]:
             corners = np.sort(faces[:, :count], axis=1)
             keys, first = np.unique(corners, axis=0, return_index=True)
-            chosen = first[_rows_in(keys, wanted)]
+            chosen = first[_rows_in(keys, sought)]
             missing -= len(chosen)
             if len(chosen):
                 found.append(FacetBlock(face_kind, faces[np.sort(chosen)]))

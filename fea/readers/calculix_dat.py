@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from wrenchbook.fea.readers.reader import Complaint, OutputError, Reading, Run, number
+from wrenchbook.fea.readers.reader import Complaint, DeckRun, OutputError, Reading, number
 from wrenchbook.fea.spec.schema import Deck
 
 _HEAD = re.compile(r"^ displacements \(vx,vy,vz\) for set (\S+) and time\s+(\S+)\s*$")
@@ -39,21 +39,21 @@ class CalculixDat:
     moment = "conjugate"
     keys: tuple[str, ...] = ("point", "rotation")
 
-    def read(self, run: Run, told: Mapping[str, str]) -> Reading:
+    def read(self, run: DeckRun, options: Mapping[str, str]) -> Reading:
         """Return the last motion printed of the two sets, which must be of the same time."""
         name = f"{run.job}.dat"
         path = run.folder / name
         if not path.is_file():
             raise OutputError(f"There is no {name}.")
-        last = {key: _last(path, name, told[key]) for key in self.keys}
+        last = {key: _last(path, name, options[key]) for key in self.keys}
         times = {time for time, _ in last.values()}
         if len(times) > 1:
             raise OutputError(f"{name} ends with the two sets at different times: {sorted(times)}.")
-        (_, place), (_, turn) = last["point"], last["rotation"]
+        (_, place), (_, rotation) = last["point"], last["rotation"]
         found = _UNKNOWNS.findall(_text(run.printed))
-        return Reading((*place, *turn), int(found[-1]) if found else 0)
+        return Reading((*place, *rotation), int(found[-1]) if found else 0)
 
-    def complaint(self, run: Run) -> Complaint | None:
+    def complaint(self, run: DeckRun) -> Complaint | None:
         """Return what ccx printed after ``*ERROR``; it may end with exit code 0 all the same."""
         errors = list(_errors(_text(run.printed)))
         if not errors:
@@ -64,7 +64,7 @@ class CalculixDat:
         apart = any(words in error for error in errors for words in _NO_EQUILIBRIUM)
         return Complaint(quoted, apart)
 
-    def stage(self, run: Run) -> tuple[float, str] | None:
+    def stage(self, run: DeckRun) -> tuple[float, str] | None:
         """Return the last line of the .sta file: the increment and the time within the step."""
         words = (_text(run.folder / f"{run.job}.sta").splitlines() or [""])[-1].split()
         try:
@@ -89,7 +89,7 @@ class CalculixDat:
         ]
 
 
-def _last(path: Path, name: str, wanted: str) -> tuple[str, tuple[float, ...]]:
+def _last(path: Path, name: str, node_set: str) -> tuple[str, tuple[float, ...]]:
     """Return time and motion of the last block that `path` has of a set."""
     time, rows = "", []
     inside = False
@@ -97,18 +97,18 @@ def _last(path: Path, name: str, wanted: str) -> tuple[str, tuple[float, ...]]:
         for line in lines:
             head = _HEAD.match(line)
             if head is not None:
-                inside = head[1].upper() == wanted.upper()
+                inside = head[1].upper() == node_set.upper()
                 time, rows = (head[2], []) if inside else (time, rows)
             elif inside and line.strip():
                 inside = line.split()[0].isdigit()
                 rows += [line.split()[1:]] if inside else []
     if len(rows) != 1:
-        said = f"{len(rows)} nodes" if rows else "no displacement"
+        count = f"{len(rows)} nodes" if rows else "no displacement"
         raise OutputError(
-            f'{name} has {said} of the set "{wanted}"; it must have that of one node.'
+            f'{name} has {count} of the set "{node_set}"; it must have that of one node.'
         )
     if len(rows[0]) != 3:
-        raise OutputError(f'{name} is cut off at the set "{wanted}".')
+        raise OutputError(f'{name} is cut off at the set "{node_set}".')
     return time, tuple(number(word, name) for word in rows[0])
 
 

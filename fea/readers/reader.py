@@ -19,7 +19,7 @@ class OutputError(ValueError):
 
 
 @dataclass(frozen=True)
-class Run:
+class DeckRun:
     """Where one run of a deck left its files.
 
     Attributes
@@ -55,13 +55,13 @@ class Reading:
 
 @dataclass(frozen=True)
 class Complaint:
-    """What a solver said went wrong: its own words, and whether it found no equilibrium."""
+    """An error that a solver reports: its own words, and whether it found no equilibrium."""
 
     quoted: str
     not_converged: bool = False
 
 
-class Reader(Protocol):
+class DeckReader(Protocol):
     """What a deck asks of a reader; made without arguments."""
 
     moment: str
@@ -69,20 +69,20 @@ class Reader(Protocol):
     keys: tuple[str, ...]
     """The keys of ``[deck] output`` it needs besides ``reader``."""
 
-    def read(self, run: Run, told: Mapping[str, str]) -> Reading:
+    def read(self, run: DeckRun, options: Mapping[str, str]) -> Reading:
         """Return what the run found; raise `OutputError` if it cannot be read."""
         ...
 
-    def complaint(self, run: Run) -> Complaint | None:
+    def complaint(self, run: DeckRun) -> Complaint | None:
         """Return the errors the solver reported, None if it reported none."""
         ...
 
-    def stage(self, run: Run) -> tuple[float, str] | None:
-        """Return how far a run is, 0 to 1 and a message; None if that cannot be told."""
+    def stage(self, run: DeckRun) -> tuple[float, str] | None:
+        """Return how far a run is, 0 to 1 and a message; None if that is unknown."""
         ...
 
     def mistakes(self, text: str, deck: Deck) -> list[str]:
-        """Return what is wrong with the text of a deck and its files, as far as can be told."""
+        """Return mistakes in the text of a deck and its files that show without a run."""
         ...
 
 

@@ -1,1 +1,1 @@
-"""What a solve tells beside the interface: the surface displaced, and the stresses within."""
+"""Fields of a solution: displacement of the surface, stresses at the integration points."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrenchbook.fea.assembly.body import Body
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.assembly.body import ElasticBody
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.recovery.stress import cauchy_stress, places_of, small_stress
 from wrenchbook.fea.recovery.surface import surface_of
@@ -60,7 +60,7 @@ class SolveFields:
     largest_region: str
 
 
-def fields_of(component: Component, body: Body, solution: Solution) -> SolveFields:
+def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> SolveFields:
     """Return the fields of a solution.
 
     Parameters
@@ -82,8 +82,8 @@ def fields_of(component: Component, body: Body, solution: Solution) -> SolveFiel
         stress = changes @ solution.wrench
     else:
         # Changes that nobody keeps are not made: they take six times the stresses.
-        wanted = slopes if kept.stop is None else slopes[:, :, :0]
-        stress, changes = cauchy_stress(body, nodes, wanted)
+        fields = slopes if kept.stop is None else slopes[:, :, :0]
+        stress, changes = cauchy_stress(body, nodes, fields)
     regions = tuple(material.region for material in component.materials)
     equivalent = von_mises(stress)
     worst = int(equivalent.argmax())

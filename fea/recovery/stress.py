@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from wrenchbook.fea.assembly.blocks import sorted_cells
-from wrenchbook.fea.assembly.body import Body, gather
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.assembly.body import ElasticBody, gather
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.solution import Solution
 
@@ -17,15 +17,15 @@ Array = np.ndarray
 _ROWS, _COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # xx, yy, zz, xy, xz, yz
 
 
-def places_of(component: Component, points: Array) -> tuple[Array, Array]:
-    """Return where the integration points are, and their materials, in the order of `Body.parts`.
+def places_of(component: ComponentModel, points: Array) -> tuple[Array, Array]:
+    """Return places and materials of the integration points, in the order of `ElasticBody.parts`.
 
     Parameters
     ----------
     component
         Its mesh's cells and their materials.
     points
-        Shape (n, 3), m: the mesh's points, in the frame wanted.
+        Shape (n, 3), m: the mesh's points, in the frame of the result.
 
     Returns
     -------
@@ -42,7 +42,7 @@ def places_of(component: Component, points: Array) -> tuple[Array, Array]:
     return np.concatenate(places), np.concatenate(materials).astype(np.int32)
 
 
-def small_stress(body: Body, fields: Array) -> Array:
+def small_stress(body: ElasticBody, fields: Array) -> Array:
     """Return the stresses of small displacement fields, shape (n, 3, k), m over some unit.
 
     Shape (p, 6, k), Pa over that unit: xx, yy, zz, xy, xz, yz.
@@ -54,7 +54,7 @@ def small_stress(body: Body, fields: Array) -> Array:
     return np.concatenate(found)
 
 
-def cauchy_stress(body: Body, displacement: Array, tangents: Array) -> tuple[Array, Array]:
+def cauchy_stress(body: ElasticBody, displacement: Array, tangents: Array) -> tuple[Array, Array]:
     """Return the Cauchy stresses of a displaced body, and their change with the wrench.
 
     Parameters
@@ -82,7 +82,7 @@ def cauchy_stress(body: Body, displacement: Array, tangents: Array) -> tuple[Arr
     return np.concatenate(stresses), np.concatenate(changes)
 
 
-def stress_of(component: Component, body: Body, solution: Solution) -> Array:
+def stress_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> Array:
     """Return the stresses of a solution, shape (p, 6), Pa: Cauchy's, or the small-strain ones."""
     nodes = solution.nodes @ component.axes.T
     if not component.analysis.nonlinear:
@@ -97,7 +97,7 @@ def _six(stress: Array) -> Array:
     return six.reshape(*before, cells * points, 6)
 
 
-def _parts(component: Component) -> Iterator[tuple[str, Array, Array]]:
+def _parts(component: ComponentModel) -> Iterator[tuple[str, Array, Array]]:
     """Yield kind, nodes and materials of the cells as `fea.assembly.blocks` sorts them."""
     mesh, materials = component.mesh, component.materials
     for block, numbers, chosen, _, _ in sorted_cells(mesh, materials, component.material_of_cells):

@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.assembly.balance import Balance
-from wrenchbook.fea.assembly.linearisation import Linearisation
+from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.solver.newton import Equilibrium, Report, Stuck, correct, tangent_after
 
@@ -28,7 +27,7 @@ _LEAST = 1.0 / 256  # of the first step
 _FINE = 1.0 / 8  # of the first step: short enough to tell a limit point from a bifurcation
 _REACH = 0.01  # of the part's size: the furthest that a node may go in one step
 _LONGEST = 8.0  # times the first step
-_STRAIGHT = 0.7  # cosine of a path that bends no more than it should in one step
+_LEAST_COSINE = 0.7  # cosine of a path that bends no more than it should in one step
 
 
 class Ending(NamedTuple):
@@ -70,13 +69,13 @@ class ArcPath:
     direction
         Shape (6,): the load per unit of the size.
     whole
-        The size of the load asked for.
+        The size of the full load.
     start
         A stable equilibrium at the load factor `factor`, with its tangent.
     step
         Change of the load factor to begin with.
     report
-        Called with a load factor; returns what is then told each iteration.
+        Called with a load factor; returns a function that is called after each iteration.
     """
 
     def __init__(
@@ -114,15 +113,15 @@ class ArcPath:
                     break
                 continue
             course = self._course(ahead)
-            if abs(course) < _STRAIGHT and self._length > _LEAST * self._first:
+            if abs(course) < _LEAST_COSINE and self._length > _LEAST * self._first:
                 self._length *= 0.5
                 continue
-            turned = course < 0
-            if turned or not ahead.found.tangent.stable:
-                if not turned and self._length > _FINE * self._first:
+            past_limit = course < 0
+            if past_limit or not ahead.found.tangent.stable:
+                if not past_limit and self._length > _FINE * self._first:
                     self._length *= 0.5
                     continue
-                return self._ending(ahead, turned)
+                return self._ending(ahead, past_limit)
             if ahead.size >= self._whole:
                 return Ending("reached", 1.0, ahead.found)
             accept(ahead.found, ahead.size / self._whole)
@@ -131,9 +130,9 @@ class ArcPath:
                 self._length = min(_GROWTH * self._length, _LONGEST * self._first)
         return Ending("lost", self._point.size / self._whole, self._point.found)
 
-    def _ending(self, ahead: _Point, turned: bool) -> Ending:
+    def _ending(self, ahead: _Point, past_limit: bool) -> Ending:
         """Place the critical factor between two points, by a cubic in the path's length."""
-        if not turned:
+        if not past_limit:
             middle = 0.5 * (self._point.size + ahead.size) / self._whole
             return Ending("bifurcation", middle, self._point.found)
         length = float(np.linalg.norm(self._between(ahead)))

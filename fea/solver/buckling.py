@@ -13,13 +13,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 
-from wrenchbook.fea.assembly.body import Body, gather
+from wrenchbook.fea.assembly.body import ElasticBody, gather
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.solver.vibration import Inertia
 
 Array = np.ndarray
 
-_MODES = 8  # at once, of both signs; the wanted two converge as the quotient to the ninth
+_MODES = 8  # at once, of both signs; the two extreme ones converge as the quotient to the ninth
 _ITERATIONS = 12
 _CONVERGED = 1e-4  # relative change: factors are judged by their first two digits
 _SEED = 20170726  # of the start vectors: the same bundle gives the same digits
@@ -48,7 +48,7 @@ def buckling_factors(system: System, fields: Array) -> tuple[float, float]:
     return _factor(values.max()), _factor(-values.min())
 
 
-def geometric_stiffness(body: Body, fields: Array) -> csr_array:
+def geometric_stiffness(body: ElasticBody, fields: Array) -> csr_array:
     """Return G for the stresses of a small displacement field (n, 3), m; shape (n, n), N/m."""
     rows, columns, entries = [], [], []
     for part, nodes in zip(body.parts, body.cells, strict=True):
@@ -87,8 +87,8 @@ def _ritz(stiffness: Array, geometric: Array, moved: Array) -> tuple[Array, Arra
     size, own = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
     kept = size > 1e-12 * size.max(initial=0.0)
     basis = own[:, kept] / np.sqrt(size[kept])
-    values, turned = np.linalg.eigh(basis.T @ (0.5 * (geometric + geometric.T)) @ basis)
-    return values, (basis @ turned).T @ moved
+    values, modes = np.linalg.eigh(basis.T @ (0.5 * (geometric + geometric.T)) @ basis)
+    return values, (basis @ modes).T @ moved
 
 
 def _factor(value: float) -> float:

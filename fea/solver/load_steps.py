@@ -6,10 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wrenchbook.fea.assembly.balance import Balance
-from wrenchbook.fea.assembly.linearisation import Linearisation
+from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import System
-from wrenchbook.fea.coupling import State
+from wrenchbook.fea.coupling import CoupledState
 from wrenchbook.fea.coupling.rotation import rotation, rotation_vector
 from wrenchbook.fea.failure import (
     SolveFailed,
@@ -88,7 +87,9 @@ class LoadPath:
         self._balance = system.balance_at_rest
         self._tangent = system.undeformed
 
-    def follow(self, check: Callable[[Balance], None], guess: State | None = None) -> Equilibrium:
+    def follow(
+        self, check: Callable[[Balance], None], guess: CoupledState | None = None
+    ) -> Equilibrium:
         """Step to the full wrench.
 
         Parameters
@@ -120,7 +121,7 @@ class LoadPath:
         """Return the load factor of the last state found, and its nodes, shape (n, 3), m."""
         return self._factor, self._balance.state.nodes
 
-    def _try_guess(self, guess: State) -> Equilibrium | None:
+    def _try_guess(self, guess: CoupledState) -> Equilibrium | None:
         start = self._system.balance(guess, self._wrench)
         try:
             tangent = self._system.linearise(start)

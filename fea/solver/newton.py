@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.assembly.balance import Balance
-from wrenchbook.fea.assembly.linearisation import Linearisation
+from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import System
 
 Array = np.ndarray
@@ -123,13 +122,13 @@ def find_equilibrium(
     """Iterate from a state out of balance.
 
     The first correction uses `tangent` as it is. While steps are large the tangents after it take
-    the stress that the step aimed at (`Body.tangent`); the last are tangents proper at the state
-    itself, and only their corrections count as proof of convergence.
+    the stress that the step aimed at (`ElasticBody.tangent`); the last are tangents proper at the
+    state itself, and only their corrections count as proof of convergence.
 
     Parameters
     ----------
     balance
-        Where to start, under the wrench wanted.
+        Where to start, under the required wrench.
     tangent
         A linearisation at, or near, that state.
     report

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from wrenchbook.fea.assembly.linearisation import contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling.rotation import skew
+from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.mesh.reference_cell import reference_element
 
 Array = np.ndarray
 
@@ -122,7 +124,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     system
         The equations, in the interface frame.
     mass
-        Shape (n, n), kg, from `fea.assembly.mass`; without entries the component is massless.
+        Shape (n, n), kg, from `fea.solver.vibration`; without entries the component is massless.
     riding
         What stands on the interface.
 
@@ -133,10 +135,10 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     SolveFailed
         ``mechanism`` or ``ill_conditioned``.
     """
-    held = np.zeros((6, 6))
+    interface_mass = np.zeros((6, 6))
     active = system.coupling.active
-    held[np.ix_(active, active)] = riding.matrix[np.ix_(active, active)]
-    inertia = Inertia(system, mass, held)
+    interface_mass[np.ix_(active, active)] = riding.matrix[np.ix_(active, active)]
+    inertia = Inertia(system, mass, interface_mass)
     own = float(mass.sum())
     x = _lowest(inertia) if mass.nnz else _massless(inertia)
     fields, interface = inertia.fields(x)
@@ -148,8 +150,8 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
 class Inertia:
     """The mass matrix over free nodes and active interface freedoms, and K^-1."""
 
-    def __init__(self, system: System, mass: csr_array, held: Array) -> None:
-        self._mass, self.held = mass, held
+    def __init__(self, system: System, mass: csr_array, interface_mass: Array) -> None:
+        self._mass, self.interface_mass = mass, interface_mass
         self._start = system.undeformed
         self.active = system.coupling.active
         self._free = np.flatnonzero(system.body.free)
@@ -172,7 +174,7 @@ class Inertia:
         nodes, interface = self.fields(np.asarray(x).reshape(-1))
         forces = np.asarray(self._mass @ nodes)
         border = contract(self._ties, forces[:, :, None])[:, 0]
-        border += (self.held @ interface)[self.active]
+        border += (self.interface_mass @ interface)[self.active]
         return np.concatenate([forces[self._free].ravel(), border])
 
     def solved(self, loads: Array) -> Array:
@@ -216,7 +218,7 @@ def _massless(inertia: Inertia) -> Array:
     moved = np.stack([inertia.solved(unit) for unit in units], axis=1)
     compliance = moved[-count:]
     lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
-    carried = inertia.held[np.ix_(inertia.active, inertia.active)]
+    carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]
     values, motions = np.linalg.eigh(lower.T @ carried @ lower)
     if not values[-1] > 0:
         raise ValueError(
@@ -231,3 +233,41 @@ def _directed(interface: Array) -> Array:
     if length == 0.0:
         return interface
     return interface / (length * np.sign(interface[np.abs(interface).argmax()]))
+
+
+def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
+    """Integrate density N_a N_b over all cells.
+
+    It is the same for each of the three components of a displacement, so it stands once.
+
+    Parameters
+    ----------
+    mesh
+        The cells, in any frame.
+    density
+        For each block of the mesh, shape (cells,), kg/m^3.
+
+    Returns
+    -------
+    csr_array
+        Shape (n, n), kg; the sum of its entries is the whole mass.
+    """
+    count = len(mesh.points)
+    total = csr_array((count, count))
+    for block, own in zip(mesh.blocks, density, strict=True):
+        entries = _cell_mass(mesh.points, block, own)
+        rows = np.repeat(block.nodes, block.nodes.shape[1], axis=1)
+        columns = np.tile(block.nodes, (1, block.nodes.shape[1]))
+        places = rows.ravel(), columns.ravel()
+        total = total + coo_array((entries.ravel(), places), shape=(count, count)).tocsr()
+    return csr_array(total)
+
+
+def _cell_mass(points: Array, block: CellBlock, density: Array) -> Array:
+    """Return the mass matrix of each cell, shape (cells, nodes, nodes), kg."""
+    element = reference_element(block.kind, "mass")
+    jacobian = points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes
+    weights = np.linalg.det(jacobian) * element.weights * density[:, None]
+    products = element.values[:, :, None] * element.values[:, None, :]
+    size = block.nodes.shape[1]
+    return (weights @ products.reshape(len(products), -1)).reshape(len(block), size, size)

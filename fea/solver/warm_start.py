@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.coupling import State
+from wrenchbook.fea.coupling import CoupledState
 from wrenchbook.fea.solution import Solution
 
 Array = np.ndarray
@@ -44,7 +44,7 @@ class WarmFolder:
         self._fingerprint = fingerprint
         self._scale = np.where(np.asarray(scale) > 0, scale, 1.0)
 
-    def nearest(self, wrench: Array, points: int) -> State | None:
+    def nearest(self, wrench: Array, points: int) -> CoupledState | None:
         """Return the state of the nearest wrench kept, if one is near.
 
         Parameters
@@ -101,10 +101,10 @@ class WarmFolder:
                     yield path, wrench
 
 
-def _read_state(path: Path, points: int) -> State | None:
+def _read_state(path: Path, points: int) -> CoupledState | None:
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            state = State(file["nodes"], file["interface"], file["multipliers"])
+            state = CoupledState(file["nodes"], file["interface"], file["multipliers"])
     except _UNREADABLE:
         return None
     arrays = tuple(vars(state).values())

@@ -35,7 +35,7 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
         The fields of `fea.spec.schema.Bundle` that can change an answer; others are not looked at.
     """
     materials = sorted((_material(each) for each in parts["materials"]), key=json.dumps)
-    told = {
+    content = {
         "mesh": _mesh(parts["mesh"]),
         "materials": materials,
         "supports": _supports(parts["supports"]),
@@ -44,9 +44,9 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
         "deck": _deck(parts["deck"]),
     }
     if parts["analysis"].nonlinear and parts["mesh"] is not None and parts["deck"] is None:
-        told["solver"] = NONLINEAR_SOLVER
+        content["solver"] = NONLINEAR_SOLVER
     # json writes floats by repr, so equal numbers give equal text and different ones do not.
-    text = json.dumps(told, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
 
 
@@ -55,22 +55,22 @@ def _mesh(source: MeshSource | None) -> object:
         return None
     if source.file is not None:
         # The ending chooses the reader; the rest of the name changes nothing.
-        told: dict[str, object] = {"file": _bytes(source.file), "ending": source.file.suffix}
+        content: dict[str, object] = {"file": _bytes(source.file), "ending": source.file.suffix}
         if source.geometry is not None:
-            return told | {"geometry": asdict(source.geometry)}
+            return content | {"geometry": asdict(source.geometry)}
         order = {} if source.order is None else {"order": source.order}
-        return told | {"unit": source.unit} | order
+        return content | {"unit": source.unit} | order
     return {"generator": source.generator, "parameters": dict(source.parameters or {})}
 
 
 def _material(material: Material) -> list[object]:
     # Neither density nor yield strength: no static displacement depends on them.
-    told: list[object] = [material.region, material.youngs_modulus, material.poisson_ratio]
+    content: list[object] = [material.region, material.youngs_modulus, material.poisson_ratio]
     if material.law != "isotropic":
-        told.append(material.law)
+        content.append(material.law)
     if material.orthotropic is not None:
-        told.append(asdict(material.orthotropic))
-    return told
+        content.append(asdict(material.orthotropic))
+    return content
 
 
 def _supports(supports: Supports | None) -> object:

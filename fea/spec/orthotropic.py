@@ -45,7 +45,7 @@ class Orthotropic:
     @property
     def stable(self) -> bool:
         """Whether every strain costs energy (Lempriere 1968)."""
-        # Scaled to a unit diagonal, or a modulus of 1e11 beside one of 1e6 would decide it.
+        # Scaled to a unit diagonal, or a modulus of 1e11 next to one of 1e6 would decide it.
         scale = np.sqrt(np.array(self.youngs_moduli))
         return bool(np.linalg.eigvalsh(self._compliance * np.outer(scale, scale))[0] > 1e-9)
 

@@ -1,4 +1,4 @@
-"""The mistakes of a component bundle, gathered so that all are told at once."""
+"""The mistakes of a component bundle, gathered so that all are reported at once."""
 
 from __future__ import annotations
 

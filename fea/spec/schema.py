@@ -38,7 +38,7 @@ GEOMETRY_ENDINGS = (".step", ".stp")
 
 
 @dataclass(frozen=True)
-class Choice:
+class Selector:
     """Which faces of a geometry make a group, or which of its bodies make a region.
 
     A face or body belongs if any of these names it.
@@ -62,7 +62,7 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Geometry:
+class GeometryMeshing:
     """How to mesh a geometry file.
 
     Attributes
@@ -77,8 +77,8 @@ class Geometry:
 
     size: float
     curvature: int = 0
-    groups: Mapping[str, Choice] = field(default_factory=dict)
-    regions: Mapping[str, Choice] = field(default_factory=dict)
+    groups: Mapping[str, Selector] = field(default_factory=dict)
+    regions: Mapping[str, Selector] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class MeshSource:
 
     file: Path | None = None
     unit: str = "m"
-    geometry: Geometry | None = None
+    geometry: GeometryMeshing | None = None
     order: int | None = None
     generator: str | None = None
     parameters: Mapping[str, Any] | None = None
@@ -120,9 +120,9 @@ class Material:
         Between -1 and 0.5, both excluded; of an orthotropic material that of the nearest isotropic
         one, which tells cells that would lock.
     density
-        kg/m^3; None where the bundle does not say it. It changes no static answer.
+        kg/m^3; None where the bundle does not give it. It changes no static answer.
     yield_strength
-        Pa, held against the von Mises stress; None where the bundle does not say it.
+        Pa, compared with the von Mises stress; None where the bundle does not give it.
     law
         One of `LAWS`. The constants of "neo-hookean" are those at small strains.
     orthotropic
@@ -160,7 +160,7 @@ class Interface:
     coupling
         "rigid" or "distributed".
     locked
-        Freedoms held by a guide, of `FREEDOMS` and in their order.
+        Freedoms that a guide locks, of `FREEDOMS` and in their order.
     """
 
     section: str
@@ -212,7 +212,7 @@ class Deck:
     command
         The program and its arguments; ``{job}`` stands for the deck's name without its ending.
     output
-        The reader of the solver's output and what that reader is told.
+        The reader of the solver's output, and that reader's options.
     files
         Other files of the bundle that the deck or the command needs; copied next to the deck.
     unit

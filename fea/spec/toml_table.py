@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from wrenchbook.fea.spec.problems import Problem, suggest
@@ -21,7 +22,7 @@ class Keys:
     """One table of the file and where it stands.
 
     Each reading method takes a key, notes a `Problem` if its value will not do, and then returns
-    None. `close` notes the keys that nobody asked for.
+    None. `close` notes the keys that no method has read.
 
     Parameters
     ----------
@@ -35,7 +36,7 @@ class Keys:
 
     def __init__(self, table: Mapping[str, Any], problems: list[Problem], where: str = "") -> None:
         self._table = table
-        self._asked: list[str] = []
+        self._known: list[str] = []
         self.problems = problems
         self.where = where
 
@@ -54,16 +55,16 @@ class Keys:
         self.problems.append(Problem(self.path(key), message))
 
     def close(self) -> None:
-        """Note every key that was not asked for, with the nearest one that exists."""
+        """Note every key that no method has read, with the nearest known one."""
         for key in self._table:
-            if key not in self._asked:
-                known = ", ".join(self._asked)
-                hint = suggest(key, self._asked)
+            if key not in self._known:
+                known = ", ".join(self._known)
+                hint = suggest(key, self._known)
                 self.wrong(key, f"unknown key{hint} (known here: {known})")
 
     def raw(self, key: str, kind: type, required: bool = True) -> Any:
         """Return the value of `key` if it is of the TOML type `kind`, else None."""
-        self._asked.append(key)
+        self._known.append(key)
         value = self._table.get(key, _MISSING)
         if value is _MISSING:
             if required:
@@ -88,7 +89,7 @@ class Keys:
     def choice(self, key: str, among: Sequence[str], required: bool = True) -> str | None:
         """Return one of the words `among`."""
         if required and key not in self._table:
-            self._asked.append(key)
+            self._known.append(key)
             self.wrong(key, f"missing; write one of {', '.join(among)}")
             return None
         value = self.text(key, required)
@@ -111,7 +112,7 @@ class Keys:
         required: bool = True,
     ) -> float | None:
         """Return a finite number strictly between two bounds; `unit` is for the message."""
-        self._asked.append(key)
+        self._known.append(key)
         if key not in self._table:
             if required:
                 self.wrong(key, f"missing; write a number in {unit}")
@@ -120,7 +121,7 @@ class Keys:
 
     def whole(self, key: str, least: int, required: bool = True) -> int | None:
         """Return a whole number from `least` to a thousand million."""
-        self._asked.append(key)
+        self._known.append(key)
         if key not in self._table:
             if required:
                 self.wrong(key, f"missing; write a whole number from {least} up")
@@ -217,3 +218,25 @@ def _shown(value: object) -> str:
     """Return `value` shortened to what fits into a message."""
     text = repr(value).replace("'", '"') if type(value) is not bool else str(value).lower()
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def bundle_file(keys: Keys, key: str, folder: Path, required: bool = True) -> Path | None:
+    """Return the path of a file of the bundle that exists and lies within its folder."""
+    name = keys.text(key, required)
+    if name is None:
+        return None
+    path = folder / name
+    # Resolved, so that a symbolic link out of the folder is refused too.
+    if Path(name).is_absolute() or not path.resolve().is_relative_to(folder.resolve()):
+        keys.wrong(key, f'"{name}" is outside the bundle; put the file into its folder')
+        return None
+    try:
+        there = path.is_file()
+    except OSError as error:  # a name that no disk takes
+        keys.wrong(key, f'"{name[:100]}" cannot be a file ({error.strerror})')
+        return None
+    if not there:
+        known = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
+        keys.wrong(key, f'there is no file "{name}" in the bundle (it has {", ".join(known)})')
+        return None
+    return path

@@ -119,19 +119,19 @@ def main(arguments: list[str] | None = None) -> int:
     shape.add_argument("--markdown", action="store_true", help="print Markdown tables")
     shape.add_argument("--json", action="store_true", help="print one JSON array")
     shape.add_argument("--update", type=Path, metavar="PAGE", help="put the tables into a page")
-    asked = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     started = time.perf_counter()
     found: list[tuple[Case, Finding]] = []
-    if asked.markdown or asked.json:
-        found.extend(run(asked.topic))
-        print(markdown(found) if asked.markdown else _json(found))
+    if options.markdown or options.json:
+        found.extend(run(options.topic))
+        print(markdown(found) if options.markdown else _json(found))
     else:
-        _plain(asked.topic, found)
-    if asked.update is not None:
-        page = asked.update.read_text(encoding="utf-8")
-        asked.update.write_text(replace_table(page, markdown(found)), encoding="utf-8")
+        _plain(options.topic, found)
+    if options.update is not None:
+        page = options.update.read_text(encoding="utf-8")
+        options.update.write_text(replace_table(page, markdown(found)), encoding="utf-8")
     verdicts = [finding.verdict for _, finding in found]
-    if not (asked.markdown or asked.json):
+    if not (options.markdown or options.json):
         print(f"\n{_summary(verdicts)}, {time.perf_counter() - started:.0f} s")
     return 1 if "FAIL" in verdicts else 0
 

@@ -11,10 +11,10 @@ from wrenchbook.fea.mesh.reference_cell import node_places, tabulate
 _KUHN = [(0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2), (0, 2, 1), (2, 1, 0)]
 
 
-def box(kind="hex20", divisions=(2, 2, 2), lengths=(1.0, 1.0, 1.0), warp=None, straight=False):
+def box(kind="hex20", divisions=(2, 2, 2), lengths=(1.0, 1.0, 1.0), warp=None, corners_only=False):
     """Mesh a box with its corner at the origin; `warp` maps points (n, 3) to points (n, 3).
 
-    With `straight` only the corners are warped and the other nodes put midway.
+    With `corners_only` only the corners are warped and the other nodes put midway.
     Facet groups: x0, x1, y0, y1, z0, z1.
     """
     divisions = np.asarray(divisions)
@@ -31,7 +31,7 @@ def box(kind="hex20", divisions=(2, 2, 2), lengths=(1.0, 1.0, 1.0), warp=None, s
     if warp is not None:
         points = warp(points)
     block = CellBlock(kind, cells_flat.reshape(cells.shape))
-    if straight:
+    if corners_only:
         points = _straighten(points, block)
     return Mesh(points, (block,), {"all": (np.arange(len(cells)),)}, groups, {})
 

@@ -1,4 +1,4 @@
-"""The same mesh solved by CalculiX, if its program ``ccx`` is there."""
+"""The same mesh solved by CalculiX, if its program ``ccx`` is installed; cases that compare."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.rotation import spin_per_vector
 from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation.finding import Finding
 
 Array = np.ndarray
 
@@ -26,7 +28,7 @@ PROGRAM = "ccx"
 ABSENT = "ccx is not installed"
 
 
-class Reply(NamedTuple):
+class CalculixResult(NamedTuple):
     """What ccx found.
 
     Attributes
@@ -47,13 +49,13 @@ def installed() -> bool:
 
 
 def solve_rigid(
-    part: Component,
+    part: ComponentModel,
     wrench: Sequence[float],
-    turn: Array | None = None,
+    rotation: Array | None = None,
     *,
     tight: bool = True,
     timeout: float = 600.0,
-) -> Reply:
+) -> CalculixResult:
     """Solve a component with a rigid coupling.
 
     Parameters
@@ -62,9 +64,9 @@ def solve_rigid(
         In any analysis; CalculiX follows it.
     wrench
         Shape (6,), N and N·m.
-    turn
+    rotation
         The rotation vector that the answer will have, shape (3,), rad: CalculiX takes the moment
-        that works on the rotation vector, m = J_left(turn)^-T M. None where it is small.
+        that works on the rotation vector, m = J_left(rotation)^-T M. None where it is small.
     tight
         Nonlinear: converge to 1e-7 instead of CalculiX's default, which leaves up to 5e-3 in small
         rotations.
@@ -76,18 +78,20 @@ def solve_rigid(
     RuntimeError
         If ccx ends without an answer.
     """
-    told = np.array(wrench, dtype=float)
-    if turn is not None:
-        told[3:] = spin_per_vector(turn).T @ told[3:]
+    loads = np.array(wrench, dtype=float)
+    if rotation is not None:
+        loads[3:] = spin_per_vector(rotation).T @ loads[3:]
     deck = deck_of(part)
-    for placeholder, load in zip(PLACEHOLDERS, told, strict=True):
+    for placeholder, load in zip(PLACEHOLDERS, loads, strict=True):
         deck = deck.replace(placeholder, f"{load:.12e}")
     rows, seconds = _run(deck if tight else deck.replace(_TIGHT, ""), timeout)
     count = len(part.mesh.points)
-    return Reply(np.array(rows[count + 1] + rows[count + 2]), seconds)
+    return CalculixResult(np.array(rows[count + 1] + rows[count + 2]), seconds)
 
 
-def solve_distributed(part: Component, wrench: Sequence[float], timeout: float = 600.0) -> Reply:
+def solve_distributed(
+    part: ComponentModel, wrench: Sequence[float], timeout: float = 600.0
+) -> CalculixResult:
     """Solve a component with a distributed coupling in linear analysis.
 
     CalculiX reports no motion of its own distributing coupling and takes no moment there. So the
@@ -105,11 +109,13 @@ def solve_distributed(part: Component, wrench: Sequence[float], timeout: float =
     loads = weights[:, None] * (force + np.cross(spin, arms))
     rows, seconds = _run(_with_loads(part, loads), timeout)
     moved = np.array([rows[int(node) + 1] for node in part.section.node_ids])
-    turn = np.linalg.solve(inertia, weights @ np.cross(arms, moved))
-    return Reply(np.concatenate([weights @ moved - np.cross(turn, centre), turn]), seconds)
+    rotation = np.linalg.solve(inertia, weights @ np.cross(arms, moved))
+    return CalculixResult(
+        np.concatenate([weights @ moved - np.cross(rotation, centre), rotation]), seconds
+    )
 
 
-def _with_loads(part: Component, loads: Array) -> str:
+def _with_loads(part: ComponentModel, loads: Array) -> str:
     """Return the deck with nodal loads, shape (k, 3), N, in place of the rigid body."""
     linear = replace(part.analysis, nonlinear=False)
     deck = deck_of(replace(part, coupling="rigid", analysis=linear))
@@ -148,3 +154,39 @@ def _run(deck: str, timeout: float) -> tuple[dict[int, list[float]], float]:
 def _rows(text: str) -> dict[int, list[float]]:
     words = (line.split() for line in text.splitlines())
     return {int(w[0]): [float(x) for x in w[1:]] for w in words if len(w) == 4 and w[0].isdigit()}
+
+
+LINEAR, NONLINEAR = 1e-5, 1e-4
+"""Relative difference allowed in each of the six components."""
+
+_SOURCE = "CalculiX ccx, tolerance 1e-7"
+
+
+def same_mesh(
+    name: str, part: ComponentModel, wrench: Sequence[float], *, nonlinear: bool
+) -> Iterator[Finding]:
+    """Compare one solve on one mesh: the largest relative difference of the six components."""
+    part = replace(part, analysis=replace(part.analysis, nonlinear=nonlinear))
+    kind = "nonlinear" if nonlinear else "linear"
+    quantity = f"{name}, {part.coupling}, {kind}: worst of six components, relative"
+    if not installed():
+        yield Finding(quantity, _SOURCE, missing=ABSENT)
+        return
+    found = Solver(part).solve(wrench).displacement
+    if part.coupling == "rigid":
+        reply = solve_rigid(part, wrench, found[3:] if nonlinear else None)
+    else:
+        reply = solve_distributed(part, wrench)
+    tolerance = NONLINEAR if nonlinear else LINEAR
+    gap = worst_gap(found, reply.displacement)
+    yield Finding(quantity, _SOURCE, 0.0, gap, tolerance, "absolute")
+
+
+def worst_gap(found: Array, expected: Array) -> float:
+    """Return the largest relative difference of two displacements, shape (6,), m and rad.
+
+    Both are exactly zero in what a guide holds.
+    """
+    zero = (found == 0) & (expected == 0)
+    scale = np.where(zero, 1.0, np.abs(expected))
+    return float(np.abs((found - expected) / scale).max())

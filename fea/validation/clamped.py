@@ -10,7 +10,7 @@ import numpy as np
 
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.fea.component import Component, build
+from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.schema import Analysis, Bundle, Interface, LoadRange, Material, Supports
@@ -29,7 +29,7 @@ def clamped(
     nonlinear: bool = False,
     point: Array | None = None,
     axes: Array | None = None,
-) -> Component:
+) -> ComponentModel:
     """Clamp one facet group of a mesh and attach the interface to another.
 
     Parameters
@@ -51,7 +51,7 @@ def clamped(
     place = part.centre if point is None else point
     interface = Interface(section, place, np.eye(3) if axes is None else axes, coupling)
     bundle = _bundle(Material("all", *material), fixed, interface, nonlinear)
-    return Component(
+    return ComponentModel(
         bundle=bundle,
         mesh=mesh,
         materials=bundle.materials,
@@ -84,7 +84,7 @@ def _bundle(material: Material, fixed: str, interface: Interface, nonlinear: boo
     )
 
 
-def shipped(name: str, **parameters: float) -> Component:
+def shipped(name: str, **parameters: float) -> ComponentModel:
     """Return a component of the shipped library, its generator's `parameters` changed."""
     bundle = read_bundle(SHIPPED / name)
     if parameters and bundle.mesh is not None:

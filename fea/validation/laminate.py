@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.orthotropic import Orthotropic
 from wrenchbook.fea.spec.schema import Material
@@ -45,7 +45,7 @@ def laminated_strips() -> Iterator[Finding]:
             yield Finding(coupled, _THEORY, theory[0, 3], compliance[0, 4], 5e-3)
 
 
-def strip(angles: Sequence[float], divisions: tuple[int, int] = DIVISIONS) -> Component:
+def strip(angles: Sequence[float], divisions: tuple[int, int] = DIVISIONS) -> ComponentModel:
     """Return a strip along x of plies at angles to it, degrees, from the bottom up."""
     lengths = (LENGTH, WIDTH, PLY * len(angles))
     part = clamped(box("hex20", (*divisions, len(angles)), lengths), "x0", "x1", (ALONG, RATIO))
@@ -69,7 +69,7 @@ def ply(angle: float) -> Material:
 def stiffness(angles: Sequence[float]) -> Array:
     """Return A, B and D of a laminate, shape (6, 6): N/m, N and N·m.
 
-    From the plane stress stiffness of each ply, turned by its angle, over the thickness.
+    From the plane stress stiffness of each ply, rotated by its angle, over the thickness.
     """
     heights = PLY * (np.arange(len(angles) + 1) - len(angles) / 2)
     total = np.zeros((6, 6))
@@ -85,7 +85,7 @@ def _plane_stress(angle: float) -> Array:
     minor = RATIO * ACROSS / apart
     own = np.array([[ALONG / apart, minor, 0], [minor, ACROSS / apart, 0], [0, 0, SHEAR]])
     # Strains (x, y, 2 xy) seen from the fibres.
-    turn = np.array(
+    rotation = np.array(
         [[c * c, s * s, s * c], [s * s, c * c, -s * c], [-2 * s * c, 2 * s * c, c * c - s * s]]
     )
-    return np.asarray(turn.T @ own @ turn)
+    return np.asarray(rotation.T @ own @ rotation)

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.spec.orthotropic import Orthotropic
 from wrenchbook.fea.spec.schema import Material
 from wrenchbook.fea.validation.boxes import box
+from wrenchbook.fea.validation.calculix import same_mesh
 from wrenchbook.fea.validation.clamped import clamped
 from wrenchbook.fea.validation.finding import Finding, case
-from wrenchbook.fea.validation.samemesh import same_mesh
 
 _X, _Y, _Z = rotation(np.array([0.3, -0.8, 0.5])).tolist()
 CARBON = Orthotropic(
@@ -31,7 +31,7 @@ SQUEEZE = (250.0, -100.0, -900.0, 0.5, 1.0, 0.8)
 def orthotropic_same_mesh() -> Iterator[Finding]:
     """Orthotropic bar, 50 x 20 x 400 mm, nine constants askew, on the same mesh as CalculiX."""
     for kind in ("hex20", "tet10"):
-        part = orthotropic_bar(kind)
+        part = orthotropic_beam(kind)
         for nonlinear in (False, True):
             yield from same_mesh(kind, part, TIP_LOAD, nonlinear=nonlinear)
 
@@ -46,8 +46,8 @@ def rubber_same_mesh() -> Iterator[Finding]:
             yield from same_mesh(name, part, SQUEEZE, nonlinear=nonlinear)
 
 
-def orthotropic_bar(kind: str, divisions: tuple[int, int, int] = (2, 2, 5)) -> Component:
-    """Return a bar of `CARBON`, its interface turned too."""
+def orthotropic_beam(kind: str, divisions: tuple[int, int, int] = (2, 2, 5)) -> ComponentModel:
+    """Return a bar of `CARBON`, its interface rotated too."""
     axes = rotation(np.array([0.2, 0.1, -0.4]))
     mesh = box(kind, divisions, (0.05, 0.02, 0.4))
     part = clamped(mesh, "z0", "z1", (1.0, 0.0), axes=axes)
@@ -55,7 +55,9 @@ def orthotropic_bar(kind: str, divisions: tuple[int, int, int] = (2, 2, 5)) -> C
     return replace(part, materials=(own,))
 
 
-def rubber_block(kind: str, ratio: float, divisions: tuple[int, int, int] = (2, 2, 2)) -> Component:
+def rubber_block(
+    kind: str, ratio: float, divisions: tuple[int, int, int] = (2, 2, 2)
+) -> ComponentModel:
     """Return a block of neo-Hookean rubber of 3 MPa between rigid plates."""
     part = clamped(box(kind, divisions, (0.05, 0.05, 0.04)), "z0", "z1", (1.0, 0.0))
     return replace(part, materials=(Material("all", 3e6, ratio, law="neo-hookean"),))

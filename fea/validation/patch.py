@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from wrenchbook.fea.assembly.blocks import filled_cells
-from wrenchbook.fea.assembly.body import Body
+from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solve import Solver
@@ -24,7 +24,7 @@ MATERIAL = (3.0e9, 0.3)
 COUPLINGS = ("rigid", "distributed")
 
 _IRONS = "Irons and Razzaque 1972: constant strain is exact"
-_TURN = np.array([0.4, -0.7, 0.3])
+_ROTATION_VECTOR = np.array([0.4, -0.7, 0.3])
 _ROUNDOFF = 1e-10
 
 
@@ -39,14 +39,14 @@ def distort(amount: float) -> Warp:
     return warp
 
 
-def body_of(mesh: Mesh, held: Array, integration: str = "reduced") -> Body:
-    """Return the body of a mesh of `MATERIAL` whose `held` nodes do not move.
+def body_of(mesh: Mesh, fixed: Array, integration: str = "reduced") -> ElasticBody:
+    """Return the body of a mesh of `MATERIAL` whose `fixed` nodes do not move.
 
-    `held` has shape (n,), bool, dimensionless.
+    `fixed` has shape (n,), bool, dimensionless.
     """
     numbers = [np.zeros(len(block), dtype=int) for block in mesh.blocks]
     filled = filled_cells(mesh, [Material("all", *MATERIAL)], numbers, integration)
-    return Body(mesh, filled, ~held)
+    return ElasticBody(mesh, filled, ~fixed)
 
 
 def on_the_surface(mesh: Mesh) -> Array:
@@ -55,15 +55,15 @@ def on_the_surface(mesh: Mesh) -> Array:
     return np.asarray(from_middle > 0.5 - 1e-9)
 
 
-def solve_with_boundary(body: Body, boundary: Array) -> Array:
+def solve_with_boundary(body: ElasticBody, boundary: Array) -> Array:
     """Solve for the free nodes with the others displaced as `boundary`, shape (n, 3), m, says."""
-    held = np.where(body.free[:, None], 0.0, boundary)
-    forces = body.small_strain_forces(held[:, :, None])
-    return held - body.tangent(None).solve(forces)[:, :, 0]
+    prescribed = np.where(body.free[:, None], 0.0, boundary)
+    forces = body.small_strain_forces(prescribed[:, :, None])
+    return prescribed - body.tangent(None).solve(forces)[:, :, 0]
 
 
 def _patch(kind: str) -> Mesh:
-    return box(kind, (3, 3, 3), warp=distort(0.05), straight=True)
+    return box(kind, (3, 3, 3), warp=distort(0.05), corners_only=True)
 
 
 @case("patch")
@@ -81,9 +81,9 @@ def constant_strain() -> Iterator[Finding]:
 
 @case("patch")
 def large_constant_deformation() -> Iterator[Finding]:
-    """Patch test at large deformation: 27 distorted cells, stretched 10 % and turned 49 degrees."""
+    """Patch test at large deformation: 27 distorted cells, stretched 10 %, rotated 49 degrees."""
     stretch = np.eye(3) + 0.1 * np.array([[1.0, 0.3, 0.1], [0.2, -0.4, 0.5], [0.6, 0.1, 0.8]])
-    gradient = rotation(_TURN) @ stretch
+    gradient = rotation(_ROTATION_VECTOR) @ stretch
     for kind in KINDS:
         mesh = _patch(kind)
         body = body_of(mesh, on_the_surface(mesh))
@@ -109,11 +109,11 @@ def couplings_stretch() -> Iterator[Finding]:
 @case("patch")
 def rigid_motion_costs_nothing() -> Iterator[Finding]:
     """Rigid-body invariance: a motion without deformation makes no force."""
-    turn = rotation(_TURN) - np.eye(3)
+    R_minus_I = rotation(_ROTATION_VECTOR) - np.eye(3)
     for kind in KINDS:
         mesh = _patch(kind)
         body = body_of(mesh, on_the_surface(mesh))
-        forces, _, _ = body.forces(mesh.points @ turn.T + [1.0, -2.0, 3.0])
+        forces, _, _ = body.forces(mesh.points @ R_minus_I.T + [1.0, -2.0, 3.0])
         largest = float(np.abs(forces).max() / MATERIAL[0])
         quantity = f"{kind}: largest nodal force / (E x 1 m²) after 49 degrees and 3.7 m"
         yield Finding(quantity, "objectivity", 0.0, largest, 1e-13, "absolute")
@@ -121,22 +121,22 @@ def rigid_motion_costs_nothing() -> Iterator[Finding]:
 
 @case("patch")
 def turned_component() -> Iterator[Finding]:
-    """Rigid-body invariance: a component turned and moved as a whole answers the same."""
+    """Rigid-body invariance: a component rotated and moved as a whole answers the same."""
     mesh = box("hex20", (4, 3, 2), (0.3, 0.2, 0.006))
-    turn, point = rotation(_TURN), np.array([0.31, 0.13, 0.05])
+    R, point = rotation(_ROTATION_VECTOR), np.array([0.31, 0.13, 0.05])
     wrench = [300.0, 150.0, -100.0, 4.0, 8.0, 6.0]
     for coupling in COUPLINGS:
         part = clamped(
             mesh, "x0", "x1", (70e9, 0.33), coupling=coupling, nonlinear=True, point=point
         )
         shift = np.array([1.0, -2.0, 3.0])
-        turned = replace(
+        moved = replace(
             part,
-            mesh=replace(mesh, points=mesh.points @ turn.T + shift),
-            point=turn @ point + shift,
-            axes=part.axes @ turn.T,
+            mesh=replace(mesh, points=mesh.points @ R.T + shift),
+            point=R @ point + shift,
+            axes=part.axes @ R.T,
         )
-        first, second = (Solver(p).solve(wrench).displacement for p in (part, turned))
+        first, second = (Solver(p).solve(wrench).displacement for p in (part, moved))
         gap = float(np.abs(second - first).max() / np.abs(first).max())
         quantity = f"{coupling}, nonlinear: largest change of a displacement, relative"
         yield Finding(quantity, "objectivity", 0.0, gap, 1e-8, "absolute")

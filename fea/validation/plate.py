@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrenchbook.fea.mesh.generators.plane import Section, quadratic, ring_quads
+from wrenchbook.fea.mesh.generators.plane import PlaneMesh, quadratic, ring_quads
 from wrenchbook.fea.mesh.generators.sweep import sweep
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation.calculix import same_mesh
 from wrenchbook.fea.validation.clamped import clamped, shipped
 from wrenchbook.fea.validation.finding import Finding, case
-from wrenchbook.fea.validation.samemesh import same_mesh
 
 Array = np.ndarray
 
@@ -41,13 +41,13 @@ def annulus(rings: int, around: int) -> Mesh:
     return Mesh(plate.points, (plate.cells,), facet_groups=walls)
 
 
-def _bend(section: Section) -> None:
+def _bend(section: PlaneMesh) -> None:
     """Move the middles of arcs out to their circles; those of spokes are on theirs already."""
     corners, middles = section.quads[:, :4], section.quads[:, 4:]
     radius = np.linalg.norm(section.points, axis=1)
-    wanted = 0.5 * (radius[corners] + radius[np.roll(corners, -1, axis=1)])
+    target = 0.5 * (radius[corners] + radius[np.roll(corners, -1, axis=1)])
     factor = np.ones(len(radius))
-    factor[middles] = wanted / radius[middles]
+    factor[middles] = target / radius[middles]
     section.points[:] *= factor[:, None]
 
 

@@ -12,7 +12,7 @@ from wrenchbook.fea.validation.patch import body_of, on_the_surface, solve_with_
 
 Array = np.ndarray
 
-_ORDERS = {
+_ORDER_AND_SIZES = {
     "hex8": (1, (4, 8)),
     "tet4": (1, (4, 8)),
     "wedge6": (1, (4, 8)),
@@ -28,7 +28,7 @@ _STILL_COARSE = 0.35  # what a rate may lack on meshes as coarse as these
 def energy_converges() -> Iterator[Finding]:
     """Convergence: rate of the energy's error as the cells of a smooth solution are halved."""
     exact = _energy("hex27", 6)
-    for kind, (order, sizes) in _ORDERS.items():
+    for kind, (order, sizes) in _ORDER_AND_SIZES.items():
         first, second = (abs(_energy(kind, n) / exact - 1.0) for n in sizes)
         quantity = f"{kind}: log2 of the error's quotient, {sizes[0]}³ to {sizes[1]}³ cells"
         source = "Strang and Fix 1973: twice the order"

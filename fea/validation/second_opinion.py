@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from wrenchbook.fea.bundle.read import read_bundle
-from wrenchbook.fea.component import Component, build
+from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.element.pressure_projection import projects
 from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.failure import SolveFailed
@@ -30,7 +30,7 @@ from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError, Problem
 from wrenchbook.fea.spec.schema import FREEDOMS
 from wrenchbook.fea.validation import calculix
-from wrenchbook.fea.validation.samemesh import LINEAR, NONLINEAR
+from wrenchbook.fea.validation.calculix import LINEAR, NONLINEAR
 
 Array = np.ndarray
 
@@ -72,15 +72,15 @@ class Opinion:
         return self.difference <= self.tolerance
 
 
-def comparable(part: Component) -> tuple[Component, tuple[str, ...]]:
+def comparable(part: ComponentModel) -> tuple[ComponentModel, tuple[str, ...]]:
     """Return the component that both can solve, and how it differs from the user's."""
     if part.coupling == "rigid" or not part.analysis.nonlinear:
         return part, ()
-    told = (
+    notes = (
         "CalculiX does not report the motion of a distributing coupling: both solve the component "
         'with coupling = "rigid" in its place, so the answers are not those of the component',
     )
-    return replace(part, coupling="rigid"), told
+    return replace(part, coupling="rigid"), notes
 
 
 def second_opinion(solver: Solver, wrench: Sequence[float], timeout: float = TIMEOUT) -> Opinion:
@@ -95,22 +95,22 @@ def second_opinion(solver: Solver, wrench: Sequence[float], timeout: float = TIM
     timeout
         Seconds for CalculiX.
     """
-    part, told = solver.component, tuple(float(load) for load in wrench)
+    part, loads = solver.component, tuple(float(load) for load in wrench)
     nonlinear = part.analysis.nonlinear
     tolerance = NONLINEAR if nonlinear else LINEAR
     try:
-        own = solver.solve(told)
+        own = solver.solve(loads)
         if part.coupling == "rigid":
-            turn = own.displacement[3:] if nonlinear else None
-            reply = calculix.solve_rigid(part, told, turn, timeout=timeout)
+            rotation = own.displacement[3:] if nonlinear else None
+            reply = calculix.solve_rigid(part, loads, rotation, timeout=timeout)
         else:
-            reply = calculix.solve_distributed(part, told, timeout=timeout)
+            reply = calculix.solve_distributed(part, loads, timeout=timeout)
     except SolveFailed as error:
-        return Opinion(told, tolerance=tolerance, failed=f"not solved: {error}")
+        return Opinion(loads, tolerance=tolerance, failed=f"not solved: {error}")
     except (RuntimeError, subprocess.TimeoutExpired) as error:
-        return Opinion(told, tolerance=tolerance, failed=str(error))
+        return Opinion(loads, tolerance=tolerance, failed=str(error))
     return Opinion(
-        told,
+        loads,
         tuple(own.displacement.tolist()),
         tuple(reply.displacement.tolist()),
         difference(own.displacement, reply.displacement),
@@ -131,7 +131,7 @@ def difference(found: Array, expected: Array) -> float:
     return worst
 
 
-def chosen_wrenches(part: Component, texts: Sequence[str]) -> list[tuple[float, ...]]:
+def chosen_wrenches(part: ComponentModel, texts: Sequence[str]) -> list[tuple[float, ...]]:
     """Return the wrenches that the texts tell; without any, half the range's upper bounds.
 
     Raises
@@ -167,10 +167,10 @@ def table(opinion: Opinion) -> str:
     for i, name in enumerate(FREEDOMS):
         own, theirs = opinion.found[i], opinion.calculix[i]
         size = max(map(abs, opinion.calculix[:3] if i < 3 else opinion.calculix[3:]))
-        share = f"{abs(own - theirs) / size:.1e}" if size > 0 else ""
+        relative = f"{abs(own - theirs) / size:.1e}" if size > 0 else ""
         unit = "m" if i < 3 else "rad"
         lines.append(
-            f"  {name:<4} {own:>15.7e} {theirs:>15.7e} {own - theirs:>12.2e} {share:>9} {unit}"
+            f"  {name:<4} {own:>15.7e} {theirs:>15.7e} {own - theirs:>12.2e} {relative:>9} {unit}"
         )
     verdict = "agrees" if opinion.agrees else "DIFFERS"
     return "\n".join(
@@ -190,20 +190,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--timeout", type=float, default=TIMEOUT, help="s for each CalculiX run")
     parser.add_argument("--json", action="store_true", help="print one JSON array")
     parser.add_argument("folder", type=Path)
-    asked = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        solver, wrenches, notes = _made_ready(asked.folder, asked.wrench)
+        solver, wrenches, notes = _made_ready(options.folder, options.wrench)
     except (BundleError, SolveFailed, ValueError, RuntimeError) as error:
         print(error, file=sys.stderr)
         return 1
     opinions = []
-    for note in () if asked.json else notes:
+    for note in () if options.json else notes:
         print(f"note: {note}")
     for wrench in wrenches:
-        opinions.append(second_opinion(solver, wrench, asked.timeout))
-        if not asked.json:
+        opinions.append(second_opinion(solver, wrench, options.timeout))
+        if not options.json:
             print(table(opinions[-1]), flush=True)
-    if asked.json:
+    if options.json:
         rows = [asdict(one) | {"agrees": one.agrees} for one in opinions]
         print(json.dumps([row | {"difference": _number(row["difference"])} for row in rows]))
     return 0 if all(one.agrees for one in opinions) else 1
@@ -224,7 +224,7 @@ def _made_ready(
     return Solver(part), wrenches, [*notes, *_projections(part)]
 
 
-def _projections(part: Component) -> list[str]:
+def _projections(part: ComponentModel) -> list[str]:
     ratios = np.array([material.poisson_ratio for material in part.materials])
     numbers = zip(part.mesh.blocks, part.material_of_cells, strict=True)
     cells = sum(int(projects(block, ratios[own]).sum()) for block, own in numbers)

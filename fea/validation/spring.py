@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.validation.calculix import same_mesh
 from wrenchbook.fea.validation.clamped import shipped
 from wrenchbook.fea.validation.finding import Finding, case
-from wrenchbook.fea.validation.samemesh import same_mesh
 
 Array = np.ndarray
 
@@ -37,12 +37,12 @@ PRINTED_14 = (
         4.877383,
     ),
 )
-"""Equation 14 of the paper as printed: shortening, mm, and turn, degrees (from its radians)."""
+"""Equation 14 of the paper as printed: shortening, mm, and rotation, degrees (from its radians)."""
 
 
 @dataclass(frozen=True)
 class Rod:
-    """A helical spring as a thin inextensible rod, one end clamped, the other free to turn.
+    """A helical spring as a thin inextensible rod, one end clamped, the other free to rotate.
 
     Attributes
     ----------
@@ -74,25 +74,25 @@ class Rod:
         return self.young / (2 * (1 + self.poisson)) * np.pi * self.wire**4 / 32
 
     def pressed(self, shortening: float) -> tuple[float, float]:
-        """Return force (N) and turn of the free end (rad) at a shortening (m).
+        """Return force (N) and rotation of the free end (rad) at a shortening (m).
 
         With pitch angle g, sin g = (H - s)/L, and a = G J/(E I) = 1/(1 + nu), no axial moment at
         the free end (Love, A Treatise on the Mathematical Theory of Elasticity, article 271):
-        turn = 2 pi n (1 - (cos g0 cos g + a sin g0 sin g)/(cos^2 g + a sin^2 g)),
-        F = G J (2 pi n sin g0 - (2 pi n - turn) sin g)/(L r cos g), r = L cos g/(2 pi n - turn).
+        rotation t = 2 pi n (1 - (cos g0 cos g + a sin g0 sin g)/(cos^2 g + a sin^2 g)),
+        F = G J (2 pi n sin g0 - (2 pi n - t) sin g)/(L r cos g), r = L cos g/(2 pi n - t).
         """
         a = 1 / (1 + self.poisson)
         whole = 2 * np.pi * self.turns
         sin0, sin = self.height / self.length, (self.height - shortening) / self.length
         cos0, cos = np.sqrt(1 - sin0**2), np.sqrt(1 - sin**2)
-        turn = whole * (1 - (cos0 * cos + a * sin0 * sin) / (cos**2 + a * sin**2))
-        left = whole - turn
+        rotation = whole * (1 - (cos0 * cos + a * sin0 * sin) / (cos**2 + a * sin**2))
+        left = whole - rotation
         radius = self.length * cos / left
         force = self.torsion * (whole * sin0 - left * sin) / (self.length * radius * cos)
-        return float(force), float(turn)
+        return float(force), float(rotation)
 
 
-def rod_of(part: Component) -> Rod:
+def rod_of(part: ComponentModel) -> Rod:
     """Return the rod that the shipped spring is made of."""
     source = part.bundle.mesh
     if source is None or source.parameters is None:
@@ -110,7 +110,7 @@ def rod_of(part: Component) -> Rod:
 
 @case("spring")
 def small_load() -> Iterator[Finding]:
-    """Shipped spring: its stiffness at no load, the upper end free to turn."""
+    """Shipped spring: its stiffness at no load, the upper end free to rotate."""
     part = shipped("spring")
     theory = rod_of(part).pressed(1e-7)[0] / 1e-7
     computed = 1 / float(Solver(part).compliance[2, 2])
@@ -125,14 +125,14 @@ def pressed() -> Iterator[Finding]:
     rod, solver = rod_of(part), Solver(part)
     for load in FORCES:
         found = solver.solve([0, 0, -load, 0, 0, 0]).displacement
-        force, turn = rod.pressed(-found[2])
-        turned = float(-np.degrees(found[5]))
+        force, rotation = rod.pressed(-found[2])
+        computed = float(-np.degrees(found[5]))
         at = f"at {-1e3 * found[2]:.2f} mm"
         yield Finding(f"force {at}, N", _ROD, force, load, 5e-3)
-        yield Finding(f"turn {at}, degrees", _ROD, float(np.degrees(turn)), turned, 1e-2)
+        yield Finding(f"rotation {at}, degrees", _ROD, float(np.degrees(rotation)), computed, 1e-2)
         if -1e3 * found[2] <= PRINTED_14[0][-1]:
             printed = float(np.interp(-1e3 * found[2], *PRINTED_14))
-            yield Finding(f"turn {at}, degrees", f"{_PAPER}, equation 14", printed, turned)
+            yield Finding(f"rotation {at}, degrees", f"{_PAPER}, equation 14", printed, computed)
 
 
 @case("spring")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.validation.clamped import shipped
 from wrenchbook.fea.validation.finding import Finding
@@ -50,7 +50,7 @@ def bar(client: Client, effort: Effort, heard: Heard) -> Part:
     return part
 
 
-def euler(component: Component) -> Vector:
+def euler(component: ComponentModel) -> Vector:
     """Return the closed form's compliance, shape (6, 6), m/N to rad/(N·m), for F_z and M_y.
 
     Figure 2: delta = F L^3/(3 E I), theta = F L^2/(2 E I); M L^2/(2 E I), M L/(E I).

@@ -23,9 +23,9 @@ import pytest
 
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.validation import calculix
+from wrenchbook.fea.validation.calculix import LINEAR, NONLINEAR, worst_gap
 from wrenchbook.fea.validation.clamped import shipped
 from wrenchbook.fea.validation.plate import WRENCH
-from wrenchbook.fea.validation.samemesh import LINEAR, NONLINEAR, worst_gap
 
 ROUNDS = int(os.environ.get("WRENCHBOOK_BENCH_ROUNDS", "3"))
 ONE_THREAD = dict.fromkeys(

@@ -10,9 +10,9 @@ from tests.fea.tets import in_tets
 from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.validation import calculix
+from wrenchbook.fea.validation.calculix import same_mesh
 from wrenchbook.fea.validation.clamped import shipped
 from wrenchbook.fea.validation.plate import WRENCH
-from wrenchbook.fea.validation.samemesh import same_mesh
 
 pytestmark = pytest.mark.skipif(not calculix.installed(), reason=calculix.ABSENT)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.mesh.cad.session import start
 from wrenchbook.fea.mesh.facets import facets_within, outer_surface
 from wrenchbook.fea.mesh.io.read import read_mesh
@@ -18,7 +18,7 @@ from wrenchbook.fea.validation.clamped import clamped, shipped
 NAMES = ("flange", "cheese", "box", "plate", "block")
 
 
-def part_of(name: str, folder: Path) -> Component:
+def part_of(name: str, folder: Path) -> ComponentModel:
     """Return a linear component with a rigid coupling, fixed below and loaded above.
 
     `folder` keeps the meshes of a mesher, so that who solves does not load it.

@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 
 from wrenchbook.fea.assembly.blocks import filled_cells
-from wrenchbook.fea.assembly.body import Body
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.assembly.body import ElasticBody
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.spec.schema import Analysis, Material
 
@@ -20,7 +20,7 @@ def body_of(mesh, free, young=1e9, poisson=0.3, integration="reduced"):
     materials = [Material("all", float(one), poisson) for one in np.concatenate(young)]
     counts = np.cumsum([0, *(len(block) for block in mesh.blocks)])
     numbers = [np.arange(*ends) for ends in pairwise(counts)]
-    return Body(mesh, filled_cells(mesh, materials, numbers, integration), free)
+    return ElasticBody(mesh, filled_cells(mesh, materials, numbers, integration), free)
 
 
 def component(
@@ -39,7 +39,7 @@ def component(
 ):
     """Clamp one facet group of a mesh and attach the interface to another."""
     part = section_of_facets(mesh.points, mesh.facet_groups[section])
-    return Component(
+    return ComponentModel(
         bundle=None,
         mesh=mesh,
         materials=(Material("all", young, poisson),),

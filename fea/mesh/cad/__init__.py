@@ -21,7 +21,7 @@ gmsh is imported only when a geometry file is opened, which the solver's and the
 do and the web process does not.
 """
 
-from wrenchbook.fea.mesh.cad.entities import Body, Face, list_shape
+from wrenchbook.fea.mesh.cad.entities import Face, Solid, list_shape
 from wrenchbook.fea.mesh.cad.meshing import mesh_geometry
 
-__all__ = ["Body", "Face", "list_shape", "mesh_geometry"]
+__all__ = ["Face", "Solid", "list_shape", "mesh_geometry"]

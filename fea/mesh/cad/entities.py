@@ -46,7 +46,7 @@ class Face:
 
 
 @dataclass(frozen=True)
-class Body:
+class Solid:
     """One solid body: its number, volume (m^3), centre of mass and box (m)."""
 
     number: int
@@ -56,7 +56,7 @@ class Body:
     high: tuple[float, float, float]
 
 
-def list_shape(path: Path) -> tuple[tuple[Face, ...], tuple[Body, ...]]:
+def list_shape(path: Path) -> tuple[tuple[Face, ...], tuple[Solid, ...]]:
     """Return the faces and bodies of a geometry file.
 
     Raises
@@ -68,10 +68,10 @@ def list_shape(path: Path) -> tuple[tuple[Face, ...], tuple[Body, ...]]:
         return faces_of(gmsh), bodies_of(gmsh)
 
 
-def bodies_of(gmsh: Any) -> tuple[Body, ...]:
+def bodies_of(gmsh: Any) -> tuple[Solid, ...]:
     """Return the solid bodies of the open file."""
     return tuple(
-        Body(
+        Solid(
             number,
             gmsh.model.occ.getMass(3, number) * METRES**3,
             _metres(gmsh.model.occ.getCenterOfMass(3, number)),
@@ -142,12 +142,12 @@ def _outward(gmsh: Any, number: int) -> tuple[float, float, float]:
 def _point_on(gmsh: Any, number: int) -> Array:
     """Return a point within the edges of a face (its centre may lie in a hole), mm."""
     low, high = gmsh.model.getParametrizationBounds(2, number)
-    for share in _SHARES:
-        place = [a + s * (b - a) for a, b, s in zip(low, high, share, strict=True)]
+    for fraction in _FRACTIONS:
+        place = [a + s * (b - a) for a, b, s in zip(low, high, fraction, strict=True)]
         if gmsh.model.isInside(2, number, place, parametric=True):
             return np.array(gmsh.model.getValue(2, number, place))
     return np.array(gmsh.model.occ.getCenterOfMass(2, number))
 
 
 # The middle, then points that fill the square evenly (additive recurrence of the plastic number).
-_SHARES = [((0.5 + 0.7548776662 * i) % 1, (0.5 + 0.5698402910 * i) % 1) for i in range(200)]
+_FRACTIONS = [((0.5 + 0.7548776662 * i) % 1, (0.5 + 0.5698402910 * i) % 1) for i in range(200)]

@@ -15,7 +15,7 @@ from wrenchbook.fea.mesh.generators.parameters import too_many
 from wrenchbook.fea.mesh.io.raw import Block, RawMesh, to_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.problems import BundleError, Problem
-from wrenchbook.fea.spec.schema import Geometry
+from wrenchbook.fea.spec.schema import GeometryMeshing
 
 Array = np.ndarray
 
@@ -25,10 +25,10 @@ _TO_VTK = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]
 _REGULAR = 6 * 2**0.5
 """Volume of a cube over that of the regular tetrahedron with the same edge."""
 _FINEST = 0.05
-"""Least edge that curvature asks for, as a share of the cell size."""
+"""Least edge that curvature asks for, as a fraction of the cell size."""
 
 
-def mesh_geometry(path: Path, geometry: Geometry) -> Mesh:
+def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
     """Mesh the bodies of a geometry file.
 
     The same file and keys give the same nodes, in whatever process, with the same version of gmsh
@@ -55,7 +55,7 @@ def mesh_geometry(path: Path, geometry: Geometry) -> Mesh:
         return to_mesh(_collected(gmsh, groups, regions), METRES)
 
 
-def _generate(gmsh: Any, path: Path, geometry: Geometry) -> None:
+def _generate(gmsh: Any, path: Path, geometry: GeometryMeshing) -> None:
     size = geometry.size / METRES
     gmsh.option.setNumber("Mesh.MeshSizeMax", size)
     gmsh.option.setNumber("Mesh.MeshSizeMin", _FINEST * size)

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.mesh.cad.entities import Body, Face
+from wrenchbook.fea.mesh.cad.entities import Face, Solid
 from wrenchbook.fea.mesh.cad.session import METRES
 from wrenchbook.fea.spec.problems import Problem
-from wrenchbook.fea.spec.schema import Choice
+from wrenchbook.fea.spec.schema import Selector
 
 _AXES = "xyz"
 _NEAR = 1e-3
-"""Share of the cell size within which a place counts as the one that was written."""
+"""Fraction of the cell size within which a place counts as the given one."""
 
 Place = tuple[float, float, float]
 
@@ -22,7 +22,7 @@ Place = tuple[float, float, float]
 def choose_faces(
     gmsh: Any,
     faces: Sequence[Face],
-    groups: Mapping[str, Choice],
+    groups: Mapping[str, Selector],
     size: float,
     problems: list[Problem],
 ) -> dict[str, list[int]]:
@@ -55,8 +55,8 @@ def choose_faces(
 
 def choose_bodies(
     gmsh: Any,
-    bodies: Sequence[Body],
-    regions: Mapping[str, Choice],
+    bodies: Sequence[Solid],
+    regions: Mapping[str, Selector],
     size: float,
     problems: list[Problem],
 ) -> dict[str, list[int]]:
@@ -72,7 +72,7 @@ def choose_bodies(
 
 
 def _by_number(
-    shapes: Sequence[Face | Body], choice: Choice, where: str, kind: str, problems: list[Problem]
+    shapes: Sequence[Face | Solid], choice: Selector, where: str, kind: str, problems: list[Problem]
 ) -> list[int]:
     there = [shape.number for shape in shapes]
     for number in choice.numbers:
@@ -83,7 +83,7 @@ def _by_number(
 
 
 def _by_plane(
-    faces: Sequence[Face], choice: Choice, where: str, size: float, problems: list[Problem]
+    faces: Sequence[Face], choice: Selector, where: str, size: float, problems: list[Problem]
 ) -> list[int]:
     if choice.plane is None:
         return []
@@ -99,7 +99,7 @@ def _by_plane(
 
 
 def _by_radius(
-    faces: Sequence[Face], choice: Choice, where: str, problems: list[Problem]
+    faces: Sequence[Face], choice: Selector, where: str, problems: list[Problem]
 ) -> list[int]:
     if choice.radius is None:
         return []
@@ -114,7 +114,7 @@ def _by_radius(
 
 def _nearest(
     gmsh: Any,
-    shapes: Sequence[Face] | Sequence[Body],
+    shapes: Sequence[Face] | Sequence[Solid],
     point: Place,
     where: str,
     size: float,
@@ -138,7 +138,7 @@ def _nearest(
 
 
 def _distances(
-    gmsh: Any, dimension: int, shapes: Sequence[Face] | Sequence[Body], point: Place, margin: float
+    gmsh: Any, dimension: int, shapes: Sequence[Face] | Sequence[Solid], point: Place, margin: float
 ) -> dict[int, float]:
     """Return distances from a point, m, of all the shapes that can be nearest."""
     bound = {s.number: _to_box(point, s.low, s.high) for s in shapes}

@@ -99,5 +99,5 @@ def _read(gmsh: Any, path: Path) -> None:
 
 
 def one_line(error: Exception) -> str:
-    """Return what gmsh said, in one short line."""
+    """Return gmsh's own message as one short line."""
     return " ".join(str(error).split())[:200] or type(error).__name__

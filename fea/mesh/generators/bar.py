@@ -48,6 +48,6 @@ class Bar:
         def place(flat: Array, fraction: Array) -> Array:
             return np.column_stack([self.length * fraction, flat])
 
-        bar = sweep(section, self.cells_along, place)
-        groups = {"start": bar.start(), "end": bar.end(), "side": bar.side()}
-        return Mesh(bar.points, (bar.cells,), facet_groups=groups)
+        swept = sweep(section, self.cells_along, place)
+        groups = {"start": swept.start(), "end": swept.end(), "side": swept.side()}
+        return Mesh(swept.points, (swept.cells,), facet_groups=groups)

@@ -14,7 +14,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Section:
+class PlaneMesh:
     """A plane mesh.
 
     Attributes
@@ -42,7 +42,7 @@ class Section:
         return each[index[count == 1]]
 
 
-def quadratic(points: Array, quads: Array) -> Section:
+def quadratic(points: Array, quads: Array) -> PlaneMesh:
     """Return the section of straight-sided `quads` with their midside nodes put in.
 
     Parameters
@@ -56,18 +56,18 @@ def quadratic(points: Array, quads: Array) -> Section:
     pairs, number = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0, return_inverse=True)
     middles = points[pairs].mean(axis=1)
     edge_nodes = len(points) + number.reshape(-1, 4)
-    return Section(
+    return PlaneMesh(
         np.concatenate([points, middles]), np.hstack([quads, edge_nodes]), corners=len(points)
     )
 
 
-def rectangle(x: Array, y: Array) -> Section:
+def rectangle(x: Array, y: Array) -> PlaneMesh:
     """Return the grid with lines at ascending `x` and `y`, shapes (nx,) and (ny,), m."""
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     return quadratic(points, grid_quads(len(x), len(y)))
 
 
-def disc(radius: float, core: int) -> Section:
+def disc(radius: float, core: int) -> PlaneMesh:
     """Return a round section: `core` x `core` quadrilaterals and a ring of 4 `core` around them.
 
     Its outline is 4 `core` parabolas, whose nodes all lie on one circle. That circle is a little
@@ -104,7 +104,7 @@ def round_corners(radius: float, core: int) -> tuple[Array, Array]:
     return np.concatenate([inner, outer]), np.concatenate([grid_quads(core + 1, core + 1), ring])
 
 
-def bend_circle(section: Section, core: int) -> None:
+def bend_circle(section: PlaneMesh, core: int) -> None:
     """Move the middles of the disc's outer edges from the chord out to the circle.
 
     The section's first quadrilaterals are those of `round_corners`.
@@ -131,16 +131,16 @@ def equal_area_factor(arcs: int) -> float:
 def _core_points(radius: float, core: int) -> Array:
     """Place the core's nodes halfway between a square and a disc.
 
-    That disc's share of the radius makes the ring about as wide as the cells of a fine core; of a
-    core of one or two cells it is the share that gave the most exact torsion of a wire.
+    Its fraction of the radius makes the ring about as wide as the cells of a fine core; for a core
+    of one or two cells it is the fraction that gave the most exact torsion of a wire.
     """
     line = np.linspace(-1.0, 1.0, core + 1)
     s, t = np.meshgrid(line, line, indexing="ij")
     square = np.stack([s, t], axis=-1) / np.sqrt(2.0)
     # The elliptical map of a square to a disc; it keeps the four corners on the circle.
     round_ = np.stack([s * np.sqrt(1.0 - t**2 / 2.0), t * np.sqrt(1.0 - s**2 / 2.0)], axis=-1)
-    share = max(0.6, core / (core + 1.7))
-    return share * radius * (0.5 * (square + round_)).reshape(-1, 2)
+    fraction = max(0.6, core / (core + 1.7))
+    return fraction * radius * (0.5 * (square + round_)).reshape(-1, 2)
 
 
 def grid_quads(nx: int, ny: int) -> Array:

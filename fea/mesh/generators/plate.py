@@ -9,7 +9,7 @@ import numpy as np
 
 from wrenchbook.fea.mesh.generators.parameters import count, metres, too_many
 from wrenchbook.fea.mesh.generators.plane import (
-    Section,
+    PlaneMesh,
     bend_circle,
     grid_quads,
     quadratic,
@@ -96,7 +96,7 @@ class Plate:
         }
         return Mesh(plate.points, (plate.cells,), facet_groups=groups)
 
-    def _plan(self) -> Section:
+    def _plan(self) -> PlaneMesh:
         """Return the plan: the patch, rings out to a rectangle, and a frame as wide as `corner`."""
         disc, disc_quads = round_corners(self.patch / 2.0, self.cells)
         grid = np.stack(

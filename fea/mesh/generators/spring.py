@@ -72,7 +72,7 @@ class Spring:
         rise = self.free_length / (2.0 * np.pi * self.active_turns)
         cos, sin = np.cos(angle), np.sin(angle)
         normal = np.column_stack([-cos, -sin, np.zeros_like(angle)])
-        lean = np.column_stack([rise * sin, -rise * cos, np.full_like(angle, radius)])
-        binormal = lean / np.hypot(radius, rise)
+        scaled_binormal = np.column_stack([rise * sin, -rise * cos, np.full_like(angle, radius)])
+        binormal = scaled_binormal / np.hypot(radius, rise)
         centre = np.column_stack([radius * cos, radius * sin, rise * angle])
         return centre + flat[:, :1] * normal + flat[:, 1:] * binormal

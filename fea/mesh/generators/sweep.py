@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrenchbook.fea.mesh.generators.plane import Section
+from wrenchbook.fea.mesh.generators.plane import PlaneMesh
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup
 
 Array = np.ndarray
@@ -29,7 +29,7 @@ class Sweep:
         One block of hex20: layer after layer, within each in the order of the section.
     """
 
-    section: Section
+    section: PlaneMesh
     layers: int
     points: Array
     cells: CellBlock
@@ -68,7 +68,7 @@ class Sweep:
         return FacetGroup((FacetBlock("quad8", _each_layer(columns, stride, self.layers)),))
 
 
-def sweep(section: Section, layers: int, place: Place) -> Sweep:
+def sweep(section: PlaneMesh, layers: int, place: Place) -> Sweep:
     """Draw `section` out into `layers` layers of cells.
 
     Parameters
@@ -99,7 +99,7 @@ def sweep(section: Section, layers: int, place: Place) -> Sweep:
     return Sweep(section, layers, points[: len(points) - section.corners], cells)
 
 
-def _stride(section: Section) -> int:
+def _stride(section: PlaneMesh) -> int:
     """Return how many nodes lie between a node and its image one layer on."""
     return len(section.points) + section.corners
 

@@ -63,7 +63,7 @@ class _Deck:
     surfaces: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
     parts: int = 0
-    members: int = 0
+    entries: int = 0
 
 
 def read_inp(path: Path) -> RawMesh:
@@ -170,17 +170,17 @@ def _known_solid(name: str, nodes: str) -> str:
 
 
 def _take_node_set(deck: _Deck, options: dict[str, str], rows: list[list[str]]) -> None:
-    members = _members(deck.node_sets, options, rows)
+    entries = _members(deck.node_sets, options, rows)
     if "ELSET" in options:
         for element in deck.element_sets[options["ELSET"].upper()]:
             block, row = deck.where[element]
-            members += deck.cells[block][row]
-    _add(deck, deck.node_sets, options["NSET"], members)
+            entries += deck.cells[block][row]
+    _add(deck, deck.node_sets, options["NSET"], entries)
 
 
 def _take_element_set(deck: _Deck, options: dict[str, str], rows: list[list[str]]) -> None:
-    members = _members(deck.element_sets, options, rows)
-    _add(deck, deck.element_sets, options["ELSET"], members)
+    entries = _members(deck.element_sets, options, rows)
+    _add(deck, deck.element_sets, options["ELSET"], entries)
 
 
 def _members(
@@ -200,11 +200,11 @@ def _members(
     return found
 
 
-def _few(members: Sequence[int]) -> Sequence[int]:
+def _few(entries: Sequence[int]) -> Sequence[int]:
     """Return a set's members if a mesh can have so many: a line of text may name any number."""
-    if len(members) > _MOST_MEMBERS:
-        raise MeshFileError(f"names {len(members)} nodes or elements; no mesh has so many")
-    return members
+    if len(entries) > _MOST_MEMBERS:
+        raise MeshFileError(f"names {len(entries)} nodes or elements; no mesh has so many")
+    return entries
 
 
 def _named(sets: dict[str, list[int]], name: str) -> list[int]:
@@ -224,11 +224,11 @@ def _take_surface(deck: _Deck, options: dict[str, str], rows: list[list[str]]) -
         face = rest[0].upper() if rest else ""
         if not re.fullmatch(r"S\d", face):
             raise MeshFileError(f'has the face "{face}"; faces of solids are S1 to S6')
-        members = [(element, face) for element in _named(deck.element_sets, name)]
-        deck.members += len(members)
-        _few(range(deck.members))
+        entries = [(element, face) for element in _named(deck.element_sets, name)]
+        deck.entries += len(entries)
+        _few(range(deck.entries))
         deck.names.setdefault(options["NAME"].upper(), options["NAME"])
-        deck.surfaces.setdefault(options["NAME"].upper(), []).extend(members)
+        deck.surfaces.setdefault(options["NAME"].upper(), []).extend(entries)
 
 
 def _take_part(deck: _Deck, options: dict[str, str], rows: list[list[str]]) -> None:
@@ -253,13 +253,13 @@ _TAKERS: dict[str, Callable[[_Deck, dict[str, str], list[list[str]]], None]] = {
 }
 
 
-def _add(deck: _Deck, sets: dict[str, list[int]], name: str, members: list[int]) -> None:
+def _add(deck: _Deck, sets: dict[str, list[int]], name: str, entries: list[int]) -> None:
     """Add to a set, which keeps the spelling of its first mention."""
-    deck.members += len(members)
-    if deck.members > _MOST_MEMBERS:
-        raise MeshFileError(f"names a set too many: they have {deck.members} members in all")
+    deck.entries += len(entries)
+    if deck.entries > _MOST_MEMBERS:
+        raise MeshFileError(f"names a set too many: they have {deck.entries} members in all")
     deck.names.setdefault(name.upper(), name)
-    sets.setdefault(name.upper(), []).extend(members)
+    sets.setdefault(name.upper(), []).extend(entries)
 
 
 def _raw_mesh(deck: _Deck) -> RawMesh:

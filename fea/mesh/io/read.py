@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import io
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import meshio
 import numpy as np
 from meshio import _mesh
 
-from wrenchbook.fea.mesh.io import xdmf
 from wrenchbook.fea.mesh.io.abaqus import read_inp
 from wrenchbook.fea.mesh.io.raw import Block, MeshFileError, RawMesh, to_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
@@ -69,8 +69,8 @@ def read_mesh(path: Path, unit: str) -> Mesh:
 
 
 def _read_meshio(path: Path) -> RawMesh:
-    if path.suffix.lower() in xdmf.ENDINGS:
-        xdmf.refuse_outside(path)
+    if path.suffix.lower() in _XDMF_ENDINGS:
+        _refuse_outside(path)
     read = _quietly(path)
     blocks: list[Block] = [
         (_KINDS.get(str(block.type), str(block.type)), np.asarray(block.data, dtype=np.int64))
@@ -91,13 +91,13 @@ def _quietly(path: Path) -> meshio.Mesh:
     """Let meshio read, which prints what it dislikes and may end the interpreter."""
     # It knows this kind in every table but the one of dimensions, and fails on its files.
     _mesh.topological_dimension.setdefault("wedge15", 3)
-    said = io.StringIO()
+    output = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
             return meshio.read(path)
     except (Exception, SystemExit) as error:
-        told = " ".join(f"{said.getvalue()} {error}".split())
-        message = f"cannot be read as a {path.suffix or 'mesh'} file ({told[:200]})"
+        details = " ".join(f"{output.getvalue()} {error}".split())
+        message = f"cannot be read as a {path.suffix or 'mesh'} file ({details[:200]})"
         raise MeshFileError(message) from None
 
 
@@ -150,3 +150,39 @@ def _group_values(array: str, values: Array) -> list[tuple[str, int]]:
     if len(distinct) > _MOST_GROUPS:
         return []
     return [(f"{array}_{value}", value) for value in distinct]
+
+
+_XDMF_ENDINGS = (".xdmf", ".xmf")
+
+
+def _refuse_outside(path: Path) -> None:
+    """Refuse an XDMF file whose numbers lie in a file outside its folder.
+
+    A stranger's bundle could else have whatever this machine holds read as a mesh, and look at it
+    as a deformed shape.
+
+    Raises
+    ------
+    MeshFileError
+        If it names a file elsewhere, one of plain bytes (which is looked for where the program
+        runs), or is no XML.
+    """
+    try:
+        items = list(ET.parse(path).iter("DataItem"))
+    except (ET.ParseError, ValueError, LookupError) as error:
+        raise MeshFileError(f"cannot be read as a {path.suffix} file ({error})") from None
+    for item in items:
+        kind, text = item.get("Format"), (item.text or "").strip()
+        if kind == "Binary":
+            raise MeshFileError('holds numbers in another file as bytes; write Format="HDF"')
+        if kind == "HDF" and not _in_same_folder(path, text.partition(":")[0]):
+            raise MeshFileError(
+                f'holds numbers in "{text[:100]}", which is outside the bundle; put that file '
+                "beside it and name it without a folder"
+            )
+
+
+def _in_same_folder(path: Path, name: str) -> bool:
+    """Tell whether a name is that of a file in the same folder, and no link out of it."""
+    folder = path.parent.resolve()
+    return Path(name).name == name and (folder / name).resolve().parent == folder

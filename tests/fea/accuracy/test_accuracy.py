@@ -10,9 +10,8 @@ from tests.fea.components import component
 from tests.fea.geometry import draw_bracket
 from tests.surrogate.law.solver_share import widened, widened_many
 from wrenchbook.fea.accuracy.beyond_linear import beyond_linear
-from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why
+from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why, coarser
 from wrenchbook.fea.accuracy.recovered import recovered_error
-from wrenchbook.fea.accuracy.second_mesh import coarser
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.mesh.refine import refined
@@ -195,7 +194,7 @@ def test_the_bar_of_a_linear_component_holds_its_nonlinear_answers(bar):
     chance = np.random.default_rng(1)
     for share in (*chance.uniform(-1, 1, (2, 6)), np.eye(6)[4]):
         missed = solver.solve(share * scale).displacement - coarse.compliance @ (share * scale)
-        assert (np.abs(missed) <= found.bar * np.abs(share).max() ** 2).all()
+        assert (np.abs(missed) <= found.deviation * np.abs(share).max() ** 2).all()
 
 
 def test_a_range_beyond_the_buckling_load_is_told_with_its_factor(bar):
@@ -204,7 +203,7 @@ def test_a_range_beyond_the_buckling_load_is_told_with_its_factor(bar):
     found = beyond_linear(coarse, LoadRange(-most, most))
     assert found.buckling == pytest.approx(6908.7 / 2e4, rel=0.05)
     assert "it buckles at" in found.why
-    assert np.isfinite(found.bar).all()
+    assert np.isfinite(found.deviation).all()
 
 
 def test_what_the_estimate_fails_with_is_told_and_not_raised(bar, monkeypatch):

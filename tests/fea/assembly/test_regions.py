@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.fea.boxes import box
-from wrenchbook.fea.component import Component
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import Analysis, Material
@@ -16,7 +16,7 @@ SOFT, STIFF = 10e9, 200e9
 def two_materials(mesh, is_soft):
     middles = [mesh.points[block.nodes].mean(axis=1) for block in mesh.blocks]
     section = section_of_facets(mesh.points, mesh.facet_groups["z1"])
-    return Component(
+    return ComponentModel(
         bundle=None,
         mesh=mesh,
         materials=(Material("stiff", STIFF, 0.0), Material("soft", SOFT, 0.0)),

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wrenchbook.fea.bundle.material_table import read_material
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.bundle.tables import read_material
 from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.spec.fingerprint import fingerprint

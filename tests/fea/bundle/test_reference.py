@@ -84,7 +84,7 @@ def asked(tmp_path, monkeypatch):
         where = re.sub(r"\[\d+\]", "", keys.where)
         where = re.sub(r"^mesh\.(groups|regions)\..*", r"mesh.\1.*", where)
         if where not in NAMED_BY_THE_USER:
-            told.setdefault(where, set()).update(keys._asked)
+            told.setdefault(where, set()).update(keys._known)
     return told
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from tests.fea.boxes import box
 from tests.fea.components import component
-from wrenchbook.fea.coupling import State
+from wrenchbook.fea.coupling import CoupledState
 from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import FREEDOMS
@@ -44,7 +44,7 @@ def test_the_bordered_tangent_is_the_derivative_of_what_is_out_of_balance(coupli
     multipliers = RNG.standard_normal(6) if coupling == "distributed" else np.zeros(6)
     u = 0.05 * RNG.standard_normal((system.body.size, 3)) * free[:, None]
     still = np.zeros_like(u), np.zeros(tie.border)
-    state = tie.moved(State(u, interface, multipliers), *still)
+    state = tie.moved(CoupledState(u, interface, multipliers), *still)
     wrench = RNG.standard_normal(6)
     nodes, border = RNG.standard_normal(u.shape) * free[:, None], RNG.standard_normal(tie.border)
 

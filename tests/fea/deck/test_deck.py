@@ -18,8 +18,8 @@ from wrenchbook.fea.deck.checking import deck_report
 from wrenchbook.fea.deck.running import filled
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.readers import registry
-from wrenchbook.fea.readers.numbers import Numbers
 from wrenchbook.fea.readers.reader import Reading
+from wrenchbook.fea.readers.registry import NumbersReader
 from wrenchbook.fea.solve import solve
 
 NUMBER = st.floats(allow_nan=False, allow_infinity=False)
@@ -347,7 +347,7 @@ def test_the_reader_chooses_the_moment_unless_the_deck_does(tmp_path):
     assert component(tmp_path).deck.moment == "spatial"
 
 
-class Halves(Numbers):
+class Halves(NumbersReader):
     """A reader of another package."""
 
     keys = ()

@@ -10,8 +10,7 @@ import pytest
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.test_failures import arch
-from wrenchbook.fea.export.failure_record import HISTORY, LAST_STATE
-from wrenchbook.fea.export.vtu import write_state
+from wrenchbook.fea.export.failure_record import HISTORY, LAST_STATE, write_state
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver, solve
 

@@ -15,7 +15,7 @@ from wrenchbook.fea.mesh.cad import list_shape, mesh_geometry
 from wrenchbook.fea.mesh.cad.session import start
 from wrenchbook.fea.mesh.quality import volumes
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import Choice, Geometry
+from wrenchbook.fea.spec.schema import GeometryMeshing, Selector
 
 BRACKET = {
     "name": "bracket",
@@ -102,8 +102,8 @@ def test_another_process_makes_the_same_mesh_to_the_last_bit(folder):
     code = (
         "import hashlib, sys; from pathlib import Path;"
         "from wrenchbook.fea.mesh.cad import mesh_geometry;"
-        "from wrenchbook.fea.spec.schema import Geometry;"
-        "m = mesh_geometry(Path(sys.argv[1]), Geometry(0.015));"
+        "from wrenchbook.fea.spec.schema import GeometryMeshing;"
+        "m = mesh_geometry(Path(sys.argv[1]), GeometryMeshing(0.015));"
         "print(hashlib.sha256(m.points.tobytes() + m.blocks[0].nodes.tobytes()).hexdigest())"
     )
     command = [sys.executable, "-c", code, str(folder / "bracket.step")]
@@ -237,7 +237,7 @@ def test_a_file_of_surfaces_only_is_refused(tmp_path):
     finally:
         gmsh.finalize()
     with pytest.raises(BundleError, match="no solid body"):
-        mesh_geometry(tmp_path / "flat.step", Geometry(0.1))
+        mesh_geometry(tmp_path / "flat.step", GeometryMeshing(0.1))
 
 
 def two_bars(file, folder, **interface):
@@ -266,8 +266,8 @@ def test_touching_bodies_are_glued_and_their_materials_told_apart(folder):
 
 
 def test_a_region_is_found_by_a_point_inside_its_body(folder):
-    choice = {"soft": Choice(near=((0.075, 0.005, 0.005),))}
-    mesh = mesh_geometry(folder / "bars.step", Geometry(0.02, regions=choice))
+    choice = {"soft": Selector(near=((0.075, 0.005, 0.005),))}
+    mesh = mesh_geometry(folder / "bars.step", GeometryMeshing(0.02, regions=choice))
     (cells,) = mesh.regions["soft"]
     middles = mesh.points[mesh.blocks[0].nodes].mean(axis=1)[:, 0]
     np.testing.assert_array_equal(np.sort(cells), np.flatnonzero(middles > 0.05))

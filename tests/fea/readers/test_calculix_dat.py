@@ -5,7 +5,7 @@ import pytest
 from tests.fea.decks import component
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.readers.calculix_dat import CalculixDat
-from wrenchbook.fea.readers.reader import OutputError, Run, number
+from wrenchbook.fea.readers.reader import DeckRun, OutputError, number
 from wrenchbook.fea.solve import solve
 
 TOLD = {"point": "REF", "rotation": "ROT"}
@@ -59,7 +59,7 @@ def run(tmp_path):
         " number of equations\n 2166\n number of equations\n 2170\n"
     )
     (tmp_path / "job.dat").write_text(DAT)
-    return Run(tmp_path, "job", tmp_path / "printed.txt")
+    return DeckRun(tmp_path, "job", tmp_path / "printed.txt")
 
 
 def test_the_motion_of_the_last_time_is_read(run):

@@ -6,7 +6,7 @@ import pytest
 from tests.fea.boxes import box
 from tests.fea.components import component
 from wrenchbook.fea.assembly import body
-from wrenchbook.fea.linalg.multifrontal import Factor
+from wrenchbook.fea.linalg.multifrontal import MultifrontalFactor
 from wrenchbook.fea.solve import Solver
 
 YOUNG, POISSON = 210e9, 0.3
@@ -105,7 +105,9 @@ def test_six_loads_and_every_later_solve_take_one_factorisation(monkeypatch):
     """How long they take is in the benchmarks."""
     factors = []
     monkeypatch.setattr(
-        body, "Factor", lambda *parts: factors.append(Factor(*parts)) or factors[-1]
+        body,
+        "MultifrontalFactor",
+        lambda *parts: factors.append(MultifrontalFactor(*parts)) or factors[-1],
     )
     built = Solver(slender())
     for wrench in np.random.default_rng(5).standard_normal((20, 6)):

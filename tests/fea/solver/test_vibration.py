@@ -10,9 +10,8 @@ from scipy.optimize import brentq
 from tests.fea import calculix
 from tests.fea.boxes import box
 from tests.fea.components import component
-from wrenchbook.fea.assembly.mass import consistent_mass
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.solver.vibration import Riding
+from wrenchbook.fea.solver.vibration import Riding, consistent_mass
 
 YOUNG, DENSITY, LENGTH, WIDTH, HEIGHT = 210e9, 7800.0, 1.0, 0.02, 0.03
 AREA, BENDING = WIDTH * HEIGHT, HEIGHT * WIDTH**3 / 12

@@ -11,9 +11,9 @@ import pytest
 
 from tests.fea.calculix import require_ccx
 from tests.fea.tets import in_tets
+from wrenchbook.fea.validation.calculix import same_mesh
 from wrenchbook.fea.validation.clamped import shipped
 from wrenchbook.fea.validation.plate import WRENCH
-from wrenchbook.fea.validation.samemesh import same_mesh
 
 pytestmark = pytest.mark.ccx
 

@@ -8,9 +8,9 @@ import pytest
 from tests.fea.calculix import require_ccx
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.validation import calculix, laminate
+from wrenchbook.fea.validation.calculix import worst_gap
 from wrenchbook.fea.validation.finding import CASES
 from wrenchbook.fea.validation.materials import SQUEEZE, rubber_block
-from wrenchbook.fea.validation.samemesh import worst_gap
 
 
 def findings(name):
