@@ -1,10 +1,7 @@
-"""What the ledger hands out: jobs, rows and changes, as plain immutable values."""
+"""Values that the ledger returns (jobs, rows, changes) and the errors that it raises."""
 
-import math
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from hashlib import blake2b
 from typing import Literal, NamedTuple
 
 Status = Literal["waiting", "running", "done", "failed", "cancelled"]
@@ -13,9 +10,6 @@ FINAL: frozenset[Status] = frozenset({"done", "failed", "cancelled"})
 
 Vector6 = tuple[float, ...]
 Matrix6 = tuple[Vector6, ...]
-
-_SIX = struct.Struct("<6d")
-_THIRTY_SIX = struct.Struct("<36d")
 
 
 @dataclass(frozen=True)
@@ -205,56 +199,57 @@ class Change:
     rows: int = 0
 
 
-def pack6(values: Sequence[float], name: str = "wrench", *, partial: bool = False) -> bytes:
-    """Return the canonical bytes of six finite floats: little-endian float64, no minus zero.
-
-    Parameters
-    ----------
-    partial : bool
-        Whether some of them, not all, may be NaN: not measured.
-
-    Raises
-    ------
-    ValueError
-        If there are not six numbers or one is not finite.
-    """
-    if len(values) != 6:
-        raise ValueError(f"{name} needs 6 numbers, got {len(values)}")
-    # One NaN for all: equal rows must have equal bytes.
-    floats = [math.nan if value != value else float(value) + 0.0 for value in values]
-    known = [value for value in floats if value == value] if partial else floats
-    if not known or not all(map(math.isfinite, known)):
-        raise ValueError(f"{name} must be finite, got {floats}")
-    return _SIX.pack(*floats)
+class LedgerError(Exception):
+    """Base of every error the ledger raises on purpose."""
 
 
-def unpack6(packed: bytes) -> Vector6:
-    """Return the six floats of `pack6`."""
-    return _SIX.unpack(packed)
+class LedgerFileError(LedgerError):
+    """The file is not a ledger this program can read: foreign, damaged or newer."""
 
 
-def pack36(matrix: Sequence[Sequence[float]]) -> bytes:
-    """Return the bytes of a 6x6 matrix by rows; raises ValueError as `pack6` does."""
-    if len(matrix) != 6:
-        raise ValueError(f"compliance needs 6 rows, got {len(matrix)}")
-    return b"".join(pack6(line, "compliance row") for line in matrix)
+class LedgerDamagedError(LedgerFileError):
+    """The file is a ledger, or was one, and its bytes are not those that were written."""
 
 
-def unpack36(packed: bytes) -> Matrix6:
-    """Return the six rows of `pack36`."""
-    flat = _THIRTY_SIX.unpack(packed)
-    return tuple(flat[start : start + 6] for start in range(0, 36, 6))
+class LedgerUnavailableError(LedgerError):
+    """The ledger could not be read or written now (disk full, locked); nothing was changed."""
 
 
-def content_key(*parts: bytes) -> bytes:
-    """Return 16 bytes that are the same only for the same parts."""
-    digest = blake2b(digest_size=16)
-    for part in parts:
-        digest.update(len(part).to_bytes(4, "little"))
-        digest.update(part)
-    return digest.digest()
+class LedgerFullError(LedgerUnavailableError):
+    """The disk has no room for what was to be written; nothing was changed."""
 
 
-def seal(key: bytes, compliance: bytes | None, origin: str) -> bytes:
-    """Return 16 bytes over what a row's key leaves out."""
-    return content_key(key, compliance or b"", origin.encode())
+class UnknownJobError(LedgerError, LookupError):
+    """There is no job with this number."""
+
+
+class UnknownRowError(LedgerError, LookupError):
+    """There is no row with this seq."""
+
+
+class InvalidTransitionError(LedgerError):
+    """The job's status does not allow this; see the table in ``service.ledger.states``."""
+
+
+class StaleAttemptError(InvalidTransitionError):
+    """The report is about an attempt that the job has left behind; drop it."""
+
+
+class DamagedRowError(LedgerError):
+    """The row on disk is not the row that was written; it is used nowhere."""
+
+
+class RowStatusError(LedgerError):
+    """The row is withdrawn already, or is not."""
+
+
+class BlockKeyError(LedgerError):
+    """A block of wrenches has a key that says nothing about whether it was recorded."""
+
+
+class ImportRunningError(LedgerError):
+    """Another import has the ledger for too long; nothing was loaded."""
+
+
+class UnknownVersionError(LedgerError, LookupError):
+    """The table has no such version, or none yet."""
