@@ -69,6 +69,7 @@ class Database:
         self._refused: LedgerFileError | None = None
         self._acknowledged = Acknowledged(self.path)
         self._frozen = False  # refused for writing, but whole enough to be read as it is
+        self._logged = ""  # the error logged last
         self.damaged: dict[int, str] = {}
         self._listeners: tuple[Listener, ...] = ()
         self._listeners_lock = threading.Lock()
@@ -104,6 +105,7 @@ class Database:
                 yield writer
                 numbers = _numbers(writer)
                 writer.execute("COMMIT" if keep else "ROLLBACK")
+                self._logged = ""
                 if keep and durable:
                     self._acknowledged.note(numbers)
             except BaseException:
@@ -236,7 +238,11 @@ class Database:
         except (*USE_ERRORS, *more) as error:
             if is_damage(error):  # after one damaged page no other is trusted
                 self._refuse(damaged_file(self.path, str(error)))
-            raise unavailable(self.path, error) from error
+            found = unavailable(self.path, error)
+            if str(found) != self._logged:  # once, however many requests follow
+                self._logged = str(found)
+                _log.error("%s", found)
+            raise found from error
 
     def _refuse(self, error: LedgerFileError) -> None:
         self._refused = error
