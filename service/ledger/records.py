@@ -33,7 +33,7 @@ class Job:
     lost : int
         Attempts whose solver died since the job was accepted, reopened or retried.
     owner : str or None
-        The dispatcher that looks after the running attempt.
+        The dispatcher of the running attempt.
     created, started, finished : float or None
         Seconds since the epoch; ``started`` is that of the latest attempt.
     error : dict or None
@@ -73,13 +73,13 @@ class Job:
 
     @property
     def seconds(self) -> float | None:
-        """Time from the solver's first instruction to the end, s; None for one not ended."""
+        """Time from the solver's first instruction to the end, s; None before the end."""
         start = self.began or self.started
         return max(0.0, self.finished - start) if self.finished and start else None
 
     @property
     def is_queued(self) -> bool:
-        """True if the queue of its engine holds it: no solver has begun. `local` has no queue."""
+        """True if it is in the queue of its engine: no solver has begun. `local` has no queue."""
         return (
             self.status == "running" and self.began is None and self.engine not in (None, "local")
         )
@@ -93,7 +93,7 @@ class Job:
 class Beat(NamedTuple):
     """The heartbeat of an owner of attempts: its engine, how many beats, the time of the last, s.
 
-    It lives as long as the number grows. The time is for people: clocks can be set.
+    An owner lives as long as the number grows. The time is for display: clocks can be set.
     """
 
     engine: str
@@ -111,7 +111,7 @@ class OpenJob(NamedTuple):
 
 @dataclass(frozen=True)
 class NewRow:
-    """A row on its way into the ledger.
+    """A row to be inserted.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class NewRow:
     origin : str
         Free note, such as the file name and line.
     fingerprint : str or None
-        The setup that was solved; None stands for the one the whole call is for.
+        The setup that was solved; None: the one of the call.
     """
 
     wrench: Sequence[float]
@@ -166,18 +166,18 @@ class RowEdit(NamedTuple):
 
 @dataclass(frozen=True)
 class RowChanges:
-    """What happened to a component's rows after some seq, as one committed state.
+    """Changes of a component's rows after some seq, as one committed state.
 
     Attributes
     ----------
     rows : list of LedgerRow
-        To be taken in: new ones, and old ones that were restored.
+        Rows to add: new ones, and old ones that were restored.
     gone : set of int
-        Seqs to be dropped before: those withdrawn, or restored and so in `rows`.
+        Seqs to remove before: those withdrawn, or restored and so in `rows`.
     last_seq : int
-        Up to here everything is told.
+        Up to here the changes are complete.
     whole : bool
-        Whether that is all there is; else ask again from there.
+        Whether these are all changes; else read on from `last_seq`.
     """
 
     rows: list[LedgerRow]
@@ -188,7 +188,7 @@ class RowChanges:
 
 @dataclass(frozen=True)
 class Change:
-    """What one committed transaction of this process changed; listeners receive it.
+    """The changes of one committed transaction of this process, for listeners.
 
     ``jobs`` are the numbers of the jobs it touched and ``rows`` counts the rows it added,
     withdrew or restored.
@@ -200,7 +200,7 @@ class Change:
 
 
 class LedgerError(Exception):
-    """Base of every error the ledger raises on purpose."""
+    """Base of all errors of the ledger."""
 
 
 class LedgerFileError(LedgerError):
@@ -216,7 +216,7 @@ class LedgerUnavailableError(LedgerError):
 
 
 class LedgerFullError(LedgerUnavailableError):
-    """The disk has no room for what was to be written; nothing was changed."""
+    """The disk is full; nothing was changed."""
 
 
 class UnknownJobError(LedgerError, LookupError):
@@ -232,11 +232,11 @@ class InvalidTransitionError(LedgerError):
 
 
 class StaleAttemptError(InvalidTransitionError):
-    """The report is about an attempt that the job has left behind; drop it."""
+    """The report is of an attempt that is not the job's running one; drop it."""
 
 
 class DamagedRowError(LedgerError):
-    """The row on disk is not the row that was written; it is used nowhere."""
+    """The row on the disk is damaged; it is used nowhere."""
 
 
 class RowStatusError(LedgerError):
@@ -244,7 +244,7 @@ class RowStatusError(LedgerError):
 
 
 class BlockKeyError(LedgerError):
-    """A block of wrenches has a key that says nothing about whether it was recorded."""
+    """The key of a block of wrenches does not show whether the block was recorded."""
 
 
 class ImportRunningError(LedgerError):

@@ -27,7 +27,7 @@ from wrenchbook.service.ledger.schema import (
     sequences,
 )
 
-SEQUENCES = ("jobs", "rows")  # of sqlite_sequence: jobs' numbers, and rows' and edits'
+SEQUENCES = ("jobs", "rows")  # of sqlite_sequence; rows and edits share one
 _DIGEST = 8  # bytes
 _TABLES = (
     *("jobs", "rows", "edits", "gatherings", "recorded", "extremes", "blocks"),
@@ -42,7 +42,7 @@ _MOST_MISSES = 50_000  # failed reads, 20 µs each
 
 
 class Numbers(NamedTuple):
-    """The highest numbers given out: a job's, a row's or an edit's."""
+    """The highest numbers used: of jobs, and of rows and edits."""
 
     jobs: int = 0
     rows: int = 0
@@ -176,14 +176,8 @@ class Salvaged:
     lost_rows: int
 
 
-@dataclass(frozen=True)
-class Spare:
-    """A row of a table's file, with its number in the ledger."""
-
-    component: str
-    seq: int
-    row: NewRow
-    created: float
+Spare = tuple[str, int, NewRow, float]
+"""A row of a table file: component, number in the ledger, row, seconds since the epoch."""
 
 
 def salvage(
@@ -204,15 +198,20 @@ def salvage(
     acknowledged : Acknowledged
         Of the damaged ledger.
     """
-    source, new = _source(damaged), open_file(target)
+    _pad(damaged)
+    try:
+        source = connect(damaged)
+    except USE_ERRORS:  # its first page, the schema, is damaged
+        source = connect(damaged.with_name("nothing.sqlite"))
+    new = open_file(target)
     try:
         highest = _highest(source, acknowledged.read()._asdict())
         new.execute("PRAGMA foreign_keys = OFF")
         new.execute("BEGIN IMMEDIATE")
         for one in spare:
-            rows.place(new, one.component, one.seq, one.row, one.created)
+            rows.place(new, *one)
         read = {name: _copy(source, new, name, highest) for name in _TABLES}
-        reopened = _settle(new)
+        reopened = _detach(new)
         there = "SELECT (SELECT count(*) FROM rows) + (SELECT count(*) FROM edits)"
         lost_rows = max(0, acknowledged.read().rows - new.execute(there).fetchone()[0])
         new.execute("COMMIT")
@@ -221,15 +220,6 @@ def salvage(
         source.close()
         new.close()
     return Salvaged(read, reopened, highest.get("jobs", 0), lost_rows)
-
-
-def _source(damaged: Path) -> Connection:
-    """Open the damaged ledger, or an empty one if its first page, the schema, is damaged."""
-    _pad(damaged)
-    try:
-        return connect(damaged)
-    except USE_ERRORS:
-        return connect(damaged.with_name("nothing.sqlite"))
 
 
 def _pad(damaged: Path) -> None:
@@ -292,7 +282,7 @@ def _readable(source: Connection, select: str, until: int) -> Iterator[tuple]:
         yield from found
 
 
-def _settle(new: Connection) -> int:
+def _detach(new: Connection) -> int:
     """Set references to missing jobs and rows to null; return how many jobs wait again."""
     new.execute("UPDATE rows SET job = NULL WHERE job NOT IN (SELECT id FROM jobs)")
     new.execute("DELETE FROM edits WHERE row NOT IN (SELECT seq FROM rows)")

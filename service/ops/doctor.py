@@ -163,7 +163,7 @@ def _spare(tables: Path) -> Iterator[Spare]:
     for name, (rows, _) in whole.items():
         written = (tables / f"{name}.h5").stat().st_mtime
         for place, seq in enumerate(rows.seq.tolist()):
-            yield Spare(name, seq, new_row(rows, place), written)
+            yield name, seq, new_row(rows, place), written
 
 
 def _has_bytes(path: Path) -> bool:
