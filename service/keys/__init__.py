@@ -1,4 +1,4 @@
-"""Who may ask this server: keys, kept hashed in the data directory."""
+"""API keys of a server, stored hashed in the data directory."""
 
 from wrenchbook.service.keys.keyring import FILE, Keyring, KeysError
 from wrenchbook.service.keys.record import SCOPES, Key, Scope, digest_of

@@ -1,7 +1,7 @@
 """The keys of a data directory, in one file that only its owner can read.
 
-Servers and commands on the machine share it: each change is one rename, under a lock, and whoever
-looks for a key looks at the file's date first.
+Servers and commands on the machine share it: each change is one rename under a lock, and readers
+compare the file's date first.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
@@ -31,14 +32,14 @@ from wrenchbook.service.keys.record import (
 log = logging.getLogger(__name__)
 
 FILE: Final = "keys.json"
-LOOK_S: Final = 0.5  # between looks at the file: so long does a revoked key go on at most
+LOOK_S: Final = 0.5  # between checks of the file: a revoked key is valid at most so long
 MOST_KEYS: Final = 1000
 
 _Stamp = tuple[int, int, int] | None
 
 
 class KeysError(ValueError):
-    """The keys cannot be read, or not changed as asked; nothing was changed."""
+    """The keys cannot be read or changed; nothing was changed."""
 
 
 class Keyring:
@@ -52,7 +53,7 @@ class Keyring:
     Raises
     ------
     KeysError
-        If there are keys and they cannot be read: nobody is let in for that.
+        If there are keys that cannot be read: then no request is accepted.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -73,12 +74,12 @@ class Keyring:
         return sorted(self._keys.values(), key=lambda key: key.name)
 
     def find(self, secret: str) -> Key | None:
-        """Return the key of a secret, None if it is none's."""
-        # Looked up by its digest: how long that takes tells nothing about the secrets there are.
+        """Return the key of a secret; None if there is none."""
+        # Looked up by digest: the time it takes reveals nothing about the secrets.
         return self._keys.get(digest_of(secret))
 
     def look(self, patience: float = LOOK_S) -> int:
-        """Take up what commands have changed since; return a number that differs after that."""
+        """Read the file if commands have changed it; return a number that differs then."""
         now = time.monotonic()
         if now < self._next_look and patience:
             return self.version
@@ -94,12 +95,12 @@ class Keyring:
     def add(
         self, name: str, scope: Scope, *, rate: float = RATE, megabytes: int = MEGABYTES
     ) -> str:
-        """Make a key and return its secret, which is kept nowhere.
+        """Make a key and return its secret, which is not stored.
 
         Parameters
         ----------
         name : str
-            Whose it is; no other key's.
+            Of its owner; unique.
         scope : {"read", "write", "admin"}
             What it allows.
         rate : float
@@ -110,7 +111,7 @@ class Keyring:
         Raises
         ------
         KeysError
-            If the name is taken or a value cannot be.
+            If the name is taken or a value is invalid.
         """
         secret = new_secret()
         with self._changing() as keys:
@@ -118,17 +119,17 @@ class Keyring:
                 raise KeysError(f"there are {MOST_KEYS} keys already; revoke some")
             if any(key.name == name for key in keys.values()):
                 raise KeysError(f"there is a key {name!r} already; revoke it or take another name")
-            told = {"name": name, "scope": scope, "digest": digest_of(secret)}
+            fields = {"name": name, "scope": scope, "digest": digest_of(secret)}
             limits = {"rate": rate, "megabytes": megabytes}
             try:
-                key = checked({**told, "created": time.time(), **limits})
+                key = checked({**fields, "created": time.time(), **limits})
             except ValueError as error:
                 raise KeysError(str(error)) from None
             keys[key.digest] = key
         return secret
 
     def revoke(self, name: str) -> None:
-        """Take a key away; servers notice within a second.
+        """Revoke a key; servers notice within a second.
 
         Raises
         ------
@@ -144,10 +145,10 @@ class Keyring:
 
     @contextmanager
     def _changing(self) -> Iterator[dict[str, Key]]:
-        """Give the keys as they are now, to be changed, and write them."""
+        """Give the present keys to be changed, and write them afterwards."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        held = take(self._path.with_name(f"{FILE}.lock"))
-        if held is None:
+        descriptor = take(self._path.with_name(f"{FILE}.lock"))
+        if descriptor is None:
             raise KeysError("another command is changing the keys; do it again")
         try:
             with self._lock:
@@ -157,12 +158,12 @@ class Keyring:
                 self._write(keys)
                 self._read()
         finally:
-            os.close(held)
+            os.close(descriptor)
 
     def _write(self, keys: dict[str, Key]) -> None:
-        """Write all keys such that the file is there whole, or as it was."""
+        """Replace the file of all keys at once."""
         partial = self._path.with_name(f".{FILE}.{os.getpid()}")
-        content = json.dumps({"keys": [key.kept() for key in keys.values()]}, indent=1)
+        content = json.dumps({"keys": [asdict(key) for key in keys.values()]}, indent=1)
         descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
         with open(descriptor, "w", encoding="utf-8") as file:  # noqa: PTH123 (a descriptor)
             file.write(content)
@@ -188,8 +189,8 @@ def _stamp(path: Path) -> _Stamp:
 
 def _keys_in(path: Path) -> dict[str, Key]:
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))["keys"]
-        keys = [checked(one) for one in told]
+        entries = json.loads(path.read_text(encoding="utf-8"))["keys"]
+        keys = [checked(one) for one in entries]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise KeysError(
             f"{path} cannot be read ({error}). Mend it, or move it away and make new keys with: "

@@ -1,4 +1,4 @@
-"""A key, as it is kept: its name, what it allows, and a digest of its secret."""
+"""An API key as it is stored: name, scope, limits, and a digest of its secret."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Scope = Literal["read", "write", "admin"]
 SCOPES: Final[tuple[Scope, ...]] = get_args(Scope)
 """From the least to the most: each allows what those before it do."""
 
-PREFIX: Final = "wb_"  # so that a key is known for one wherever it turns up
+PREFIX: Final = "wb_"  # marks a key as one of this program, for secret scanners
 RATE: Final = 5000.0
 """Requests a second that a key may send unless said otherwise: a loop of 1 kHz on each of a few
 components; a server answers some 10,000."""
@@ -29,12 +29,12 @@ class Key:
     Attributes
     ----------
     name : str
-        Whose it is.
+        Of its owner.
     scope : str
         ``read``, ``write`` or ``admin``.
     digest : str
-        SHA-256 of the secret, hexadecimal. The secret has 256 random bits, so nothing is won by a
-        slower function.
+        SHA-256 of the secret, hexadecimal. The secret has 256 random bits, so a slower function
+        gains nothing.
     created : float
         Seconds since the epoch.
     rate : float
@@ -51,15 +51,11 @@ class Key:
     megabytes: int = MEGABYTES
 
     def allows(self, scope: Scope) -> bool:
-        """Tell whether the key's scope includes another."""
+        """Return whether the key's scope includes another."""
         return SCOPES.index(self.scope) >= SCOPES.index(scope)
 
-    def kept(self) -> dict[str, Any]:
-        """Return the key as its file keeps it."""
-        return asdict(self)
-
     def public(self) -> dict[str, Any]:
-        """Return what may be told of the key: all but the digest."""
+        """Return all fields but the digest."""
         return {name: value for name, value in asdict(self).items() if name != "digest"}
 
 
@@ -69,20 +65,20 @@ def new_secret() -> str:
 
 
 def digest_of(secret: str) -> str:
-    """Return the digest that is kept in a secret's place."""
+    """Return the digest that is stored instead of a secret."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
-def checked(told: dict[str, Any]) -> Key:
-    """Return the key that fields describe.
+def checked(fields: dict[str, Any]) -> Key:
+    """Return the key of its fields.
 
     Raises
     ------
     ValueError
-        If a field is missing, unknown, or of a value that cannot be.
+        If a field is missing, unknown or invalid.
     """
     try:
-        key = Key(**told)
+        key = Key(**fields)
     except TypeError as error:
         raise ValueError(f"a key has the fields of one: {error}") from None
     if not isinstance(key.name, str) or not _NAME.fullmatch(key.name):

@@ -1,37 +1,35 @@
 """The durable record of jobs and rows; see `Ledger`."""
 
-from wrenchbook.service.ledger.errors import (
-    BlockKeyError,
-    DamagedRowError,
-    ImportRunningError,
-    InvalidTransitionError,
-    LedgerDamagedError,
-    LedgerError,
-    LedgerFileError,
-    LedgerFullError,
-    LedgerUnavailableError,
-    RowStatusError,
-    StaleAttemptError,
-    UnknownJobError,
-    UnknownRowError,
-    UnknownVersionError,
-)
 from wrenchbook.service.ledger.imports import About, Import
 from wrenchbook.service.ledger.ledger import Ledger
 from wrenchbook.service.ledger.packing import PackedRow, packed, packed_columns, unpacked
-from wrenchbook.service.ledger.recorded import Block, Kept, Kind, Tally, block_of
+from wrenchbook.service.ledger.recordings import Block, Kept, Kind, Tally, block_of
 from wrenchbook.service.ledger.records import (
     FINAL,
     STATUSES,
     Beat,
+    BlockKeyError,
     Change,
+    DamagedRowError,
+    ImportRunningError,
+    InvalidTransitionError,
     Job,
+    LedgerDamagedError,
+    LedgerError,
+    LedgerFileError,
+    LedgerFullError,
     LedgerRow,
+    LedgerUnavailableError,
     NewRow,
     OpenJob,
     RowChanges,
     RowEdit,
+    RowStatusError,
+    StaleAttemptError,
     Status,
+    UnknownJobError,
+    UnknownRowError,
+    UnknownVersionError,
 )
 
 __all__ = [

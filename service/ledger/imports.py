@@ -1,27 +1,37 @@
-"""SQL of imports: who loaded which rows, and which rows are there but not to be seen yet.
+"""Imports of large tables: many short transactions, shown by one.
 
-A large table is taken in by many short transactions, so that nobody waits long for the ledger; its
-rows are hidden until the last of them is in, and one small transaction then shows all of them. What
-a killed process has left hidden is deleted: it was never told to anybody.
+The rows are hidden until the last of them is in, so that jobs and other rows are accepted
+meanwhile. Rows that a killed process has left hidden are deleted.
 """
 
-from collections.abc import Sequence
+import os
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
-from wrenchbook.service.ledger.schema import Connection
+from wrenchbook.service.files.lock import take
+from wrenchbook.service.ledger import rows
+from wrenchbook.service.ledger.connections import Database
+from wrenchbook.service.ledger.packing import PackedRow
+from wrenchbook.service.ledger.records import Change, ImportRunningError
+from wrenchbook.service.ledger.schema import Connection, sequences
 
-# Parts do not overlap, so the one that begins last before a row is the only one that can hold it.
-SHOWN = (
-    "coalesce((SELECT part.last FROM import_parts part WHERE part.hidden = 1"
-    " AND part.first <= rows.seq ORDER BY part.first DESC LIMIT 1), 0) < rows.seq"
-)
-_COLUMNS = "id, component, created, who, filename, format, digest, note, rows"
-_MOST_KEYS = 500  # in one statement
+HOLD_SECONDS = 0.03
+"""Target of one transaction of an import, and so how long others wait for the ledger."""
+
+_FEWEST, _MOST = 100, 4000  # rows of one transaction
+_FIRST = 500
+_PATIENCE_SECONDS = 120.0  # that an import waits for another one
+_COLUMNS = "component, created, who, filename, format, digest, note, rows"
+_QUALIFIED = f"imports.id, {', '.join(f'imports.{name}' for name in _COLUMNS.split(', '))}"
+_PARTS = "FROM import_parts JOIN imports ON imports.id = import WHERE"
 
 
 @dataclass(frozen=True)
 class About:
-    """Where the rows of an import come from, in the words of who sent them.
+    """The origin of an import's rows, in the words of its sender.
 
     Attributes
     ----------
@@ -54,75 +64,157 @@ class Import:
     rows: int
 
 
-def begin(db: Connection, component: str, about: About, now: float) -> int:
-    """Note that an import begins; returns its number."""
-    values = (component, now, about.who, about.filename, about.format, about.digest, about.note)
-    marks = ", ".join("?" * 7)
-    columns = _COLUMNS.removeprefix("id, ")
-    return _new_id(db.execute(f"INSERT INTO imports ({columns}) VALUES ({marks}, 0)", values))
+class Imports(Database):
+    """The imports of the ledger."""
+
+    def import_rows(
+        self, component: str, blocks: Iterable[Sequence[PackedRow]], about: About
+    ) -> tuple[int, int, int | None]:
+        """Insert the packed rows of a file, all or none.
+
+        Each transaction takes some 30 ms. If the process is killed in between, no row is seen,
+        and the next import or start deletes them.
+
+        Returns
+        -------
+        tuple of (int, int, int or None)
+            New rows, known ones, and the number of the import; None if nothing was new.
+
+        Raises
+        ------
+        ImportRunningError
+            If another import has been running for too long.
+        LedgerUnavailableError
+            If they could not be written; none is in the table then.
+        """
+        with self._importing():
+            number: int | None = None
+            new = count = 0
+            try:
+                for block in self._sized(blocks):
+                    with self.writing(durable=False) as db:
+                        number = number or _begin(db, component, about)
+                        new += _add_hidden(db, number, component, block)
+                    count += len(block)
+                if number is None:
+                    return 0, 0, None
+                with self.writing() as db:
+                    db.execute("UPDATE imports SET rows = ? WHERE id = ?", (new, number))
+                    db.execute("UPDATE import_parts SET hidden = 0 WHERE import = ?", (number,))
+                    if not new:
+                        db.execute("DELETE FROM imports WHERE id = ?", (number,))
+            except BaseException:
+                self._drop_hidden()
+                raise
+        if new:
+            self.notify(Change(component, rows=new))
+        return new, count - new, number if new else None
+
+    def imports(self, component: str, most: int = 1000) -> list[Import]:
+        """Return the imports of a component that have ended, newest first."""
+        select = (
+            f"SELECT id, {_COLUMNS} FROM imports WHERE component = ? AND NOT EXISTS"
+            " (SELECT 1 FROM import_parts WHERE import = imports.id AND hidden = 1)"
+            " ORDER BY id DESC LIMIT ?"
+        )
+        with self.reading() as db:
+            return [Import(*record) for record in db.execute(select, (component, most))]
+
+    def import_of(self, seq: int) -> Import | None:
+        """Return the import that brought a row; None if it was solved."""
+        where = "first <= ? AND last >= ? ORDER BY first DESC LIMIT 1"
+        with self.reading() as db:
+            found = db.execute(f"SELECT {_QUALIFIED} {_PARTS} {where}", (seq, seq)).fetchone()
+        return Import(*found) if found else None
+
+    def import_spans(self, component: str) -> list[tuple[int, int, Import]]:
+        """Return which rows each import of a component brought: first, last, and the import."""
+        where = "import_parts.component = ? AND hidden = 0 ORDER BY first"
+        with self.reading() as db:
+            found = db.execute(f"SELECT first, last, {_QUALIFIED} {_PARTS} {where}", (component,))
+            return [(first, last, Import(*record)) for first, last, *record in found]
+
+    def drop_abandoned(self) -> None:
+        """Delete the hidden rows of imports whose process is gone; nothing while one runs."""
+        with self.reading() as db:
+            if rows.first_hidden(db, None) is None:
+                return
+        descriptor = self._take_lock()
+        if descriptor is not None:
+            try:
+                self._drop_hidden()
+            finally:
+                os.close(descriptor)
+
+    @contextmanager
+    def _importing(self) -> Iterator[None]:
+        """Be the only import of this ledger, of all processes."""
+        deadline = time.monotonic() + _PATIENCE_SECONDS
+        while (descriptor := self._take_lock()) is None:
+            if time.monotonic() > deadline:
+                raise ImportRunningError(
+                    "another large table is being imported; nothing was loaded, send it again"
+                )
+        try:
+            self._drop_hidden()  # of a killed process
+            yield
+        finally:
+            os.close(descriptor)
+
+    def _take_lock(self) -> int | None:
+        with self.named_errors(OSError):
+            return take(Path(f"{self.path}-importing"))
+
+    def _drop_hidden(self) -> None:
+        more = True
+        while more:
+            with self.writing(durable=False) as db:
+                more = _drop_some(db)
+
+    def _sized(self, blocks: Iterable[Sequence[PackedRow]]) -> Iterator[list[PackedRow]]:
+        """Cut blocks such that a transaction takes `HOLD_SECONDS`."""
+        size = _FIRST
+        for block in blocks:
+            start = 0
+            while start < len(block):
+                some = list(block[start : start + size])
+                start += size
+                began = time.monotonic()
+                yield some
+                took = max(time.monotonic() - began, 1e-6)
+                self.settle()  # else the next durable commit waits until all is synced
+                size = round(min(max(size * min(HOLD_SECONDS / took, 2.0), _FEWEST), _MOST))
 
 
-def note_part(db: Connection, number: int, component: str, span: tuple[int, int], hidden: bool):
-    """Note that an import has brought the rows of these numbers."""
-    grown = db.execute(
-        "UPDATE import_parts SET last = ? WHERE import = ? AND last = ? AND hidden = ?",
-        (span[1], number, span[0] - 1, hidden),
-    )
-    if not grown.rowcount:
-        values = (*span, number, component, hidden)
-        db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, ?)", values)
+def _begin(db: Connection, component: str, about: About) -> int:
+    values = (component, time.time())
+    values += (about.who, about.filename, about.format, about.digest, about.note)
+    insert = f"INSERT INTO imports ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, 0)"
+    number = db.execute(insert, values).lastrowid
+    assert number is not None
+    return number
 
 
-def finish(db: Connection, number: int, rows: int) -> None:
-    """Show the rows of an import."""
-    db.execute("UPDATE imports SET rows = ? WHERE id = ?", (rows, number))
-    db.execute("UPDATE import_parts SET hidden = 0 WHERE import = ?", (number,))
+def _add_hidden(db: Connection, number: int, component: str, block: list[PackedRow]) -> int:
+    """Insert hidden rows of an import; return how many were new."""
+    before = sequences(db).get("rows", 0)
+    inserted = db.executemany(rows.INSERT, block).rowcount if block else 0
+    last = sequences(db).get("rows", 0)
+    if inserted:
+        grown = db.execute(
+            "UPDATE import_parts SET last = ? WHERE import = ? AND last = ? AND hidden = 1",
+            (last, number, before),
+        )
+        if not grown.rowcount:
+            part = (before + 1, last, number, component)
+            db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 1)", part)
+    return inserted
 
 
-def first_hidden(db: Connection, component: str | None) -> int | None:
-    """Return the number of the first row that is not to be seen yet; None if there is none."""
-    where = "" if component is None else "AND component = ?"
-    values = () if component is None else (component,)
-    return db.execute(
-        f"SELECT min(first) FROM import_parts WHERE hidden = 1 {where}", values
-    ).fetchone()[0]
+def _drop_some(db: Connection) -> bool:
+    """Delete at most `_MOST` hidden rows, the last first; return whether there are more.
 
-
-def show_one(db: Connection, seq: int) -> bool:
-    """Take one row out of the hidden ones: somebody else has brought the same."""
-    part = db.execute(
-        "SELECT first, last, import, component FROM import_parts"
-        " WHERE hidden = 1 AND first <= ? AND last >= ?",
-        (seq, seq),
-    ).fetchone()
-    if part is None:
-        return False
-    first, last, number, component = part
-    db.execute("DELETE FROM import_parts WHERE first = ?", (first,))
-    for span in ((first, seq - 1), (seq + 1, last)):
-        if span[0] <= span[1]:
-            values = (*span, number, component, True)
-            db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, ?)", values)
-    return True
-
-
-def show_many(db: Connection, keys: Sequence[object]) -> int:
-    """Take rows with these keys out of the hidden ones; returns how many there were."""
-    if first_hidden(db, None) is None:
-        return 0
-    shown = 0
-    for start in range(0, len(keys), _MOST_KEYS):
-        some = list(keys[start : start + _MOST_KEYS])
-        marks = ", ".join("?" * len(some))
-        select = f"SELECT seq FROM rows WHERE key IN ({marks}) AND NOT ({SHOWN})"
-        shown += sum(show_one(db, seq) for (seq,) in db.execute(select, some).fetchall())
-    return shown
-
-
-def drop_hidden(db: Connection, most: int) -> bool:
-    """Delete some of the hidden rows, the last first; tell whether there are more.
-
-    Their numbers are given to nobody else.
+    Their numbers are not used again.
     """
     part = db.execute(
         "SELECT first, last FROM import_parts WHERE hidden = 1 ORDER BY first DESC LIMIT 1"
@@ -133,48 +225,10 @@ def drop_hidden(db: Connection, most: int) -> bool:
         )
         return False
     first, last = part
-    start = max(first, last - most + 1)
+    start = max(first, last - _MOST + 1)
     db.execute("DELETE FROM rows WHERE seq BETWEEN ? AND ?", (start, last))
     if start == first:
         db.execute("DELETE FROM import_parts WHERE first = ?", (first,))
     else:
         db.execute("UPDATE import_parts SET last = ? WHERE first = ?", (start - 1, first))
     return True
-
-
-def listed(db: Connection, component: str, most: int) -> list[Import]:
-    """Return the imports of a component, newest first."""
-    select = (
-        f"SELECT {_COLUMNS} FROM imports WHERE component = ? AND NOT EXISTS"
-        " (SELECT 1 FROM import_parts WHERE import = imports.id AND hidden = 1)"
-        " ORDER BY id DESC LIMIT ?"
-    )
-    return [Import(*record) for record in db.execute(select, (component, most))]
-
-
-def spans(db: Connection, component: str) -> list[tuple[int, int, Import]]:
-    """Return which rows each import of a component brought, by their numbers."""
-    columns = ", ".join(f"imports.{name.strip()}" for name in _COLUMNS.split(","))
-    found = db.execute(
-        f"SELECT first, last, {columns} FROM import_parts JOIN imports ON imports.id = import"
-        " WHERE import_parts.component = ? AND hidden = 0 ORDER BY first",
-        (component,),
-    )
-    return [(first, last, Import(*record)) for first, last, *record in found]
-
-
-def of_row(db: Connection, seq: int) -> Import | None:
-    """Return the import that brought a row; None if it was solved."""
-    columns = ", ".join(f"imports.{name.strip()}" for name in _COLUMNS.split(","))
-    found = db.execute(
-        f"SELECT {columns} FROM import_parts JOIN imports ON imports.id = import"
-        " WHERE first <= ? AND last >= ? ORDER BY first DESC LIMIT 1",
-        (seq, seq),
-    ).fetchone()
-    return Import(*found) if found else None
-
-
-def _new_id(cursor: object) -> int:
-    number = getattr(cursor, "lastrowid", None)
-    assert isinstance(number, int)
-    return number

@@ -1,45 +1,26 @@
-"""The durable record of jobs and rows: what `Ledger` says happened has happened."""
+"""The durable record of jobs and rows; see `Ledger`."""
 
 import time
-from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from wrenchbook.service.ledger import jobs, rows, states
-from wrenchbook.service.ledger.bulk import Imports
-from wrenchbook.service.ledger.care import Care
-from wrenchbook.service.ledger.connections import Connections
-from wrenchbook.service.ledger.job_log import log_jobs
-from wrenchbook.service.ledger.leases import Leases, write_beat
-from wrenchbook.service.ledger.listeners import Listener, Listeners
-from wrenchbook.service.ledger.recordings import LedgerRecordings
-from wrenchbook.service.ledger.records import Change, Job, LedgerRow, NewRow, OpenJob, Status, pack6
-from wrenchbook.service.ledger.table_rows import TableRows
+from wrenchbook.service.ledger.imports import Imports
+from wrenchbook.service.ledger.packing import pack6
+from wrenchbook.service.ledger.recordings import Recordings
+from wrenchbook.service.ledger.records import Beat, Change, Job, LedgerRow, NewRow, OpenJob, Status
+from wrenchbook.service.ledger.schema import Connection
+from wrenchbook.service.ledger.tables import TableRows
+
+# Leases of owners that were killed without a job are deleted then.
+FORGOTTEN_SECONDS = 24 * 3600.0
 
 
-class Ledger(TableRows, Imports, LedgerRecordings, Leases, Care):
+class Ledger(jobs.Jobs, TableRows, Imports, Recordings):
     """Jobs, rows and recordings in one SQLite file, for many threads and several processes at once.
 
-    A method that returned has committed to disk; one that raised changed nothing.
-
-    Parameters
-    ----------
-    path : path
-        The file; it and its folder are made if there are none.
-    patient : bool
-        Go on without a file that cannot be used now, on a full disk say: `trouble` then tells
-        why, every use raises LedgerUnavailableError, and each write tries to open it again.
-
-    Raises
-    ------
-    LedgerFileError
-        If the file is foreign, damaged or of a newer schema, and `patient` is false.
+    A method that returned has committed to disk; one that raised changed nothing. Parameters and
+    errors are those of `Database`.
     """
-
-    def __init__(self, path: str | Path, *, patient: bool = False) -> None:
-        self.path = Path(path).absolute()
-        super().__init__(Connections(self.path, patient=patient), Listeners())
-
-    # -- the life of a job ------------------------------------------------------------------
 
     def accept(
         self,
@@ -66,15 +47,18 @@ class Ledger(TableRows, Imports, LedgerRecordings, Leases, Care):
             If the job could not be written; it is then not accepted.
         """
         key = pack6(wrench)
-        with self._db.reading() as db:
+        with self.reading() as db:
             found = jobs.find_same(db, component, fingerprint, key)
             gone = found is not None and jobs.lacks_its_row(db, found)
-        if found and states.asked_again(found, priority, reopen_cancelled, gone, asked_by) == found:
+        if (
+            found
+            and states.accepted_again(found, priority, reopen_cancelled, gone, asked_by) == found
+        ):
             return found, False
-        with self._db.writing() as db:
+        with self.writing() as db:
             same = (component, fingerprint, key)
             job, created = jobs.accept(db, same, priority, reopen_cancelled, asked_by)
-        self._tell(job)
+        self._committed(job)
         return job, created
 
     def accept_many(
@@ -113,7 +97,7 @@ class Ledger(TableRows, Imports, LedgerRecordings, Leases, Care):
         Choosing and accepting are one transaction, so a limit on open jobs holds however many
         processes accept at once.
         """
-        with self._db.writing() as db:
+        with self.writing() as db:
             keys = choose(jobs.opened(db, component, fingerprint))
             accepted = [
                 jobs.accept(
@@ -121,7 +105,7 @@ class Ledger(TableRows, Imports, LedgerRecordings, Leases, Care):
                 )[0]
                 for key in keys
             ]
-        self._tell(*accepted)
+        self._committed(*accepted)
         return accepted
 
     def claim(self, owner: str, engine: str = "local") -> Job | None:
@@ -132,29 +116,29 @@ class Ledger(TableRows, Imports, LedgerRecordings, Leases, Care):
     def claim_many(self, owner: str, engine: str, most: int) -> list[Job]:
         """Start the next attempts of the next waiting jobs, in one transaction.
 
-        Each gets a task key; it is submitted, not running, until `beat` says that it began. The
-        claim counts as a beat of the owner.
+        Each gets a task key; it is submitted, not running, until `beat` reports its begin. The
+        claim counts as a heartbeat of the owner.
         """
         now = time.time()
-        with self._db.reading() as db:
+        with self.reading() as db:
             if not jobs.next_waiting(db, now, 1):
                 return []
-        with self._db.writing() as db:
+        with self.writing() as db:
             waiting = jobs.next_waiting(db, now, most)
             claimed = [jobs.save(db, states.claimed(job, owner, engine, now)) for job in waiting]
             if claimed:
-                write_beat(db, owner, engine, now)
-        self._tell(*claimed)
+                _write_beat(db, owner, engine, now)
+        self._committed(*claimed)
         return claimed
 
     def adopt(self, job_id: int, attempt: int, previous: str, owner: str) -> Job | None:
         """Take a running attempt over from a dead owner; None if another one was faster."""
-        with self._db.writing() as db:
+        with self.writing() as db:
             job = jobs.get(db, job_id)
             if (job.status, job.attempt, job.owner) != ("running", attempt, previous):
                 return None
             job = jobs.save(db, states.adopted(job, owner))
-        self._tell(job)
+        self._committed(job)
         return job
 
     def commit(
@@ -181,7 +165,7 @@ class Ledger(TableRows, Imports, LedgerRecordings, Leases, Care):
         ValueError
             If a number is not finite or a length is wrong.
         """
-        with self._db.writing() as db:
+        with self.writing() as db:
             job = jobs.get(db, job_id)
             if job.row is not None:
                 return rows.get(db, job.row)
@@ -190,7 +174,7 @@ class Ledger(TableRows, Imports, LedgerRecordings, Leases, Care):
             now = time.time()
             row = rows.add(db, job.component, job.fingerprint, new, job.id, now)
             job = jobs.save(db, states.committed(job, row.seq, now, seconds))
-        self._tell(job, rows=1)
+        self._committed(job, rows=1)
         return row
 
     def fail(
@@ -224,91 +208,62 @@ class Ledger(TableRows, Imports, LedgerRecordings, Leases, Care):
         InvalidTransitionError
             If jobs of that status cannot be cancelled; then none is.
         """
-        with self._db.writing() as db:
+        with self.writing() as db:
             found = jobs.listed(db, component, status, limit=-1)  # no limit, to SQLite
             for job in found:
                 jobs.save(db, states.cancelled(job, time.time()))
-        self._tell(*found)
+        self._committed(*found)
         return len(found)
 
     def retry(self, job_id: int) -> Job:
         """Let a failed or cancelled job wait again."""
         return self._move(job_id, states.retried)
 
-    # -- reading jobs -----------------------------------------------------------------------
-
-    def job(self, job_id: int) -> Job:
-        """Return a job; raises UnknownJobError."""
-        with self._db.reading() as db:
-            return jobs.get(db, job_id)
-
-    def jobs(
-        self,
-        component: str | None = None,
-        status: Status | None = None,
-        limit: int = 100,
-        below: int | None = None,
+    def beat(
+        self, owner: str, engine: str, began: Mapping[tuple[int, int], float] | None = None
     ) -> list[Job]:
-        """Return jobs, newest first, those of a number below `below` if given."""
-        with self._db.reading() as db:
-            return jobs.listed(db, component, status, limit, below)
+        """Write a heartbeat of `owner`, which runs its attempts.
 
-    def open_jobs(self, component: str, fingerprint: str) -> list[OpenJob]:
-        """Return the waiting and running jobs of one setup, oldest first."""
-        with self._db.reading() as db:
-            return jobs.opened(db, component, fingerprint)
+        Parameters
+        ----------
+        began : mapping, optional
+            By job and attempt, the time in seconds since the epoch at which a solver was seen at
+            it; attempts that have ended, or have another owner now, are ignored.
 
-    def jobs_for(
-        self, component: str, fingerprint: str, wrenches: Iterable[bytes]
-    ) -> dict[bytes, Job]:
-        """Return, by packed wrench, the jobs there are for any of these wrenches."""
-        with self._db.reading() as db:
-            return jobs.find_many(db, component, fingerprint, wrenches)
-
-    def running(self) -> list[Job]:
-        """Return all running jobs, oldest first."""
-        with self._db.reading() as db:
-            return jobs.running(db)
-
-    def unfinished(self, after: int | None = None) -> list[Job]:
-        """Return all open jobs, and with `after` also those that ended of a number above it."""
-        with self._db.reading() as db:
-            return jobs.unfinished(db, after)
-
-    def ended(self, job_ids: Iterable[int]) -> set[int]:
-        """Return those of some jobs that neither wait nor run."""
-        with self._db.reading() as db:
-            return jobs.ended(db, job_ids)
-
-    def counts(self, component: str | None = None) -> dict[str, int]:
-        """Return the number of jobs of each of the five statuses."""
-        with self._db.reading() as db:
-            return jobs.counts(db, component)
-
-    # -- following --------------------------------------------------------------------------
-
-    def version(self) -> int:
-        """Return a number that differs after any commit of this or another process.
-
-        Takes microseconds. Only equality of two numbers from the same Ledger means anything.
+        Returns
+        -------
+        list of Job
+            Those that are running rather than submitted from now on.
         """
-        return self._db.version()
+        with self.writing() as db:
+            _write_beat(db, owner, engine, time.time())
+            begun = []
+            for (job_id, attempt), at in (began or {}).items():
+                job = jobs.get(db, job_id)
+                if (job.status, job.attempt, job.owner) == ("running", attempt, owner):
+                    begun.append(jobs.save(db, states.begun(job, at)))
+        return begun
 
-    def on_change(self, listener: Listener) -> Callable[[], None]:
-        """Call `listener` after each commit of this Ledger, in the thread that committed.
+    def leases(self) -> dict[str, Beat]:
+        """Return the heartbeat of each owner."""
+        with self.reading() as db:
+            found = db.execute("SELECT owner, engine, beat, at FROM leases").fetchall()
+        return {owner: Beat(*rest) for owner, *rest in found}
 
-        It must be quick. Returns a function that ends the subscription. Commits of other
-        processes are seen by polling `version`.
-        """
-        return self._listeners.add(listener)
+    def attempts_of(self, owner: str) -> set[tuple[int, int]]:
+        """Return job and attempt of all attempts of `owner`; cheaper than `running`."""
+        with self.reading() as db:
+            return set(db.execute("SELECT id, attempt FROM jobs WHERE owner = ?", (owner,)))
 
-    def trouble(self) -> str | None:
-        """Return why the file can be neither read nor written now; None if it can."""
-        return self._db.trouble()
-
-    def close(self) -> None:
-        """Close the file; idempotent."""
-        self._db.close()
+    def end_lease(self, owner: str) -> None:
+        """Delete the lease of an owner that has ended; its attempts can then be adopted."""
+        with self.writing() as db:
+            db.execute("DELETE FROM leases WHERE owner = ?", (owner,))
+            db.execute(
+                "DELETE FROM leases WHERE at < ?"
+                " AND owner NOT IN (SELECT owner FROM jobs WHERE owner IS NOT NULL)",
+                (time.time() - FORGOTTEN_SECONDS,),
+            )
 
     def _end(self, job_id: int, attempt: int, step: Callable[[Job], Job]) -> Job:
         def checked(job: Job) -> Job:
@@ -318,13 +273,22 @@ class Ledger(TableRows, Imports, LedgerRecordings, Leases, Care):
         return self._move(job_id, checked)
 
     def _move(self, job_id: int, step: Callable[[Job], Job]) -> Job:
-        with self._db.writing() as db:
+        with self.writing() as db:
             job = jobs.save(db, step(jobs.get(db, job_id)))
-        self._tell(job)
+        self._committed(job)
         return job
 
-    def _tell(self, *touched: Job, rows: int = 0) -> None:
+    def _committed(self, *touched: Job, rows: int = 0) -> None:
         if touched:
-            log_jobs(touched)
+            jobs.log_jobs(touched)
             numbers = tuple(dict.fromkeys(job.id for job in touched))
-            self._listeners.tell(Change(touched[0].component, numbers, rows))
+            self.notify(Change(touched[0].component, numbers, rows))
+
+
+def _write_beat(db: Connection, owner: str, engine: str, now: float) -> None:
+    db.execute(
+        "INSERT INTO leases (owner, engine, beat, at) VALUES (?, ?, 1, ?)"
+        " ON CONFLICT (owner) DO UPDATE SET engine = excluded.engine, beat = beat + 1,"
+        " at = excluded.at",
+        (owner, engine, now),
+    )

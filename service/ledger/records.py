@@ -1,10 +1,7 @@
-"""What the ledger hands out: jobs, rows and changes, as plain immutable values."""
+"""Values that the ledger returns (jobs, rows, changes) and the errors that it raises."""
 
-import math
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from hashlib import blake2b
 from typing import Literal, NamedTuple
 
 Status = Literal["waiting", "running", "done", "failed", "cancelled"]
@@ -13,9 +10,6 @@ FINAL: frozenset[Status] = frozenset({"done", "failed", "cancelled"})
 
 Vector6 = tuple[float, ...]
 Matrix6 = tuple[Vector6, ...]
-
-_SIX = struct.Struct("<6d")
-_THIRTY_SIX = struct.Struct("<36d")
 
 
 @dataclass(frozen=True)
@@ -39,7 +33,7 @@ class Job:
     lost : int
         Attempts whose solver died since the job was accepted, reopened or retried.
     owner : str or None
-        The dispatcher that looks after the running attempt.
+        The dispatcher of the running attempt.
     created, started, finished : float or None
         Seconds since the epoch; ``started`` is that of the latest attempt.
     error : dict or None
@@ -79,13 +73,13 @@ class Job:
 
     @property
     def seconds(self) -> float | None:
-        """Time from the solver's first instruction to the end, s; None for one not ended."""
+        """Time from the solver's first instruction to the end, s; None before the end."""
         start = self.began or self.started
         return max(0.0, self.finished - start) if self.finished and start else None
 
     @property
     def is_queued(self) -> bool:
-        """True if the queue of its engine holds it: no solver has begun. `local` has no queue."""
+        """True if it is in the queue of its engine: no solver has begun. `local` has no queue."""
         return (
             self.status == "running" and self.began is None and self.engine not in (None, "local")
         )
@@ -99,7 +93,7 @@ class Job:
 class Beat(NamedTuple):
     """The heartbeat of an owner of attempts: its engine, how many beats, the time of the last, s.
 
-    It lives as long as the number grows. The time is for people: clocks can be set.
+    An owner lives as long as the number grows. The time is for display: clocks can be set.
     """
 
     engine: str
@@ -117,7 +111,7 @@ class OpenJob(NamedTuple):
 
 @dataclass(frozen=True)
 class NewRow:
-    """A row on its way into the ledger.
+    """A row to be inserted.
 
     Attributes
     ----------
@@ -133,7 +127,7 @@ class NewRow:
     origin : str
         Free note, such as the file name and line.
     fingerprint : str or None
-        The setup that was solved; None stands for the one the whole call is for.
+        The setup that was solved; None: the one of the call.
     """
 
     wrench: Sequence[float]
@@ -172,18 +166,18 @@ class RowEdit(NamedTuple):
 
 @dataclass(frozen=True)
 class RowChanges:
-    """What happened to a component's rows after some seq, as one committed state.
+    """Changes of a component's rows after some seq, as one committed state.
 
     Attributes
     ----------
     rows : list of LedgerRow
-        To be taken in: new ones, and old ones that were restored.
+        Rows to add: new ones, and old ones that were restored.
     gone : set of int
-        Seqs to be dropped before: those withdrawn, or restored and so in `rows`.
+        Seqs to remove before: those withdrawn, or restored and so in `rows`.
     last_seq : int
-        Up to here everything is told.
+        Up to here the changes are complete.
     whole : bool
-        Whether that is all there is; else ask again from there.
+        Whether these are all changes; else read on from `last_seq`.
     """
 
     rows: list[LedgerRow]
@@ -194,7 +188,7 @@ class RowChanges:
 
 @dataclass(frozen=True)
 class Change:
-    """What one committed transaction of this process changed; listeners receive it.
+    """The changes of one committed transaction of this process, for listeners.
 
     ``jobs`` are the numbers of the jobs it touched and ``rows`` counts the rows it added,
     withdrew or restored.
@@ -205,56 +199,57 @@ class Change:
     rows: int = 0
 
 
-def pack6(values: Sequence[float], name: str = "wrench", *, partial: bool = False) -> bytes:
-    """Return the canonical bytes of six finite floats: little-endian float64, no minus zero.
-
-    Parameters
-    ----------
-    partial : bool
-        Whether some of them, not all, may be NaN: not measured.
-
-    Raises
-    ------
-    ValueError
-        If there are not six numbers or one is not finite.
-    """
-    if len(values) != 6:
-        raise ValueError(f"{name} needs 6 numbers, got {len(values)}")
-    # One NaN for all: equal rows must have equal bytes.
-    floats = [math.nan if value != value else float(value) + 0.0 for value in values]
-    known = [value for value in floats if value == value] if partial else floats
-    if not known or not all(map(math.isfinite, known)):
-        raise ValueError(f"{name} must be finite, got {floats}")
-    return _SIX.pack(*floats)
+class LedgerError(Exception):
+    """Base of all errors of the ledger."""
 
 
-def unpack6(packed: bytes) -> Vector6:
-    """Return the six floats of `pack6`."""
-    return _SIX.unpack(packed)
+class LedgerFileError(LedgerError):
+    """The file is not a ledger this program can read: foreign, damaged or newer."""
 
 
-def pack36(matrix: Sequence[Sequence[float]]) -> bytes:
-    """Return the bytes of a 6x6 matrix by rows; raises ValueError as `pack6` does."""
-    if len(matrix) != 6:
-        raise ValueError(f"compliance needs 6 rows, got {len(matrix)}")
-    return b"".join(pack6(line, "compliance row") for line in matrix)
+class LedgerDamagedError(LedgerFileError):
+    """The file is a ledger, or was one, and its bytes are not those that were written."""
 
 
-def unpack36(packed: bytes) -> Matrix6:
-    """Return the six rows of `pack36`."""
-    flat = _THIRTY_SIX.unpack(packed)
-    return tuple(flat[start : start + 6] for start in range(0, 36, 6))
+class LedgerUnavailableError(LedgerError):
+    """The ledger could not be read or written now (disk full, locked); nothing was changed."""
 
 
-def content_key(*parts: bytes) -> bytes:
-    """Return 16 bytes that are the same only for the same parts."""
-    digest = blake2b(digest_size=16)
-    for part in parts:
-        digest.update(len(part).to_bytes(4, "little"))
-        digest.update(part)
-    return digest.digest()
+class LedgerFullError(LedgerUnavailableError):
+    """The disk is full; nothing was changed."""
 
 
-def seal(key: bytes, compliance: bytes | None, origin: str) -> bytes:
-    """Return 16 bytes over what a row's key leaves out."""
-    return content_key(key, compliance or b"", origin.encode())
+class UnknownJobError(LedgerError, LookupError):
+    """There is no job with this number."""
+
+
+class UnknownRowError(LedgerError, LookupError):
+    """There is no row with this seq."""
+
+
+class InvalidTransitionError(LedgerError):
+    """The job's status does not allow this; see the table in ``service.ledger.states``."""
+
+
+class StaleAttemptError(InvalidTransitionError):
+    """The report is of an attempt that is not the job's running one; drop it."""
+
+
+class DamagedRowError(LedgerError):
+    """The row on the disk is damaged; it is used nowhere."""
+
+
+class RowStatusError(LedgerError):
+    """The row is withdrawn already, or is not."""
+
+
+class BlockKeyError(LedgerError):
+    """The key of a block of wrenches does not show whether the block was recorded."""
+
+
+class ImportRunningError(LedgerError):
+    """Another import has the ledger for too long; nothing was loaded."""
+
+
+class UnknownVersionError(LedgerError, LookupError):
+    """The table has no such version, or none yet."""

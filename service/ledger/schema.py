@@ -1,9 +1,10 @@
-"""The ledger's SQLite file: opening and checking it, bringing it to today's schema, copying it.
+"""The ledger's SQLite file: opening, checking, upgrading and copying it, and its errors.
 
 The one file that imports sqlite3. WAL with ``synchronous=FULL``: when a transaction has
 returned, it survives a power cut.
 """
 
+import errno
 import os
 import sqlite3
 import time
@@ -11,27 +12,42 @@ from contextlib import suppress
 from pathlib import Path
 
 from wrenchbook.service.files.durable import sync_folder
-from wrenchbook.service.ledger.errors import LedgerDamagedError, LedgerFileError
-from wrenchbook.service.ledger.records import seal
+from wrenchbook.service.ledger.packing import seal
+from wrenchbook.service.ledger.records import (
+    LedgerDamagedError,
+    LedgerFileError,
+    LedgerFullError,
+    LedgerUnavailableError,
+)
 from wrenchbook.service.ledger.versions import APPLICATION_ID, SCRIPTS
 
 Connection = sqlite3.Connection
-# What using a file can come to; a damaged text need be no UTF-8.
+# Errors of a file in use; damaged text need not be UTF-8.
 USE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+_READ_ONLY = "its disk is read-only: remount it writable (dmesg tells why the kernel changed it)"
+_REMEDIES = {
+    **dict.fromkeys(_FULL, "make room on its disk"),
+    errno.EROFS: _READ_ONLY,
+    errno.EACCES: "make its folder and files writable for the user of the server",
+    errno.EPERM: "make its folder and files writable for the user of the server",
+    errno.EIO: "its disk fails: read dmesg, and make a backup on another disk",
+    errno.ENOLCK: "its file system has no locks left: start the lock service of the file server "
+    "(NFS), or move the data directory to a local disk",
+}
 BUSY_SECONDS = 30.0  # a writer waits so long for another process: a bulk import takes seconds
-LOOK_AGAIN_SECONDS = 0.001  # of one that waits: a tenth of what a short transaction takes
-# The log is brought into the file each 1000 pages (4 MB) if nobody reads then; what is left of a
-# longer one, after a large import, is cut to this when that has been done.
+LOOK_AGAIN_SECONDS = 0.001  # between attempts: a tenth of a short transaction
+# The log is moved into the file each 1000 pages (4 MB) unless a reader prevents it; a longer one,
+# after a large import, is then truncated to this.
 LOG_BYTES = 16 * 1024 * 1024
 CHECKPOINT_SECONDS = 0.2  # how long a checkpoint waits for readers, and writers for it
 
 
 def can_be_read_frozen(path: Path) -> bool:
-    """Return whether a ledger that cannot be opened for writing can be read as it lies there.
+    """Return whether a ledger that cannot be opened for writing can be read as it is.
 
-    SQLite then makes no files beside it, as a full disk needs, but does not see what a WAL file
-    that was left behind holds either.
+    SQLite then makes no files next to it, as a full disk requires, and ignores a WAL file.
     """
     wal = path.with_name(f"{path.name}-wal")
     try:
@@ -48,7 +64,7 @@ def can_be_read_frozen(path: Path) -> bool:
 
 
 def inode(path: Path) -> tuple[int, int]:
-    """Return what tells a file from another one of its name; zeros if there is none."""
+    """Return device and inode of a file; zeros if there is none."""
     try:
         found = path.stat()
     except OSError:
@@ -57,7 +73,7 @@ def inode(path: Path) -> tuple[int, int]:
 
 
 def connect(path: Path, *, frozen: bool = False) -> Connection:
-    """Open the file as it is; `frozen` only to read, with no file made beside it."""
+    """Open the file as it is; `frozen` only to read, without files next to it."""
     connection = sqlite3.connect(
         f"{path.as_uri()}?immutable=1" if frozen else path,
         timeout=BUSY_SECONDS,
@@ -66,7 +82,7 @@ def connect(path: Path, *, frozen: bool = False) -> Connection:
         uri=frozen,
     )
     try:
-        # A damaged word must not keep the sound rows beside it from being read.
+        # A damaged text must not keep other rows from being read.
         connection.text_factory = lambda word: word.decode("utf-8", "replace")
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA foreign_keys = ON")
@@ -78,10 +94,9 @@ def connect(path: Path, *, frozen: bool = False) -> Connection:
 
 
 def begin(connection: Connection) -> None:
-    """Begin to write, as soon as no other process does.
+    """Begin a writing transaction as soon as no other process writes.
 
-    SQLite itself looks again after up to 100 ms, and an import begins its next transaction in the
-    meantime, again and again.
+    SQLite itself retries after up to 100 ms; the next transaction of an import begins earlier.
     """
     deadline = time.monotonic() + BUSY_SECONDS
     connection.execute("PRAGMA busy_timeout = 0")
@@ -100,8 +115,8 @@ def begin(connection: Connection) -> None:
 
 
 def sync_log(path: Path) -> None:
-    """Bring what is in the log onto the disk, with nobody waiting for the ledger meanwhile."""
-    with suppress(OSError):  # no log, or a disk that fails: the next durable commit tells it
+    """Sync the log without a lock on the ledger."""
+    with suppress(OSError):  # no log, or a disk that fails: the next durable commit fails
         descriptor = os.open(path.with_name(f"{path.name}-wal"), os.O_RDONLY)
         try:
             os.fsync(descriptor)
@@ -110,7 +125,7 @@ def sync_log(path: Path) -> None:
 
 
 def open_file(path: Path) -> Connection:
-    """Open a ledger that is whole, or a new one, and bring it to today's schema.
+    """Open a ledger that is whole, or a new one, and upgrade its schema.
 
     Raises
     ------
@@ -180,7 +195,7 @@ def _check_whole(connection: Connection, path: Path) -> None:
 
 
 def damaged_file(path: Path, why: str) -> LedgerDamagedError:
-    """Return the error that tells of a damaged file."""
+    """Return the error of a damaged file."""
     return LedgerDamagedError(
         f"cannot read {path} as a ledger: it is damaged ({why}). Nothing is written into it; "
         "tables answer from their files. Move it away with the server stopped, and put back a copy "
@@ -188,19 +203,34 @@ def damaged_file(path: Path, why: str) -> LedgerDamagedError:
     )
 
 
-def tells_damage(error: Exception) -> bool:
-    """Tell a damaged file from a disk that is full or a lock; its texts can be no UTF-8 either."""
-    code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the rest says where it was noticed
+def is_damage(error: Exception) -> bool:
+    """Return whether an error is that of a damaged file; damaged text need not be UTF-8."""
+    code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the other bits: where it was noticed
     return isinstance(error, UnicodeDecodeError) or code in (
         sqlite3.SQLITE_CORRUPT,
         sqlite3.SQLITE_NOTADB,
     )
 
 
-def tells_full(error: Exception) -> bool:
-    """Tell a disk, or a quota, that has no room: SQLite itself, or a write that came up short."""
+def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
+    """Return the error of the ledger for one of SQLite or the disk: its cause and remedy.
+
+    The one place that maps ENOSPC, EROFS, EIO, ENOLCK and their kin.
+    """
     code = getattr(error, "sqlite_errorcode", 0)
-    return code & 0xFF == sqlite3.SQLITE_FULL or code == sqlite3.SQLITE_IOERR_WRITE
+    number = getattr(error, "errno", None) or 0
+    if code & 0xFF == sqlite3.SQLITE_FULL or code == sqlite3.SQLITE_IOERR_WRITE:
+        number = errno.ENOSPC
+    elif code & 0xFF == sqlite3.SQLITE_READONLY:
+        number = errno.EROFS
+    elif code & 0xFF == sqlite3.SQLITE_IOERR:
+        number = errno.EIO
+    remedy = _REMEDIES.get(number, "see that its disk has space and is writable")
+    kind = LedgerFullError if number in _FULL else LedgerUnavailableError
+    return kind(
+        f"the ledger {path} could not be used: {error}. Nothing was changed; {remedy}, "
+        "then ask again"
+    )
 
 
 def _use_wal(connection: Connection) -> None:
@@ -218,7 +248,7 @@ def _use_wal(connection: Connection) -> None:
 
 def _upgrade(connection: Connection) -> None:
     if _schema_version(connection) == len(SCRIPTS):
-        return  # nothing is written, so a full disk does not keep anybody from reading
+        return  # without a write, so that a full disk can be read
     # A table that others refer to is replaced (sqlite.org/lang_altertable.html, section 7).
     connection.execute("PRAGMA foreign_keys = OFF")
     connection.create_function("seal", 3, seal, deterministic=True)
@@ -233,7 +263,7 @@ def _upgrade(connection: Connection) -> None:
 
 
 def checkpoint(connection: Connection) -> bool:
-    """Bring the log into the file and empty it; False if somebody reads or writes just now."""
+    """Move the log into the file and empty it; False if another connection uses it just now."""
     connection.execute(f"PRAGMA busy_timeout = {round(1000 * CHECKPOINT_SECONDS)}")
     try:
         busy, _, _ = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
@@ -262,12 +292,12 @@ def copy_file(source: Connection, target: Path) -> None:
 
 
 def sequences(connection: Connection) -> dict[str, int]:
-    """Return the highest numbers given out, by table."""
+    """Return the highest numbers used, by table."""
     return dict(connection.execute("SELECT name, seq FROM sqlite_sequence").fetchall())
 
 
 def raise_sequences(connection: Connection, numbers: dict[str, int]) -> None:
-    """Give out no number again that was given out before."""
+    """Raise the sequences so that no number is used again."""
     with_all = {**dict.fromkeys(numbers, 0), **sequences(connection)}
     connection.execute("BEGIN IMMEDIATE")
     for name, number in numbers.items():

@@ -1,16 +1,15 @@
-"""The life of a job: every change of status there is, in one table.
+"""State machine of a job: one table of all transitions.
 
-Pure functions from a job to the job after an event; nothing here reads or writes the ledger.
+Pure functions from a job to the job after an event, without access to the ledger.
 """
 
 import secrets
 from dataclasses import replace
 
-from wrenchbook.service.ledger.errors import InvalidTransitionError, StaleAttemptError
-from wrenchbook.service.ledger.records import Job, Status
+from wrenchbook.service.ledger.records import InvalidTransitionError, Job, StaleAttemptError, Status
 
 # Seconds a job waits after its solver's first, second and third death; the fourth ends it.
-# What kills solvers, memory for one, is often over a minute or two later.
+# The cause of deaths, such as a lack of memory, has often passed a minute or two later.
 BACKOFF_SECONDS = (1.0, 10.0, 100.0)
 
 TRANSITIONS: dict[tuple[Status, str], Status] = {
@@ -72,7 +71,7 @@ def failed(job: Job, error: dict[str, str], now: float, seconds: float | None = 
 def lost(job: Job, now: float, cause: str = "") -> Job:
     """Return the job waiting for some time, or failed if its solver died too often.
 
-    `cause` is what is known of the latest death.
+    `cause` describes the latest death.
     """
     count = job.lost + 1
     if job.lost < len(BACKOFF_SECONDS):
@@ -96,21 +95,21 @@ def cancelled(job: Job, now: float) -> Job:
 
 
 def retried(job: Job) -> Job:
-    """Return a failed or cancelled job waiting again, as somebody asked for it."""
+    """Return a failed or cancelled job waiting again, on request."""
     return _moved(job, "retry", **_FRESH)
 
 
 def reopened(job: Job) -> Job:
-    """Return a cancelled job, or one whose row is withdrawn, waiting again: it was asked for."""
+    """Return a cancelled job, or one whose row is withdrawn, waiting again, on request."""
     return _moved(job, "reopen", row=None, **_FRESH)
 
 
-def asked_again(
+def accepted_again(
     job: Job, priority: int, reopen_cancelled: bool, lacks_row: bool, asked_by: str = ""
 ) -> Job:
-    """Return the job there is, after its wrench was asked for once more.
+    """Return a job after its wrench was accepted once more.
 
-    `lacks_row` says that the row it gave is withdrawn or damaged.
+    `lacks_row`: its row is withdrawn or damaged.
     """
     if lacks_row or (job.status == "cancelled" and reopen_cancelled):
         job = replace(reopened(job), asked_by=asked_by)
@@ -124,7 +123,7 @@ def check_attempt(job: Job, attempt: int) -> None:
     if job.status != "running" or job.attempt != attempt:
         raise StaleAttemptError(
             f"job {job.id} is {job.status} at attempt {job.attempt}; "
-            f"what attempt {attempt} says no longer counts"
+            f"a report of attempt {attempt} no longer counts"
         )
 
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from wrenchbook.service.files.durable import sync_folder
-from wrenchbook.service.ledger import Ledger, LedgerDamagedError, LedgerError
-from wrenchbook.service.ledger.acknowledged import Acknowledged
-from wrenchbook.service.ledger.salvage import Salvaged, Spare, salvage
+from wrenchbook.service.ledger import Ledger, LedgerDamagedError, LedgerError, NewRow, repair
+from wrenchbook.service.ledger.repair import Acknowledged, Salvaged, Spare, salvage
+from wrenchbook.service.ledger.rows import rewrite
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.backup import LEDGER
@@ -114,8 +114,10 @@ def _losses(ledger: Ledger, *, mend: bool) -> list[Finding]:
     losses = ledger.losses()
     if not mend or not losses:
         return [Finding("fault", one, "settle it with: --mend") for one in losses]
-    gone = ledger.lost()
-    Acknowledged(ledger.path).settle(lambda file: move_aside(file, "settled"))
+    acknowledged = Acknowledged(ledger.path)
+    with ledger.reading() as db:
+        gone = repair.lost(db, acknowledged)
+    acknowledged.settle(lambda file: move_aside(file, "settled"))
     found = [Finding("mended", one, "noted; it is told no more") for one in losses]
     if not any(gone):
         return found
@@ -161,7 +163,7 @@ def _spare(tables: Path) -> Iterator[Spare]:
     for name, (rows, _) in whole.items():
         written = (tables / f"{name}.h5").stat().st_mtime
         for place, seq in enumerate(rows.seq.tolist()):
-            yield Spare(name, seq, new_row(rows, place), written)
+            yield name, seq, new_row(rows, place), written
 
 
 def _has_bytes(path: Path) -> bool:
@@ -221,7 +223,9 @@ def _unusable(path: Path, what: str, left: int, *, mend: bool) -> Finding:
 
 def _damaged_rows(ledger: Ledger, whole: Found, *, mend: bool) -> list[Finding]:
     found = []
-    for seq, named in ledger.unsound().items():
+    with ledger.reading() as db:
+        damaged = repair.damaged_rows(db)
+    for seq, named in damaged.items():
         what = f"row {seq} of {named} is damaged in the ledger"
         copy = _copy_of(seq, whole)
         if copy is None:
@@ -232,12 +236,17 @@ def _damaged_rows(ledger: Ledger, whole: Found, *, mend: bool) -> list[Finding]:
             found.append(Finding("fault", what, remedy))
         elif not mend:
             found.append(Finding("fault", what, f"tables/{copy[0]}.h5 has it; {REPAIR}"))
-        elif ledger.heal(copy[0], seq, new_row(copy[1], copy[2])):
+        elif _rewritten(ledger, copy[0], seq, new_row(copy[1], copy[2])):
             found.append(Finding("mended", what, f"written anew from tables/{copy[0]}.h5"))
         else:
             remedy = "the same row is there under another number, which is used"
             found.append(Finding("note", what, remedy))
     return found
+
+
+def _rewritten(ledger: Ledger, component: str, seq: int, row: NewRow) -> bool:
+    with ledger.writing() as db:
+        return rewrite(db, component, seq, row)
 
 
 def _copy_of(seq: int, whole: Found) -> tuple[str, Rows, int] | None:

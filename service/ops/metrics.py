@@ -19,7 +19,7 @@ from prometheus_client.core import (
 from prometheus_client.registry import Collector
 
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
-from wrenchbook.service.ledger.statistics import SOLVE_EDGES, Statistics
+from wrenchbook.service.ledger.jobs import SOLVE_EDGES, Statistics
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.counts import FOLDER as COUNTS
 from wrenchbook.service.ops.counts import Counts, SharedCounts, cumulative

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from wrenchbook.service.ledger.recorded import MERGE
+from wrenchbook.service.ledger.recordings import MERGE
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
@@ -38,7 +38,7 @@ class Net:
     keys : list of bytes
         The packed wrench of each.
     reach, within : float
-        As in `service.ledger.recorded.Tally`.
+        As in `service.ledger.recordings.Tally`.
     most : int
         How many there may be.
     """

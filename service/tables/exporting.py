@@ -19,7 +19,7 @@ from wrenchbook.service.formats import (
     write_xlsx,
 )
 from wrenchbook.service.ledger import Ledger
-from wrenchbook.service.ledger.table_at import TableAt
+from wrenchbook.service.ledger.tables import TableAt
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import (
     CONTRACT_WORDS,

@@ -187,6 +187,7 @@ class TableFiles:
 
     def _put_back(self, name: str, rows: Rows, meta: TableMeta) -> None:
         """Insert a file's rows and repeat its edits; the ledger knows what it has by content."""
+        newest = self._ledger.last_seq(name)
         lost = (new_row(rows, place) for place in range(len(rows)))
         inserted, _ = self._ledger.insert_rows(name, "", lost, above=meta.last_seq)
         if inserted:
@@ -196,12 +197,24 @@ class TableFiles:
                 inserted,
             )
         if meta.edits is None:
+            # Files of 0.1 have neither edits nor a digest of their ledger.
+            if not inserted and newest >= meta.last_seq and self._numbers_are_of_ledger(rows):
+                return
             self.doubts[name] = _DOUBT
             log.warning("%s: %s", name, _DOUBT)
             return
         edits = [RowEdit(bytes.fromhex(key), gone, when) for key, gone, when in meta.edits]
         if changed := self._ledger.replay(name, edits):
             log.warning("%s: %d rows were withdrawn or restored as its file says", name, changed)
+
+    def _numbers_are_of_ledger(self, rows: Rows) -> bool:
+        """Return whether the ledger has the rows of a file under the same numbers."""
+        found = self._ledger.rows_of(rows.seq.tolist())
+        wrenches = map(tuple, rows.wrench.tolist())
+        return all(
+            seq in found and found[seq].wrench == wrench
+            for seq, wrench in zip(rows.seq.tolist(), wrenches, strict=True)
+        )
 
     def _path(self, name: str) -> Path:
         return self._folder / f"{name}.h5"

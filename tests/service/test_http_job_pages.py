@@ -51,7 +51,7 @@ def test_a_page_of_a_hundred_thousand_jobs_reads_no_more_than_the_page(idle):
     """A list of 10^5 took 2 s."""
     accept(idle, 100_000)
     ledger = idle.app.state.workspace.ledger
-    with ledger._db.reading() as db:
+    with ledger.reading() as db:
         for where in ("", "component = 'spring' AND", "status = 'waiting' AND"):
             steps: list[int] = []
             db.set_progress_handler(partial(steps.append, 1), 1000)  # each 1000 steps
@@ -77,7 +77,7 @@ def test_the_expected_time_is_what_is_ahead_shared_by_the_slots(idle):
     ledger = idle.app.state.workspace.ledger
     job = ledger.claim("me")
     ledger.commit(job.id, job.attempt, [0.0] * 6)
-    with ledger._db.writing() as db:
+    with ledger.writing() as db:
         db.execute("UPDATE jobs SET started = 100, finished = 104 WHERE status = 'done'")
     waiting = why_waiting(ledger, ledger.job(ids[-1]), 2, None)
     assert (waiting.ahead, waiting.solve_s) == (7, 4.0)

@@ -300,12 +300,12 @@ def test_a_listener_that_fails_does_not_make_the_commit_look_failed(ledger, capl
 
 
 def test_a_full_disk_is_named_and_nothing_is_accepted(ledger):
-    pages = ledger._db._writer.execute("PRAGMA page_count").fetchone()[0]
-    ledger._db._writer.execute(f"PRAGMA max_page_count = {pages}")
+    pages = ledger._writer.execute("PRAGMA page_count").fetchone()[0]
+    ledger._writer.execute(f"PRAGMA max_page_count = {pages}")
     with pytest.raises(LedgerUnavailableError, match="full"):
         ledger.accept_many("plate", "f1", [(i, 0, 0, 0, 0, 0) for i in range(1000)])
     assert ledger.jobs() == []
-    ledger._db._writer.execute("PRAGMA max_page_count = 1000000")
+    ledger._writer.execute("PRAGMA max_page_count = 1000000")
     assert accept(ledger).status == "waiting"
 
 

@@ -1,5 +1,7 @@
 """A damaged ledger accepts nothing, says so, and what it has acknowledged can be had again."""
 
+import errno
+import os
 import random
 
 import pytest
@@ -94,3 +96,49 @@ def test_a_server_with_a_damaged_ledger_says_so_and_answers_from_its_table_file(
         asked = {"force": [0.5, 0, 0], "moment": [0, 0, 0], "on_thin": "estimate"}
         found = http.post("/v1/components/rig/displacement", json=asked).json()
         assert found["translation"][0] == pytest.approx(5e-7)
+
+
+@pytest.mark.parametrize(
+    ("number", "status", "remedy"),
+    [
+        (errno.EROFS, 503, "remount it writable"),
+        (errno.ENOLCK, 503, "move the data directory to a local disk"),
+        (errno.EIO, 503, "its disk fails"),
+        (errno.ENOSPC, 507, "make room on its disk"),
+    ],
+)
+def test_an_import_on_a_disk_that_takes_no_lock_answers_500_with_a_trace_each_time(
+    folder, stand_in, monkeypatch, caplog, number, status, remedy
+):
+    def take(path):
+        raise OSError(number, os.strerror(number), str(path))
+
+    span = {"force": [1] * 3, "moment": [1] * 3}
+    row = {"wrench": [1, 0, 0, 0, 0, 0], "displacement": [1e-6, 0, 0, 0, 0, 0]}
+    with TestClient(create_app(Settings(folder, solvers=0))) as http:
+        made = {"name": "rig", "title": "a rig", "range": span}
+        assert http.post("/v1/components", json=made).is_success
+        monkeypatch.setattr("wrenchbook.service.ledger.imports.take", take)
+        caplog.clear()
+        for _ in range(3):
+            refused = http.post("/v1/components/rig/table", json={"rows": [row]})
+            assert refused.status_code == status
+            assert remedy in refused.json()["detail"]
+            assert os.strerror(number) in refused.json()["detail"]
+        assert [one.levelname for one in caplog.records if one.exc_info] == []
+        errors = [one for one in caplog.records if one.levelname == "ERROR"]
+        assert len(errors) == 1
+        monkeypatch.undo()
+        assert http.post("/v1/components/rig/table", json={"rows": [row]}).is_success
+
+
+def test_a_write_to_a_read_only_ledger_names_the_disk(path, caplog):
+    ledger = Ledger(path)
+    ledger._writer.execute("PRAGMA query_only = ON")
+    for _ in range(3):
+        with pytest.raises(LedgerUnavailableError, match="remount it writable"):
+            ledger.insert_rows("rig", "", new_rows(1000, 1001))
+    assert len(caplog.records) == 1
+    ledger._writer.execute("PRAGMA query_only = OFF")
+    assert ledger.insert_rows("rig", "", new_rows(1000, 1001)) == (1, 0)
+    ledger.close()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wrenchbook.service.ledger import About, Ledger, NewRow, UnknownRowError, packed_columns
-from wrenchbook.service.ledger.rows import packed
+from wrenchbook.service.ledger.packing import row_values
 
 SOLVE = ("plate", "f1", (1.0, 0, 0, 0, 0, 0))
 
@@ -51,23 +51,19 @@ def test_rows_packed_by_columns_are_those_packed_one_by_one():
     by_column = packed_columns(
         "rig", (wrench, moved, doubt, tangent), (sources, ["f"] * 40, notes), 5.0
     )
-    one_by_one = packed(
-        "rig",
-        "",
-        [
-            NewRow(
-                wrench[at].tolist(),
-                moved[at].tolist(),
-                sources[at],
-                tangent[at].tolist() if 10 <= at < 30 else None,
-                doubt[at].tolist() if at < 20 else None,
-                notes[at],
-                "f",
-            )
-            for at in range(40)
-        ],
-        5.0,
-    )
+    rows = [
+        NewRow(
+            wrench[at].tolist(),
+            moved[at].tolist(),
+            sources[at],
+            tangent[at].tolist() if 10 <= at < 30 else None,
+            doubt[at].tolist() if at < 20 else None,
+            notes[at],
+            "f",
+        )
+        for at in range(40)
+    ]
+    one_by_one = [row_values("rig", "", row, None, 5.0) for row in rows]
     assert by_column == one_by_one
 
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from wrenchbook.service.ledger import BlockKeyError, Kept, Ledger, block_of, recorded
+from wrenchbook.service.ledger import BlockKeyError, Kept, Ledger, block_of, recordings
 from wrenchbook.service.ledger import versions as schema
-from wrenchbook.service.ledger.records import pack6
+from wrenchbook.service.ledger.packing import pack6
 
 WRENCH = pack6((1.0, 2, 3, 4, 5, 6))
 
@@ -24,7 +24,7 @@ def add_one(now, _):
 
 
 def count(ledger, table):
-    with ledger._db.reading() as db:
+    with ledger.reading() as db:
         return db.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
 
 
@@ -57,7 +57,7 @@ def test_a_ledger_of_an_earlier_schema_is_taken_over_and_records(tmp_path, versi
 def test_keys_of_a_client_are_kept_while_a_block_may_be_sent_again_and_no_longer(ledger):
     for number in range(600):
         ledger.record("plate", block_of("me", number, [WRENCH]), add_one)
-    assert count(ledger, "blocks") == recorded.BLOCKS_OF_A_CLIENT
+    assert count(ledger, "blocks") == recordings.BLOCKS_OF_A_CLIENT
     assert ledger.record("plate", block_of("me", 599, [WRENCH]), add_one)[1]
     with pytest.raises(BlockKeyError, match="in order"):
         ledger.record("plate", block_of("me", 5, [WRENCH]), add_one)
@@ -65,7 +65,7 @@ def test_keys_of_a_client_are_kept_while_a_block_may_be_sent_again_and_no_longer
 
 
 def test_keys_of_any_number_of_clients_are_bounded(ledger, monkeypatch):
-    monkeypatch.setattr(recorded, "BLOCKS", 20)
+    monkeypatch.setattr(recordings, "BLOCKS", 20)
     for number in range(50):
         ledger.record("plate", block_of(f"client {number}", 0, [WRENCH]), add_one)
     assert count(ledger, "blocks") == 20

@@ -15,7 +15,7 @@ from wrenchbook.service.ledger import (
     NewRow,
     RowStatusError,
     UnknownRowError,
-    rows,
+    packing,
     schema,
 )
 
@@ -298,7 +298,7 @@ def test_a_ledger_of_the_first_schema_is_taken_over_whole(tmp_path, monkeypatch)
     old.executescript(schema.SCRIPTS[0])
     old.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
     old.execute("PRAGMA user_version = 1")
-    key = rows._key("plate", "f1", "fea", bytes(48), bytes(48), None)
+    key = packing.row_key("plate", "f1", "fea", bytes(48), bytes(48), None)
     content = ("plate", "f1", "fea", bytes(48), bytes(48), bytes(288), None)
     old.execute(
         "INSERT INTO jobs VALUES (7, 'plate', 'f1', ?, 'done', 0, 1, 0, NULL, 1, 2, 3, NULL, 9)",

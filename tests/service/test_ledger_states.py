@@ -49,8 +49,8 @@ def test_only_a_running_job_has_an_owner():
 def test_nothing_leads_out_of_done_but_asking_again_once_its_row_is_withdrawn():
     assert [event for status, event in states.TRANSITIONS if status == "done"] == ["reopen"]
     done = replace(job_of("done"), row=7)
-    assert states.asked_again(done, 1, True, lacks_row=False) == done
-    again = states.asked_again(done, 1, True, lacks_row=True)
+    assert states.accepted_again(done, 1, True, lacks_row=False) == done
+    again = states.accepted_again(done, 1, True, lacks_row=True)
     assert (again.status, again.row, again.priority) == ("waiting", None, 1)
 
 

@@ -6,8 +6,8 @@ import threading
 import pytest
 
 from wrenchbook.service.ledger import About, Ledger, schema
-from wrenchbook.service.ledger.connections import Connections
-from wrenchbook.service.ledger.errors import LedgerUnavailableError
+from wrenchbook.service.ledger.connections import Database
+from wrenchbook.service.ledger.records import LedgerUnavailableError
 
 WRENCH = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -55,14 +55,14 @@ def test_what_is_no_lock_is_told_at_once(path):
 def test_each_part_of_an_import_is_on_the_disk_before_the_next_begins(path, monkeypatch):
     """Else the next durable transaction, which is somebody else's, waits for all of them."""
     ledger, told = Ledger(path), []
-    settle = Connections.settle
+    settle = Database.settle
 
     def heard(self):
         with self.writing(keep=False):  # nobody holds the ledger meanwhile
             told.append("settled")
         settle(self)
 
-    monkeypatch.setattr(Connections, "settle", heard)
+    monkeypatch.setattr(Database, "settle", heard)
     blocks = [[_row(number)] for number in range(3)]
     assert ledger.import_rows("rig", blocks, About())[:2] == (3, 0)
     assert len(told) == 3

@@ -81,7 +81,7 @@ def test_a_long_log_is_brought_in_and_emptied(ledger):
 
 def test_a_log_that_somebody_reads_is_left_without_waiting_long(ledger):
     ledger.accept("rig", "f", [1.0] * 6)
-    with ledger._db.reading() as db:
+    with ledger.reading() as db:
         db.execute("SELECT count(*) FROM jobs").fetchone()
         ledger.accept("rig", "f", [2.0] * 6)
         started = time.monotonic()

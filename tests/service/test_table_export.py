@@ -1,7 +1,7 @@
 """What an export holds of a table that the ledger tells in parts."""
 
 from wrenchbook.service.ledger import Ledger, NewRow
-from wrenchbook.service.ledger.table_rows import MOST_CHANGES
+from wrenchbook.service.ledger.tables import MOST_CHANGES
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables.exporting import Wanted, export_table
 

@@ -30,7 +30,7 @@ from wrenchbook.service.http.problems import bad_body, plain_errors
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes.displacement import DirectRoute
 from wrenchbook.service.ledger import Block, Tally, block_of, packed
-from wrenchbook.service.ledger.recorded import MERGE
+from wrenchbook.service.ledger.recordings import MERGE
 from wrenchbook.service.recording.bound import bound_of
 from wrenchbook.service.recording.start import (
     Started,

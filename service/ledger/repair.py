@@ -1,0 +1,310 @@
+"""Repair: which acknowledged jobs and rows are gone, and a new ledger from a damaged one.
+
+SQLite cannot notice a WAL file that was cut off, deleted or replaced by an older copy: the ledger
+is whole, but older. After each commit the highest numbers are therefore written to a file next to
+the ledger. It is not synced: after a power cut it may be older than the ledger, never newer, so it
+reports no false loss.
+"""
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from wrenchbook.service.ledger import rows
+from wrenchbook.service.ledger.records import NewRow
+from wrenchbook.service.ledger.schema import (
+    USE_ERRORS,
+    Connection,
+    connect,
+    open_file,
+    raise_sequences,
+    sequences,
+)
+
+SEQUENCES = ("jobs", "rows")  # of sqlite_sequence; rows and edits share one
+_DIGEST = 8  # bytes
+_TABLES = (
+    *("jobs", "rows", "edits", "gatherings", "recorded", "extremes", "blocks"),
+    *("imports", "import_parts"),
+)
+_MOST_ROWID = 10_000_000  # where the highest number is unknown
+_MOST_NUMBER = 1 << 48  # larger numbers are damaged
+_HEAD_BYTES = 100  # of a file: https://www.sqlite.org/fileformat.html
+_MAGIC = b"SQLite format 3\0"
+_MOST_BYTES = 1 << 34  # of a ledger; a damaged header may contain more
+_MOST_MISSES = 50_000  # failed reads, 20 µs each
+
+
+class Numbers(NamedTuple):
+    """The highest numbers used: of jobs, and of rows and edits."""
+
+    jobs: int = 0
+    rows: int = 0
+
+
+class Acknowledged:
+    """The highest numbers that a ledger has acknowledged, in a file next to it.
+
+    Parameters
+    ----------
+    ledger : path
+        The ledger's file; the numbers are in ``<file>-acknowledged``, losses in ``<file>-lost``.
+    """
+
+    def __init__(self, ledger: Path) -> None:
+        self._path = ledger.with_name(f"{ledger.name}-acknowledged")
+        self._losses = ledger.with_name(f"{ledger.name}-lost")
+        self._noted = Numbers()
+
+    def note(self, numbers: Numbers) -> None:
+        """Write the numbers of a commit; an error of the disk is ignored: the commit is done."""
+        if numbers.jobs <= self._noted.jobs and numbers.rows <= self._noted.rows:
+            return
+        # Of two processes that write at once either's numbers stay, until the next commit.
+        known = self.read()
+        self._noted = Numbers(*map(max, numbers, known))
+        with suppress(OSError):
+            self._write(self._noted)
+
+    def read(self) -> Numbers:
+        """Return the numbers written last; zeros if the file is missing or damaged."""
+        try:
+            words = self._path.read_bytes()
+        except OSError:
+            return Numbers()
+        text, digest = words[:-_DIGEST], words[-_DIGEST:]
+        if blake2b(text, digest_size=_DIGEST).digest() != digest:
+            return Numbers()
+        return Numbers(*(int(word) for word in text.split()))
+
+    def compare(self, present: Numbers) -> Numbers | None:
+        """Record a loss and return the acknowledged numbers if they are above the present ones."""
+        noted = self.read()
+        if noted.jobs <= present.jobs and noted.rows <= present.rows:
+            return None
+        loss = {
+            "seen": time.time(),
+            "jobs": [present.jobs + 1, max(noted.jobs, present.jobs)],
+            "rows": [present.rows + 1, max(noted.rows, present.rows)],
+        }
+        with suppress(OSError), self._losses.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(loss) + "\n")
+            os.fsync(file.fileno())
+        return noted
+
+    def losses(self) -> list[str]:
+        """Return the losses that have not been settled yet, as sentences."""
+        return [_sentence(loss) for loss in self._unsettled()]
+
+    def lost(self) -> tuple[Numbers, int]:
+        """Return how many numbers of jobs and rows were lost, and the highest one of a row."""
+        losses = self._unsettled()
+        count = {
+            what: sum(loss[what][1] - loss[what][0] + 1 for loss in losses) for what in SEQUENCES
+        }
+        return Numbers(**count), max((loss["rows"][1] for loss in losses), default=0)
+
+    def _unsettled(self) -> list[dict[str, Any]]:
+        try:
+            lines = self._losses.read_text(encoding="utf-8").splitlines()
+        except OSError:
+            return []
+        found = []
+        for line in lines:
+            with suppress(ValueError, KeyError, TypeError):
+                loss = json.loads(line)
+                _sentence(loss)  # fails for a line that is not whole
+                found.append(loss)
+        return found
+
+    def settle(self, move: Callable[[Path], Path]) -> Path | None:
+        """Move the record of losses aside; return its new path, None if there is none."""
+        return move(self._losses) if self._losses.exists() else None
+
+    def _write(self, numbers: Numbers) -> None:
+        text = b"%d %d\n" % numbers
+        words = text + blake2b(text, digest_size=_DIGEST).digest()
+        descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            # The numbers only grow, so the text never gets shorter; one write is whole or absent.
+            os.pwrite(descriptor, words, 0)
+        finally:
+            os.close(descriptor)
+
+
+def _sentence(loss: dict[str, Any]) -> str:
+    seen = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(loss["seen"]))
+    parts = [
+        f"{what} {first} to {last}"
+        for what in ("jobs", "rows")
+        for first, last in [loss[what]]
+        if last >= first
+    ]
+    return (
+        f"{' and '.join(parts)} were acknowledged and are not in the ledger any more (seen {seen} "
+        "UTC): its -wal file was cut off or removed, or an older copy was put back. Rows that are "
+        "in a table's file come back by themselves; ask for the other wrenches again"
+    )
+
+
+@dataclass(frozen=True)
+class Salvaged:
+    """Counts of a salvage.
+
+    Attributes
+    ----------
+    read : dict of str to int
+        Records read, by table.
+    reopened : int
+        Done jobs whose row is lost; they wait again.
+    given : int
+        The highest number of a job ever used.
+    lost_rows : int
+        Upper bound on the acknowledged rows that are in neither copy: edits and abandoned
+        imports use numbers of rows as well.
+    """
+
+    read: dict[str, int]
+    reopened: int
+    given: int
+    lost_rows: int
+
+
+Spare = tuple[str, int, NewRow, float]
+"""A row of a table file: component, number in the ledger, row, seconds since the epoch."""
+
+
+def salvage(
+    damaged: Path, target: Path, spare: Iterable[Spare], acknowledged: Acknowledged
+) -> Salvaged:
+    """Write a new ledger from a damaged one, which is only read, and from the table files.
+
+    Rows come from the table files first, which have digests. A done job whose row is nowhere waits
+    again, and no number that was used is used again.
+
+    Parameters
+    ----------
+    damaged : path
+        A copy that no other process uses, with its log next to it.
+    target : path
+        The new ledger; must not exist.
+    spare : iterable of Spare
+    acknowledged : Acknowledged
+        Of the damaged ledger.
+    """
+    _pad(damaged)
+    try:
+        source = connect(damaged)
+    except USE_ERRORS:  # its first page, the schema, is damaged
+        source = connect(damaged.with_name("nothing.sqlite"))
+    new = open_file(target)
+    try:
+        highest = _highest(source, acknowledged.read()._asdict())
+        new.execute("PRAGMA foreign_keys = OFF")
+        new.execute("BEGIN IMMEDIATE")
+        for one in spare:
+            rows.place(new, *one)
+        read = {name: _copy(source, new, name, highest) for name in _TABLES}
+        reopened = _detach(new)
+        there = "SELECT (SELECT count(*) FROM rows) + (SELECT count(*) FROM edits)"
+        lost_rows = max(0, acknowledged.read().rows - new.execute(there).fetchone()[0])
+        new.execute("COMMIT")
+        raise_sequences(new, {name: highest.get(name, 0) for name in ("jobs", "rows")})
+    finally:
+        source.close()
+        new.close()
+    return Salvaged(read, reopened, highest.get("jobs", 0), lost_rows)
+
+
+def _pad(damaged: Path) -> None:
+    """Extend a truncated file to its length: SQLite reads no page of a shorter one."""
+    with damaged.open("r+b") as file:
+        head = file.read(_HEAD_BYTES)
+        pages, size = int.from_bytes(head[28:32]), int.from_bytes(head[16:18])
+        size = 65536 if size == 1 else size  # as the format writes it
+        whole = pages * size
+        if head.startswith(_MAGIC) and damaged.stat().st_size < whole < _MOST_BYTES:
+            file.truncate(whole)  # sparse
+
+
+def _highest(source: Connection, noted: dict[str, int]) -> dict[str, int]:
+    try:
+        known = sequences(source)
+    except USE_ERRORS:
+        return noted
+    known = {name: n for name, n in known.items() if isinstance(n, int) and n < _MOST_NUMBER}
+    both = noted.keys() | known.keys()
+    return {name: max(noted.get(name, 0), known.get(name, 0)) for name in both}
+
+
+def _copy(source: Connection, new: Connection, table: str, highest: dict[str, int]) -> int:
+    columns = [name for _, name, *_ in new.execute(f"PRAGMA table_info({table})")]
+    try:
+        there = [name for _, name, *_ in source.execute(f"PRAGMA table_info({table})")]
+    except USE_ERRORS:
+        there = columns
+    common = [name for name in columns if name in there]
+    if not common:
+        return 0
+    numbered = "rows" if table in ("edits", "import_parts") else table
+    until = highest.get(numbered, _MOST_ROWID)
+    select = f"SELECT {', '.join(common)} FROM {table} NOT INDEXED WHERE rowid BETWEEN ? AND ?"
+    marks = ", ".join("?" * len(common))
+    insert = f"INSERT OR IGNORE INTO {table} ({', '.join(common)}) VALUES ({marks})"
+    count = 0
+    for record in _readable(source, select, until):
+        try:
+            count += new.execute(insert, record).rowcount
+        except USE_ERRORS:
+            continue  # its values are damaged
+    return count
+
+
+def _readable(source: Connection, select: str, until: int) -> Iterator[tuple]:
+    """Yield all readable records, halving each range of numbers that is not readable."""
+    ranges, misses = [(0, until)], 0
+    while ranges and misses < _MOST_MISSES:
+        first, last = ranges.pop()
+        try:
+            found = source.execute(select, (first, last)).fetchall()
+        except USE_ERRORS:
+            misses += 1
+            if first < last:
+                middle = (first + last) // 2
+                ranges += [(middle + 1, last), (first, middle)]
+            continue
+        yield from found
+
+
+def _detach(new: Connection) -> int:
+    """Set references to missing jobs and rows to null; return how many jobs wait again."""
+    new.execute("UPDATE rows SET job = NULL WHERE job NOT IN (SELECT id FROM jobs)")
+    new.execute("DELETE FROM edits WHERE row NOT IN (SELECT seq FROM rows)")
+    return new.execute(
+        "UPDATE jobs SET status = 'waiting', row = NULL, started = NULL, finished = NULL"
+        " WHERE row IS NOT NULL AND row NOT IN (SELECT seq FROM rows)"
+    ).rowcount
+
+
+def lost(db: Connection, acknowledged: Acknowledged) -> Numbers:
+    """Return how many acknowledged jobs and rows are gone, without rows put back since.
+
+    Edits share the rows' numbers, so that there may be fewer rows.
+    """
+    gone, last = acknowledged.lost()
+    select = "SELECT count(*) FROM rows WHERE origin = 'table file' AND seq > ?"
+    back = db.execute(select, (last,)).fetchone()[0]
+    return Numbers(gone.jobs, max(0, gone.rows - back))
+
+
+def damaged_rows(db: Connection) -> dict[int, str]:
+    """Return the damaged rows of the ledger, with the component they name. All rows are read."""
+    named = dict(db.execute("SELECT seq, component FROM rows ORDER BY seq").fetchall())
+    sound = rows.numbered(db, named)
+    return {seq: str(component) for seq, component in named.items() if seq not in sound}
