@@ -103,7 +103,7 @@ class Workspace:
 
     def start_solving(self) -> None:
         """Run the jobs of the ledger, without tables: all that `wrenchbook work` needs."""
-        if not self.settings.solvers or self.settings.part == "answering":
+        if not self.settings.solvers or self.settings.part == "web":
             return
         settings = self.settings
         self._engine = open_engine(settings.engine, settings.solvers, scheduler=settings.scheduler)
@@ -301,7 +301,7 @@ class Workspace:
         return {**damaged, **self.tables.faults(), **self.library.broken()}
 
     def _open_tables(self, folder: Path) -> Tables | MappedTables:
-        if self.settings.part == "answering":
+        if self.settings.part == "web":
             state = CoordinatorState(self.settings.folder / FOLDER)
             return MappedTables(
                 self.ledger, self.library, folder, state, self.errors, self.settings.table_memory

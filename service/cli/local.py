@@ -100,30 +100,21 @@ def serve(
         _serve(**{name: setting.value for name, setting in found.items()})
 
 
-def _serve(**said: Any) -> None:
-    """Serve by settings as they hold."""
-    from wrenchbook.service.http.access.security import require_keys, security_of_options
+def _serve(**options: Any) -> None:
+    """Serve by the settings found."""
     from wrenchbook.service.jobs.engines.registry import EngineSettingsError, check_engine
+    from wrenchbook.service.keys.needed import require_keys
+    from wrenchbook.service.workers.supervisor import supervise
 
     try:
-        check_engine(said["engine"], said["scheduler"])
+        check_engine(options["engine"], options["scheduler"])
     except EngineSettingsError as error:
         raise typer.BadParameter(str(error)) from error
-    _make_folder(Path(said["data"]))
-    if said["first_key"]:
-        make_first_key(said["data"])
-    require_keys(said["host"], said["data"])
-    how = said["host"], said["port"], said["log_level"], said["log_format"]
-    if said["processes"] > 1:
-        from wrenchbook.service.workers.supervisor import supervise
-
-        supervise(said)
-    else:
-        from wrenchbook.service.http.server import serve as run
-        from wrenchbook.service.settings import settings_of_options
-
-        security = security_of_options(said)
-        run(settings_of_options(said), *how, security)
+    _make_folder(Path(options["data"]))
+    if options["first_key"]:
+        make_first_key(options["data"])
+    require_keys(options["host"], options["data"])
+    supervise(options)
 
 
 def _make_folder(folder: Path) -> None:

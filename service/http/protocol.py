@@ -33,6 +33,9 @@ BODY_S: Final = 30.0  # for a body, besides the time that it takes at this rate:
 SLOWEST: Final = 16 * 1024  # bytes a second; a bad mobile connection has more
 READ_S: Final = 60.0  # in which the caller must read some of an answer that waits
 LOOK_S: Final = 5.0  # between two checks of a connection's timeouts
+# For the next request of an idle connection when the server stops: it is answered, and the
+# connection closed, rather than reset. A simulator's next request comes within a step.
+LAST_S: Final = 0.25
 TOO_LONG: Final = (
     b"HTTP/1.1 431 Request Header Fields Too Large\r\n"
     b"content-length: 0\r\nconnection: close\r\n\r\n"
@@ -92,6 +95,7 @@ class FastPathProtocol(HttpToolsProtocol):
         self._unread_since = 0.0
         self._timer: asyncio.TimerHandle | None = None
         self._drops_input = False
+        self._is_last = False  # whether the connection closes after the next answer
 
         self._answer: Answer | None = getattr(config.app, "answer_at_once", None)
         if self.root_path or config.access_log or self.limit_concurrency is not None:
@@ -159,12 +163,12 @@ class FastPathProtocol(HttpToolsProtocol):
         if self._head_bytes > MOST_HEAD_BYTES:
             return
         if parser.should_upgrade():
-            self._start_last_request()
+            self._refuse_upgrade()
         elif self.url.endswith(_AFTER) and self._may_be_fast(parser):
             self._component = self.url[len(_BEFORE) : -len(_AFTER)].decode("ascii")
             self._body = b""
         else:
-            super().on_headers_complete()
+            self._start_request()
 
     def on_body(self, body: bytes) -> None:
         """Take a piece of a body."""
@@ -195,10 +199,12 @@ class FastPathProtocol(HttpToolsProtocol):
             super().on_message_complete()
 
     def shutdown(self) -> None:
-        """Answer the request that has begun to arrive, then close."""
-        if self._component is not None:
-            self._leave_fast_path({})
-        super().shutdown()
+        """Close after the present answer; without one, after the next one or `LAST_S`."""
+        self._is_last = True
+        if self._is_answered():
+            self.loop.call_later(LAST_S, self._close_if_idle)
+        else:
+            self.cycle.keep_alive = False
 
     def timeout_keep_alive_handler(self) -> None:
         """Close a connection that has been idle since the last answer."""
@@ -213,19 +219,29 @@ class FastPathProtocol(HttpToolsProtocol):
             seconds, self.timeout_keep_alive_handler
         )
 
-    def _start_last_request(self) -> None:
-        """Start a request to switch protocols (RFC 9110, section 7.8): it is answered, not obeyed.
+    def _close_if_idle(self) -> None:
+        if not self._in_request and self._is_answered():
+            self.transport.close()
+
+    def _start_request(self) -> None:
+        """Give a request to the application."""
+        super().on_headers_complete()
+        if self._is_last:
+            self.cycle.keep_alive = False
+
+    def _refuse_upgrade(self) -> None:
+        """Answer a request to switch protocols as any other, and close (RFC 9110, section 7.8).
 
         The parser takes its body for another protocol, and what arrives later for new requests. So
-        one with a body is refused, and the connection closes after the answer.
+        one with a body is refused, and input after it is dropped.
         """
-        self._drops_input = True
+        self._drops_input = self._is_last = True
         names = {name for name, value in self.headers if value != b"0"}
         app = self.app
         if names & {b"content-length", b"transfer-encoding"}:
             self.app = _refuse_upgrade
-        super().on_headers_complete()
-        self.app, self.cycle.keep_alive = app, False
+        self._start_request()
+        self.app = app
 
     def _answer_known(self, data: bytes) -> bool:
         """Answer a query whose head is known; return whether that was possible."""
@@ -244,7 +260,7 @@ class FastPathProtocol(HttpToolsProtocol):
     def _leave_fast_path(self, found: Found) -> None:
         """Start a request whose body was collected, with what was found about it in its scope."""
         self._component = None
-        super().on_headers_complete()
+        self._start_request()
         scope: Any = self.scope
         scope.update(found)
         super().on_body(self._body)
@@ -267,10 +283,14 @@ class FastPathProtocol(HttpToolsProtocol):
         """Return whether no other request is being answered, and the caller reads answers."""
         return (
             self._answer is not None
-            and (self.cycle is None or self.cycle.response_complete)
+            and self._is_answered()
             and not self.flow.write_paused
             and not self.transport.is_closing()
         )
+
+    def _is_answered(self) -> bool:
+        """Return whether no request of the application is being answered."""
+        return self.cycle is None or self.cycle.response_complete
 
     def _know_head(self, component: str, data: bytes) -> None:
         """Store the head of a query, if `data` is the query and no more."""
@@ -285,16 +305,20 @@ class FastPathProtocol(HttpToolsProtocol):
 
     def _write(self, content: bytes) -> None:
         """Write a 200; the time until an idle connection is closed begins anew."""
+        close = b"\r\nconnection: close" if self._is_last else b""
         fields = self.server_state.default_headers
         if fields is not self._default_headers:  # they change once a second
             lines = b"".join([b"%b: %b\r\n" % field for field in fields])
             self._reply_head = b"HTTP/1.1 200 OK\r\n%bcontent-length: " % lines
             self._default_headers = fields
         self.transport.write(
-            b"%b%d\r\ncontent-type: application/json\r\n%b\r\n%b"
-            % (self._reply_head, len(content), PLAIN, content)
+            b"%b%d%b\r\ncontent-type: application/json\r\n%b\r\n%b"
+            % (self._reply_head, len(content), close, PLAIN, content)
         )
         self.server_state.total_requests += 1
+        if self._is_last:
+            self.transport.close()
+            return
         self._answered_at = self.loop.time()
         if self.timeout_keep_alive_task is None:
             self._close_after(self.timeout_keep_alive)
