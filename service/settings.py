@@ -37,6 +37,8 @@ class Settings:
         Open jobs of a component that queries may have; those of fills and solves do not count.
     table_memory:
         MB of rows and numpy tables that a process keeps; packed tables are mapped.
+    method:
+        What answers where a request names no method; a table's own default if None.
     keep:
         Which folders of ended attempts are kept.
     part:
@@ -53,6 +55,7 @@ class Settings:
     scheduler: str | None = None
     table_memory: int = TABLE_MEMORY
     keep: Keep = KEEP
+    method: str | None = None
     part: Part = "all"
     processes: int = 1
 
@@ -79,6 +82,7 @@ def settings_of_options(options: Mapping[str, Any], part: Part = "all") -> Setti
         table_memory=options["table_memory"],
         scheduler=options["scheduler"],
         keep=keep,
+        method=options["method"],
         part=part,
         processes=options["processes"],
     )

@@ -132,6 +132,7 @@ class Workspace:
         once a version of its table.
         """
         table = self.tables.surrogate(name)
+        table.prefer(self.settings.method)
         if table.needs_compliance:
             self._ask_compliance(name, table)
         return table
@@ -183,7 +184,7 @@ class Workspace:
         self.tables.surrogate(name)  # a name that is unknown ends here
         loop = asyncio.get_running_loop()
         await loop.run_in_executor(None, self.tables.catch_up, name, seconds)
-        return self.tables.surrogate(name)
+        return self.surrogate(name)
 
     def deformed(self, name: str, wrench: NDArray[np.float64]) -> Deformed:
         """Return a component's deformed surface under a wrench (6,), N and N·m.

@@ -173,7 +173,7 @@ def supervise(options: Mapping[str, Any]) -> None:
     ------
     WorkerFailedError
         If a process cannot be started, or another server uses the data directory.
-    OSError
+    AddressError
         If the address is taken or not this machine's.
     """
     bound, address = bind_to(options["host"], options["port"])
