@@ -189,7 +189,7 @@ def validate(
     quick: Annotated[bool, typer.Option("--quick", help="with paper: fewer loads, one plate")] = (
         False
     ),
-    beside: Annotated[
+    other: Annotated[
         Literal["ccx"] | None, typer.Option("--with", help="solve a component by CalculiX too")
     ] = None,
     wrench: Annotated[
@@ -203,7 +203,7 @@ def validate(
     `paper` runs the coupling paper's bar, spring and robot on a plate, MuJoCo and service included.
     """
     # In a process of its own: this one never imports the finite elements.
-    if beside is not None:
+    if other is not None:
         loads = [f"--wrench={one}" for one in wrench or ()]
         bundle = str(_bundle_named(topic, data))
         words = child_command("wrenchbook.fea.validation.second_opinion", *loads, "--", bundle)
@@ -261,8 +261,8 @@ def check(
     ] = False,
 ) -> None:
     """Check a component bundle before it is uploaded: mesh, groups, supports, cost of a solve."""
-    told = {"mass": mass, "inertia": inertia, "centre": centre}
-    carried = [f"--{name}={value}" for name, value in told.items() if value is not None]
+    options = {"mass": mass, "inertia": inertia, "centre": centre}
+    carried = [f"--{name}={value}" for name, value in options.items() if value is not None]
     flags = [*(() if as_json else ("--text",)), *(("--nonlinear",) if nonlinear else ())]
     words = child_command("wrenchbook.fea.check", *flags, *carried, "--", str(bundle))
     raise typer.Exit(subprocess.run(words, check=False).returncode)

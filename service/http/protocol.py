@@ -29,21 +29,18 @@ log = logging.getLogger(__name__)
 MOST_CONNECTIONS: Final = 8192  # below the open files of a server, see `server.OPEN_FILES`
 MOST_HEAD_BYTES: Final = 64 * 1024  # what proxies and other servers take, or less
 HEAD_S: Final = 10.0  # for a head, from its first byte or from the connection's beginning
-BODY_S: Final = 30.0  # for a body, besides the time that it takes at this rate:
+BODY_S: Final = 30.0  # for a body, and the time that it takes at this rate:
 SLOWEST: Final = 16 * 1024  # bytes a second; a bad mobile connection has more
 READ_S: Final = 60.0  # in which the caller must read some of an answer that waits
 LOOK_S: Final = 5.0  # between two checks of a connection's timeouts
-# For the next request of an idle connection when the server stops: it is answered, and the
-# connection closed, rather than reset. A simulator's next request comes within a step.
-LAST_S: Final = 0.25
+LAST_S: Final = 0.25  # for a last request of an idle connection when the server stops
 TOO_LONG: Final = (
     b"HTTP/1.1 431 Request Header Fields Too Large\r\n"
     b"content-length: 0\r\nconnection: close\r\n\r\n"
 )
 _BEFORE, _AFTER = b"/v1/components/", b"/displacement"
 _MOST_BODY: Final = 4096  # bytes of a query of the fast path
-# Heads of one connection: a loop's differ by component and by the digits of their content-length.
-_MOST_HEADS: Final = 64
+_MOST_HEADS: Final = 64  # of one connection: a loop's differ by component and content-length
 _MOST_KNOWN_HEAD: Final = 2048  # bytes: a loop's heads have some 200
 _BLANK_LINE: Final = b"\r\n\r\n"
 
@@ -86,28 +83,23 @@ class FastPathProtocol(HttpToolsProtocol):
         _loop: asyncio.AbstractEventLoop | None = None,
     ) -> None:
         super().__init__(config, server_state, app_state, _loop)
-        self._in_request = False  # whether the last byte belongs to a request that goes on
-        self._in_body = False
-        self._used = False  # whether any request has begun
-        self._since = 0.0
+        # Whether the last byte is of an unfinished request, or of its body; whether one has begun.
+        self._in_request = self._in_body = self._used = False
         self._head_bytes = self._body_bytes = 0
         self._unread = 0  # bytes of an answer that waited at the last check
-        self._unread_since = 0.0
+        self._since = self._unread_since = self._answered_at = 0.0
         self._timer: asyncio.TimerHandle | None = None
-        self._drops_input = False
-        self._is_last = False  # whether the connection closes after the next answer
+        self._drops_input = self._is_last = False  # `_is_last`: the next answer closes
 
         self._answer: Answer | None = getattr(config.app, "answer_at_once", None)
         if self.root_path or config.access_log or self.limit_concurrency is not None:
             self._answer = None  # uvicorn alone logs and counts
         self._component: str | None = None  # of a query whose body is collected
-        self._body = b""
-        self._data = b""  # what has arrived last, while it may be one whole query
+        self._body = self._data = b""  # `_data`: the last bytes, while they may be one whole query
         self._found: Found | None = None  # about the query that has arrived
         self._heads: dict[bytes, _Head] = {}
         self._default_headers: Headers | None = None
         self._reply_head = b""
-        self._answered_at = 0.0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore
         """Begin a connection; close it if there are too many."""
@@ -163,7 +155,7 @@ class FastPathProtocol(HttpToolsProtocol):
         if self._head_bytes > MOST_HEAD_BYTES:
             return
         if parser.should_upgrade():
-            self._refuse_upgrade()
+            self._start_upgrade()
         elif self.url.endswith(_AFTER) and self._may_be_fast(parser):
             self._component = self.url[len(_BEFORE) : -len(_AFTER)].decode("ascii")
             self._body = b""
@@ -229,17 +221,15 @@ class FastPathProtocol(HttpToolsProtocol):
         if self._is_last:
             self.cycle.keep_alive = False
 
-    def _refuse_upgrade(self) -> None:
+    def _start_upgrade(self) -> None:
         """Answer a request to switch protocols as any other, and close (RFC 9110, section 7.8).
 
-        The parser takes its body for another protocol, and what arrives later for new requests. So
-        one with a body is refused, and input after it is dropped.
+        The parser does not read its body: one with a body is refused, and later input is dropped.
         """
         self._drops_input = self._is_last = True
         names = {name for name, value in self.headers if value != b"0"}
-        app = self.app
-        if names & {b"content-length", b"transfer-encoding"}:
-            self.app = _refuse_upgrade
+        has_body = names & {b"content-length", b"transfer-encoding"}
+        app, self.app = self.app, _refuse_upgrade if has_body else self.app
         self._start_request()
         self.app = app
 
@@ -330,8 +320,8 @@ class FastPathProtocol(HttpToolsProtocol):
         if late := self._late(self.loop.time()):
             log.debug("closed a connection: %s", late)
             self.transport.abort()
-            return
-        self._timer = self.loop.call_later(LOOK_S, self._check_timeouts)
+        else:
+            self._timer = self.loop.call_later(LOOK_S, self._check_timeouts)
 
     def _late(self, now: float) -> str:
         """Return what is overdue on the connection; an empty text if nothing is."""
@@ -341,8 +331,7 @@ class FastPathProtocol(HttpToolsProtocol):
                 self._unread, self._unread_since = left, now
             return "an answer that is not read" if now - self._unread_since > READ_S else ""
         self._unread = 0
-        if self.flow.read_paused:
-            self._since = now  # the server keeps the caller waiting
+        self._since = now if self.flow.read_paused else self._since  # the caller waits for answers
         waited = now - self._since
         if not self._in_request:
             return "a first request" if not self._used and waited > HEAD_S else ""
@@ -353,11 +342,9 @@ class FastPathProtocol(HttpToolsProtocol):
 
 async def _refuse_upgrade(scope: Scope, receive: Receive, send: Send) -> None:
     """Answer a request with a body and an Upgrade header."""
-    refused = ProblemError(
-        400,
-        "upgrade",
-        "This server does not switch protocols",
+    detail = (
         "The body of a request with the header Connection: Upgrade is not read; nothing was "
-        "changed. Send the request without the headers Connection: Upgrade and Upgrade.",
+        "changed. Send the request without the headers Connection: Upgrade and Upgrade."
     )
+    refused = ProblemError(400, "upgrade", "This server does not switch protocols", detail)
     await refused.response()(scope, receive, send)

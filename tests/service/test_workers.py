@@ -131,7 +131,7 @@ def statuses_of_each(clients, method="GET", key=None):
     return found
 
 
-def test_every_process_has_the_same_door(several):
+def test_every_process_has_the_same_access_control(several):
     for headers in ({"Host": "evil.example"}, {"Origin": "http://evil.example"}):
         assert statuses(several, headers) == {403}
     keyring = Keyring(several.folder)
