@@ -1,4 +1,4 @@
-"""What a server is told at its start, as all its processes hold it."""
+"""Settings of a workspace, the same in all processes of a server."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from wrenchbook.service.ops.retention import KEEP, Keep
 from wrenchbook.service.ordering import QUEUE_LIMIT
 from wrenchbook.service.tables.served import TABLE_MEMORY
 
-# What a process does of the work on a data directory: all of it; or, of several, the one that
-# builds tables and has jobs run, or one of those that answer.
-Part = Literal["all", "coordinator", "answering"]
+# What a process does: all; or, of a server's processes, build tables and dispatch jobs, or answer.
+Part = Literal["all", "builder", "web"]
 
 
 @dataclass(frozen=True)
@@ -38,12 +37,14 @@ class Settings:
         Open jobs of a component that queries may have; those of fills and solves do not count.
     table_memory:
         MB of rows and numpy tables that a process keeps; packed tables are mapped.
+    method:
+        What answers where a request names no method; a table's own default if None.
     keep:
         Which folders of ended attempts are kept.
     part:
-        What of the work is this process'.
-    number:
-        Which one it is of several that answer, from 1.
+        What this process does.
+    processes:
+        How many web workers the server has.
     """
 
     folder: Path
@@ -54,30 +55,34 @@ class Settings:
     scheduler: str | None = None
     table_memory: int = TABLE_MEMORY
     keep: Keep = KEEP
+    method: str | None = None
     part: Part = "all"
-    number: int = 0
+    processes: int = 1
 
 
-def settings_of_options(said: Mapping[str, Any], part: Part = "all", number: int = 0) -> Settings:
+def settings_of_options(options: Mapping[str, Any], part: Part = "all") -> Settings:
     """Return the settings of a process of the server by the options of `serve`.
 
     Parameters
     ----------
-    said : mapping
-        The options by name; what is no setting of a workspace is left alone.
-    part, number
+    options : mapping
+        By name; those that are no settings of a workspace are ignored.
+    part
         As in `Settings`.
     """
-    keep = Keep(*(said[f"keep_{one}"] for one in ("days", "count", "failed_days", "failed_count")))
+    keep = Keep(
+        *(options[f"keep_{one}"] for one in ("days", "count", "failed_days", "failed_count"))
+    )
     return Settings(
-        folder=Path(said["data"]),
-        solvers=said["solvers"],
-        engine=said["engine"],
-        allow_decks=said["allow_decks"],
-        queue_limit=said["queue_limit"],
-        table_memory=said["table_memory"],
-        scheduler=said["scheduler"],
+        folder=Path(options["data"]),
+        solvers=options["solvers"],
+        engine=options["engine"],
+        allow_decks=options["allow_decks"],
+        queue_limit=options["queue_limit"],
+        table_memory=options["table_memory"],
+        scheduler=options["scheduler"],
         keep=keep,
+        method=options["method"],
         part=part,
-        number=number,
+        processes=options["processes"],
     )

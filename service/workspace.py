@@ -103,7 +103,7 @@ class Workspace:
 
     def start_solving(self) -> None:
         """Run the jobs of the ledger, without tables: all that `wrenchbook work` needs."""
-        if not self.settings.solvers or self.settings.part == "answering":
+        if not self.settings.solvers or self.settings.part == "web":
             return
         settings = self.settings
         self._engine = open_engine(settings.engine, settings.solvers, scheduler=settings.scheduler)
@@ -132,6 +132,7 @@ class Workspace:
         once a version of its table.
         """
         table = self.tables.surrogate(name)
+        table.prefer(self.settings.method)
         if table.needs_compliance:
             self._ask_compliance(name, table)
         return table
@@ -183,7 +184,7 @@ class Workspace:
         self.tables.surrogate(name)  # a name that is unknown ends here
         loop = asyncio.get_running_loop()
         await loop.run_in_executor(None, self.tables.catch_up, name, seconds)
-        return self.tables.surrogate(name)
+        return self.surrogate(name)
 
     def deformed(self, name: str, wrench: NDArray[np.float64]) -> Deformed:
         """Return a component's deformed surface under a wrench (6,), N and N·m.
@@ -301,7 +302,7 @@ class Workspace:
         return {**damaged, **self.tables.faults(), **self.library.broken()}
 
     def _open_tables(self, folder: Path) -> Tables | MappedTables:
-        if self.settings.part == "answering":
+        if self.settings.part == "web":
             state = CoordinatorState(self.settings.folder / FOLDER)
             return MappedTables(
                 self.ledger, self.library, folder, state, self.errors, self.settings.table_memory

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tests.service.page.chromium import Browser
 from wrenchbook.service.client import Client
-from wrenchbook.service.http.server import private_server
+from wrenchbook.service.workers.private import private_server
 
 FOLDER = Path(__file__).parents[1] / "data" / "pictures"
 SIZE = (1280, 1010)  # px: the whole of the view

@@ -65,8 +65,9 @@ async def answer_many_at(
 
 async def table_at(workspace: Workspace, name: str, version: int) -> ServedTable:
     """Return a component's table as it was at a version; errors as `answer_at`."""
-    held = workspace.past.held(name, version)
-    if held is not None:
-        return held
-    limit = workspace.past.turns
-    return await to_thread.run_sync(workspace.past.surrogate, name, version, limiter=limit)
+    table = workspace.past.held(name, version)
+    if table is None:
+        limit = workspace.past.turns
+        table = await to_thread.run_sync(workspace.past.surrogate, name, version, limiter=limit)
+    table.prefer(workspace.settings.method)
+    return table

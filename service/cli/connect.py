@@ -36,7 +36,7 @@ def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Clie
         with Client(server) as client:
             yield client
         return
-    from wrenchbook.service.http.server import private_server
+    from wrenchbook.service.workers.private import private_server
 
     with private_server(data, solvers) as client:
         yield client

@@ -28,7 +28,7 @@ WRENCH = ((150.0, -100.0, -900.0), (20.0, 30.0, 5.0))
 
 def run(out: Console, keep: Path | None = None) -> int:
     """Run the demonstration; return the exit status, 0 if all of it worked."""
-    from wrenchbook.service.http.server import private_server
+    from wrenchbook.service.workers.private import private_server
 
     started = time.monotonic()
     room = nullcontext(str(keep)) if keep else tempfile.TemporaryDirectory(prefix="wrenchbook-")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
+from rich.text import Text
 
 from wrenchbook.fea.bundle.read import FILE_NAME
 from wrenchbook.fea.bundle.shipped import SHIPPED
@@ -46,6 +47,10 @@ Scheduler = Annotated[
 AllowDecks = Annotated[
     bool, typer.Option(help="take uploaded bundles with a deck: solvers run its command")
 ]
+Method = Annotated[
+    Literal["griddata", "additive", "kriging", "linear"] | None,
+    typer.Option(help="answers where a request names none; by default each table's best"),
+]
 QueueLimit = Annotated[int, typer.Option(min=0, help="open jobs of a component from queries")]
 _DONE, _FAILED = "folders of done attempts are kept", "folders of failed and cancelled ones"
 KeepDays = Annotated[float, typer.Option(min=0, help=f"days that {_DONE}")]
@@ -76,6 +81,7 @@ def serve(
     engine: EngineName = "local",
     scheduler: Scheduler = None,
     allow_decks: AllowDecks = False,
+    method: Method = None,
     queue_limit: QueueLimit = 64,
     table_memory: TableMemory = 700,
     keep_days: KeepDays = 30.0,
@@ -100,30 +106,31 @@ def serve(
         _serve(**{name: setting.value for name, setting in found.items()})
 
 
-def _serve(**said: Any) -> None:
-    """Serve by settings as they hold."""
-    from wrenchbook.service.http.access.security import require_keys, security_of_options
+def _serve(**options: Any) -> None:
+    """Serve by the settings found."""
     from wrenchbook.service.jobs.engines.registry import EngineSettingsError, check_engine
+    from wrenchbook.service.keys.needed import require_keys
+    from wrenchbook.service.workers.listen import AddressError
+    from wrenchbook.service.workers.supervisor import supervise
 
     try:
-        check_engine(said["engine"], said["scheduler"])
+        check_engine(options["engine"], options["scheduler"])
     except EngineSettingsError as error:
         raise typer.BadParameter(str(error)) from error
-    _make_folder(Path(said["data"]))
-    if said["first_key"]:
-        make_first_key(said["data"])
-    require_keys(said["host"], said["data"])
-    how = said["host"], said["port"], said["log_level"], said["log_format"]
-    if said["processes"] > 1:
-        from wrenchbook.service.workers.supervisor import supervise
+    _make_folder(Path(options["data"]))
+    if options["first_key"]:
+        make_first_key(options["data"])
+    require_keys(options["host"], options["data"])
+    try:
+        supervise(options)
+    except AddressError as error:
+        raise _refused(str(error)) from error
 
-        supervise(said)
-    else:
-        from wrenchbook.service.http.server import serve as run
-        from wrenchbook.service.settings import settings_of_options
 
-        security = security_of_options(said)
-        run(settings_of_options(said), *how, security)
+def _refused(message: str) -> typer.Exit:
+    """Print why nothing is served, on one line, and return the exit with status 2."""
+    Screen(stderr=True).print(Text(message, style="red"), soft_wrap=True)
+    return typer.Exit(2)
 
 
 def _make_folder(folder: Path) -> None:
@@ -133,12 +140,12 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise typer.BadParameter(
+        raise _refused(
             f"the data directory {folder} cannot be made: {error.strerror}; name another with "
             "--data, or make it for the user that serves"
         ) from error
     if paths := not_writable(folder):
-        raise typer.BadParameter(
+        raise _refused(
             f"{paths[0]} cannot be read and written; name another directory with --data, or make "
             f"it readable and writable for user {os.getuid()}"
         )
@@ -209,7 +216,7 @@ def validate(
     `paper` runs the coupling paper's bar, spring and robot on a plate, MuJoCo and service included.
     """
     # In a process of its own: this one never imports the finite elements.
-    if beside is not None:
+    if other is not None:
         loads = [f"--wrench={one}" for one in wrench or ()]
         bundle = str(_bundle_named(topic, data))
         words = child_command("wrenchbook.fea.validation.second_opinion", *loads, "--", bundle)

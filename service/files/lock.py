@@ -13,10 +13,10 @@ from pathlib import Path
 _PATIENCE_SECONDS = 0.5
 
 
-def take(path: Path) -> int | None:
+def take(path: Path, patience_s: float = _PATIENCE_SECONDS) -> int | None:
     """Lock the file (made if there is none) and return its descriptor; None if it is held."""
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    deadline = time.monotonic() + _PATIENCE_SECONDS
+    deadline = time.monotonic() + patience_s
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -29,18 +29,18 @@ log = logging.getLogger(__name__)
 MOST_CONNECTIONS: Final = 8192  # below the open files of a server, see `server.OPEN_FILES`
 MOST_HEAD_BYTES: Final = 64 * 1024  # what proxies and other servers take, or less
 HEAD_S: Final = 10.0  # for a head, from its first byte or from the connection's beginning
-BODY_S: Final = 30.0  # for a body, besides the time that it takes at this rate:
+BODY_S: Final = 30.0  # for a body, and the time that it takes at this rate:
 SLOWEST: Final = 16 * 1024  # bytes a second; a bad mobile connection has more
 READ_S: Final = 60.0  # in which the caller must read some of an answer that waits
 LOOK_S: Final = 5.0  # between two checks of a connection's timeouts
+LAST_S: Final = 0.25  # for a last request of an idle connection when the server stops
 TOO_LONG: Final = (
     b"HTTP/1.1 431 Request Header Fields Too Large\r\n"
     b"content-length: 0\r\nconnection: close\r\n\r\n"
 )
 _BEFORE, _AFTER = b"/v1/components/", b"/displacement"
 _MOST_BODY: Final = 4096  # bytes of a query of the fast path
-# Heads of one connection: a loop's differ by component and by the digits of their content-length.
-_MOST_HEADS: Final = 64
+_MOST_HEADS: Final = 64  # of one connection: a loop's differ by component and content-length
 _MOST_KNOWN_HEAD: Final = 2048  # bytes: a loop's heads have some 200
 _BLANK_LINE: Final = b"\r\n\r\n"
 
@@ -83,27 +83,23 @@ class FastPathProtocol(HttpToolsProtocol):
         _loop: asyncio.AbstractEventLoop | None = None,
     ) -> None:
         super().__init__(config, server_state, app_state, _loop)
-        self._in_request = False  # whether the last byte belongs to a request that goes on
-        self._in_body = False
-        self._used = False  # whether any request has begun
-        self._since = 0.0
+        # Whether the last byte is of an unfinished request, or of its body; whether one has begun.
+        self._in_request = self._in_body = self._used = False
         self._head_bytes = self._body_bytes = 0
         self._unread = 0  # bytes of an answer that waited at the last check
-        self._unread_since = 0.0
+        self._since = self._unread_since = self._answered_at = 0.0
         self._timer: asyncio.TimerHandle | None = None
-        self._drops_input = False
+        self._drops_input = self._is_last = False  # `_is_last`: the next answer closes
 
         self._answer: Answer | None = getattr(config.app, "answer_at_once", None)
         if self.root_path or config.access_log or self.limit_concurrency is not None:
             self._answer = None  # uvicorn alone logs and counts
         self._component: str | None = None  # of a query whose body is collected
-        self._body = b""
-        self._data = b""  # what has arrived last, while it may be one whole query
+        self._body = self._data = b""  # `_data`: the last bytes, while they may be one whole query
         self._found: Found | None = None  # about the query that has arrived
         self._heads: dict[bytes, _Head] = {}
         self._default_headers: Headers | None = None
         self._reply_head = b""
-        self._answered_at = 0.0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore
         """Begin a connection; close it if there are too many."""
@@ -159,12 +155,12 @@ class FastPathProtocol(HttpToolsProtocol):
         if self._head_bytes > MOST_HEAD_BYTES:
             return
         if parser.should_upgrade():
-            self._start_last_request()
+            self._start_upgrade()
         elif self.url.endswith(_AFTER) and self._may_be_fast(parser):
             self._component = self.url[len(_BEFORE) : -len(_AFTER)].decode("ascii")
             self._body = b""
         else:
-            super().on_headers_complete()
+            self._start_request()
 
     def on_body(self, body: bytes) -> None:
         """Take a piece of a body."""
@@ -195,10 +191,12 @@ class FastPathProtocol(HttpToolsProtocol):
             super().on_message_complete()
 
     def shutdown(self) -> None:
-        """Answer the request that has begun to arrive, then close."""
-        if self._component is not None:
-            self._leave_fast_path({})
-        super().shutdown()
+        """Close after the present answer; without one, after the next one or `LAST_S`."""
+        self._is_last = True
+        if self._is_answered():
+            self.loop.call_later(LAST_S, self._close_if_idle)
+        else:
+            self.cycle.keep_alive = False
 
     def timeout_keep_alive_handler(self) -> None:
         """Close a connection that has been idle since the last answer."""
@@ -213,19 +211,27 @@ class FastPathProtocol(HttpToolsProtocol):
             seconds, self.timeout_keep_alive_handler
         )
 
-    def _start_last_request(self) -> None:
-        """Start a request to switch protocols (RFC 9110, section 7.8): it is answered, not obeyed.
+    def _close_if_idle(self) -> None:
+        if not self._in_request and self._is_answered():
+            self.transport.close()
 
-        The parser takes its body for another protocol, and what arrives later for new requests. So
-        one with a body is refused, and the connection closes after the answer.
-        """
-        self._drops_input = True
-        names = {name for name, value in self.headers if value != b"0"}
-        app = self.app
-        if names & {b"content-length", b"transfer-encoding"}:
-            self.app = _refuse_upgrade
+    def _start_request(self) -> None:
+        """Give a request to the application."""
         super().on_headers_complete()
-        self.app, self.cycle.keep_alive = app, False
+        if self._is_last:
+            self.cycle.keep_alive = False
+
+    def _start_upgrade(self) -> None:
+        """Answer a request to switch protocols as any other, and close (RFC 9110, section 7.8).
+
+        The parser does not read its body: one with a body is refused, and later input is dropped.
+        """
+        self._drops_input = self._is_last = True
+        names = {name for name, value in self.headers if value != b"0"}
+        has_body = names & {b"content-length", b"transfer-encoding"}
+        app, self.app = self.app, _refuse_upgrade if has_body else self.app
+        self._start_request()
+        self.app = app
 
     def _answer_known(self, data: bytes) -> bool:
         """Answer a query whose head is known; return whether that was possible."""
@@ -244,7 +250,7 @@ class FastPathProtocol(HttpToolsProtocol):
     def _leave_fast_path(self, found: Found) -> None:
         """Start a request whose body was collected, with what was found about it in its scope."""
         self._component = None
-        super().on_headers_complete()
+        self._start_request()
         scope: Any = self.scope
         scope.update(found)
         super().on_body(self._body)
@@ -267,10 +273,14 @@ class FastPathProtocol(HttpToolsProtocol):
         """Return whether no other request is being answered, and the caller reads answers."""
         return (
             self._answer is not None
-            and (self.cycle is None or self.cycle.response_complete)
+            and self._is_answered()
             and not self.flow.write_paused
             and not self.transport.is_closing()
         )
+
+    def _is_answered(self) -> bool:
+        """Return whether no request of the application is being answered."""
+        return self.cycle is None or self.cycle.response_complete
 
     def _know_head(self, component: str, data: bytes) -> None:
         """Store the head of a query, if `data` is the query and no more."""
@@ -285,16 +295,20 @@ class FastPathProtocol(HttpToolsProtocol):
 
     def _write(self, content: bytes) -> None:
         """Write a 200; the time until an idle connection is closed begins anew."""
+        close = b"\r\nconnection: close" if self._is_last else b""
         fields = self.server_state.default_headers
         if fields is not self._default_headers:  # they change once a second
             lines = b"".join([b"%b: %b\r\n" % field for field in fields])
             self._reply_head = b"HTTP/1.1 200 OK\r\n%bcontent-length: " % lines
             self._default_headers = fields
         self.transport.write(
-            b"%b%d\r\ncontent-type: application/json\r\n%b\r\n%b"
-            % (self._reply_head, len(content), PLAIN, content)
+            b"%b%d%b\r\ncontent-type: application/json\r\n%b\r\n%b"
+            % (self._reply_head, len(content), close, PLAIN, content)
         )
         self.server_state.total_requests += 1
+        if self._is_last:
+            self.transport.close()
+            return
         self._answered_at = self.loop.time()
         if self.timeout_keep_alive_task is None:
             self._close_after(self.timeout_keep_alive)
@@ -306,8 +320,8 @@ class FastPathProtocol(HttpToolsProtocol):
         if late := self._late(self.loop.time()):
             log.debug("closed a connection: %s", late)
             self.transport.abort()
-            return
-        self._timer = self.loop.call_later(LOOK_S, self._check_timeouts)
+        else:
+            self._timer = self.loop.call_later(LOOK_S, self._check_timeouts)
 
     def _late(self, now: float) -> str:
         """Return what is overdue on the connection; an empty text if nothing is."""
@@ -317,8 +331,7 @@ class FastPathProtocol(HttpToolsProtocol):
                 self._unread, self._unread_since = left, now
             return "an answer that is not read" if now - self._unread_since > READ_S else ""
         self._unread = 0
-        if self.flow.read_paused:
-            self._since = now  # the server keeps the caller waiting
+        self._since = now if self.flow.read_paused else self._since  # the caller waits for answers
         waited = now - self._since
         if not self._in_request:
             return "a first request" if not self._used and waited > HEAD_S else ""
@@ -329,11 +342,9 @@ class FastPathProtocol(HttpToolsProtocol):
 
 async def _refuse_upgrade(scope: Scope, receive: Receive, send: Send) -> None:
     """Answer a request with a body and an Upgrade header."""
-    refused = ProblemError(
-        400,
-        "upgrade",
-        "This server does not switch protocols",
+    detail = (
         "The body of a request with the header Connection: Upgrade is not read; nothing was "
-        "changed. Send the request without the headers Connection: Upgrade and Upgrade.",
+        "changed. Send the request without the headers Connection: Upgrade and Upgrade."
     )
+    refused = ProblemError(400, "upgrade", "This server does not switch protocols", detail)
     await refused.response()(scope, receive, send)

@@ -12,6 +12,7 @@ import logging
 import threading
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.lock import take
 from wrenchbook.surrogate.answer import NAMES
 
 log = logging.getLogger(__name__)
@@ -120,20 +122,16 @@ class SharedCounts:
     ----------
     folder : path
         Created if missing.
-    number : int
-        Number of this process, unique.
     counts : Counts
         Counts of this process; those before a restart are added.
     listeners : callable
         Returns the number of event listeners of this process.
     """
 
-    def __init__(
-        self, folder: Path, number: int, counts: Counts, listeners: Callable[[], int]
-    ) -> None:
-        self._folder, self._own = folder, folder / f"{number}.json"
+    def __init__(self, folder: Path, counts: Counts, listeners: Callable[[], int]) -> None:
         self._counts, self._listeners = counts, listeners
         folder.mkdir(parents=True, exist_ok=True)
+        self._folder, self._own = folder, folder / f"{_free_number(folder)}.json"
         counts.add_all(_read(self._own)[0])
         self._writing = threading.Lock()
         self._stopping = threading.Event()
@@ -167,6 +165,11 @@ class SharedCounts:
                 write_whole_bytes(self._own, json.dumps(values).encode(), durable=False)
             except OSError as error:
                 log.debug("counts are not written: %s", error)
+
+
+def _free_number(folder: Path) -> int:
+    """Return the lowest number that no other process has, locked until this process ends."""
+    return next(number for number in count(1) if take(folder / f"{number}.lock", 0.0) is not None)
 
 
 def _read(path: Path) -> tuple[Counts, int]:

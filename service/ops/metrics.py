@@ -68,11 +68,11 @@ class Metrics(Collector):
         self._registry = CollectorRegistry()
         self._total: Callable[[], tuple[Counts, int]] = lambda: (counts, listeners())
         self._shared = None
-        if settings.part == "answering":
+        if settings.part == "web":
             folder = settings.folder / SHARED / COUNTS
-            self._shared = SharedCounts(folder, settings.number, counts, listeners)
+            self._shared = SharedCounts(folder, counts, listeners)
             self._total = self._shared.together
-        else:  # with several processes these would be of one of them
+        if settings.processes == 1:  # of several web workers these would be one's
             ProcessCollector(registry=self._registry)
             GCCollector(registry=self._registry)
         self._registry.register(self)

@@ -23,12 +23,12 @@ from threadpoolctl import threadpool_limits
 
 from wrenchbook.service.client import Client
 from wrenchbook.service.files.durable import write_whole_bytes
-from wrenchbook.service.http.server import private_server
 from wrenchbook.service.paper.arm import arm
 from wrenchbook.service.paper.bar import bar
 from wrenchbook.service.paper.page import HEAD, as_page, lines_of
 from wrenchbook.service.paper.part import PAPER, QUICK, WHOLE, Effort, Heard
 from wrenchbook.service.paper.spring import spring
+from wrenchbook.service.workers.private import private_server
 
 PARTS = {"bar": bar, "spring": spring, "arm": arm}
 SOLVERS = 2  # of the server, at once

@@ -1,1 +1,1 @@
-"""Several processes that are one server: one builds and solves, the others answer."""
+"""Processes of one server: a supervisor, the builder and the web workers."""

@@ -1,239 +1,236 @@
-"""Starts the processes of a server, starts again what ends, and ends all at a signal.
+"""The parent process of a server: uvicorn's supervisor of web workers, and of one builder.
 
-It holds the listening socket, so that a connection that nobody has taken yet outlives whoever would
-have, and nothing else: neither tables nor the ledger, so that nothing it does can fail it.
+It holds the listening socket, so that connections in its queue outlive a web worker, and imports
+neither tables nor the ledger.
 """
 
 from __future__ import annotations
 
-import contextlib
-import json
 import logging
+import multiprocessing
 import os
 import signal
 import socket
-import subprocess
+import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import partial
+from multiprocessing import forkserver
+from pathlib import Path
+from typing import Any, Final
 
-from wrenchbook.service.files.child import child_command
-from wrenchbook.service.http.listen import bind_to
+from uvicorn import Config
+from uvicorn.config import STARTUP_FAILURE
+from uvicorn.importer import import_from_string
+from uvicorn.supervisors import multiprocess
+
 from wrenchbook.service.ops.logs import set_up
-from wrenchbook.service.workers.heartbeat import READY_S, SILENT_S, HeartbeatWatch
+from wrenchbook.service.workers.listen import bind_to
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("wrenchbook.service.workers")
 
-REFUSED = 3  # status of a coordinator that finds another one at work
-STOP_S = 30.0
-QUICK_S = 10.0  # who lives for less is started again later each time
-LONGEST_PAUSE_S = 30.0
-BACKLOG = 2048  # connections that wait to be taken, as uvicorn has it
+BUILDER: Final = "wrenchbook.service.workers.builder:Builder"
+WEB_WORKER: Final = "wrenchbook.service.workers.web_worker:WebWorker"
+# For an answer to a ping, and for the start of a web worker at SIGHUP: on a machine with ten times
+# the work it can do, a thread waited for 3 s and a start took 20 s.
+HEALTH_S: Final = 30
+STOP_S: Final = 30.0  # for a process to end after SIGTERM
+LOOK_S: Final = 0.05  # between two looks at processes that start
+# From SIGTERM until connections are refused: web workers take those that wait within 0.1 s.
+REFUSE_AFTER_S: Final = 0.2
+
+
+# Child processes are forked from one that has imported their modules: three seconds, once.
+forks = multiprocessing.get_context("forkserver")
 
 
 class WorkerFailedError(RuntimeError):
-    """A process of the server could not be started; its log says why."""
+    """A process of the server could not start; its log says why."""
 
 
-class Worker:
-    """One process, started again whenever it ends by itself.
+class Worker(multiprocess.Process):
+    """A child process, which runs what `config.app` makes: `run(sockets)`, `started`.
 
-    Parameters
-    ----------
-    name : str
-        For the log.
-    command : list of str
-        Is given, besides, the number of a pipe to write to once it is ready, and then each second.
-    passed : sequence of int
-        Descriptors that it inherits.
+    It ends at once with its parent, whatever ends that.
     """
 
-    def __init__(self, name: str, command: list[str], passed: Sequence[int] = ()) -> None:
-        self.name = name
-        self._command, self._passed = command, tuple(passed)
-        self._child: subprocess.Popen[bytes] | None = None
-        self._lock = threading.Lock()
-        self._stopping = threading.Event()
-        self._settled = threading.Event()
-        self._ready = False
-        self._thread = threading.Thread(target=self._keep, name=name, daemon=True)
+    def __init__(self, config: Config, sockets: list[socket.socket]) -> None:
+        super().__init__(config, sockets)
+        self.process: Any = forks.Process(target=self.target, args=(sockets,))
 
-    @property
-    def pid(self) -> int | None:
-        """The process' number; None before its first start."""
-        child = self._child
-        return child.pid if child is not None else None
-
-    def start(self) -> None:
-        """Start it, without waiting for it."""
-        self._thread.start()
-
-    def wait_until_ready(self, ended: threading.Event) -> None:
-        """Return once it works, or all are to end.
-
-        Raises
-        ------
-        WorkerFailedError
-            If it ends before, or does not in `READY_S`.
-        """
-        deadline = time.monotonic() + READY_S
-        # In steps: a signal is heeded between them.
-        while not (ended.is_set() or self._settled.wait(0.1)) and time.monotonic() < deadline:
-            pass
-        if not (self._ready or ended.is_set()):
-            raise WorkerFailedError(f"{self.name} did not start; its log says why")
-
-    def terminate(self) -> None:
-        """Ask it to end, and start it no more."""
-        self._stopping.set()
-        with self._lock:
-            if self._child is not None and self._child.poll() is None:
-                self._child.terminate()
-
-    def wait(self, seconds: float) -> None:
-        """Return once it has ended, which is brought about after so many seconds."""
-        if self._thread.ident is None:
-            return  # it was never started
-        self._thread.join(seconds)
-        with self._lock:
-            if self._child is not None and self._child.poll() is None:
-                log.error("%s did not end in %g s and is killed", self.name, seconds)
-                self._child.kill()
-        self._thread.join()
-
-    def _keep(self) -> None:
-        quick = 0
-        while not self._stopping.is_set():
-            began = time.monotonic()
-            status = self._run_once()
-            if self._stopping.is_set() or not self._ready:
-                break
-            quick = quick + 1 if time.monotonic() - began < QUICK_S else 0
-            pause = min(0.1 * 2**quick - 0.1, LONGEST_PAUSE_S)
-            log.error("%s ended with status %d; it is started again", self.name, status)
-            self._stopping.wait(pause)
-        self._settled.set()
-
-    def _run_once(self) -> int:
-        """Run it until it ends; return how it ended, minus the signal if one ended it."""
-        heard, beaten = os.pipe()
-        with self._lock:
-            if self._stopping.is_set():
-                os.close(heard)
-                os.close(beaten)
-                return 0
-            # A session of its own: Ctrl-C reaches it through `terminate` alone, once. Its input
-            # ends with this process, however that ends: see `end_with_supervisor`.
-            self._child = subprocess.Popen(
-                [*self._command, str(beaten)],
-                stdin=subprocess.PIPE,
-                pass_fds=(*self._passed, beaten),
-                start_new_session=True,
-            )
-        os.close(beaten)
-        try:
-            self._follow(self._child, HeartbeatWatch(self._child, heard))
-        finally:
-            os.close(heard)
-        status = self._child.wait()
-        if self._child.stdin:
-            self._child.stdin.close()
-        return status
-
-    def _follow(self, child: subprocess.Popen[bytes], watched: HeartbeatWatch) -> None:
-        """Return once a process ends, or is killed for standing still."""
-        if watched.heard(READY_S):
-            log.info("%s is ready, pid %d", self.name, child.pid)
-            self._ready = True
-            self._settled.set()
-            silent, why = watched.stands_still(), f"stood still for {SILENT_S:g} s"
-        else:
-            silent, why = child.poll() is None, f"was not ready in {READY_S:g} s"
-        if silent and not self._stopping.is_set():
-            log.error("%s, pid %d, %s and is killed", self.name, child.pid, why)
-            child.kill()
+    def target(self, sockets: list[socket.socket] | None = None) -> None:
+        """Run in the child."""
+        threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+        make: Any = self.config.app
+        self._server = make()
+        super().target(sockets)
 
 
-def supervise(said: Mapping[str, Any]) -> None:
-    """Serve by several processes until a signal ends them; the address is printed once all work.
+def _wait_for_end(worker: multiprocess.Process) -> None:
+    """Return once a process has ended; kill it after `STOP_S`."""
+    worker.process.join(STOP_S)
+    if worker.exitcode is None:
+        log.error("pid %s did not end in %g s and is killed", worker.pid, STOP_S)
+        worker.process.kill()
+        worker.process.join()
+
+
+class Supervisor(multiprocess.Multiprocess):
+    """Keeps the builder and the web workers running until SIGTERM or SIGINT.
+
+    SIGHUP restarts the web workers one after the other.
 
     Parameters
     ----------
-    said : mapping
-        The options of `serve`.
+    builder, web : Config
+        Of the two kinds of process.
+    bound : socket
+    address : str
+        Printed once all processes have started.
+
+    Attributes
+    ----------
+    failed : str
+        Why the server ends without a signal; empty while it does not.
+    """
+
+    def __init__(self, builder: Config, web: Config, bound: socket.socket, address: str) -> None:
+        super().__init__(web, [bound])
+        self._builder_config, self._address = builder, address
+        self._builder = Worker(builder, [])
+        self.failed = ""
+
+    def init_processes(self) -> None:
+        """Start all processes, and print the address once all have started."""
+        self._builder.start()
+        super().init_processes()
+        waiting = [self._builder, *self.processes]
+        while waiting and not self.signal_queue:
+            if any(not one.process.is_alive() for one in waiting):
+                self._fail("a process of the server did not start; its log says why")
+                return
+            waiting = [one for one in waiting if not one.is_ready(LOOK_S)]
+            time.sleep(LOOK_S)
+        if not waiting:
+            print(f"wrenchbook serves {self._address}", flush=True)
+
+    def keep_subprocess_alive(self) -> None:
+        """Replace processes that have ended or do not answer a ping."""
+        if self.should_exit.is_set():
+            return
+        super().keep_subprocess_alive()
+        if self.should_exit.is_set():
+            self._fail("a web worker could not be started again; its log says why")
+        elif not self._builder.is_alive(HEALTH_S):
+            self._builder.kill()
+            self._builder.join()
+            if self._builder.exitcode == STARTUP_FAILURE:
+                self._fail("the builder could not be started again; its log says why")
+                return
+            log.error("the builder, pid %s, has ended; it is started again", self._builder.pid)
+            self._builder = Worker(self._builder_config, [])
+            self._builder.start()
+
+    def terminate_all(self) -> None:
+        """End the web workers; a further signal ends all processes at once."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda number, _: os._exit(128 + number))
+        super().terminate_all()
+        time.sleep(REFUSE_AFTER_S)
+        with suppress(OSError):  # a connection is refused, rather than left to wait for the end
+            self.sockets[0].shutdown(socket.SHUT_RDWR)
+
+    def join_all(self) -> None:
+        """Return once the web workers, then the builder have ended."""
+        for process in self.processes:
+            _wait_for_end(process)
+        self._builder.terminate()
+        _wait_for_end(self._builder)
+
+    def _fail(self, why: str) -> None:
+        self.failed = why
+        self.should_exit.set()
+
+
+# uvicorn's supervisor has no parameter for the class of its processes.
+multiprocess.Process = Worker
+
+
+def supervise(options: Mapping[str, Any]) -> None:
+    """Serve until SIGINT or SIGTERM; the address is printed once the server answers.
+
+    At the first signal requests are finished and solves wait for the next start. A second one ends
+    the processes at once, and leaves solvers running for the next start to find.
+
+    Parameters
+    ----------
+    options : mapping
+        Of `serve`.
 
     Raises
     ------
     WorkerFailedError
-        If one of them cannot be started, or another server tends the data directory.
-    OSError
+        If a process cannot be started, or another server uses the data directory.
+    AddressError
         If the address is taken or not this machine's.
     """
-    bound, address = bind_to(said["host"], said["port"])
-    set_up(said["log_level"], said["log_format"])
-    bound.listen(BACKLOG)
-    workers = _workers(said, bound.fileno())
-    ended = threading.Event()
-    _heed_signals(ended, workers)
-    try:
-        for part in (workers[:1], workers[1:]):  # where the first is refused, nobody else begins
-            for worker in part:
-                worker.start()
-            for worker in part:
-                worker.wait_until_ready(ended)
-        if not ended.is_set():
-            print(f"wrenchbook serves {address}", flush=True)
-        ended.wait()
-    finally:
-        _end(workers, bound)
-
-
-def end_with_supervisor() -> None:
-    """End this process, as at a signal, once the one that has started it is gone."""
-
-    def read() -> None:
-        while os.read(0, 4096):  # without Python's buffer, whose lock the interpreter's end needs
-            pass
-        os.kill(os.getpid(), signal.SIGTERM)
-
-    threading.Thread(target=read, name="supervisor", daemon=True).start()
-
-
-def _workers(said: Mapping[str, Any], listening: int) -> list[Worker]:
-    told = json.dumps(dict(said), default=str)
-    first = child_command("wrenchbook.service.workers.coordinator", told)
-    workers = [Worker("the coordinator", first)]
-    for number in range(1, said["processes"] + 1):
-        words = child_command(
-            "wrenchbook.service.workers.web_worker", told, str(number), str(listening)
+    bound, address = bind_to(options["host"], options["port"])
+    _start_fork_server()
+    level = options["log_level"]
+    set_up(level, options["log_format"])
+    builder, web = (
+        Config(
+            partial(_made, name, dict(options), os.environ.get("PYTHONPATH")),
+            workers=options["processes"],
+            timeout_worker_healthcheck=HEALTH_S,
+            log_config=None,
+            log_level=level,
         )
-        workers.append(Worker(f"answering process {number}", words, [listening]))
-    return workers
+        for name in (BUILDER, WEB_WORKER)
+    )
+    supervisor = Supervisor(builder, web, bound, address)
+    supervisor.run()
+    if supervisor.failed:
+        raise WorkerFailedError(supervisor.failed)
 
 
-def _heed_signals(ended: threading.Event, workers: list[Worker]) -> None:
-    """End all at the first signal, at once at a second one."""
+def _start_fork_server() -> None:
+    """Start the process that children are forked from; it imports the modules of this wrenchbook.
 
-    def heed(number: int, _: object) -> None:
-        if ended.is_set():
-            for worker in workers:
-                worker.terminate()
-            os._exit(128 + number)
-        ended.set()
+    Python 3.11 gives it neither `sys.path` nor the main module (CPython issue 126631).
+    """
+    start = Path(str(sys.modules["wrenchbook"].__file__))
+    root = start.parent if start.name == "wrenchbook.py" else start.parents[1]
+    before = os.environ.get("PYTHONPATH")
+    forks.set_forkserver_preload([name.split(":")[0] for name in (BUILDER, WEB_WORKER)])
+    _set_path(os.pathsep.join(filter(None, (str(root), before))))
+    try:
+        forkserver.ensure_running()
+    finally:
+        _set_path(before)
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, heed)
+
+def _set_path(folders: str | None) -> None:
+    """Set or remove the variable PYTHONPATH."""
+    os.environ.pop("PYTHONPATH", None)
+    if folders is not None:
+        os.environ["PYTHONPATH"] = folders
 
 
-def _end(workers: list[Worker], bound: socket.socket) -> None:
-    """End those who answer, then the one who builds and solves."""
-    for part in (workers[1:], workers[:1]):
-        for worker in part:
-            worker.terminate()
-        # Who comes now is refused at once and can go elsewhere: in the queue of a socket that
-        # nobody takes from they would wait for as long as all this ends.
-        with contextlib.suppress(OSError):
-            bound.shutdown(socket.SHUT_RDWR)
-        for worker in part:
-            worker.wait(STOP_S)
+def _made(name: str, options: Mapping[str, Any], folders: str | None) -> Any:
+    """Return the server of a child process, with PYTHONPATH as in the parent."""
+    _set_path(folders)
+    with suppress(OSError):  # Linux: the name of the process in ps and top
+        Path("/proc/self/comm").write_text(f"wb-{name.rpartition(':')[2].lower()}")
+    set_up(options["log_level"], options["log_format"])
+    return import_from_string(name)(options)
+
+
+def _end_with_parent() -> None:
+    """End this process at once when its parent has ended; solvers go on until the next start."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)

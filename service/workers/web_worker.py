@@ -1,84 +1,108 @@
-"""A process that takes requests: it maps tables, and writes what it accepts into the ledger."""
+"""A process that answers requests: it maps tables, and writes accepted jobs and rows to the ledger.
+
+uvicorn's own listening takes all connections that wait: of eight, one process of two got all. So a
+web worker takes one at a time, and later the more connections it has.
+"""
 
 from __future__ import annotations
 
 import asyncio
-import json
 import socket
-import sys
-
-import uvicorn
+from collections.abc import Mapping
+from typing import Any, Final
 
 from wrenchbook.service.http.access.security import security_of_options
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.protocol import FastPathProtocol
-from wrenchbook.service.http.server import Server, server_config
-from wrenchbook.service.ops.logs import set_up
+from wrenchbook.service.http.server import Server, raise_open_files, server_config
+from wrenchbook.service.sandbox import warm_up
 from wrenchbook.service.settings import settings_of_options
-from wrenchbook.service.tables.coordinator_state import FOLDER
-from wrenchbook.service.workers.connection_sharing import Acceptor, ConnectionCounts
-from wrenchbook.service.workers.heartbeat import BEAT_S, Heartbeat
-from wrenchbook.service.workers.supervisor import end_with_supervisor
 
-_OPEN = "connections"  # beside the tables: how many each process has
+DELAY_S: Final = 0.001  # for each open connection, in which a worker with fewer takes the next one
+LONGEST_DELAY_S: Final = 0.01
+SHARE: Final = 8  # of the open connections, one in so many is taken at once: bursts of thousands
+PARSERS = (
+    "wrenchbook.service.library.bundle_zip",
+    "wrenchbook.service.formats.table_file",
+    "wrenchbook.service.http.batch",
+)
 
 
-class WebWorkerServer(Server):
-    """A server on a socket that others listen on too; it tells its supervisor once it is up.
+class WebWorker(Server):
+    """A server on a socket that the other web workers listen on too.
 
     Parameters
     ----------
-    config : uvicorn.Config
-    counts : ConnectionCounts
-    heartbeat : Heartbeat
-        Beats from the loop that answers, once it does.
+    options : mapping
+        Of `serve`.
     """
 
-    def __init__(
-        self, config: uvicorn.Config, counts: ConnectionCounts, heartbeat: Heartbeat
-    ) -> None:
-        super().__init__(config)
-        self._counts, self._heartbeat = counts, heartbeat
-        self._acceptor: Acceptor | None = None
+    def __init__(self, options: Mapping[str, Any]) -> None:
+        raise_open_files()
+        security = security_of_options(options)
+        app = create_app(settings_of_options(options, "web"), security)
+        super().__init__(server_config(app, options["log_level"], log_config=None))
+        # The private server of a command ends before that pays; a process each takes 90 MB.
+        self._warms_up = security.own_key is None and options["processes"] == 1
+        self._shares = options["processes"] > 1
+        self._timer: asyncio.TimerHandle | None = None
+        self._begun: set[asyncio.Task[None]] = set()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start, and take connections as the others leave them."""
-        await super().startup([])  # uvicorn's own listening takes all there are
-        if not self.started or not sockets:
-            return
-        self._acceptor = Acceptor(
-            sockets[0], self._counts, self.server_state.connections, self._speak
-        )
-        self._acceptor.start()
-        self._beat()
+        """Start, and take connections from then on."""
+        await super().startup([])
+        if self.started and sockets:
+            self._listening = sockets[0]
+            self._listening.setblocking(False)
+            self._listening.listen(self.config.backlog)
+            self._loop = asyncio.get_running_loop()
+            self._loop.add_reader(self._listening, self._look)
+            if self._warms_up:
+                warm_up(*PARSERS)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Take no more connections, then stop as any server."""
-        if self._acceptor is not None:
-            self._acceptor.stop()
+        """Take the connections that wait, then no more, and finish their requests."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._loop.remove_reader(self._listening)
+        self._take(self.config.backlog)
+        self._listening.close()
+        await asyncio.gather(*self._begun)
         await super().shutdown([])
 
-    def _beat(self) -> None:
-        self._heartbeat.beat()
-        asyncio.get_running_loop().call_later(BEAT_S, self._beat)
+    def _look(self) -> None:
+        """Take connections that wait, after a delay in which other web workers can take them."""
+        count = len(self.server_state.connections) + len(self._begun)
+        if not (self._shares and count):
+            self._take(1 + count // SHARE)
+            return
+        self._loop.remove_reader(self._listening)
+        delay = min(count * DELAY_S, LONGEST_DELAY_S)
+        self._timer = self._loop.call_later(delay, self._look_again, 1 + count // SHARE)
+
+    def _look_again(self, most: int) -> None:
+        self._timer = None
+        self._take(most)
+        self._loop.add_reader(self._listening, self._look)
+
+    def _take(self, most: int) -> None:
+        """Take at most so many of the connections that wait."""
+        for _ in range(most):
+            try:
+                taken, _ = self._listening.accept()
+            except OSError:
+                return  # another web worker has taken it, or its caller has gone
+            taken.setblocking(False)
+            taken.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            task = self._loop.create_task(self._begin(taken))
+            self._begun.add(task)
+            task.add_done_callback(self._begun.discard)
+
+    async def _begin(self, taken: socket.socket) -> None:
+        try:
+            await self._loop.connect_accepted_socket(self._speak, taken)
+        except OSError:
+            taken.close()
 
     def _speak(self) -> asyncio.Protocol:
-        return FastPathProtocol(
-            self.config, self.server_state, self.lifespan.state, asyncio.get_running_loop()
-        )
-
-
-def main() -> None:
-    """Run as a process of the supervisor's."""
-    said, number, listening, ready = json.loads(sys.argv[1]), *map(int, sys.argv[2:])
-    set_up(said["log_level"], said["log_format"])
-    settings = settings_of_options(said, "answering", number)
-    app = create_app(settings, security_of_options(said))
-    counts = ConnectionCounts(settings.folder / FOLDER / _OPEN, number, said["processes"])
-    config = server_config(app, said["log_level"], log_config=None)
-    end_with_supervisor()
-    WebWorkerServer(config, counts, Heartbeat(ready)).run(sockets=[socket.socket(fileno=listening)])
-
-
-if __name__ == "__main__":
-    main()
+        return FastPathProtocol(self.config, self.server_state, self.lifespan.state, self._loop)

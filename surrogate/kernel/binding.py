@@ -38,7 +38,11 @@ class PackedTable:
         The table's JSON block: contract, space, interface, groups, sources, provenance.
     arrays : dict of str to ndarray
         Read-only views of the mapped file.
+    method : str or None
+        What answers where no method is asked for; the table's own default if None.
     """
+
+    method: str | None = None
 
     def __init__(self, handle: int, packed: Packed, kept: Floats | Path, size: int) -> None:
         """Take an open handle, the file's views, and its words or path, and its bytes."""
@@ -139,7 +143,7 @@ class PackedTable:
         """
         work = self._work()
         work.fill(wrench)
-        options = work.options(tolerance, method)
+        options = work.options(tolerance, method or self.method)
         inputs, reply, scratch = work.at
         wrong = self._answer(self._handle, options, inputs, reply, scratch)
         if wrong:
@@ -153,7 +157,7 @@ class PackedTable:
 
         Without a kriging that is `tangent` in its place.
         """
-        name = method or self.words["summary"]["method"]
+        name = method or self.method or self.words["summary"]["method"]
         groups = range(len(self.words["groups"]))
         has_kriging = name != "kriging" or any(f"g{k}/kriging/x" in self.arrays for k in groups)
         return name if has_kriging else "tangent"
@@ -174,7 +178,12 @@ class PackedTable:
         coverage = np.empty(len(queries), dtype=np.uint8)
         work = self._work()
         wrong = kernel().without_gil.wb_answer_many(
-            *(self._handle, work.options(tolerance, method), len(queries), queries.ctypes.data),
+            *(
+                self._handle,
+                work.options(tolerance, method or self.method),
+                len(queries),
+                queries.ctypes.data,
+            ),
             *(out[0].ctypes.data, out[1].ctypes.data, coverage.ctypes.data, threads),
         )
         self._idle.append(work)
@@ -207,7 +216,7 @@ class PackedTable:
         found = np.empty((len(queries), self.outputs, self.inputs))
         work = self._work()
         wrong = kernel().without_gil.wb_derivative_many(
-            *(self._handle, work.options(tolerance, method), len(queries)),
+            *(self._handle, work.options(tolerance, method or self.method), len(queries)),
             *(queries.ctypes.data, found.ctypes.data, threads),
         )
         self._idle.append(work)
@@ -240,7 +249,7 @@ class PackedTable:
         stiffness = np.empty((self.inputs, self.outputs))
         work = self._work()
         wrong = kernel().with_gil.wb_inverse(
-            *(self._handle, work.options(None, method), target.ctypes.data),
+            *(self._handle, work.options(None, method or self.method), target.ctypes.data),
             *(found.ctypes.data, stiffness.ctypes.data, work.at[2]),
         )
         self._idle.append(work)

@@ -48,7 +48,7 @@ class Served:
         self.client = Client(address, timeout=300)
 
     def processes(self) -> list[psutil.Process]:
-        return [self.root, *self.root.children()]
+        return [self.root, *self.root.children(recursive=True)]
 
     def seconds(self) -> float:
         """Return the processor time used so far, s."""
@@ -58,10 +58,10 @@ class Served:
         """Return each process' memory, MB: what no file is behind, and with its share of files."""
         found = []
         for one in self.processes():
-            words = [word for word in one.cmdline() if word.startswith("service.")]
+            name = one.name()
             text = Path(f"/proc/{one.pid}/smaps_rollup").read_text()
             own, whole = (int(text.split(f"{key}:")[1].split()[0]) for key in ("Anonymous", "Pss"))
-            found.append((words[0].rsplit(".", 1)[-1], own / 1e3, whole / 1e3))
+            found.append((name, own / 1e3, whole / 1e3))
         return found
 
 
@@ -152,7 +152,7 @@ def test_queries_a_second_of_one_and_of_two_processes(tmp_path: Path) -> None:
         established = [
             sum(found.status == psutil.CONN_ESTABLISHED for found in process.net_connections())
             for process in two.processes()
-            if "wrenchbook.service.workers.web_worker" in process.cmdline()
+            if process.name() == "wb-webworker"
         ]
         for connection in (*open_ones[0], *open_ones[1]):
             connection.close()

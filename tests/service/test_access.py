@@ -10,11 +10,12 @@ from starlette.testclient import TestClient
 
 from wrenchbook.service.client import Client
 from wrenchbook.service.http.access import SecuritySettings
-from wrenchbook.service.http.access.security import is_loopback, security_settings
+from wrenchbook.service.http.access.security import security_settings
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.body import counted as counted_
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.keys import Keyring
+from wrenchbook.service.keys.needed import is_loopback
 from wrenchbook.service.workspace import Settings
 
 TABLE_ONLY = {"name": "rig", "title": "rig", "range": {"force": [1, 2, 3], "moment": [1, 1, 1]}}

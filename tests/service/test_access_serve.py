@@ -5,20 +5,20 @@ from typer.testing import CliRunner
 
 from wrenchbook.service.cli.keys import make_first_key
 from wrenchbook.service.cli.main import app
-from wrenchbook.service.http import server
-from wrenchbook.service.http.access.security import KeysNeededError
-from wrenchbook.service.http.server import serve
 from wrenchbook.service.keys import Keyring
-from wrenchbook.service.workspace import Settings
+from wrenchbook.service.keys.needed import KeysNeededError
+from wrenchbook.service.workers import supervisor
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.1"])
 def test_a_server_that_others_reach_does_not_start_without_keys_and_says_how(
     tmp_path, monkeypatch, host
 ):
-    monkeypatch.setattr(server, "bind_to", lambda *_: pytest.fail("it listens"))
+    monkeypatch.setattr(supervisor, "bind_to", lambda *_: pytest.fail("it listens"))
     with pytest.raises(KeysNeededError, match=r"wrenchbook keys add .* or start with --first-key"):
-        serve(Settings(tmp_path, solvers=0), host, 0)
+        app(
+            ["serve", "--data", str(tmp_path), "--host", host, "--port", "0"], standalone_mode=False
+        )
 
 
 def test_the_first_key_is_for_admin_printed_once_and_made_once(tmp_path, capsys):

@@ -12,7 +12,7 @@ from tests.service.live import add_table
 from tests.service.surfaces import sheet, solved, wrenches, write_bundle
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.client import ProblemError
-from wrenchbook.service.http.server import private_server
+from wrenchbook.service.workers.private import private_server
 
 FORCE, MOMENT = [100.0, -50.0, -900.0], [10.0, 20.0, -5.0]
 PATH = "/v1/components/sheet/deformed"

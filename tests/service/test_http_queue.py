@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.http.app import create_app
+from wrenchbook.service.settings import settings_of_options
 from wrenchbook.service.tables.live import Tables
 from wrenchbook.service.workspace import Settings
 
@@ -171,7 +172,8 @@ def test_many_waiting_jobs_are_cancelled_by_one_call_that_says_how_many(folder, 
 def test_serve_takes_the_queue_limit_and_the_memory_of_tables(monkeypatch, tmp_path):
     served = []
     monkeypatch.setattr(
-        "wrenchbook.service.http.server.serve", lambda settings, *_: served.append(settings)
+        "wrenchbook.service.workers.supervisor.supervise",
+        lambda options: served.append(settings_of_options(options)),
     )
     words = ["serve", "--data", str(tmp_path), "--queue-limit", "7", "--table-memory", "50"]
     reply = CliRunner().invoke(app, words)

@@ -9,7 +9,7 @@ import pytest
 
 from tests.service.live import served
 from tests.service.surfaces import write_bundle
-from wrenchbook.service.http.server import private_server
+from wrenchbook.service.workers.private import private_server
 
 FORCE, MOMENT = [100.0, -50.0, -900.0], [10.0, 20.0, -5.0]
 TOLERANCE = "\n[tolerance]\ntranslation = {}\nrotation = 1.0\n"

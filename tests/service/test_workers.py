@@ -6,8 +6,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
-import threading
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -24,8 +22,6 @@ from wrenchbook.service.client import Client, ProblemError
 from wrenchbook.service.files.child import child_command
 from wrenchbook.service.keys import Keyring
 from wrenchbook.service.ledger import Ledger
-from wrenchbook.service.workers import heartbeat
-from wrenchbook.service.workers.supervisor import Worker
 
 HERE = Path(__file__).parent
 LIMIT_S = 60.0
@@ -54,9 +50,9 @@ class SeveralProcesses:
 
     def workers(self, word):
         found = []
-        for one in self.seen.children():
+        for one in self.seen.children(recursive=True):
             with suppress(psutil.Error):  # it has ended just now
-                found += [one] if f"wrenchbook.service.workers.{word}" in one.cmdline() else []
+                found += [one] if one.name() == f"wb-{word}" else []
         return found
 
     def client(self):
@@ -86,7 +82,7 @@ def several(tmp_path_factory):
 @contextmanager
 def clients_of_each(several):
     """Give a client of each process that answers, told by the port its connection has."""
-    answering = several.workers("web_worker")
+    answering = several.workers("webworker")
     found, rest = {}, []
     try:
         while len(found) < len(answering):
@@ -135,7 +131,7 @@ def statuses_of_each(clients, method="GET", key=None):
     return found
 
 
-def test_every_process_has_the_same_door(several):
+def test_every_process_has_the_same_access_control(several):
     for headers in ({"Host": "evil.example"}, {"Origin": "http://evil.example"}):
         assert statuses(several, headers) == {403}
     keyring = Keyring(several.folder)
@@ -231,21 +227,19 @@ def test_jobs_followed_at_one_process_are_shown_as_another_takes_them_and_all_ru
 
 
 def test_a_killed_process_is_started_again_and_the_others_answer_meanwhile(several):
-    before = {one.pid for one in several.workers("web_worker")}
+    before = {one.pid for one in several.workers("webworker")}
     victim = min(before)
     os.kill(victim, signal.SIGKILL)
     with several.client() as client:
         assert client.component("clean")["rows"] > 0
         until(
-            lambda: (
-                len({one.pid for one in several.workers("web_worker")} - {victim}) == len(before)
-            )
+            lambda: len({one.pid for one in several.workers("webworker")} - {victim}) == len(before)
         )
         until(client.is_ready)
 
 
-def test_a_killed_coordinator_loses_nothing_that_was_accepted(several):
-    (victim,) = several.workers("coordinator")
+def test_a_killed_builder_loses_nothing_that_was_accepted(several):
+    (victim,) = several.workers("builder")
     with several.client() as client:
         held = answers(client, clean_wrenches())
         os.kill(victim.pid, signal.SIGKILL)
@@ -253,7 +247,7 @@ def test_a_killed_coordinator_loses_nothing_that_was_accepted(several):
         job = client.solve("bar", [0.0, 0.0, -10.0], [0.0, 0.0, 0.0]).job
         assert job is not None
         until(lambda: client.job(job.id).status == "done")
-        assert {one.pid for one in several.workers("coordinator")} != {victim.pid}
+        assert {one.pid for one in several.workers("builder")} != {victim.pid}
         until(client.is_ready)
 
 
@@ -263,34 +257,20 @@ def test_a_second_server_on_the_same_directory_is_refused_with_what_to_do(severa
     assert other.supervisor.stderr is not None
     said = other.supervisor.stderr.read()
     other.close()
-    assert "another server of several processes is at work" in said
+    assert "another server uses" in said
     assert "--data" in said
-    assert "the coordinator did not start" in said
+    assert "a process of the server did not start" in said
 
 
 def test_all_processes_end_with_a_supervisor_that_is_killed(tmp_path):
     one = SeveralProcesses(tmp_path)
-    workers = one.seen.children()
+    workers = one.seen.children(recursive=True)
     one.supervisor.kill()
     one.supervisor.wait(LIMIT_S)
     _, alive = psutil.wait_procs(workers, LIMIT_S)
     one.close()
     assert not alive
-    assert not (tmp_path / "shared").exists()
-
-
-def test_a_process_that_stands_still_is_replaced_and_its_callers_let_go(tmp_path):
-    said = 'import os, sys; os.write(int(sys.argv[1]), b"."); sys.stdin.read()'
-    worker = Worker("the sleeper", [sys.executable, "-c", said])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(heartbeat, "SILENT_S", 0.05)
-        patch.setattr(heartbeat, "BEAT_S", 0.01)
-        worker.start()
-        worker.wait_until_ready(threading.Event())
-        first = until(lambda: worker.pid)
-        assert until(lambda: worker.pid not in (None, first))
-    worker.terminate()
-    worker.wait(LIMIT_S)
+    SeveralProcesses(tmp_path).end()
 
 
 def has_been_read(connection):

@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-import ipaddress
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-from wrenchbook.service.keys.keyring import Keyring
+from wrenchbook.service.keys.needed import OWN_KEY, is_loopback
 
-OWN_KEY = "WRENCHBOOK_OWN_KEY"  # a private server's, in its environment
-_WITHOUT_KEYS = (
-    "{host} is reached from other machines, and {folder} has no keys: anybody there could change "
-    "tables and run solves. Make a key with: wrenchbook keys add NAME --scope admin --data "
-    "{folder}; or start with --first-key, which makes one and prints it once. To serve this "
-    "machine alone, leave --host out."
-)
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
-
-
-class KeysNeededError(RuntimeError):
-    """A server that others reach needs keys, and there are none."""
 
 
 @dataclass(frozen=True)
@@ -45,14 +32,6 @@ class SecuritySettings:
     hosts: frozenset[str] | None = None
     origins: frozenset[str] = field(default_factory=frozenset)
     own_key: str | None = None
-
-
-def is_loopback(host: str) -> bool:
-    """Tell whether an address to listen on is reached from this machine alone."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def security_settings(
@@ -78,24 +57,10 @@ def security_settings(
     return SecuritySettings(not local, names, own, own_key)
 
 
-def security_of_options(said: Mapping[str, Any]) -> SecuritySettings:
-    """Return how a server is opened by the options of `serve`, and by its environment."""
+def security_of_options(options: Mapping[str, Any]) -> SecuritySettings:
+    """Return the security settings by the options of `serve` and the environment."""
     own = os.environ.get(OWN_KEY)
-    return security_settings(said["host"], said["allow_host"], said["allow_origin"], own)
-
-
-def require_keys(host: str, folder: Path) -> None:
-    """Refuse to be reached from elsewhere without keys.
-
-    Raises
-    ------
-    KeysNeededError
-        If others reach the address, and the data directory has no key.
-    """
-    if is_loopback(host):
-        return
-    if not len(Keyring(folder)):
-        raise KeysNeededError(_WITHOUT_KEYS.format(host=host, folder=folder))
+    return security_settings(options["host"], options["allow_host"], options["allow_origin"], own)
 
 
 def _listed(text: str | None) -> frozenset[str]:

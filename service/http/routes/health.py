@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Query, Request
 from prometheus_client import CONTENT_TYPE_LATEST
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 
 from wrenchbook.service.files.redact import redact_values
-from wrenchbook.service.http.openapi import answers
+from wrenchbook.service.http.openapi import answers, refused
 from wrenchbook.service.ops.metrics import Metrics
 from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(tags=["health"])
+
+TableState = Literal["ready", "building", "broken"]
 
 
 @router.get("/health/live", summary="The process answers")
@@ -23,22 +25,55 @@ async def live() -> dict[str, str]:
 
 @router.get(
     "/health/ready",
-    summary="Whether jobs are accepted and solved; which components are broken or still built",
-    responses=answers(dict[str, Any], "ready")
-    | answers(dict[str, Any], "not ready; see faults", 503),
+    summary="Whether jobs are accepted and solved, and which tables answer",
+    description="`status` is `ready`, `building` while tables are built, or `not ready` (503; see "
+    "`faults`). `tables` has `ready`, `building` or `broken` for each component. With `component`, "
+    "`ready` and the status code are of its table.",
+    responses=answers(dict[str, Any], "ready, or tables are built")
+    | answers(dict[str, Any], "not ready; see faults", 503)
+    | refused(404, 422),
 )
-def ready(request: Request) -> JSONResponse:
+def ready(
+    request: Request,
+    component: Annotated[str | None, Query(description="only this component's table")] = None,
+) -> JSONResponse:
     workspace: Workspace = request.app.state.workspace
-    faults = workspace.faults()
+    faults, broken, tables = workspace.faults(), workspace.broken(), table_states(workspace)
+    building = [name for name, state in tables.items() if state == "building"]
+    if component is not None:
+        tables = {component: tables.get(component) or _unknown(workspace, component)}
     body: dict[str, Any] = {
-        "status": "ready" if not faults else "not ready",
+        "status": "not ready" if faults else "building" if building else "ready",
+        "ready": not faults and all(state == "ready" for state in tables.values()),
         "components": len(workspace.library.names()),
         "solvers": workspace.settings.solvers,
         "faults": faults,
-        "broken": workspace.broken(),
-        "building": workspace.tables.building(),
+        "broken": broken,
+        "building": building,
+        "tables": tables,
     }
-    return JSONResponse(redact_values(body), 200 if not faults else 503)
+    served = not faults and (component is None or body["ready"])
+    return JSONResponse(redact_values(body), 200 if served else 503)
+
+
+def table_states(workspace: Workspace) -> dict[str, TableState]:
+    """Return whether the table of each component answers, by its name."""
+    present, broken = workspace.tables.present(), workspace.broken()
+    building = workspace.tables.building()
+    names = sorted({*workspace.library.names(), *workspace.library.broken()})
+    return {
+        name: "building"
+        if name in building and name not in broken
+        else "broken"
+        if name in broken and name not in present
+        else "ready"
+        for name in names
+    }
+
+
+def _unknown(workspace: Workspace, name: str) -> TableState:
+    workspace.library[name]  # raises if there is no such component
+    return "building"  # added a moment ago
 
 
 @router.get(
@@ -48,5 +83,5 @@ def ready(request: Request) -> JSONResponse:
     response_description="metrics in Prometheus' text form",
 )
 def metrics(request: Request) -> Response:
-    told: Metrics = request.app.state.metrics
-    return Response(told.text(), media_type=CONTENT_TYPE_LATEST)
+    found: Metrics = request.app.state.metrics
+    return Response(found.text(), media_type=CONTENT_TYPE_LATEST)

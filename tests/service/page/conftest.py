@@ -3,7 +3,7 @@
 import pytest
 
 from tests.service.page.chromium import Browser
-from wrenchbook.service.http.server import private_server
+from wrenchbook.service.workers.private import private_server
 
 
 @pytest.fixture(scope="session")

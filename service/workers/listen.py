@@ -5,14 +5,18 @@ from __future__ import annotations
 import socket
 
 
-def bind_to(host: str, port: int) -> tuple[socket.socket, str]:
-    """Return a socket bound to an address, which nobody listens on yet, and its URL.
+class AddressError(OSError):
+    """A server cannot listen on the address it was given."""
 
-    Before anything is opened, so that a taken port changes nothing. Port 0 takes a free one.
+
+def bind_to(host: str, port: int) -> tuple[socket.socket, str]:
+    """Return a socket bound to an address, not listening yet, and its URL.
+
+    Port 0 takes a free one. A server binds before it opens anything: a taken port changes nothing.
 
     Raises
     ------
-    OSError
+    AddressError
         If the address is taken or not this machine's.
     """
     shown = f"[{host}]" if ":" in host else host
@@ -24,5 +28,5 @@ def bind_to(host: str, port: int) -> tuple[socket.socket, str]:
     except OSError as error:
         bound.close()
         what = f"{error.strerror}: {shown}:{port}; name another address with --host and --port"
-        raise OSError(error.errno, what) from error
+        raise AddressError(what) from error
     return bound, f"http://{shown}:{bound.getsockname()[1]}"

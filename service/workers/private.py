@@ -1,0 +1,89 @@
+"""A server of one's own for the length of a command."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, TextIO
+
+from wrenchbook.service.client import Client
+from wrenchbook.service.files.child import child_command
+from wrenchbook.service.keys.needed import OWN_KEY
+
+START_S: Final = 60.0
+STOP_S: Final = 30.0
+_ANNOUNCEMENT: Final = "wrenchbook serves "
+
+
+class ServerDidNotStartError(RuntimeError):
+    """The private server ended or hung before it was ready; carries the end of its log."""
+
+
+@contextmanager
+def private_server(folder: Path, solvers: int) -> Iterator[Client]:
+    """Start a server of one's own on a data directory and stop it at the end.
+
+    Raises
+    ------
+    ServerDidNotStartError
+        If it is not ready within a minute.
+    """
+    command = child_command("wrenchbook.service.cli.main", "serve", "--data", str(folder))
+    command += ["--port", "0", "--solvers", str(solvers), "--log-level", "warning"]
+    key = secrets.token_urlsafe(32)
+    with tempfile.TemporaryFile("w+") as log:
+        server = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=log, text=True, env=os.environ | {OWN_KEY: key}
+        )
+        try:
+            with Client(_address(server, log), timeout=START_S, key=key) as client:
+                _wait_until_ready(client, server, log)
+                yield client
+        finally:
+            _stop(server)
+
+
+def _address(server: subprocess.Popen[str], log: TextIO) -> str:
+    """Read the announced address; a silent server is ended after a minute."""
+    assert server.stdout is not None
+    watchdog = threading.Timer(START_S, server.kill)
+    watchdog.start()
+    try:
+        for line in server.stdout:
+            if line.startswith(_ANNOUNCEMENT):
+                return line.removeprefix(_ANNOUNCEMENT).strip()
+    finally:
+        watchdog.cancel()
+    raise _did_not_start(log)
+
+
+def _wait_until_ready(client: Client, server: subprocess.Popen[str], log: TextIO) -> None:
+    deadline = time.monotonic() + START_S
+    while time.monotonic() < deadline and server.poll() is None:
+        if client.is_ready():
+            return
+        time.sleep(0.05)
+    raise _did_not_start(log)
+
+
+def _did_not_start(log: TextIO) -> ServerDidNotStartError:
+    log.seek(0)
+    return ServerDidNotStartError(f"The server did not start. Its log ends:\n{log.read()[-2000:]}")
+
+
+def _stop(server: subprocess.Popen[str]) -> None:
+    server.terminate()
+    try:
+        server.wait(STOP_S)
+    except subprocess.TimeoutExpired:
+        server.kill()
+        server.wait()
+    if server.stdout:
+        server.stdout.close()

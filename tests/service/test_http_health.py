@@ -1,0 +1,52 @@
+"""`GET /health/ready`: which tables answer while others are built."""
+
+import shutil
+import threading
+
+import pytest
+from starlette.testclient import TestClient
+
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.tables import builders, live
+from wrenchbook.service.workspace import Settings
+
+RANGE = {"force": [100.0] * 3, "moment": [10.0] * 3}
+READY = "/health/ready"
+
+
+@pytest.fixture
+def building(tmp_path, monkeypatch):
+    """A server that has started while the table `big` is built."""
+    with TestClient(create_app(Settings(tmp_path, solvers=0))) as http:
+        for name, count in (("big", 20), ("small", 3)):
+            http.post("/v1/components", json={"name": name, "title": name, "range": RANGE})
+            rows = [{"wrench": [n, 0, 0, 0, 0, 0], "displacement": [0.0] * 6} for n in range(count)]
+            http.post(f"/v1/components/{name}/table?format=json", json={"rows": rows})
+    shutil.rmtree(tmp_path / "tables")
+    may_build, make = threading.Event(), live.make
+
+    def delayed(component, *rest):
+        assert component.name != "big" or may_build.wait(30)
+        return make(component, *rest)
+
+    monkeypatch.setattr(live, "make", delayed)
+    monkeypatch.setattr(live, "LARGE", 10)
+    monkeypatch.setattr(builders, "LARGE", 10)
+    try:
+        with TestClient(create_app(Settings(tmp_path, solvers=0))) as http:
+            yield http
+            may_build.set()
+    finally:
+        may_build.set()
+
+
+def test_a_server_whose_tables_are_still_built_is_not_all_ready_and_names_them(building):
+    """It was ready while 19 of 25 tables were built."""
+    body = building.get(READY).json()
+    assert (body["status"], body["ready"], body["building"]) == ("building", False, ["big"])
+    assert (body["tables"]["big"], body["tables"]["small"]) == ("building", "ready")
+
+
+@pytest.mark.parametrize(("name", "status"), [("small", 200), ("big", 503), ("nope", 404)])
+def test_the_readiness_of_one_component_has_its_own_status_code(building, name, status):
+    assert building.get(READY, params={"component": name}).status_code == status
