@@ -19,7 +19,7 @@ from wrenchbook.service.ledger import Job
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.ordering import Placed
 from wrenchbook.service.tables.other_setup import others_in_words
-from wrenchbook.service.tables.served import ROW_DETAIL, ServedTable
+from wrenchbook.service.tables.served import ROW, ROW_DETAIL, ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.answer import six
 from wrenchbook.surrogate.kernel.explain import explain
@@ -122,7 +122,8 @@ async def answered(name: str, table: ServedTable, query: Query) -> Outcome:
     if query.derivatives:
         outcome.derivative = table.packed.derivative(*asked)
     if query.detail:
-        outcome.axes = await run_in_threadpool(explain, table.packed, *asked)
+        by_axes = outcome.method != ROW  # a row answers without the axes
+        outcome.axes = await run_in_threadpool(explain, table.packed, *asked) if by_axes else []
         outcome.method_detail = table.method_detail(outcome.method or table.default)
     return outcome
 
@@ -236,7 +237,7 @@ def _by_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) -> O
         found.derivative = table.packed.derivative(query.wrench, six(query.tolerance))
     if query.detail:
         tell_parts(workspace, table, query, found)
-        found.axes, found.method_detail = outcome.axes, ROW_DETAIL
+        found.axes, found.method_detail = [], ROW_DETAIL
     found.job, found.row, found.elapsed_us = outcome.job, seq, outcome.elapsed_us
     found.notes = workspace.notes(outcome.job) if outcome.job else []
     return found

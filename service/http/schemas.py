@@ -92,7 +92,7 @@ class Displacement(TypedDict, total=False):
     notes: Annotated[list[str], text("of the solver: doubtful cells, ill conditioning")]
     missing: Annotated[list[str], text("the outputs that no row of the table holds")]
     job: JobLink | None
-    axes: Annotated[list[dict[str, Any]], text("with detail")]
+    axes: Annotated[list[dict[str, Any]], text("with detail; empty if a row of the table answers")]
     method_detail: Annotated[str, text("with detail: how the method answers")]
     error_parts: Annotated[
         dict[Literal["table", "mesh", "linearity"], dict[Part, Three] | None],

@@ -54,6 +54,26 @@ def test_a_table_only_component_is_made_by_one_post(http):
     assert http.get("/v1/components/rig").json()["has_fea"] is False
 
 
+@pytest.mark.parametrize("force", [[900, 900, 900], [[-900, 900], 900, [-900, 900]]])
+def test_a_range_of_numbers_or_of_pairs_is_one_range_and_comes_back_as_pairs(http, force):
+    given = {"force": force, "moment": [[-5, 90], 90, 90]}
+    pairs = {"force": [[-900, 900]] * 3, "moment": [[-5, 90], [-90, 90], [-90, 90]]}
+    made = http.post("/v1/components", json={**TABLE_ONLY, "range": given}).json()
+    assert made["range"] == http.get("/v1/components/rig").json()["range"] == pairs
+    again = {**TABLE_ONLY, "name": "again", "range": made["range"]}
+    assert http.post("/v1/components", json=again).json()["range"] == pairs
+
+
+def test_the_range_that_a_component_has_is_taken_by_fill_and_by_a_scene_plan(http):
+    range_ = http.get("/v1/components/plate_thin").json()["range"]
+    narrow = {word: [span[1] / 2 for span in spans] for word, spans in range_.items()}
+    for one in (range_, narrow):
+        filled = http.post("/v1/components/plate_thin/fill", json={"range": one, "budget": 1})
+        assert filled.status_code == 202, filled.text
+        scene = {"components": {"plate_thin": one}}
+        assert http.post("/v1/scenes/plan", json=scene).status_code == 200
+
+
 def test_a_name_is_taken_once(http):
     assert http.post("/v1/components", json=TABLE_ONLY).status_code == 201
     reply = http.post("/v1/components", json={**TABLE_ONLY, "title": "another"})
