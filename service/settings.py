@@ -40,6 +40,10 @@ class Settings:
         MB of rows and numpy tables that a process keeps; packed tables are mapped.
     keep:
         Which folders of ended attempts are kept.
+    access_log:
+        Whether each request is a line of the log.
+    opentelemetry:
+        Whether requests are traced; without it, OTEL_* variables of the environment decide.
     part:
         What of the work is this process'.
     number:
@@ -54,6 +58,8 @@ class Settings:
     scheduler: str | None = None
     table_memory: int = TABLE_MEMORY
     keep: Keep = KEEP
+    access_log: bool = False
+    opentelemetry: bool = False
     part: Part = "all"
     number: int = 0
 
@@ -78,6 +84,8 @@ def settings_of_options(said: Mapping[str, Any], part: Part = "all", number: int
         table_memory=said["table_memory"],
         scheduler=said["scheduler"],
         keep=keep,
+        access_log=said["access_log"],
+        opentelemetry=said["opentelemetry"],
         part=part,
         number=number,
     )

@@ -25,6 +25,15 @@ DEFAULT_PAPER = Path("wrenchbook-paper")
 
 
 Host = Annotated[str, typer.Option(help="address to listen on")]
+AccessLog = Annotated[
+    bool, typer.Option("--access-log", help="a line a request; queries take no fast path then")
+]
+OpenTelemetry = Annotated[
+    bool,
+    typer.Option(
+        "--opentelemetry", help="trace requests, as OTEL_* variables say; no fast path then"
+    ),
+]
 AllowHost = Annotated[
     str | None, typer.Option(help="further names of this server, with commas: a proxy's, say")
 ]
@@ -84,6 +93,8 @@ def serve(
     keep_failed_count: KeepFailedCount = 10_000,
     log_level: Level = "info",
     log_format: Form = "text",
+    access_log: AccessLog = False,
+    opentelemetry: OpenTelemetry = False,
     allow_host: AllowHost = None,
     allow_origin: AllowOrigin = None,
     first_key: FirstKey = False,
@@ -103,11 +114,14 @@ def serve(
 def _serve(**said: Any) -> None:
     """Serve by settings as they hold."""
     from wrenchbook.service.http.access.security import require_keys, security_of_options
+    from wrenchbook.service.http.instrumentation import MissingExtraError, tracing_packages
     from wrenchbook.service.jobs.engines.registry import EngineSettingsError, check_engine
 
     try:
         check_engine(said["engine"], said["scheduler"])
-    except EngineSettingsError as error:
+        if said["opentelemetry"]:
+            tracing_packages()
+    except (EngineSettingsError, MissingExtraError) as error:
         raise typer.BadParameter(str(error)) from error
     _make_folder(Path(said["data"]))
     if said["first_key"]:

@@ -41,6 +41,7 @@ from wrenchbook.service.library.component import (
     LibraryUnavailableError,
     UnknownComponentError,
 )
+from wrenchbook.service.ops.logs import REQUEST_ID
 from wrenchbook.service.ordering import NoSetupError
 from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
 from wrenchbook.service.tables.behind import TableBehindError
@@ -117,8 +118,11 @@ class ProblemError(Exception):
         }
 
     def response(self) -> Response:
-        """Return the answer."""
-        content = orjson.dumps(redact_values(self.body))
+        """Return the answer; a 5xx names its request, as the server's log does."""
+        body = self.body
+        if self.status >= 500 and (request_id := REQUEST_ID.get()):
+            body = {**body, "request_id": request_id}
+        content = orjson.dumps(redact_values(body))
         return Response(content, self.status, self.headers, MEDIA_TYPE)
 
 

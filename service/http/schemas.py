@@ -58,6 +58,7 @@ class Problem(TypedDict):
     status: int
     detail: Annotated[str, text("what is wrong and what to do")]
     errors: NotRequired[list[Mistake]]
+    request_id: NotRequired[Annotated[str, text("of a 5xx: as in the server's log")]]
 
 
 class JobLink(TypedDict, total=False):

@@ -46,7 +46,7 @@ def coordinate(settings: Settings, heartbeat: Heartbeat, stop: threading.Event) 
 
 def _write(state: CoordinatorState, workspace: Workspace) -> None:
     try:
-        state.write(Status(workspace.trouble(), workspace.tables.faults()))
+        state.write(Status(workspace.trouble(), workspace.tables.faults(), os.getpid()))
     except OSError as error:
         log.warning("what is wrong cannot be told to the others: %s", error)
 

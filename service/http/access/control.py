@@ -16,6 +16,7 @@ from wrenchbook.service.http.access.origins import check_host, check_origin, is_
 from wrenchbook.service.http.access.permission import OPEN, PERMISSION, Permission, permission_of
 from wrenchbook.service.http.access.security import SecuritySettings
 from wrenchbook.service.http.body import counted
+from wrenchbook.service.http.instrumentation import HEADER
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.keys import Keyring, Scope, digest_of
 from wrenchbook.service.keys.keyring import LOOK_S
@@ -146,7 +147,7 @@ class AccessControl:
     def _plain(self, headers: Headers) -> Permission | None:
         """Look at a plain question's head for the first time, as `_admitted` does."""
         head = dict(headers)
-        if b"origin" in head or _kind(head) not in (_JSON, b""):
+        if b"origin" in head or HEADER in head or _kind(head) not in (_JSON, b""):
             return None
         try:
             check_host(self.security, head)

@@ -26,7 +26,7 @@ _MAIN = "/displacement"
 PLAIN = b"x-content-type-options: nosniff\r\n"
 """Header fields of an answer of the fast path: JSON that no browser requests by itself."""
 
-_EXPOSED = b"location, link, etag, retry-after"
+_EXPOSED = b"location, link, etag, retry-after, x-request-id"
 
 
 def sending(send: Send, path: str, origin: bytes | None) -> Send:
@@ -87,7 +87,10 @@ def preflight(origin: bytes) -> list[tuple[bytes, bytes]]:
     return [
         *_across(origin),
         (b"access-control-allow-methods", b"GET, POST, DELETE"),
-        (b"access-control-allow-headers", b"authorization, content-type, if-none-match, accept"),
+        (
+            b"access-control-allow-headers",
+            b"authorization, content-type, if-none-match, accept, x-request-id",
+        ),
         (b"access-control-max-age", b"600"),
         (b"content-length", b"0"),
     ]
