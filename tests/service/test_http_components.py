@@ -38,6 +38,20 @@ def test_the_library_lists_the_shipped_components(http):
     assert {"bar", "plate", "plate_thin", "spring"} <= set(names)
 
 
+def test_the_library_is_listed_in_pages_of_a_search_each_component_once(http):
+    for number in range(5):
+        http.post("/v1/components", json={**TABLE_ONLY, "name": f"hinge{number}"})
+    http.post("/v1/components/hinge1/archive")
+    url, found, pages = "/v1/components?q=hinge&limit=2&archived=true", [], 0
+    while url:
+        reply = http.get(url)
+        url, pages = reply.json()["next"], pages + 1
+        assert reply.headers.get("link") == (f'<{url}>; rel="next"' if url else None)
+        found += [one["name"] for one in reply.json()["components"]]
+    assert (found, pages) == ([f"hinge{number}" for number in range(5)], 3)
+    assert http.get("/v1/components").json()["next"] is None
+
+
 def test_a_component_tells_contract_range_rows_and_coverage(http):
     body = http.get("/v1/components/plate").json()
     assert body["contract"]["units"].startswith("SI")

@@ -15,7 +15,7 @@ from wrenchbook.service.files.redact import redact
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
 from wrenchbook.service.http.body import MOST_QUERY_BYTES, form_of, read_limited
-from wrenchbook.service.http.links import job_link
+from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.needs import need_from
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
@@ -23,6 +23,7 @@ from wrenchbook.service.http.problems import ProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.schemas import Queued
 from wrenchbook.service.library.bundle_zip import MAX_BUNDLE_BYTES
+from wrenchbook.service.library.catalogue import Card
 from wrenchbook.service.library.checked import interface_of, vibration_of, warnings_of
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.other_setup import warning_of
@@ -40,19 +41,37 @@ _BUNDLE = {
 }
 
 
-@router.get("", summary="The library", response_description="the library", responses=refused(422))
+@router.get(
+    "",
+    summary="The library by name, a page at a time",
+    response_description="components, broken ones, and the URL of the next page or null",
+    responses=refused(422),
+)
 def list_components(
     request: Request,
+    response: Response,
     q: Annotated[str, Query(max_length=200, description="in name, title or notes")] = "",
-    archived: Annotated[bool, Query(description="with those that are put away")] = False,
+    archived: Annotated[bool, Query(description="with archived ones")] = False,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 1000,
+    after: Annotated[
+        str | None, Query(max_length=300, description="go on after this component's name")
+    ] = None,
 ) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
-    library = workspace.library
-    found = [_summary(workspace, library[name]) for name in library.names()]
+    library, cards = workspace.library, workspace.catalogue
+    found = [
+        library[name]
+        for name in library.names()
+        if (after is None or name > after) and (archived or not cards[name].archived)
+    ]
+    found = [one for one in found if _is_about(one, cards[one.name], q)]
+    following = None
+    if len(found) > limit:
+        words = {"q": q, "archived": archived, "limit": limit, "after": found[limit - 1].name}
+        following = next_page(response, "/v1/components", words)
     return {
-        "components": [
-            one for one in found if (archived or not one["archived"]) and _is_about(one, q)
-        ],
+        "components": [_summary(workspace, one) for one in found[:limit]],
+        "next": following,
         "broken": [
             {"name": name, "reason": redact(reason)}
             for name, reason in sorted(workspace.broken().items())
@@ -60,10 +79,10 @@ def list_components(
     }
 
 
-def _is_about(summary: dict[str, Any], asked: str) -> bool:
-    """Tell whether all words of a search stand in what is said of a component."""
-    said = f"{summary['name']} {summary['title']} {summary['notes']}".casefold()
-    return all(word in said for word in asked.casefold().split())
+def _is_about(component: Component, card: Card, search: str) -> bool:
+    """Return whether name, title or notes of a component have all words of a search."""
+    text = f"{component.name} {component.title} {card.notes}".casefold()
+    return all(word in text for word in search.casefold().split())
 
 
 @router.get(

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
-from urllib.parse import urlencode
 
 from fastapi import APIRouter, Path, Query, Request
 from pydantic import AfterValidator
@@ -16,7 +15,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
 from wrenchbook.service.files.redact import redact_values
-from wrenchbook.service.http.links import job_link
+from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.jobs.attempt import LOG
@@ -93,8 +92,7 @@ def list_jobs(
     following = None
     if more:
         words = {"component": component, "status": status, "limit": limit, "after": jobs[-1].id}
-        following = f"/v1/jobs?{urlencode({k: v for k, v in words.items() if v is not None})}"
-        response.headers["Link"] = f'<{following}>; rel="next"'
+        following = next_page(response, "/v1/jobs", words)
     return {"jobs": [job_body(workspace, job, rows) for job in jobs], "next": following}
 
 
