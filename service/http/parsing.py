@@ -112,8 +112,8 @@ def read_block(body: bytes) -> tuple[np.ndarray, BlockBody]:
     return np.array(full.wrenches, dtype=float).reshape(-1, 6) + 0.0, full
 
 
-def known_method(method: str | None) -> str | None:
-    """Return a method's name as it is.
+def known_method(method: str | None, where: str = "method") -> str | None:
+    """Return a method's name as it is; `where` is its place in the request.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def known_method(method: str | None) -> str | None:
     """
     if method is not None and method not in METHODS:
         message = f"unknown method {method!r}: one of {', '.join(METHODS)}"
-        raise bad_body([{"loc": "method", "msg": message}])
+        raise bad_body([{"loc": where, "msg": message}])
     return method
 
 
