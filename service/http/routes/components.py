@@ -21,6 +21,7 @@ from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.problems import ProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.schemas import Queued
 from wrenchbook.service.library.bundle_zip import MAX_BUNDLE_BYTES
 from wrenchbook.service.library.catalogue import Card
@@ -48,7 +49,7 @@ _BUNDLE = {
     responses=refused(422),
 )
 def list_components(
-    request: Request,
+    workspace: Opened,
     response: Response,
     q: Annotated[str, Query(max_length=200, description="in name, title or notes")] = "",
     archived: Annotated[bool, Query(description="with archived ones")] = False,
@@ -57,7 +58,6 @@ def list_components(
         str | None, Query(max_length=300, description="go on after this component's name")
     ] = None,
 ) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
     library, cards = workspace.library, workspace.catalogue
     found = [
         library[name]
@@ -91,8 +91,7 @@ def _is_about(component: Component, card: Card, search: str) -> bool:
     response_description="the component",
     responses=refused(404, 422),
 )
-async def one_component(name: str, request: Request) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
+async def one_component(name: str, workspace: Opened) -> dict[str, Any]:
     await workspace.newest(name, CATCH_UP_S)
     return await run_in_threadpool(component_body, workspace, workspace.library[name])
 
@@ -104,8 +103,7 @@ async def one_component(name: str, request: Request) -> dict[str, Any]:
     responses=answers(dict[str, Any], "added", 201) | refused(409, 422),
     openapi_extra=takes(TableOnlyComponent, {"multipart/form-data": {"schema": _BUNDLE}}),
 )
-async def add_component(request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
+async def add_component(request: Request, workspace: Opened) -> Response:
     kind = request.headers.get("content-type", "").partition(";")[0].strip()
     if kind == "multipart/form-data":
         component = await _add_bundle(workspace, request)
@@ -150,9 +148,8 @@ def _add_table_only(workspace: Workspace, body: TableOnlyComponent) -> Component
     | refused(404, 409, 422),
     openapi_extra=takes(FillBody),
 )
-async def fill(name: str, request: Request) -> Response:
+async def fill(name: str, request: Request, workspace: Opened) -> Response:
     order = read_body(FillBody, await read_limited(request.receive))
-    workspace: Workspace = request.app.state.workspace
     reply = await run_in_threadpool(_fill, workspace, name, order)
     return json_reply(reply, 202 if reply["jobs"] else 200)
 

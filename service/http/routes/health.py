@@ -10,8 +10,8 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.openapi import answers
+from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.ops.metrics import Metrics
-from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(tags=["health"])
 
@@ -27,8 +27,7 @@ async def live() -> dict[str, str]:
     responses=answers(dict[str, Any], "ready")
     | answers(dict[str, Any], "not ready; see faults", 503),
 )
-def ready(request: Request) -> JSONResponse:
-    workspace: Workspace = request.app.state.workspace
+def ready(workspace: Opened) -> JSONResponse:
     faults = workspace.faults()
     body: dict[str, Any] = {
         "status": "ready" if not faults else "not ready",

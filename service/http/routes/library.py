@@ -16,6 +16,7 @@ from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.problems import ProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.table_schemas import Card, Demand, Disagreement, Imports
 from wrenchbook.service.ledger import About
@@ -81,8 +82,7 @@ async def write_notes(name: str, request: Request) -> Response:
 @router.get(
     "/imports", summary="Who loaded which rows from what, newest first", response_model=Imports
 )
-def imports(name: str, request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
+def imports(name: str, workspace: Opened) -> Response:
     found = workspace.ledger.imports(workspace.library[name].name)
     versions = {one.id: last for _, last, one in workspace.ledger.import_spans(name)}
     told = [
@@ -107,8 +107,7 @@ def imports(name: str, request: Request) -> Response:
     summary="Measured rows beside what the solved ones say",
     response_model=Disagreement,
 )
-def disagree(name: str, request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
+def disagree(name: str, workspace: Opened) -> Response:
     component = workspace.library[name]
     table = workspace.tables.caught_up(name, CATCH_UP_S)
     how = component.load_range, component.tolerance, component.linear, table.locked
@@ -117,15 +116,13 @@ def disagree(name: str, request: Request) -> Response:
 
 
 @router.get("/demand", summary="What was asked and not covered", response_model=Demand)
-def demand(name: str, request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
+def demand(name: str, workspace: Opened) -> Response:
     component = workspace.library[name]
     return json_reply({"component": name, **workspace.demand.map_of(name, component.load_range)})
 
 
 @router.delete("/demand", summary="Begin the demand map anew")
-def forget_demand(name: str, request: Request) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
+def forget_demand(name: str, workspace: Opened) -> dict[str, Any]:
     workspace.demand.forget(workspace.library[name].name)
     return {"component": name, "asked": 0}
 

@@ -6,11 +6,12 @@ import math
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Request
+from fastapi import APIRouter, Path
 
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.service.http.openapi import refused
 from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.ledger import LedgerRow, RowStatusError, UnknownRowError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import iso_time
@@ -29,20 +30,17 @@ _EDITS = refused(s409="the row is withdrawn already, or is in the table already"
 
 
 @router.get("", summary="A row, and where it comes from")
-def one_row(name: str, row: RowId, request: Request) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
+def one_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     return row_body(workspace, workspace.library[name], row)
 
 
 @router.delete("", summary="Withdraw a row: it leaves the table and its exports", responses=_EDITS)
-def withdraw(name: str, row: RowId, request: Request) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
+def withdraw(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     return _edited(workspace, name, row, workspace.ledger.withdraw, "withdrawn")
 
 
 @router.post("/restore", summary="Bring a withdrawn row back into the table", responses=_EDITS)
-def restore(name: str, row: RowId, request: Request) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
+def restore(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     return _edited(workspace, name, row, workspace.ledger.restore, "restored")
 
 

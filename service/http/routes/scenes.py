@@ -17,6 +17,7 @@ from wrenchbook.service.http.needs import need_from
 from wrenchbook.service.http.openapi import BYTES, refused, takes
 from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.table import PACKED_TYPE
 from wrenchbook.service.http.schemas import Plans
 from wrenchbook.service.http.versions import holds, naming
@@ -33,8 +34,7 @@ CATCH_UP_S = 25.0
     response_model=Plans,
     openapi_extra=takes(SceneBody),
 )
-async def plan(request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
+async def plan(request: Request, workspace: Opened) -> Response:
     scene = read_body(SceneBody, await read_limited(request.receive))
     needs = {name: _need(workspace, name, wanted) for name, wanted in scene.components.items()}
     told = {}
@@ -58,13 +58,12 @@ async def plan(request: Request) -> Response:
 )
 async def scene_table(
     name: str,
-    request: Request,
+    workspace: Opened,
     wanted: Annotated[
         str, Query(max_length=8192, description="JSON: what /v1/scenes/plan takes a component")
     ],
     if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
-    workspace: Workspace = request.app.state.workspace
     component = workspace.library[name]
     body = read_body(SceneComponent, wanted.encode())
     need = need_from(component, body, body.outputs, body.tolerance, "wanted")

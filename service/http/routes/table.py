@@ -24,6 +24,7 @@ from wrenchbook.service.http.import_query import ImportQuery
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.table_schemas import Imported, Table
 from wrenchbook.service.http.versions import holds, naming
 from wrenchbook.service.ledger import About
@@ -109,7 +110,7 @@ _TAKEN = frozenset(
 )
 async def export(
     name: str,
-    request: Request,
+    workspace: Opened,
     format: Format = "json",  # noqa: A002 (the contract's word)
     force: Annotated[str, Query(description="csv, xlsx: unit of forces")] = "N",
     moment: Annotated[str, Query(description="csv, xlsx: unit of moments")] = "N*m",
@@ -123,7 +124,6 @@ async def export(
     ] = False,
     if_none_match: Annotated[str | None, Header(description="a version held already")] = None,
 ) -> Response:
-    workspace: Workspace = request.app.state.workspace
     if format == "packed":
         return await _packed(workspace, name, table_version, if_none_match)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
@@ -194,9 +194,8 @@ def _export(
     openapi_extra=takes(Table, _SENT),
 )
 async def import_table(
-    name: str, request: Request, query: Annotated[ImportQuery, Query()]
+    name: str, request: Request, workspace: Opened, query: Annotated[ImportQuery, Query()]
 ) -> Response:
-    workspace: Workspace = request.app.state.workspace
     component = workspace.library[name]
     _check_kind(request)
     options, wish = query.options(), query.wish()
