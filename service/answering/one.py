@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from time import perf_counter_ns
+from typing import Any
 
 import numpy as np
 from starlette.concurrency import run_in_threadpool
 
-from wrenchbook.service.answering.error_parts import error_parts
 from wrenchbook.service.answering.queries import Outcome, Query, also
 from wrenchbook.service.answering.refusals import (
     BeyondRangeError,
@@ -23,7 +24,10 @@ from wrenchbook.service.tables.served import ROW, ROW_DETAIL, ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.answer import six
 from wrenchbook.surrogate.kernel.explain import explain
+from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 from wrenchbook.surrogate.table.rows import acting_one, why_beyond
+
+Bars = Sequence[float | None]
 
 
 def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | None:
@@ -137,7 +141,49 @@ def tell_parts(workspace: Workspace, table: ServedTable, query: Query, outcome: 
         if "linearity" in solver.told:
             shares["linearity"] = found.linearity
     has_fea = workspace.library.as_read(outcome.component).has_fea
-    outcome.error_parts = error_parts(found.interpolation, solver, shares, has_fea=has_fea)
+    outcome.error_parts = _error_parts(found.interpolation, solver, shares, has_fea=has_fea)
+
+
+def _error_parts(
+    table: Bars | None,
+    solver: SolverError | None,
+    shares: Mapping[str, Bars | None],
+    *,
+    has_fea: bool,
+) -> dict[str, Any] | None:
+    """Return the shares of a bar as a reply tells them.
+
+    Parameters
+    ----------
+    table
+        The table's own bars, six, m and rad; None where it has none.
+    solver
+        What the solver may be wrong by; None where nothing has told.
+    shares
+        What `SolverError.parts` tells, six an entry, m and rad.
+    has_fea
+        Whether rows come of a solver at all: measured tables have no share of one.
+
+    Returns
+    -------
+    dict or None
+        ``table``, ``mesh`` and of a linear component ``linearity``, each ``{"translation",
+        "rotation"}`` like ``error``, or None where it is not known; ``mesh_basis`` in words.
+    """
+    if table is None:
+        return None
+    told: dict[str, Any] = {"table": _split(table)}
+    if not has_fea:
+        return told
+    if solver is None:
+        return told | {"mesh": None, "mesh_basis": UNKNOWN}
+    told |= {cause: _split(share) for cause, share in shares.items()}
+    words = {name: said for name, said in solver.told.items() if name.endswith("_basis")}
+    return told | words
+
+
+def _split(bars: Bars | None) -> dict[str, Any] | None:
+    return None if bars is None else {"translation": list(bars[:3]), "rotation": list(bars[3:])}
 
 
 def _from_table(name: str, table: ServedTable, query: Query) -> Outcome:

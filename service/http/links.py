@@ -1,4 +1,4 @@
-"""How replies point to other resources."""
+"""How replies refer to jobs, next pages and versions of tables."""
 
 from __future__ import annotations
 
@@ -22,3 +22,14 @@ def next_page(response: Response, path: str, query: Mapping[str, Any]) -> str:
     url = f"{path}?{urlencode(given)}"
     response.headers["Link"] = f'<{url}>; rel="next"'
     return url
+
+
+def naming(tag: str) -> dict[str, str]:
+    """Return the headers of a version: its entity tag, and that caches revalidate it."""
+    return {"ETag": tag, "Cache-Control": "no-cache"}
+
+
+def holds(if_none_match: str | None, tag: str) -> bool:
+    """Return whether the caller has this version (RFC 9110, section 13.1.2)."""
+    tags = [tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")]
+    return tag in tags or "*" in tags

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from starlette.responses import Response, StreamingResponse
 
 from wrenchbook.service.answering.queries import BatchOutcome, Outcome, WrenchJob
-from wrenchbook.service.http.binary import MEDIA_TYPE
+from wrenchbook.service.http.batch import BINARY_TYPE
 from wrenchbook.service.http.links import job_link
 from wrenchbook.surrogate.answer import within_tolerance_many
 
@@ -143,7 +143,7 @@ def write_binary(outcome: BatchOutcome) -> Response:
     content = block.tobytes()
     if outcome.derivatives is not None:
         content += outcome.derivatives.astype("<f8").tobytes()
-    return Response(content, _status(outcome), headers, MEDIA_TYPE)
+    return Response(content, _status(outcome), headers, BINARY_TYPE)
 
 
 def _wrench_job(one: WrenchJob) -> dict[str, Any]:

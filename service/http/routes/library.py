@@ -18,6 +18,7 @@ from wrenchbook.service.http.problems import ProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.components import component_body
+from wrenchbook.service.http.routes.rows import import_body
 from wrenchbook.service.http.table_schemas import Card, Demand, Disagreement, Imports
 from wrenchbook.service.ledger import About
 from wrenchbook.service.tables.copying import copy_rows
@@ -87,13 +88,8 @@ def imports(name: str, workspace: Opened) -> Response:
     versions = {one.id: last for _, last, one in workspace.ledger.import_spans(name)}
     told = [
         {
-            "id": one.id,
+            **import_body(one),
             "when": iso_time(one.created),
-            "who": one.who,
-            "filename": one.filename,
-            "format": one.format,
-            "sha256": one.digest,
-            "note": one.note,
             "rows": one.rows,
             "table_version": versions.get(one.id),
         }

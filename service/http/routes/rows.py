@@ -12,7 +12,7 @@ from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.service.http.openapi import refused
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.http.routes import Opened
-from wrenchbook.service.ledger import LedgerRow, RowStatusError, UnknownRowError
+from wrenchbook.service.ledger import Import, LedgerRow, RowStatusError, UnknownRowError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import Workspace
@@ -100,15 +100,18 @@ def _nulls(values: tuple[float, ...]) -> list[float | None]:
 
 def _import(workspace: Workspace, seq: int) -> dict[str, Any] | None:
     found = workspace.ledger.import_of(seq)
-    if found is None:
-        return None
+    return None if found is None else import_body(found)
+
+
+def import_body(one: Import) -> dict[str, Any]:
+    """Return who loaded rows from which file."""
     return {
-        "id": found.id,
-        "who": found.who,
-        "filename": found.filename,
-        "format": found.format,
-        "sha256": found.digest,
-        "note": found.note,
+        "id": one.id,
+        "who": one.who,
+        "filename": one.filename,
+        "format": one.format,
+        "sha256": one.digest,
+        "note": one.note,
     }
 
 
