@@ -31,7 +31,7 @@ Bars = Sequence[float | None]
 
 
 def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | None:
-    """Return what `answer_or_submit` does to a plain query, if the table alone says it.
+    """Return what `answer_or_submit` does to a plain query, if the table alone answers it.
 
     None where that needs a solve, another thread or a refusal. Not for `solve`, another method
     than the component's own, `detail` or `derivatives`.
@@ -151,16 +151,16 @@ def _error_parts(
     *,
     has_fea: bool,
 ) -> dict[str, Any] | None:
-    """Return the shares of a bar as a reply tells them.
+    """Return the shares of a bar in the form of a reply.
 
     Parameters
     ----------
     table
         The table's own bars, six, m and rad; None where it has none.
     solver
-        What the solver may be wrong by; None where nothing has told.
+        What the solver may be wrong by; None if unknown.
     shares
-        What `SolverError.parts` tells, six an entry, m and rad.
+        From `SolverError.parts`, six an entry, m and rad.
     has_fea
         Whether rows come of a solver at all: measured tables have no share of one.
 
@@ -172,14 +172,14 @@ def _error_parts(
     """
     if table is None:
         return None
-    told: dict[str, Any] = {"table": _split(table)}
+    parts: dict[str, Any] = {"table": _split(table)}
     if not has_fea:
-        return told
+        return parts
     if solver is None:
-        return told | {"mesh": None, "mesh_basis": UNKNOWN}
-    told |= {cause: _split(share) for cause, share in shares.items()}
-    words = {name: said for name, said in solver.told.items() if name.endswith("_basis")}
-    return told | words
+        return parts | {"mesh": None, "mesh_basis": UNKNOWN}
+    parts |= {cause: _split(share) for cause, share in shares.items()}
+    words = {name: text for name, text in solver.told.items() if name.endswith("_basis")}
+    return parts | words
 
 
 def _split(bars: Bars | None) -> dict[str, Any] | None:
@@ -243,7 +243,7 @@ async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Ou
 
 
 def _queued(workspace: Workspace, query: Query, outcome: Outcome) -> Placed:
-    """Queue without getting in the way of a loop: what cannot be queued is said, not raised."""
+    """Queue without getting in the way of a loop: a wrench that is not queued has a reason."""
     component = workspace.orders.solvable(outcome.component)
     wrench = np.array([query.wrench])
     if not query.beyond_range and not component.load_range.holds(wrench)[0]:
@@ -295,5 +295,5 @@ async def _name_awaited(workspace: Workspace, query: Query, outcome: Outcome) ->
         return  # the others are given a job themselves
     job = await run_in_threadpool(workspace.first_open_job, outcome.component)
     if job is not None:
-        told = f"job {job.id} solves the component's compliance: ask again once it is done"
-        outcome.reason = also(outcome.reason, told)
+        awaited = f"job {job.id} solves the component's compliance: ask again once it is done"
+        outcome.reason = also(outcome.reason, awaited)

@@ -107,13 +107,11 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
     )
     app.state.counts = counts
     app.state.access = AccessControl(Keyring(settings.folder), security or SecuritySettings())
-    _with_routes(app)
-    instrumentation.set_up(app, logged=settings.access_log, traced=settings.opentelemetry)
-    return app
+    return _with_routes(app, settings)
 
 
-def _with_routes(app: Application) -> None:
-    """Add the routes, the errors and the document to the application."""
+def _with_routes(app: Application, settings: Settings) -> Application:
+    """Add the routes, the errors, the document and the request log, and return the application."""
     problems.install(app)
     app.include_router(umbridge.router)  # a protocol with errors of its own form
     app.include_router(health.router, responses=openapi.refused(403, 500))
@@ -121,3 +119,5 @@ def _with_routes(app: Application) -> None:
         app.include_router(part.router, responses=openapi.refused(403, 500, 503, 507))
     app.include_router(page.router)
     openapi.install(app)
+    instrumentation.set_up(app, logged=settings.access_log, traced=settings.opentelemetry)
+    return app

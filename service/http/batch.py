@@ -42,7 +42,7 @@ from wrenchbook.service.http.problems import ProblemError, bad_body
 from wrenchbook.service.sandbox import MIB, Limits, Part, run
 from wrenchbook.surrogate.table.rows import LOADS, Tolerance
 
-# A million wrenches as Python's lists and numbers are 400 MB, beside the text of 250 MB.
+# A million wrenches as Python's lists and numbers are 400 MB, next to the text of 250 MB.
 LIMITS: Final = Limits(memory=1200 * MIB, seconds=60.0, output=256 * MIB)
 
 PIECE: Final = 1 << 20  # bytes that the parser sees at once
@@ -91,10 +91,10 @@ def read_batch_body(body: Spooled) -> BatchQuery:
     """
     if body.path is None:
         return batch_of(*batch_parts(body.content))
-    (told,) = run("wrenchbook.service.http.batch:parsed", body.path, None, LIMITS)
-    if refused := told.fields["refused"]:
+    (part,) = run("wrenchbook.service.http.batch:parsed", body.path, None, LIMITS)
+    if refused := part.fields["refused"]:
         raise refusal(refused)
-    return batch_of(told.fields["batch"], np.array(told.arrays["wrenches"]))
+    return batch_of(part.fields["batch"], np.array(part.arrays["wrenches"]))
 
 
 def batch_parts(body: bytes) -> tuple[dict[str, Any], np.ndarray]:
@@ -128,8 +128,8 @@ def checked_batch(fields: Any, wrenches: np.ndarray | None) -> tuple[dict[str, A
 def batch_of(fields: dict[str, Any], wrenches: np.ndarray) -> BatchQuery:
     """Return the query that a batch's parts are, see `batch_parts`; wrenches (n, 6), N and N·m."""
     limit = fields["tolerance"]
-    told = {name: value for name, value in fields.items() if name != "tolerance"}
-    return BatchQuery(wrenches, tolerance=Tolerance(**limit) if limit else None, **told)
+    rest = {name: value for name, value in fields.items() if name != "tolerance"}
+    return BatchQuery(wrenches, tolerance=Tolerance(**limit) if limit else None, **rest)
 
 
 def _few_lists(body: bytes) -> None:
@@ -197,10 +197,10 @@ def _rows(text: bytes, *, first: bool) -> np.ndarray | None:
         return None
 
 
-def refusal(told: dict[str, Any]) -> ProblemError:
+def refusal(sent: dict[str, Any]) -> ProblemError:
     """Return the problem that a child came to."""
-    found = ProblemError(int(told["status"]), "", "", str(told["body"].get("detail", "")))
-    found.body = dict(told["body"])
+    found = ProblemError(int(sent["status"]), "", "", str(sent["body"].get("detail", "")))
+    found.body = dict(sent["body"])
     return found
 
 

@@ -14,6 +14,7 @@ from typing import Any, Final
 from fastapi import FastAPI
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from wrenchbook.service.http.problems import CLIENT_GONE
 from wrenchbook.service.ops.counts import Counts
 from wrenchbook.service.ops.logs import REQUEST_ID
 
@@ -24,7 +25,6 @@ HEADER: Final = b"x-request-id"
 ROUTE: Final = "wrenchbook.route"  # key in a scope: the route's template, if no router has set it
 MAIN_ROUTE: Final = "/v1/components/{name}/displacement"
 NO_ROUTE: Final = "none"  # no call of the API, or refused before the router
-CLIENT_GONE: Final = 499  # as nginx counts it: the caller left before its reply
 _ID: Final = re.compile(rb"[\x21-\x7e]{1,128}")
 _METHODS: Final = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 # Environment variables that name the destination of traces (OpenTelemetry specification).

@@ -156,7 +156,7 @@ def _plain_query(fields: Any) -> Query | None:
     if type(force) is not list or type(moment) is not list or len(force) != 3 or len(moment) != 3:
         return None
     numbers = (*force, *moment)
-    # Of finite loads too large together pydantic says which one is, if any.
+    # Finite loads that are too large together: pydantic finds the one that is, if any.
     if not _NUMBERS.issuperset(map(type, numbers)) or hypot(*numbers) > LARGEST_LOAD:
         return None
     word = fields.get("on_thin", "queue")
@@ -201,7 +201,7 @@ def version_of(query: bytes) -> int | None:
 
 
 def split_version(query: QueryParams) -> tuple[int | None, dict[str, str]]:
-    """Return the version that a query names, as `version_of`, and all else that it says."""
+    """Return the version that a query names, as `version_of`, and its other parameters."""
     named = [pair for pair in query.multi_items() if pair[0] == NAME]
     return _read(named), {name: value for name, value in query.items() if name != NAME}
 
@@ -212,8 +212,8 @@ def _read(pairs: list[tuple[str, str]]) -> int | None:
     try:
         return VersionQuery.model_validate(dict(pairs)).table_version
     except ValidationError as error:
-        told = plain_errors(error)
-        raise bad_body([{**one, "loc": f"query.{one['loc']}"} for one in told]) from None
+        mistakes = plain_errors(error)
+        raise bad_body([{**one, "loc": f"query.{one['loc']}"} for one in mistakes]) from None
 
 
 def check_version(query: Query | BatchQuery) -> None:

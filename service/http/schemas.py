@@ -40,7 +40,7 @@ _WITHIN = (
     "what to do. null where there is no tolerance or no bar, or the solver's own error is not known"
 )
 _VERSION = (
-    "the version of the table that was asked; where source is fea the answer is that of row, which "
+    "the version of the table that answers; where source is fea the answer is that of row, which "
     "may be newer than this version"
 )
 

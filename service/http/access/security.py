@@ -78,10 +78,10 @@ def security_settings(
     return SecuritySettings(not local, names, own, own_key)
 
 
-def security_of_options(said: Mapping[str, Any]) -> SecuritySettings:
+def security_of_options(options: Mapping[str, Any]) -> SecuritySettings:
     """Return how a server is opened by the options of `serve`, and by its environment."""
     own = os.environ.get(OWN_KEY)
-    return security_settings(said["host"], said["allow_host"], said["allow_origin"], own)
+    return security_settings(options["host"], options["allow_host"], options["allow_origin"], own)
 
 
 def require_keys(host: str, folder: Path) -> None:

@@ -180,7 +180,7 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
         "contract": CONTRACT,
         "interface": interface_of(component),
         "warnings": [
-            *_warnings(component, own_error, told=table.bars_are_whole),
+            *_warnings(component, own_error, known=table.bars_are_whole),
             *({"where": "rows", "message": one} for one in _of_rows(component, table)),
         ],
         "vibration": vibration_of(component.folder),
@@ -192,11 +192,11 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
 
 
 def _warnings(
-    component: Component, error: SolverError | None, *, told: bool
+    component: Component, error: SolverError | None, *, known: bool
 ) -> list[dict[str, str]]:
     """Return what its check warned of, and what the newest estimate of its solver's error does."""
     checked = warnings_of(component.folder)
-    if not told:
+    if not known:
         return [*checked, {"where": WHERE, "message": UNKNOWN}]
     limit = component.tolerance
     if error is None or limit is None:
@@ -210,7 +210,7 @@ def _warnings(
 
 def _of_rows(component: Component, table: ServedTable) -> list[str]:
     """Return what there is to know of rows that are in the ledger and not in the table."""
-    return [told] if (told := warning_of(component, table)) else []
+    return [warning] if (warning := warning_of(component, table)) else []
 
 
 def _solver_error(component: Component, error: SolverError | None) -> dict[str, Any] | None:
@@ -220,8 +220,8 @@ def _solver_error(component: Component, error: SolverError | None) -> dict[str, 
     if error is None:
         return {"mesh": None, "mesh_basis": UNKNOWN}
     words = ("mesh_basis", "linearity_basis", "buckling")
-    said = {name: error.told[name] for name in words if name in error.told}
-    return {**error.at_full_range(), **said}
+    basis = {name: error.told[name] for name in words if name in error.told}
+    return {**error.at_full_range(), **basis}
 
 
 def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What a component's table covers, and what physics says about its rows."""
+"""Coverage of a component's table, and its compliance with checks of physics."""
 
 from __future__ import annotations
 

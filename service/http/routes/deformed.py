@@ -62,16 +62,16 @@ async def deformed(
 
 def _require_known_names(request: Request) -> None:
     """Refuse parameters that this call has not: a misspelt load would be a zero one."""
-    asked = [key for key, _ in request.query_params.multi_items()]
+    names = [key for key, _ in request.query_params.multi_items()]
     errors = [
         {"loc": key, "msg": f"no such parameter; there are {', '.join(_NAMES)}"}
-        for key in dict.fromkeys(asked)
+        for key in dict.fromkeys(names)
         if key not in _NAMES
     ]
     errors += [
         {"loc": key, "msg": "given more than once"}
-        for key in dict.fromkeys(asked)
-        if key in _NAMES and asked.count(key) > 1
+        for key in dict.fromkeys(names)
+        if key in _NAMES and names.count(key) > 1
     ]
     if errors:
         raise bad_body(errors)

@@ -101,7 +101,7 @@ async def reply_to(
 
 
 def _asking(permission: Permission, read: Callable[[Body], Asked], body: Body) -> Asked:
-    """Read the body of one who may only ask: what could queue a solve is refused.
+    """Read the body of a caller with a key for reading; refuse a query that queues solves.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def _read_binary(body: Spooled, options: dict[str, str]) -> BatchQuery:
 
 @router.post(
     "/solve",
-    summary="DirectFEA: solve this wrench, whatever the table says",
+    summary="DirectFEA: solve this wrench, covered or not",
     description=CONTRACT_TEXT,
     responses=_ONE,
     openapi_extra=takes(SolveBody),

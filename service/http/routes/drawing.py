@@ -42,7 +42,7 @@ def _glance(name: str, table: ServedTable) -> dict[str, Any]:
     return {**about, "whole": whole, "axes": axes}
 
 
-@router.get("/drawing", summary="Rows to draw, at most as many as asked for, and what covers")
+@router.get("/drawing", summary="Rows to draw, at most `most`, and the coverage of a grid")
 async def drawing(
     name: str,
     workspace: Opened,
@@ -68,7 +68,7 @@ def _rows(
     if drawn is not None:
         clean = np.logical_not(loaded[:, drawn.others].any(axis=1))
     some = rows.take(shown := _spread(chosen, clean[chosen], most))
-    told = {
+    body = {
         "component": name,
         "table_version": table.version,
         "of": len(chosen),
@@ -80,10 +80,10 @@ def _rows(
         "source": [str(one) for one in some.source],
     }
     if drawn is None:
-        return told
+        return body
     grid = grid_of(table.load_range, drawn)
     covers = {"wrench": grid, "coverage": table.packed.batch(grid).coverage.tolist()}
-    return told | {"inputs": [LOADS[load] for load in drawn.inputs], "grid": covers}
+    return body | {"inputs": [LOADS[load] for load in drawn.inputs], "grid": covers}
 
 
 def _loaded(rows: Rows, table: ServedTable) -> NDArray[np.bool_]:

@@ -97,7 +97,7 @@ class EventStream(Response):
             lines = await listener.read(HEARTBEAT_S)
             more = not listener.ended
             body = {"type": "http.response.body", "body": lines or b":\n\n", "more_body": more}
-            # One who does not read holds the connection, not the server: it is closed after this.
+            # A listener that does not read is disconnected after this time.
             await asyncio.wait_for(send(body), SEND_S)
 
 

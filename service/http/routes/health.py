@@ -47,5 +47,5 @@ def ready(workspace: Opened) -> JSONResponse:
     response_description="metrics in Prometheus' text form",
 )
 def metrics(request: Request) -> Response:
-    told: Metrics = request.app.state.metrics
-    return Response(told.text(), media_type=CONTENT_TYPE_LATEST)
+    found: Metrics = request.app.state.metrics
+    return Response(found.text(), media_type=CONTENT_TYPE_LATEST)

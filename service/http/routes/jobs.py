@@ -69,7 +69,7 @@ def job_body(
     if job.status == "done" and job.row is not None:
         body["row"] = job.row
         row = workspace.ledger.row(job.row) if rows is None else rows.get(job.row)
-        if row is not None:  # a damaged one is told of by GET /health/ready
+        if row is not None:  # GET /health/ready names a damaged one
             body |= {"translation": row.displacement[:3], "rotation": row.displacement[3:]}
     return body
 
@@ -103,7 +103,7 @@ async def one_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -
 
 
 def _whole_body(workspace: Workspace, job: Job) -> dict[str, Any]:
-    """Return what one job's own reply says beside what lists do: its notes, why it waits."""
+    """Return what one job's own reply has more than in lists: its notes, why it waits."""
     body = job_body(workspace, job) | {"notes": redact_values(workspace.notes(job))}
     waiting = workspace.why_waiting(job)
     return body | {"waiting": redact_values(asdict(waiting)) if waiting else None}
@@ -180,14 +180,14 @@ def attempt_log(job_id: JobId, workspace: Opened) -> Response:
         size = log.seek(0, 2)
         log.seek(max(0, size - MOST_LOG_BYTES))
         end = log.read(MOST_LOG_BYTES).decode(errors="replace")
-    told = without_places(end, workspace.settings.folder)
+    shown = without_places(end, workspace.settings.folder)
     if size > MOST_LOG_BYTES:
-        told = f"[the first {size - MOST_LOG_BYTES} bytes are in .../files]\n{told}"
-    return Response(told, 200, None, "text/plain")
+        shown = f"[the first {size - MOST_LOG_BYTES} bytes are in .../files]\n{shown}"
+    return Response(shown, 200, None, "text/plain")
 
 
 def without_places(text: str, data: pathlib.Path) -> str:
-    """Return a text without the folders of this machine: who reads it may not be on it."""
+    """Return a text without the folders of this machine: its reader may be elsewhere."""
     known = {
         str(data.absolute()): "<data>",
         str(CODE): "<wrenchbook>",

@@ -34,7 +34,7 @@ MOST_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
 @router.post(
     "/copy",
     status_code=201,
-    summary="Copy a component, with its rows if wanted",
+    summary="Copy a component, with or without its rows",
     responses=answers(dict[str, Any], "copied", 201) | refused(409),
     openapi_extra=takes(CopyBody),
 )
@@ -86,7 +86,7 @@ async def write_notes(name: str, request: Request) -> Response:
 def imports(name: str, workspace: Opened) -> Response:
     found = workspace.ledger.imports(workspace.library[name].name)
     versions = {one.id: last for _, last, one in workspace.ledger.import_spans(name)}
-    told = [
+    rows = [
         {
             **import_body(one),
             "when": iso_time(one.created),
@@ -95,12 +95,12 @@ def imports(name: str, workspace: Opened) -> Response:
         }
         for one in found
     ]
-    return json_reply({"imports": told})
+    return json_reply({"imports": rows})
 
 
 @router.get(
     "/disagreement",
-    summary="Measured rows beside what the solved ones say",
+    summary="Measured rows compared with the table of the solved ones",
     response_model=Disagreement,
 )
 def disagree(name: str, workspace: Opened) -> Response:
@@ -111,7 +111,7 @@ def disagree(name: str, workspace: Opened) -> Response:
     return json_reply({"component": name, "table_version": table.version, **found})
 
 
-@router.get("/demand", summary="What was asked and not covered", response_model=Demand)
+@router.get("/demand", summary="Queries that were not covered", response_model=Demand)
 def demand(name: str, workspace: Opened) -> Response:
     component = workspace.library[name]
     return json_reply({"component": name, **workspace.demand.map_of(name, component.load_range)})
@@ -130,7 +130,7 @@ def _put(request: Request, name: str, **fields: Any) -> Response:
 
 
 def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) -> Response:
-    """Copy a component; a copy whose rows could not be copied says so and stays without them."""
+    """Copy a component; an error while its rows are copied leaves it without them."""
     workspace: Workspace = request.app.state.workspace
     source = workspace.library[name]
     if renamed and source.shipped:

@@ -64,13 +64,13 @@ def page_file(
     return _answer(name, request, if_none_match)
 
 
-def _answer(name: str, request: Request, held: str | None) -> Response:
+def _answer(name: str, request: Request, if_none_match: str | None) -> Response:
     path = _paths().get(name)
     if path is None:
         raise ProblemError(404, "no-file", "No such file", "The page is at /, the calls at /docs.")
     file = _read(path, path.stat().st_mtime_ns)
     headers = {**naming(file.tag), "Vary": "Accept-Encoding"}
-    if holds(held, file.tag):
+    if holds(if_none_match, file.tag):
         return Response(status_code=304, headers=headers)
     content = file.packed
     if "gzip" in request.headers.get("accept-encoding", ""):

@@ -189,12 +189,12 @@ async def _block(request: Request) -> tuple[Floats, Block | None]:
 
 
 def _took(name: str, count: int, took: Took) -> dict[str, Any]:
-    """Return what a block's reply says of recordings and envelopes alike."""
-    told = [_thinning(took.tally)]
+    """Return the fields of a block's reply that recordings and envelopes share."""
+    remarks = [_thinning(took.tally)]
     if took.known:
-        told.append("this block was recorded before; nothing has changed")
+        remarks.append("this block was recorded before; nothing has changed")
     if took.outside:
-        told.append(
+        remarks.append(
             f"{took.outside} of these are outside the load range: they are kept, and solved only "
             "by a start with beyond_range true"
         )
@@ -203,7 +203,7 @@ def _took(name: str, count: int, took: Took) -> dict[str, Any]:
         "recorded": count,
         "duplicate": took.known,
         "outside": took.tally.outside,
-        "reason": "; ".join(filter(None, told)),
+        "reason": "; ".join(filter(None, remarks)),
     }
 
 

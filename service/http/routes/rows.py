@@ -133,18 +133,18 @@ def _job(workspace: Workspace, row: LedgerRow) -> dict[str, Any] | None:
 
 def _setup(component: Component, row: LedgerRow) -> dict[str, Any]:
     """Return the setup that was solved; of an earlier one only its fingerprint is known."""
-    told: dict[str, Any] = {
+    body: dict[str, Any] = {
         "fingerprint": row.fingerprint,
         "present": row.fingerprint == component.fingerprint,
     }
-    if not told["present"]:
-        return told
+    if not body["present"]:
+        return body
     try:
         bundle = read_bundle(component.folder)
     except (BundleError, OSError):
-        return told
+        return body
     mesh = bundle.mesh
-    return told | {
+    return body | {
         "solver": "deck" if bundle.deck is not None else "embedded",
         "nonlinear": bundle.analysis.nonlinear,
         "mesh": {

@@ -41,11 +41,11 @@ CATCH_UP_S = 25.0
 async def plan(request: Request, workspace: Opened) -> Response:
     scene = read_body(SceneBody, await read_limited(request.receive))
     needs = {name: _need(workspace, name, wanted) for name, wanted in scene.components.items()}
-    told = {}
+    plans = {}
     for name, need in needs.items():
         component, table = workspace.library[name], await workspace.newest(name, CATCH_UP_S)
-        told[name] = await run_in_threadpool(scene_reply, workspace, component, table, need)
-    return json_reply({"components": told})
+        plans[name] = await run_in_threadpool(scene_reply, workspace, component, table, need)
+    return json_reply({"components": plans})
 
 
 @router.get(
@@ -72,8 +72,8 @@ async def scene_table(
     body = read_body(SceneComponent, wanted.encode())
     need = need_from(component, body, body.outputs, body.tolerance, "wanted")
     table = await workspace.newest(name, CATCH_UP_S)
-    told = orjson.dumps(body.model_dump(), option=orjson.OPT_SORT_KEYS)
-    what = hashlib.sha256(told + component.fingerprint.encode()).hexdigest()[:16]
+    scene = orjson.dumps(body.model_dump(), option=orjson.OPT_SORT_KEYS)
+    what = hashlib.sha256(scene + component.fingerprint.encode()).hexdigest()[:16]
     tag = f'"{table.version}-{what}-{table.packed.checksum:08x}"'
     if holds(if_none_match, tag):
         return Response(None, 304, naming(tag))

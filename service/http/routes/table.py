@@ -86,7 +86,7 @@ _ETAG = {
     }
 }
 _CURRENT = "the version named by If-None-Match is the present one"
-# A file of any form may come as plain bytes: its content tells what it is.
+# A file of any form may come as plain bytes: the content identifies it.
 _TAKEN = frozenset(
     {
         *MEDIA_TYPES.values(),
@@ -122,7 +122,9 @@ async def export(
     comments: Annotated[
         bool, Query(description="csv: lines after a # that say what it is")
     ] = False,
-    if_none_match: Annotated[str | None, Header(description="a version held already")] = None,
+    if_none_match: Annotated[
+        str | None, Header(description="the version that the caller has")
+    ] = None,
 ) -> Response:
     if format == "packed":
         return await _packed(workspace, name, table_version, if_none_match)
