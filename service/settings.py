@@ -41,6 +41,10 @@ class Settings:
         What answers where a request names no method; a table's own default if None.
     keep:
         Which folders of ended attempts are kept.
+    access_log:
+        Whether each request is a line of the log.
+    opentelemetry:
+        Whether requests are traced; without it, OTEL_* variables of the environment decide.
     part:
         What this process does.
     processes:
@@ -56,6 +60,8 @@ class Settings:
     table_memory: int = TABLE_MEMORY
     keep: Keep = KEEP
     method: str | None = None
+    access_log: bool = False
+    opentelemetry: bool = False
     part: Part = "all"
     processes: int = 1
 
@@ -83,6 +89,8 @@ def settings_of_options(options: Mapping[str, Any], part: Part = "all") -> Setti
         scheduler=options["scheduler"],
         keep=keep,
         method=options["method"],
+        access_log=options["access_log"],
+        opentelemetry=options["opentelemetry"],
         part=part,
         processes=options["processes"],
     )

@@ -1,4 +1,4 @@
-"""What a table answers where nobody asked, for whoever draws it: nothing is counted or queued."""
+"""Answers of a table for drawings: they are not counted, and queue nothing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wrenchbook.surrogate.table.rows import LoadRange
 
 Floats = NDArray[np.float64]
 
-SAMPLE = 128  # wrenches that tell the covered share of a range to some 4 %
+SAMPLE = 128  # wrenches: the covered share of a range to some 4 %
 PRIMES = (2, 3, 5, 7, 11, 13)  # the first six: the bases of a load's places each
 A_LOAD = 7  # cells of each load in the grid of an axis; odd, so that no load is a middle of one
 

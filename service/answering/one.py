@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from time import perf_counter_ns
+from typing import Any
 
 import numpy as np
 from starlette.concurrency import run_in_threadpool
 
-from wrenchbook.service.answering.error_parts import error_parts
 from wrenchbook.service.answering.queries import Outcome, Query, also
 from wrenchbook.service.answering.refusals import (
     BeyondRangeError,
@@ -19,15 +20,18 @@ from wrenchbook.service.ledger import Job
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.ordering import Placed
 from wrenchbook.service.tables.other_setup import others_in_words
-from wrenchbook.service.tables.served import ROW_DETAIL, ServedTable
+from wrenchbook.service.tables.served import ROW, ROW_DETAIL, ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.answer import six
 from wrenchbook.surrogate.kernel.explain import explain
+from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 from wrenchbook.surrogate.table.rows import acting_one, why_beyond
+
+Bars = Sequence[float | None]
 
 
 def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | None:
-    """Return what `answer_or_submit` does to a plain query, if the table alone says it.
+    """Return what `answer_or_submit` does to a plain query, if the table alone answers it.
 
     None where that needs a solve, another thread or a refusal. Not for `solve`, another method
     than the component's own, `detail` or `derivatives`.
@@ -122,7 +126,8 @@ async def answered(name: str, table: ServedTable, query: Query) -> Outcome:
     if query.derivatives:
         outcome.derivative = table.packed.derivative(*asked)
     if query.detail:
-        outcome.axes = await run_in_threadpool(explain, table.packed, *asked)
+        by_axes = outcome.method != ROW  # a row answers without the axes
+        outcome.axes = await run_in_threadpool(explain, table.packed, *asked) if by_axes else []
         outcome.method_detail = table.method_detail(outcome.method or table.default)
     return outcome
 
@@ -136,7 +141,49 @@ def tell_parts(workspace: Workspace, table: ServedTable, query: Query, outcome: 
         if "linearity" in solver.values:
             shares["linearity"] = found.linearity
     has_fea = workspace.library.as_read(outcome.component).has_fea
-    outcome.error_parts = error_parts(found.interpolation, solver, shares, has_fea=has_fea)
+    outcome.error_parts = _error_parts(found.interpolation, solver, shares, has_fea=has_fea)
+
+
+def _error_parts(
+    table: Bars | None,
+    solver: SolverError | None,
+    shares: Mapping[str, Bars | None],
+    *,
+    has_fea: bool,
+) -> dict[str, Any] | None:
+    """Return the shares of a bar in the form of a reply.
+
+    Parameters
+    ----------
+    table
+        The table's own bars, six, m and rad; None where it has none.
+    solver
+        What the solver may be wrong by; None if unknown.
+    shares
+        From `SolverError.parts`, six an entry, m and rad.
+    has_fea
+        Whether rows come of a solver at all: measured tables have no share of one.
+
+    Returns
+    -------
+    dict or None
+        ``table``, ``mesh`` and of a linear component ``linearity``, each ``{"translation",
+        "rotation"}`` like ``error``, or None where it is not known; ``mesh_basis`` in words.
+    """
+    if table is None:
+        return None
+    parts: dict[str, Any] = {"table": _split(table)}
+    if not has_fea:
+        return parts
+    if solver is None:
+        return parts | {"mesh": None, "mesh_basis": UNKNOWN}
+    parts |= {cause: _split(share) for cause, share in shares.items()}
+    words = {name: text for name, text in solver.values.items() if name.endswith("_basis")}
+    return parts | words
+
+
+def _split(bars: Bars | None) -> dict[str, Any] | None:
+    return None if bars is None else {"translation": list(bars[:3]), "rotation": list(bars[3:])}
 
 
 def _from_table(name: str, table: ServedTable, query: Query) -> Outcome:
@@ -196,7 +243,7 @@ async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Ou
 
 
 def _queued(workspace: Workspace, query: Query, outcome: Outcome) -> Placed:
-    """Queue without getting in the way of a loop: what cannot be queued is said, not raised."""
+    """Queue without getting in the way of a loop: a wrench that is not queued has a reason."""
     component = workspace.orders.solvable(outcome.component)
     wrench = np.array([query.wrench])
     if not query.beyond_range and not component.load_range.holds(wrench)[0]:
@@ -236,7 +283,7 @@ def _by_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) -> O
         found.derivative = table.packed.derivative(query.wrench, six(query.tolerance))
     if query.detail:
         tell_parts(workspace, table, query, found)
-        found.axes, found.method_detail = outcome.axes, ROW_DETAIL
+        found.axes, found.method_detail = [], ROW_DETAIL
     found.job, found.row, found.elapsed_us = outcome.job, seq, outcome.elapsed_us
     found.notes = workspace.notes(outcome.job) if outcome.job else []
     return found
@@ -248,5 +295,5 @@ async def _name_awaited(workspace: Workspace, query: Query, outcome: Outcome) ->
         return  # the others are given a job themselves
     job = await run_in_threadpool(workspace.first_open_job, outcome.component)
     if job is not None:
-        told = f"job {job.id} solves the component's compliance: ask again once it is done"
-        outcome.reason = also(outcome.reason, told)
+        awaited = f"job {job.id} solves the component's compliance: ask again once it is done"
+        outcome.reason = also(outcome.reason, awaited)

@@ -1,4 +1,4 @@
-"""What is asked and what is answered, as plain values. All quantities are SI."""
+"""Queries and outcomes, as plain values. All quantities are SI."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Query(NamedTuple):
     beyond_range : bool
         Whether a wrench outside the load range may be solved.
     derivatives : bool
-        Whether du/dw is to be told.
+        Whether the outcome has du/dw.
     """
 
     wrench: tuple[float, ...]
@@ -67,7 +67,7 @@ class Outcome:
     Attributes
     ----------
     displacement, error : tuple of 6 floats or None, m and rad
-        None, as a whole or a number, where nothing can be said.
+        None, as a whole or a number, where nothing is known.
     coverage : str
         "covered", "thin" or "outside".
     source : str or None
@@ -85,7 +85,7 @@ class Outcome:
     row : int or None
         The ledger's number of the row that a solve gave.
     notes : list of str
-        What the solver said about that row.
+        Notes of the solver about that row.
     axes : list or None
         `Surrogate.explain`, if asked for.
     missing : tuple of str
@@ -97,7 +97,7 @@ class Outcome:
     within_tolerance : bool or None
         Whether the bars, the solver's share included, are within the tolerance; None if unknown.
     error_parts : dict or None
-        What the bars are the sum of, by cause, if asked for (`service.answering.error_parts`).
+        What the bars are the sum of, by cause, if asked for.
     """
 
     component: str
@@ -153,7 +153,7 @@ class BatchOutcome:
     Attributes
     ----------
     displacements, errors : ndarray, shape (n, 6), m and rad
-        NaN where nothing can be said.
+        NaN where nothing is known.
     coverage : ndarray of uint8, shape (n,)
         0 covered, 1 thin, 2 outside.
     jobs : list of WrenchJob
@@ -166,7 +166,7 @@ class BatchOutcome:
     derivatives : ndarray, shape (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None
         du/dw if asked for; NaN where it is not known.
     tolerance : Tolerance or None
-        What the bars are held against: the query's, else the component's own.
+        The limit of the error bars: the query's, else the component's own.
     """
 
     component: str

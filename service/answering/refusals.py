@@ -1,4 +1,4 @@
-"""Why a query is not answered; each says what to do instead."""
+"""Reasons not to answer a query, each with a remedy."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class RefusedError(Exception):
 
 
 class NotCoveredError(RefusedError):
-    """The table does not cover the wrench, and the query wanted nothing else."""
+    """The table does not cover the wrench, and the query takes no other answer."""
 
 
 class BeyondRangeError(RefusedError):
@@ -36,8 +36,8 @@ class SolveFailedError(RefusedError):
         error = job.error or {}
         message, remedy = error.get("message", ""), error.get("remedy", "")
         # Failures that older versions stored end in their remedy already.
-        told = message if message.endswith(remedy) else f"{message} {remedy}"
+        text = message if message.endswith(remedy) else f"{message} {remedy}"
         mended = f"Once mended, POST /v1/jobs/{job.id}/retry."
-        super().__init__(f"{told} {mended}".strip(), error=error)
+        super().__init__(f"{text} {mended}".strip(), error=error)
         self.kind = error.get("kind", "unknown")
         self.job = job

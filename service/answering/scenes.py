@@ -41,7 +41,7 @@ def _plan_body(
 ) -> dict[str, Any]:
     need, (whole, scene) = plan.need, plan.solves
     limit = need.tolerance
-    told: dict[str, Any] = {
+    body: dict[str, Any] = {
         "decision": plan.decision,
         "reason": plan.reason,
         "loads": need.loads,
@@ -59,12 +59,12 @@ def _plan_body(
         "table_version": version,
     }
     if plan.compliance is not None:
-        told["compliance"] = plan.compliance.tolist()
-    return told
+        body["compliance"] = plan.compliance.tolist()
+    return body
 
 
 def _number(value: float) -> float | None:
-    """Return a number, None for one that nothing tells."""
+    """Return a number, None if it is not known."""
     return value if np.isfinite(value) else None
 
 

@@ -26,6 +26,15 @@ DEFAULT_PAPER = Path("wrenchbook-paper")
 
 
 Host = Annotated[str, typer.Option(help="address to listen on")]
+AccessLog = Annotated[
+    bool, typer.Option("--access-log", help="a line a request; queries take no fast path then")
+]
+OpenTelemetry = Annotated[
+    bool,
+    typer.Option(
+        "--opentelemetry", help="trace requests, as OTEL_* variables say; no fast path then"
+    ),
+]
 AllowHost = Annotated[
     str | None, typer.Option(help="further names of this server, with commas: a proxy's, say")
 ]
@@ -90,6 +99,8 @@ def serve(
     keep_failed_count: KeepFailedCount = 10_000,
     log_level: Level = "info",
     log_format: Form = "text",
+    access_log: AccessLog = False,
+    opentelemetry: OpenTelemetry = False,
     allow_host: AllowHost = None,
     allow_origin: AllowOrigin = None,
     first_key: FirstKey = False,
@@ -108,6 +119,7 @@ def serve(
 
 def _serve(**options: Any) -> None:
     """Serve by the settings found."""
+    from wrenchbook.service.http.instrumentation import MissingExtraError, tracing_packages
     from wrenchbook.service.jobs.engines.registry import EngineSettingsError, check_engine
     from wrenchbook.service.keys.needed import require_keys
     from wrenchbook.service.workers.listen import AddressError
@@ -115,7 +127,9 @@ def _serve(**options: Any) -> None:
 
     try:
         check_engine(options["engine"], options["scheduler"])
-    except EngineSettingsError as error:
+        if options["opentelemetry"]:
+            tracing_packages()
+    except (EngineSettingsError, MissingExtraError) as error:
         raise typer.BadParameter(str(error)) from error
     _make_folder(Path(options["data"]))
     if options["first_key"]:
@@ -201,7 +215,7 @@ def validate(
     quick: Annotated[bool, typer.Option("--quick", help="with paper: fewer loads, one plate")] = (
         False
     ),
-    beside: Annotated[
+    other: Annotated[
         Literal["ccx"] | None,
         typer.Option("--with", help="also solve a component by CalculiX (ccx)"),
     ] = None,

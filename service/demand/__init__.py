@@ -1,1 +1,1 @@
-"""What was asked of the tables and not covered."""
+"""Statistics of queries that the tables did not cover."""

@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 
 from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.events.watch import Watch
-from wrenchbook.service.http import openapi, problems
+from wrenchbook.service.http import instrumentation, openapi, problems
 from wrenchbook.service.http.access import AccessControl, SecuritySettings
 from wrenchbook.service.http.application import Application
 from wrenchbook.service.http.routes import (
@@ -107,11 +107,11 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
     )
     app.state.counts = counts
     app.state.access = AccessControl(Keyring(settings.folder), security or SecuritySettings())
-    return _with_routes(app)
+    return _with_routes(app, settings)
 
 
-def _with_routes(app: Application) -> Application:
-    """Add the routes, the errors and the document to the application, and return it."""
+def _with_routes(app: Application, settings: Settings) -> Application:
+    """Add the routes, the errors, the document and the request log, and return the application."""
     problems.install(app)
     app.include_router(umbridge.router)  # a protocol with errors of its own form
     app.include_router(health.router, responses=openapi.refused(403, 500))
@@ -119,4 +119,5 @@ def _with_routes(app: Application) -> Application:
         app.include_router(part.router, responses=openapi.refused(403, 500, 503, 507))
     app.include_router(page.router)
     openapi.install(app)
+    instrumentation.set_up(app, logged=settings.access_log, traced=settings.opentelemetry)
     return app

@@ -10,6 +10,7 @@ route is there all the same, for the OpenAPI document and for servers mounted be
 from __future__ import annotations
 
 from collections.abc import Sequence
+from time import perf_counter
 from typing import Any
 
 from fastapi import FastAPI
@@ -21,6 +22,7 @@ from wrenchbook.service.answering.one import answer_at_once
 from wrenchbook.service.http.access import AccessControl
 from wrenchbook.service.http.access.permission import PERMISSION
 from wrenchbook.service.http.body import read_limited
+from wrenchbook.service.http.instrumentation import MAIN_ROUTE, ROUTE
 from wrenchbook.service.http.parsing import read_plain_query
 from wrenchbook.service.http.problems import crash_of, problem_of
 from wrenchbook.service.http.replies import plain_content
@@ -33,10 +35,14 @@ class Application(FastAPI):
     """The web application; single displacement queries bypass the framework."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request that the access lets in, or run the lifespan."""
+        """Answer a request, or run the lifespan."""
         if scope["type"] != "http":
             await super().__call__(scope, receive, send)
             return
+        await self.state.observer(scope, receive, send)
+
+    async def permitted(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request that the access control lets in."""
         access: AccessControl = self.state.access
         passed = await access.pass_on(scope, receive, send)
         if passed is not None:
@@ -44,10 +50,11 @@ class Application(FastAPI):
 
     async def _inside(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request that was let in."""
-        name = _asked_component(scope)
+        name = None if self.state.traced else _asked_component(scope)
         if name is None:
             await super().__call__(scope, receive, send)
             return
+        scope[ROUTE] = MAIN_ROUTE
         response, crash = await self._answered(scope, receive, name)
         if response is not None:
             await response(scope, receive, send)
@@ -61,15 +68,17 @@ class Application(FastAPI):
 
         Any problem with the query is left to the request. The headers are as those of a scope.
         """
-        permission = query = None
+        started, permission, query = perf_counter(), None, None
         try:
             permission = self.state.access.admit(headers)
             query = read_plain_query(body) if permission is not None else None
             if query is not None:
                 outcome = answer_at_once(self.state.workspace, name, query)
                 if outcome is not None:
-                    self.state.counts.add(outcome.coverage, outcome.method, outcome.elapsed_us)
-                    return plain_content(outcome)
+                    content, counts = plain_content(outcome), self.state.counts
+                    counts.add(outcome.coverage, outcome.method, outcome.elapsed_us)
+                    counts.add_request(MAIN_ROUTE, "POST", 200, perf_counter() - started)
+                    return content
         except Exception:
             query = None  # the request meets the error again, and answers it
         return {} if permission is None else {PERMISSION: permission, QUERY: query}

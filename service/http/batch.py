@@ -1,6 +1,7 @@
-"""Batches of wrenches in JSON: small ones are parsed here, large ones in a sandboxed process.
+"""Batches of wrenches: float64, small JSON, and large JSON, which a sandboxed process parses.
 
 The parser holds Python's lock for seconds, and what it makes of a body may be forty times as large.
+A mistake is a `ProblemError` of status 422 with the place of each mistake.
 """
 
 from __future__ import annotations
@@ -9,15 +10,28 @@ import asyncio
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 import orjson
+from fastapi import Request
+from pydantic import Field
 
+from wrenchbook.fea.bundle.tables import LARGEST_LOAD
 from wrenchbook.service.answering.queries import BatchQuery
-from wrenchbook.service.http.bodies import MAX_BATCH, BatchBody
+from wrenchbook.service.http.bodies import (
+    MAX_BATCH,
+    BatchBody,
+    Body,
+    Derivatives,
+    Flag,
+    OnThin,
+    Seconds,
+)
 from wrenchbook.service.http.body import Spooled, busy
 from wrenchbook.service.http.parsing import (
+    VersionQuery,
+    both_tolerances,
     checked,
     known_method,
     parsed_json,
@@ -26,9 +40,9 @@ from wrenchbook.service.http.parsing import (
 )
 from wrenchbook.service.http.problems import ProblemError, bad_body
 from wrenchbook.service.sandbox import MIB, Limits, Part, run
-from wrenchbook.surrogate.table.rows import Tolerance
+from wrenchbook.surrogate.table.rows import LOADS, Tolerance
 
-# A million wrenches as Python's lists and numbers are 400 MB, beside the text of 250 MB.
+# A million wrenches as Python's lists and numbers are 400 MB, next to the text of 250 MB.
 LIMITS: Final = Limits(memory=1200 * MIB, seconds=60.0, output=256 * MIB)
 
 PIECE: Final = 1 << 20  # bytes that the parser sees at once
@@ -36,6 +50,33 @@ _WRENCHES: Final = b'"wrenches"'
 LARGE: Final = 50_000  # wrenches: beyond it, an answer is tens of MB in several forms at once
 WAIT_S: Final = 60.0
 _places = asyncio.Semaphore(2)
+
+BINARY_TYPE: Final = "application/octet-stream"
+ROW_BYTES: Final = 6 * 8
+_Bar = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+BINARY_BODY: Final = {
+    BINARY_TYPE: {
+        "schema": {
+            "type": "string",
+            "format": "binary",
+            "description": "little-endian float64 (n, 6): force and moment, N and N·m",
+        }
+    }
+}
+BINARY_REPLY: Final = {
+    BINARY_TYPE: {
+        "schema": {
+            "type": "string",
+            "format": "binary",
+            "description": "little-endian float64 (n, 13): displacement and error bar, m and rad; "
+            "coverage 0 covered, 1 thin, 2 outside; NaN where nothing is known. With "
+            "derivatives=true then (n, 36): du/dw of each wrench, 6 x 6, an output a line. The "
+            "header Wrenchbook-Tolerance has the tolerance for whole bars, m and rad",
+        }
+    }
+}
+_JSONS = Field(description="binary form: as in JSON")
 
 
 def read_batch_body(body: Spooled) -> BatchQuery:
@@ -50,20 +91,14 @@ def read_batch_body(body: Spooled) -> BatchQuery:
     """
     if body.path is None:
         return batch_of(*batch_parts(body.content))
-    (told,) = run("wrenchbook.service.http.batch:parsed", body.path, None, LIMITS)
-    if refused := told.fields["refused"]:
+    (part,) = run("wrenchbook.service.http.batch:parsed", body.path, None, LIMITS)
+    if refused := part.fields["refused"]:
         raise refusal(refused)
-    return batch_of(told.fields["batch"], np.array(told.arrays["wrenches"]))
+    return batch_of(part.fields["batch"], np.array(part.arrays["wrenches"]))
 
 
 def batch_parts(body: bytes) -> tuple[dict[str, Any], np.ndarray]:
-    """Read the batch call's JSON body: its fields as checked, and its wrenches, N and N·m (n, 6).
-
-    Raises
-    ------
-    ProblemError
-        422, with mistakes' places.
-    """
+    """Return the checked fields of a JSON batch, and its wrenches, N and N·m (n, 6)."""
     _few_lists(body)
     fields = parsed_json(body)
     return checked_batch(fields, plain_wrenches(fields))
@@ -93,8 +128,8 @@ def checked_batch(fields: Any, wrenches: np.ndarray | None) -> tuple[dict[str, A
 def batch_of(fields: dict[str, Any], wrenches: np.ndarray) -> BatchQuery:
     """Return the query that a batch's parts are, see `batch_parts`; wrenches (n, 6), N and N·m."""
     limit = fields["tolerance"]
-    told = {name: value for name, value in fields.items() if name != "tolerance"}
-    return BatchQuery(wrenches, tolerance=Tolerance(**limit) if limit else None, **told)
+    rest = {name: value for name, value in fields.items() if name != "tolerance"}
+    return BatchQuery(wrenches, tolerance=Tolerance(**limit) if limit else None, **rest)
 
 
 def _few_lists(body: bytes) -> None:
@@ -162,10 +197,10 @@ def _rows(text: bytes, *, first: bool) -> np.ndarray | None:
         return None
 
 
-def refusal(told: dict[str, Any]) -> ProblemError:
+def refusal(sent: dict[str, Any]) -> ProblemError:
     """Return the problem that a child came to."""
-    found = ProblemError(int(told["status"]), "", "", str(told["body"].get("detail", "")))
-    found.body = dict(told["body"])
+    found = ProblemError(int(sent["status"]), "", "", str(sent["body"].get("detail", "")))
+    found.body = dict(sent["body"])
     return found
 
 
@@ -189,3 +224,65 @@ async def few_large(wrenches: int) -> AsyncIterator[None]:
         yield
     finally:
         _places.release()
+
+
+class BinaryOptions(Body):
+    """The options of a binary batch, which are query parameters."""
+
+    on_thin: Annotated[OnThin, _JSONS] = "queue"
+    wait_s: Annotated[Seconds, Field(description="binary form: s, with on_thin=wait")] = 30.0
+    method: Annotated[str | None, _JSONS] = None
+    translation: Annotated[_Bar | None, Field(description="binary form: tolerance, m")] = None
+    rotation: Annotated[_Bar | None, Field(description="binary form: tolerance, rad")] = None
+    beyond_range: Annotated[Flag, _JSONS] = False
+    derivatives: Annotated[
+        Derivatives, Field(description="binary form: add (n, 36) behind the (n, 13)")
+    ] = False
+
+
+class BinaryQuery(BinaryOptions, VersionQuery):
+    """All query parameters of a batch, for the OpenAPI document."""
+
+
+def is_binary(request: Request) -> bool:
+    """Tell whether a batch comes as float64."""
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    return kind == BINARY_TYPE
+
+
+def read_binary(body: bytes, options: dict[str, str]) -> BatchQuery:
+    """Read a binary batch and its query parameters."""
+    full: BinaryOptions = checked(BinaryOptions, options)
+    return BatchQuery(
+        read_wrenches(body),
+        full.on_thin,
+        full.wait_s,
+        both_tolerances(full.translation, full.rotation),
+        known_method(full.method),
+        full.beyond_range,
+        full.derivatives,
+    )
+
+
+def read_wrenches(body: bytes, most: int = MAX_BATCH, largest: float = LARGEST_LOAD) -> np.ndarray:
+    """Read little-endian float64 as wrenches, shape (n, 6), N and N·m.
+
+    Raises
+    ------
+    ProblemError
+        422, if they are no whole wrenches, more than `most`, or a number is not finite.
+    """
+    if len(body) % ROW_BYTES:
+        message = f"{len(body)} bytes are no whole number of wrenches, {ROW_BYTES} bytes each"
+        raise bad_body([{"loc": "body", "msg": message}])
+    if len(body) > most * ROW_BYTES:
+        raise bad_body([{"loc": "body", "msg": f"at most {most} wrenches a call"}])
+    wrenches = np.frombuffer(body, dtype="<f8").reshape(-1, 6).astype(float) + 0.0
+    bad = np.argwhere(~(np.isfinite(wrenches) & (np.abs(wrenches) <= largest)))
+    if len(bad):
+        row, load = bad[0].tolist()
+        found = wrenches[row, load]
+        why = f"beyond {largest:g}" if np.isfinite(found) else "not finite"
+        message = f"{LOADS[load]} is {found}, {why}"
+        raise bad_body([{"loc": f"wrenches.{row}.{load}", "msg": message}])
+    return wrenches

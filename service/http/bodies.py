@@ -13,7 +13,7 @@ Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Load = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST_LOAD, le=LARGEST_LOAD)]
 Vector = Annotated[list[Load], Field(min_length=3, max_length=3)]
 Wrench = Annotated[list[Load], Field(min_length=6, max_length=6)]
-# A list of a million mistakes is read by nobody, and takes gigabytes.
+# A list of a million mistakes takes gigabytes.
 Wrenches = Annotated[list[Wrench], FailFast()]
 Output = Literal["ux", "uy", "uz", "rx", "ry", "rz"]
 OnThin = Literal["queue", "wait", "estimate", "reject"]
@@ -87,14 +87,14 @@ class BatchBody(Body):
 
 
 class SolveBody(WrenchBody):
-    """DirectFEA: solve this wrench now, whatever the table says."""
+    """DirectFEA: solve this wrench now, covered or not."""
 
     wait_s: Seconds = 0.0
     beyond_range: Flag = False
 
 
 def _span_form(given: object) -> str:
-    """Return which form a span has, so that its mistakes are told of that form alone."""
+    """Return the form of a span: its mistakes are those of that form alone."""
     return "pair" if isinstance(given, list) else "number"
 
 
@@ -157,7 +157,7 @@ class TableOnlyComponent(Body):
 
 
 class BlockKey(Body):
-    """What tells a block that is sent twice: who sends it, and the number they give it."""
+    """Identifies a block that is sent twice: its client, and the number the client gives it."""
 
     client: ClientName | None = None
     sequence: Sequence | None = None

@@ -146,21 +146,21 @@ async def spooled(
     Raises
     ------
     ProblemError
-        413, as soon as more than `most` bytes have arrived; 503 beside too many others.
+        413, as soon as more than `most` bytes have arrived; 503 while other bodies fill the limit.
     ClientDisconnect
         If the caller has closed the connection.
     """
-    body, held = Spooled(), bytearray()
+    body, buffer = Spooled(), bytearray()
     try:
         async for piece in pieces(receive, most, refusal):
-            held += piece
-            if len(held) > PIECE:
-                await body.put(bytes(held))
-                held.clear()
+            buffer += piece
+            if len(buffer) > PIECE:
+                await body.put(bytes(buffer))
+                buffer.clear()
         if body.path is None:
-            body.content = bytes(held)
+            body.content = bytes(buffer)
         else:
-            await body.put(bytes(held))
+            await body.put(bytes(buffer))
         yield body
     finally:
         Spooled.kept -= body.size

@@ -1,4 +1,4 @@
-"""What a sender says about a table in the query of an import."""
+"""The query parameters of an import."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ImportQuery(Body):
 
     format: Annotated[
         Literal["csv", "xlsx", "parquet", "hdf5", "json"] | None,
-        Field(description="checked against the content, which tells it"),
+        Field(description="checked against the content; detected if left out"),
     ] = None
     dry_run: Annotated[bool, Field(description="check and count; nothing is changed")] = False
     partial: Annotated[bool, Field(description="load the good rows of a file with mistakes")] = (
@@ -32,7 +32,7 @@ class ImportQuery(Body):
         int, Field(ge=0, le=MOST_PREVIEW, description="so many first good rows come back")
     ] = 0
     decimal: Annotated[
-        Literal[".", ","] | None, Field(description="csv: the decimal mark; told if not given")
+        Literal[".", ","] | None, Field(description="csv: the decimal mark; detected if left out")
     ] = None
     ignore: Annotated[
         list[_Text],

@@ -1,8 +1,12 @@
-"""How replies point to other resources."""
+"""How replies refer to jobs, next pages and versions of tables."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
+from urllib.parse import urlencode
+
+from starlette.responses import Response
 
 from wrenchbook.service.ledger import Job
 
@@ -10,3 +14,22 @@ from wrenchbook.service.ledger import Job
 def job_link(job: Job) -> dict[str, Any]:
     """Return the short form of a job, as displacement answers carry it."""
     return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}"}
+
+
+def next_page(response: Response, path: str, query: Mapping[str, Any]) -> str:
+    """Return the URL of a list's next page, and put it into the header Link (RFC 8288)."""
+    given = {name: "true" if value is True else value for name, value in query.items() if value}
+    url = f"{path}?{urlencode(given)}"
+    response.headers["Link"] = f'<{url}>; rel="next"'
+    return url
+
+
+def naming(tag: str) -> dict[str, str]:
+    """Return the headers of a version: its entity tag, and that caches revalidate it."""
+    return {"ETag": tag, "Cache-Control": "no-cache"}
+
+
+def holds(if_none_match: str | None, tag: str) -> bool:
+    """Return whether the caller has this version (RFC 9110, section 13.1.2)."""
+    tags = [tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")]
+    return tag in tags or "*" in tags

@@ -13,9 +13,9 @@ from pydantic import TypeAdapter
 from starlette.requests import Request
 from starlette.responses import Response
 
+from wrenchbook.service.http.links import holds, naming
 from wrenchbook.service.http.problems import MEDIA_TYPE
 from wrenchbook.service.http.schemas import Problem
-from wrenchbook.service.http.versions import holds, naming
 
 Schema = dict[str, Any]
 Responses = dict[int | str, dict[str, Any]]

@@ -1,4 +1,7 @@
-"""Parses bodies and `?table_version=` of displacement calls; pydantic names each mistake."""
+"""Parses bodies and `?table_version=` of displacement calls; pydantic names each mistake.
+
+A mistake is a `ProblemError` of status 422 with the place of each mistake.
+"""
 
 from __future__ import annotations
 
@@ -53,11 +56,6 @@ def read_query(body: bytes) -> Query:
 
     A body of only force, moment and on_thin, which is what a simulator sends in its loop, is
     checked here; anything else, and every mistake, goes through pydantic.
-
-    Raises
-    ------
-    ProblemError
-        422, with every mistake's place.
     """
     fields = parsed_json(body)
     plain = _plain_query(fields)
@@ -85,25 +83,13 @@ def read_plain_query(body: bytes) -> Query | None:
 
 
 def read_solve(body: bytes) -> Query:
-    """Read DirectFEA's body.
-
-    Raises
-    ------
-    ProblemError
-        422, with every mistake's place.
-    """
+    """Read DirectFEA's body."""
     full = checked(SolveBody, parsed_json(body))
     return Query(full.wrench(), "solve", full.wait_s, beyond_range=full.beyond_range)
 
 
 def read_block(body: bytes) -> tuple[np.ndarray, BlockBody]:
-    """Read a block of wrenches for a recording or an envelope: shape (n, 6), N and N·m; its key.
-
-    Raises
-    ------
-    ProblemError
-        422, with every mistake's place.
-    """
+    """Read a block of wrenches for a recording or an envelope: shape (n, 6), N and N·m; its key."""
     fields = parsed_json(body)
     wrenches = plain_wrenches(fields, np.inf)
     if wrenches is not None and len(wrenches) <= MAX_BLOCK:
@@ -112,28 +98,16 @@ def read_block(body: bytes) -> tuple[np.ndarray, BlockBody]:
     return np.array(full.wrenches, dtype=float).reshape(-1, 6) + 0.0, full
 
 
-def known_method(method: str | None) -> str | None:
-    """Return a method's name as it is.
-
-    Raises
-    ------
-    ProblemError
-        422, if the surrogate has no such method.
-    """
+def known_method(method: str | None, where: str = "method") -> str | None:
+    """Return a method's name as it is, at `where` in the request; 422 if there is none such."""
     if method is not None and method not in METHODS:
         message = f"unknown method {method!r}: one of {', '.join(METHODS)}"
-        raise bad_body([{"loc": "method", "msg": message}])
+        raise bad_body([{"loc": where, "msg": message}])
     return method
 
 
 def read_body(kind: type[Body], body: bytes) -> Any:
-    """Read any other body with pydantic; an empty one counts as ``{}``.
-
-    Raises
-    ------
-    ProblemError
-        422, with every mistake's place.
-    """
+    """Read any other body with pydantic; an empty one counts as ``{}``."""
     return checked(kind, parsed_json(body or b"{}"))
 
 
@@ -164,6 +138,16 @@ def checked(kind: type[Body], fields: Any) -> Any:
         raise bad_body(plain_errors(error)) from None
 
 
+def both_tolerances(translation: float | None, rotation: float | None) -> Tolerance | None:
+    """Return a tolerance, m and rad; 422 if one of its two numbers is missing."""
+    if translation is not None and rotation is not None:
+        return Tolerance(translation, rotation)
+    if translation is rotation:
+        return None
+    missing = "rotation" if rotation is None else "translation"
+    raise bad_body([{"loc": missing, "msg": "a tolerance is translation and rotation, both"}])
+
+
 def _plain_query(fields: Any) -> Query | None:
     """Return the query that a well-formed plain body is, or None if anything is unusual."""
     if type(fields) is not dict or not fields.keys() <= _PLAIN_FIELDS:
@@ -172,7 +156,7 @@ def _plain_query(fields: Any) -> Query | None:
     if type(force) is not list or type(moment) is not list or len(force) != 3 or len(moment) != 3:
         return None
     numbers = (*force, *moment)
-    # Of finite loads too large together pydantic says which one is, if any.
+    # Finite loads that are too large together: pydantic finds the one that is, if any.
     if not _NUMBERS.issuperset(map(type, numbers)) or hypot(*numbers) > LARGEST_LOAD:
         return None
     word = fields.get("on_thin", "queue")
@@ -217,7 +201,7 @@ def version_of(query: bytes) -> int | None:
 
 
 def split_version(query: QueryParams) -> tuple[int | None, dict[str, str]]:
-    """Return the version that a query names, as `version_of`, and all else that it says."""
+    """Return the version that a query names, as `version_of`, and its other parameters."""
     named = [pair for pair in query.multi_items() if pair[0] == NAME]
     return _read(named), {name: value for name, value in query.items() if name != NAME}
 
@@ -228,17 +212,11 @@ def _read(pairs: list[tuple[str, str]]) -> int | None:
     try:
         return VersionQuery.model_validate(dict(pairs)).table_version
     except ValidationError as error:
-        told = plain_errors(error)
-        raise bad_body([{**one, "loc": f"query.{one['loc']}"} for one in told]) from None
+        mistakes = plain_errors(error)
+        raise bad_body([{**one, "loc": f"query.{one['loc']}"} for one in mistakes]) from None
 
 
 def check_version(query: Query | BatchQuery) -> None:
-    """Refuse to wait for a solve at an earlier version.
-
-    Raises
-    ------
-    ProblemError
-        422.
-    """
+    """Refuse to wait for a solve at an earlier version."""
     if query.on_thin == "wait":
         raise bad_body([{"loc": "on_thin", "msg": _WAIT}])

@@ -41,6 +41,7 @@ from wrenchbook.service.library.component import (
     LibraryUnavailableError,
     UnknownComponentError,
 )
+from wrenchbook.service.ops.logs import REQUEST_ID
 from wrenchbook.service.ordering import NoSetupError
 from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
 from wrenchbook.service.tables.behind import TableBehindError
@@ -49,7 +50,7 @@ from wrenchbook.service.tables.past import PastDamagedError, PastTooLargeError
 MEDIA_TYPE = "application/problem+json"
 CLIENT_GONE = 499  # as nginx counts it: the caller left before its request was whole
 MOST_ERRORS = 1000
-_MOST_TEXT = 1000  # characters of a message: a mistaken key or text is told back within it
+_MOST_TEXT = 1000  # characters of a message: it quotes the mistaken key or text
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     UnknownComponentError: (404, "unknown-component", "No such component"),
     ComponentExistsError: (409, "component-exists", "The name is taken"),
@@ -117,15 +118,18 @@ class ProblemError(Exception):
         }
 
     def response(self) -> Response:
-        """Return the answer."""
-        content = orjson.dumps(redact_values(self.body))
+        """Return the answer; a 5xx names its request, as the server's log does."""
+        body = self.body
+        if self.status >= 500 and (request_id := REQUEST_ID.get()):
+            body = {**body, "request_id": request_id}
+        content = orjson.dumps(redact_values(body))
         return Response(content, self.status, self.headers, MEDIA_TYPE)
 
 
 def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> ProblemError:
     """Describe a body that is not of the call's form; ``errors`` are ``{loc, msg}``.
 
-    No more of them are listed than anybody reads.
+    At most MOST_ERRORS of them are listed.
     """
     first = f"{errors[0]['loc']}: {errors[0]['msg']}" if errors else "see the documentation"
     return ProblemError(
@@ -211,7 +215,7 @@ def install(app: FastAPI) -> None:
         return crash_of(request.method, request.url.path).response()
 
     def gone(_: Request, __: Exception) -> Response:
-        return Response(status_code=CLIENT_GONE)  # nobody reads it, and no log needs it
+        return Response(status_code=CLIENT_GONE)  # no caller reads it
 
     named = (BundleError, ValidationError, RequestValidationError, SolveFailedError, *_NAMED)
     for kind in (ProblemError, *named):

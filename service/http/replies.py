@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from starlette.responses import Response, StreamingResponse
 
 from wrenchbook.service.answering.queries import BatchOutcome, Outcome, WrenchJob
-from wrenchbook.service.http.binary import MEDIA_TYPE
+from wrenchbook.service.http.batch import BINARY_TYPE
 from wrenchbook.service.http.links import job_link
 from wrenchbook.surrogate.answer import within_tolerance_many
 
@@ -30,7 +30,7 @@ def json_reply(
 
 
 def write_outcome(outcome: Outcome, *, derivatives: bool = False) -> Response:
-    """Answer one query, with du/dw if asked for: 200, or 202 while its solve has not answered."""
+    """Answer one query, with du/dw on request: 200, or 202 while its solve has not answered."""
     fields = _fields(outcome)
     if derivatives:
         fields["derivative"] = _known(outcome.derivative)
@@ -54,7 +54,7 @@ def plain_content(outcome: Outcome) -> bytes:
 
 
 def _fields(outcome: Outcome) -> dict[str, Any]:
-    """Return what every answer says."""
+    """Return the fields of every answer."""
     value, error = outcome.displacement, outcome.error
     fields: dict[str, Any] = {
         "component": outcome.component,
@@ -98,7 +98,7 @@ def write_batch(outcome: BatchOutcome) -> Response:
 
 
 def _lists(outcome: BatchOutcome) -> dict[str, Callable[[int, int], Any]]:
-    """Return what a batch says of each wrench, from one place to another."""
+    """Return the lists of a batch with an entry a wrench, as functions of start and end."""
     codes = outcome.coverage
     lists: dict[str, Callable[[int, int], Any]] = {
         "displacements": lambda start, end: outcome.displacements[start:end],
@@ -127,7 +127,7 @@ def _pieces(outcome: BatchOutcome, fields: dict[str, Any]) -> Iterator[bytes]:
 
 
 def write_binary(outcome: BatchOutcome) -> Response:
-    """Answer a batch as little-endian float64 (n, 13), and (n, 36) if derivatives are asked for."""
+    """Answer a batch as little-endian float64 (n, 13), and (n, 36) with derivatives."""
     block = np.empty((len(outcome.coverage), 13), dtype="<f8")
     block[:, :6], block[:, 6:12] = outcome.displacements, outcome.errors
     block[:, 12] = outcome.coverage
@@ -143,7 +143,7 @@ def write_binary(outcome: BatchOutcome) -> Response:
     content = block.tobytes()
     if outcome.derivatives is not None:
         content += outcome.derivatives.astype("<f8").tobytes()
-    return Response(content, _status(outcome), headers, MEDIA_TYPE)
+    return Response(content, _status(outcome), headers, BINARY_TYPE)
 
 
 def _wrench_job(one: WrenchJob) -> dict[str, Any]:

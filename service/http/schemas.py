@@ -40,7 +40,7 @@ _WITHIN = (
     "what to do. null where there is no tolerance or no bar, or the solver's own error is not known"
 )
 _VERSION = (
-    "the version of the table that was asked; where source is fea the answer is that of row, which "
+    "the version of the table that answers; where source is fea the answer is that of row, which "
     "may be newer than this version"
 )
 
@@ -58,6 +58,7 @@ class Problem(TypedDict):
     status: int
     detail: Annotated[str, text("what is wrong and what to do")]
     errors: NotRequired[list[Mistake]]
+    request_id: NotRequired[Annotated[str, text("of a 5xx: as in the server's log")]]
 
 
 class JobLink(TypedDict, total=False):
@@ -92,7 +93,7 @@ class Displacement(TypedDict, total=False):
     notes: Annotated[list[str], text("of the solver: doubtful cells, ill conditioning")]
     missing: Annotated[list[str], text("the outputs that no row of the table holds")]
     job: JobLink | None
-    axes: Annotated[list[dict[str, Any]], text("with detail")]
+    axes: Annotated[list[dict[str, Any]], text("with detail; empty if a row of the table answers")]
     method_detail: Annotated[str, text("with detail: how the method answers")]
     error_parts: Annotated[
         dict[Literal["table", "mesh", "linearity"], dict[Part, Three] | None],

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import logging
 import time
+from contextvars import ContextVar
 from typing import Final, Literal
 
 LogFormat = Literal["text", "json"]
 # Optional attributes of a record: `logger.info(..., extra={"job": 7})`.
-ABOUT: Final = ("job", "attempt", "component")
+ABOUT: Final = ("job", "attempt", "component", "request_id")
+REQUEST_ID: ContextVar[str | None] = ContextVar("request_id", default=None)
+"""The id of the HTTP request that this context answers; None outside of requests."""
 _MOST_CHARACTERS = 20_000  # of a message or a traceback: log collectors limit lines
 
 
@@ -17,7 +20,7 @@ class JsonLines(logging.Formatter):
     """A record as JSON on one line.
 
     Keys: ``time`` (ISO 8601, UTC), ``level``, ``logger``, ``message``; where they are known
-    ``job``, ``attempt`` and ``component``; ``exception`` with a traceback.
+    ``job``, ``attempt``, ``component`` and ``request_id``; ``exception`` with a traceback.
     """
 
     def format(self, record: logging.LogRecord) -> str:
@@ -49,11 +52,20 @@ class TextLines(logging.Formatter):
     def formatMessage(self, record: logging.LogRecord) -> str:
         """Return the line; line ends in a message are escaped."""
         record.message = record.message.replace("\r", "\\r").replace("\n", "\\n")
+        if request_id := getattr(record, "request_id", None):
+            record.message += f" [request {request_id}]"
         return super().formatMessage(record)
+
+
+def add_request_id(record: logging.LogRecord) -> bool:
+    """Give a record the id of its request; a filter that keeps all records."""
+    record.request_id = REQUEST_ID.get()
+    return True
 
 
 def set_up(level: str, how: LogFormat) -> None:
     """Log to standard error from `level` up."""
     shown = logging.StreamHandler()
+    shown.addFilter(add_request_id)
     shown.setFormatter(JsonLines() if how == "json" else TextLines())
     logging.basicConfig(level=level.upper(), handlers=[shown], force=True)

@@ -7,6 +7,8 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from importlib.metadata import version
 from typing import Any, Protocol
 
 from prometheus_client import CollectorRegistry, GCCollector, ProcessCollector, generate_latest
@@ -14,16 +16,20 @@ from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
     HistogramMetricFamily,
+    InfoMetricFamily,
     Metric,
 )
 from prometheus_client.registry import Collector
 
+from wrenchbook.service.files.sources import code_digest
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.ledger.jobs import SOLVE_EDGES, Statistics
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.counts import FOLDER as COUNTS
-from wrenchbook.service.ops.counts import Counts, SharedCounts, cumulative
+from wrenchbook.service.ops.counts import REQUEST_EDGES, Counts, SharedCounts, cumulative
 from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
+from wrenchbook.service.tables.coordinator_state import CoordinatorState
+from wrenchbook.surrogate.kernel.build import sources_hash
 
 # A component is a label and adds four series; GET /v1/components has the rest.
 MOST_COMPONENTS = 200
@@ -66,13 +72,17 @@ class Metrics(Collector):
         self._read: Statistics | None = None
         self._version: int | None = None
         self._registry = CollectorRegistry()
-        self._total: Callable[[], tuple[Counts, int]] = lambda: (counts, listeners())
+        self._total: Callable[[], tuple[Counts, int, dict[str, int]]] = lambda: (
+            counts,
+            listeners(),
+            {},
+        )
         self._shared = None
         if settings.part == "web":
             folder = settings.folder / SHARED / COUNTS
             self._shared = SharedCounts(folder, counts, listeners)
             self._total = self._shared.together
-        if settings.processes == 1:  # of several web workers these would be one's
+        else:
             ProcessCollector(registry=self._registry)
             GCCollector(registry=self._registry)
         self._registry.register(self)
@@ -88,24 +98,16 @@ class Metrics(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """Yield all metrics."""
-        yield from self._of_queries()
+        counts, listening, pids = self._total()
+        yield from _of_queries(counts)
+        yield from _of_requests(counts)
+        yield GaugeMetricFamily("wrenchbook_event_listeners", "of GET /v1/events", value=listening)
+        if self._shared:
+            builder = CoordinatorState(self._workspace.settings.folder / SHARED).read().pid
+            yield from _of_processes({**pids, "builder": builder} if builder else pids)
         yield from self._of_ledger()
         yield from self._of_tables()
         yield from self._of_server()
-
-    def _of_queries(self) -> Iterator[Metric]:
-        counts, listening = self._total()
-        queries = CounterMetricFamily(
-            "wrenchbook_queries", "wrenches answered", labels=("coverage", "method")
-        )
-        for words, number in sorted(counts.queries().items()):
-            queries.add_metric(words, number)
-        yield queries
-        text = "time a table took for one call"
-        yield HistogramMetricFamily(
-            "wrenchbook_query_seconds", text, counts.histogram(), counts.seconds
-        )
-        yield GaugeMetricFamily("wrenchbook_event_listeners", "of GET /v1/events", value=listening)
 
     def _of_ledger(self) -> Iterator[Metric]:
         found = self._statistics()
@@ -157,6 +159,7 @@ class Metrics(Collector):
         yield GaugeMetricFamily("wrenchbook_broken_components", text, value=broken)
 
     def _of_server(self) -> Iterator[Metric]:
+        yield InfoMetricFamily("wrenchbook_build", "what answers", _build())
         settings, ready = self._workspace.settings, int(not self._workspace.faults())
         text = "1 if jobs are accepted and solved"
         yield GaugeMetricFamily("wrenchbook_ready", text, value=ready)
@@ -166,6 +169,55 @@ class Metrics(Collector):
             free = shutil.disk_usage(settings.folder).free
             text = "where the data directory is"
             yield GaugeMetricFamily("wrenchbook_disk_free_bytes", text, value=free)
+
+
+def _of_queries(counts: Counts) -> Iterator[Metric]:
+    queries = CounterMetricFamily(
+        "wrenchbook_queries", "wrenches answered", labels=("coverage", "method")
+    )
+    for words, number in sorted(counts.queries().items()):
+        queries.add_metric(words, number)
+    yield queries
+    text = "time a table took for one call"
+    yield HistogramMetricFamily(
+        "wrenchbook_query_seconds", text, counts.histogram(), counts.seconds
+    )
+
+
+def _of_requests(counts: Counts) -> Iterator[Metric]:
+    labels = ("route", "method", "status")
+    requests = CounterMetricFamily("wrenchbook_http_requests", "by route template", labels=labels)
+    of_route: dict[str, list[float]] = {}
+    for (route, method, status), numbers in sorted(counts.requests().items()):
+        requests.add_metric((route, method, str(status)), sum(numbers[:-1]))
+        total = of_route.get(route, [0.0] * len(numbers))
+        of_route[route] = [one + more for one, more in zip(total, numbers, strict=True)]
+    yield requests
+    text = "from a request's head to the end of its reply"
+    times = HistogramMetricFamily("wrenchbook_http_request_seconds", text, labels=("route",))
+    for route, numbers in of_route.items():
+        times.add_metric((route,), cumulative(REQUEST_EDGES, numbers[:-1]), numbers[-1])
+    yield times
+
+
+def _of_processes(pids: Mapping[str, int]) -> Iterator[Metric]:
+    """Yield `process_*` of several processes by the label `process`."""
+    found: dict[str, Metric] = {}
+    for name, pid in pids.items():
+        for metric in ProcessCollector(pid=lambda pid=pid: pid, registry=None).collect():
+            family = found.setdefault(
+                metric.name, Metric(metric.name, metric.documentation, metric.type)
+            )
+            for sample in metric.samples:
+                family.add_sample(sample.name, {"process": name}, sample.value)
+    yield from found.values()
+
+
+@cache
+def _build() -> dict[str, str]:
+    """Return the version of the program, and digests of its Python code and its kernel."""
+    code = code_digest("fea", "surrogate", "service")
+    return {"version": version("wrenchbook"), "code": code, "kernel": sources_hash()[:16]}
 
 
 def _gauges(name: str, text: str, label: str, values: Mapping[str, float]) -> Metric:

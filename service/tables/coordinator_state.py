@@ -28,10 +28,13 @@ class Status:
         Why no job runs.
     faults : dict of str to str
         Why a component's table is not what the ledger says, by its name.
+    pid : int
+        Of the building process; 0 if it has written none.
     """
 
     trouble: str | None = None
     faults: dict[str, str] = field(default_factory=dict)
+    pid: int = 0
 
 
 class CoordinatorState:

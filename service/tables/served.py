@@ -15,6 +15,7 @@ from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.compliance import ComplianceFit
 from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, Tolerance
 
+ROW = "row"  # the method of an answer by one row
 ROW_DETAIL = "the displacement that a row of the table has at this wrench"
 _WHOLE = 4  # the place in the solver's flags that says whether error bars have all their parts
 # MB of rows and numpy tables that a process keeps. The packed tables answer; numpy tables serve
@@ -144,7 +145,7 @@ class ServedTable:
         Of several groups of outputs, that of the fewest rows is described.
         """
         one = self.packed.words["groups"][0]
-        if method == "row":
+        if method == ROW:
             return ROW_DETAIL
         if method == "kriging" and one["kriging"]:
             return one["kriging"]

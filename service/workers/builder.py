@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
 import threading
@@ -58,6 +59,7 @@ class Builder:
 
     def _write_status(self, workspace: Workspace) -> None:
         try:
-            self._state.write(Status(workspace.trouble(), workspace.tables.faults()))
+            faults = workspace.tables.faults()
+            self._state.write(Status(workspace.trouble(), faults, os.getpid()))
         except OSError as error:
             log.warning("the builder's status cannot be written for web workers: %s", error)

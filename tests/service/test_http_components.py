@@ -38,6 +38,20 @@ def test_the_library_lists_the_shipped_components(http):
     assert {"bar", "plate", "plate_thin", "spring"} <= set(names)
 
 
+def test_the_library_is_listed_in_pages_of_a_search_each_component_once(http):
+    for number in range(5):
+        http.post("/v1/components", json={**TABLE_ONLY, "name": f"hinge{number}"})
+    http.post("/v1/components/hinge1/archive")
+    url, found, pages = "/v1/components?q=hinge&limit=2&archived=true", [], 0
+    while url:
+        reply = http.get(url)
+        url, pages = reply.json()["next"], pages + 1
+        assert reply.headers.get("link") == (f'<{url}>; rel="next"' if url else None)
+        found += [one["name"] for one in reply.json()["components"]]
+    assert (found, pages) == ([f"hinge{number}" for number in range(5)], 3)
+    assert http.get("/v1/components").json()["next"] is None
+
+
 def test_a_component_tells_contract_range_rows_and_coverage(http):
     body = http.get("/v1/components/plate").json()
     assert body["contract"]["units"].startswith("SI")
@@ -52,6 +66,26 @@ def test_a_table_only_component_is_made_by_one_post(http):
     assert reply.headers["location"] == "/v1/components/rig"
     assert reply.json()["range"]["force"] == [[-1.0, 1.0], [-2.0, 2.0], [-3.0, 3.0]]
     assert http.get("/v1/components/rig").json()["has_fea"] is False
+
+
+@pytest.mark.parametrize("force", [[900, 900, 900], [[-900, 900], 900, [-900, 900]]])
+def test_a_range_of_numbers_or_of_pairs_is_one_range_and_comes_back_as_pairs(http, force):
+    given = {"force": force, "moment": [[-5, 90], 90, 90]}
+    pairs = {"force": [[-900, 900]] * 3, "moment": [[-5, 90], [-90, 90], [-90, 90]]}
+    made = http.post("/v1/components", json={**TABLE_ONLY, "range": given}).json()
+    assert made["range"] == http.get("/v1/components/rig").json()["range"] == pairs
+    again = {**TABLE_ONLY, "name": "again", "range": made["range"]}
+    assert http.post("/v1/components", json=again).json()["range"] == pairs
+
+
+def test_the_range_that_a_component_has_is_taken_by_fill_and_by_a_scene_plan(http):
+    range_ = http.get("/v1/components/plate_thin").json()["range"]
+    narrow = {word: [span[1] / 2 for span in spans] for word, spans in range_.items()}
+    for one in (range_, narrow):
+        filled = http.post("/v1/components/plate_thin/fill", json={"range": one, "budget": 1})
+        assert filled.status_code == 202, filled.text
+        scene = {"components": {"plate_thin": one}}
+        assert http.post("/v1/scenes/plan", json=scene).status_code == 200
 
 
 def test_a_name_is_taken_once(http):

@@ -181,6 +181,17 @@ def test_detail_tells_per_axis_inputs_outputs_and_rows(http):
     assert x["rows"]
 
 
+@pytest.mark.parametrize("name", ["bar", "plate_thin"])
+def test_the_detail_of_a_rows_answer_has_no_axes_that_did_not_answer(http, name):
+    """They were three axes of zeros, `outside`, in a reply that was covered."""
+    call, asked = f"/v1/components/{name}/displacement", {**WRENCH, "detail": True}
+    solved = http.post(call, json={**asked, "on_thin": "wait", "wait_s": 20}).json()
+    wait_for_version(http, name, solved["table_version"])
+    later = http.post(call, json=asked).json()
+    for reply in (solved, later):
+        assert (reply["coverage"], reply["method"], reply["axes"]) == ("covered", "row", [])
+
+
 @pytest.mark.parametrize(
     ("body", "place"),
     [

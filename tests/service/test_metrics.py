@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+import wrenchbook
 from tests.service.live import as_rows, clean_wrenches, moved
 from wrenchbook.service.ops.counts import EDGES, Counts
 
@@ -66,6 +67,54 @@ def test_a_question_answered_straight_from_the_protocol_is_counted(rig):
         samples(rig)[("wrenchbook_query_seconds_count",)]
         == 5 + before[("wrenchbook_query_seconds_count",)]
     )
+
+
+def requests(found, route):
+    return {
+        tuple(words): value
+        for (name, *words), value in found.items()
+        if name == "wrenchbook_http_requests_total" and route in words
+    }
+
+
+def test_requests_are_counted_by_route_template_method_and_status(rig):
+    before = samples(rig)
+    for number in (7, 8):
+        assert rig.get(f"/v1/jobs/{number}").status_code == 404
+    assert rig.request("MADE-UP", "/v1/jobs").status_code == 405
+    after = samples(rig)
+    assert requests(before, "/v1/jobs/{job_id}") == {}
+    assert requests(after, "/v1/jobs/{job_id}") == {("/v1/jobs/{job_id}", "404", "GET"): 2}
+    assert requests(after, "/v1/jobs") == {("/v1/jobs", "405", "other"): 1}
+    assert after["wrenchbook_http_request_seconds_count", "/v1/jobs/{job_id}"] == 2
+
+
+def test_a_query_of_the_fast_path_and_of_the_usual_one_are_counted_as_requests(rig):
+    route = "/v1/components/{name}/displacement"
+    body = b'{"force": [0, 0, 5], "moment": [0, 0, 0], "on_thin": "estimate"}'
+    assert isinstance(rig.app.answer_at_once("rig", [], body), bytes)
+    assert rig.post(route.format(name="rig"), content=body).status_code == 200
+    found = samples(rig)
+    assert requests(found, route) == {(route, "200", "POST"): 2}
+    assert found["wrenchbook_http_request_seconds_count", route] == 2
+
+
+def test_the_build_and_the_process_are_in_the_metrics(rig):
+    found = samples(rig)
+    (build,) = [words for name, *words in found if name == "wrenchbook_build_info"]
+    assert wrenchbook.__version__ in build
+    for what in ("cpu_seconds_total", "resident_memory_bytes", "open_fds", "start_time_seconds"):
+        assert found[f"process_{what}",] > 0
+
+
+def test_counts_of_requests_survive_a_restart_and_add_up():
+    counts, other = Counts(), Counts()
+    counts.add_request("/v1/jobs", "GET", 200, 0.002)
+    other.add_all(Counts.from_json(counts.as_json()))
+    other.add_all(counts)
+    ((key, numbers),) = other.requests().items()
+    assert key == ("/v1/jobs", "GET", 200)
+    assert (sum(numbers[:-1]), numbers[-1]) == (2, 0.004)
 
 
 def test_counting_an_answer_costs_less_than_a_microsecond():

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 
 import psutil
 import pytest
-
 from tests.service.until import until
+
 from wrenchbook.service.files.child import child_command
 
 LIMIT_S = 60.0

@@ -176,6 +176,29 @@ def test_metrics_are_of_all_processes_whichever_is_asked(several):
         until(lambda: {counted(client, "nearest") for client in clients} == {10 * len(clients)})
 
 
+def test_the_processes_of_all_workers_and_of_the_builder_are_in_the_metrics(several):
+    pids = [worker.pid for worker in several.workers("web_worker")]
+    with several.client() as client:
+        text = client.call("GET", "/metrics").content.decode()
+    for what in ("cpu_seconds_total", "resident_memory_bytes", "open_fds", "start_time_seconds"):
+        lines = [line for line in text.splitlines() if line.startswith(f"process_{what}")]
+        names = {line.partition('"')[2].partition('"')[0] for line in lines}
+        assert names == {str(number + 1) for number in range(len(pids))} | {"builder"}
+
+
+def test_requests_are_counted_over_all_processes(several):
+    def requests(client):
+        text = client.call("GET", "/metrics").content.decode()
+        start = 'wrenchbook_http_requests_total{method="GET",route="/v1/jobs/{job_id}"'
+        return sum(float(one.split()[-1]) for one in text.splitlines() if one.startswith(start))
+
+    with clients_of_each(several) as clients:
+        for client in clients:
+            with pytest.raises(ProblemError):
+                client.call("GET", "/v1/jobs/123456")
+        until(lambda: {requests(client) for client in clients} == {len(clients)})
+
+
 def counted(client, method):
     text = client.call("GET", "/metrics").content.decode()
     lines = [line for line in text.splitlines() if line.startswith("wrenchbook_queries_total")]

@@ -1,4 +1,4 @@
-"""The lock on the access: who is let in, from where, how often, and what every reply carries."""
+"""Access control: keys, rate limits, allowed hosts and origins, and headers of replies."""
 
 from wrenchbook.service.http.access.control import AccessControl
 from wrenchbook.service.http.access.permission import Permission, permission_of

@@ -16,6 +16,7 @@ from wrenchbook.service.http.access.origins import check_host, check_origin, is_
 from wrenchbook.service.http.access.permission import OPEN, PERMISSION, Permission, permission_of
 from wrenchbook.service.http.access.security import SecuritySettings
 from wrenchbook.service.http.body import counted
+from wrenchbook.service.http.instrumentation import HEADER
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.keys import Keyring, Scope, digest_of
 from wrenchbook.service.keys.keyring import LOOK_S
@@ -29,7 +30,7 @@ _BYTES: Final = b"application/octet-stream"
 _BINARY: Final = ("/displacements", "/recording", "/envelope")
 # Calls that name what they take themselves: files of many kinds.
 _ANY_TYPE: Final = ("/table", "/v1/components")
-_UMBRIDGE: Final = "/umbridge/"  # whose clients say whatever their library says
+_UMBRIDGE: Final = "/umbridge/"  # clients send the content type of their library
 _MOST_KNOWN: Final = 1024
 _MOST_HEAD: Final = 2048  # bytes of a head that is worth knowing again
 _NO_LIMIT: Final = 1e6  # requests a second and MiB: no limits
@@ -75,7 +76,7 @@ class AccessControl:
         return known if known.key is None or known.wait() == 0.0 else None
 
     def _admitted(self, headers: Headers) -> Permission | None:
-        """Return the permission of a plain question; None where there is anything to be told."""
+        """Return the permission of a plain query; None if `check` has to decide."""
         self._look()
         known = self._known.get(headers)
         if known is None:
@@ -146,7 +147,7 @@ class AccessControl:
     def _plain(self, headers: Headers) -> Permission | None:
         """Look at a plain question's head for the first time, as `_admitted` does."""
         head = dict(headers)
-        if b"origin" in head or _kind(head) not in (_JSON, b""):
+        if b"origin" in head or HEADER in head or _kind(head) not in (_JSON, b""):
             return None
         try:
             check_host(self.security, head)
@@ -220,10 +221,9 @@ def _kind(head: Mapping[bytes, bytes]) -> bytes:
 
 
 def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
-    """Refuse what a page may send without asking first: a form, or text, that is JSON inside.
+    """Refuse bodies that a page may send without a preflight: a form, or text, that holds JSON.
 
-    A program may leave the type out. A browser tells the site of whatever it sends, and from there
-    not even that is taken.
+    A program may leave the type out. A request with an Origin, which browsers send, may not.
     """
     kind = _kind(head)
     if path.endswith(_ANY_TYPE) or not (kind or b"origin" in head):

@@ -26,44 +26,44 @@ _MAIN = "/displacement"
 PLAIN = b"x-content-type-options: nosniff\r\n"
 """Header fields of an answer of the fast path: JSON that no browser requests by itself."""
 
-_EXPOSED = b"location, link, etag, retry-after"
+_EXPOSED = b"location, link, etag, retry-after, x-request-id"
 
 
 def sending(send: Send, path: str, origin: bytes | None) -> Send:
-    """Return a `send` that puts these fields into each reply that has not said otherwise.
+    """Return a `send` that puts these fields into each reply that does not set them.
 
     Parameters
     ----------
     send : callable
         The server's.
     path : str
-        What was asked for.
+        Of the request.
     origin : bytes or None
         A listed site, whose pages may read the reply.
     """
 
     async def put(message: Message) -> None:
         if message["type"] == "http.response.start":
-            told = list(message.get("headers", ()))
-            there = {name.lower() for name, _ in told}
+            fields = list(message.get("headers", ()))
+            there = {name.lower() for name, _ in fields}
             # The main call's reply is the same whichever way it went.
             always = _ALWAYS[:1] if path.endswith(_MAIN) and not origin else _ALWAYS
-            more = (*always, *_of(path, told), *_across(origin, path))
-            told += [one for one in more if one[0] not in there]
-            message = {**message, "headers": told}
+            more = (*always, *_of(path, fields), *_across(origin, path))
+            fields += [one for one in more if one[0] not in there]
+            message = {**message, "headers": fields}
         await send(message)
 
     return put
 
 
-def _of(path: str, told: list[tuple[bytes, bytes]]) -> tuple[tuple[bytes, bytes], ...]:
+def _of(path: str, fields: list[tuple[bytes, bytes]]) -> tuple[tuple[bytes, bytes], ...]:
     """Return the fields that go by what is replied."""
-    kind = next((value for name, value in told if name.lower() == b"content-type"), b"")
+    kind = next((value for name, value in fields if name.lower() == b"content-type"), b"")
     if path.endswith(_MAIN):
         return ()
     if path.startswith("/v1/"):
         policy = _REPORT if kind.startswith(b"text/html") else _NOTHING
-        # Tables of one who has a key are for nobody else who uses the same machine.
+        # Other users of the same machine must not read the tables of a key from a cache.
         return (b"content-security-policy", policy), (b"cache-control", b"no-store")
     return ((b"content-security-policy", _PAGE),)
 
@@ -83,11 +83,14 @@ def _across(origin: bytes | None, path: str = "") -> tuple[tuple[bytes, bytes], 
 
 
 def preflight(origin: bytes) -> list[tuple[bytes, bytes]]:
-    """Return what a browser is told that asks before it calls, for a page of a listed site."""
+    """Return the headers of a preflight's reply, for a page of an allowed origin."""
     return [
         *_across(origin),
         (b"access-control-allow-methods", b"GET, POST, DELETE"),
-        (b"access-control-allow-headers", b"authorization, content-type, if-none-match, accept"),
+        (
+            b"access-control-allow-headers",
+            b"authorization, content-type, if-none-match, accept, x-request-id",
+        ),
         (b"access-control-max-age", b"600"),
         (b"content-length", b"0"),
     ]

@@ -15,14 +15,16 @@ from wrenchbook.service.files.redact import redact
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
 from wrenchbook.service.http.body import MOST_QUERY_BYTES, form_of, read_limited
-from wrenchbook.service.http.links import job_link
-from wrenchbook.service.http.needs import need_from
+from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.problems import ProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.routes import Opened
+from wrenchbook.service.http.routes.scenes import need_from
 from wrenchbook.service.http.schemas import Queued
 from wrenchbook.service.library.bundle_zip import MAX_BUNDLE_BYTES
+from wrenchbook.service.library.catalogue import Card
 from wrenchbook.service.library.checked import interface_of, vibration_of, warnings_of
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.other_setup import warning_of
@@ -40,19 +42,36 @@ _BUNDLE = {
 }
 
 
-@router.get("", summary="The library", response_description="the library", responses=refused(422))
+@router.get(
+    "",
+    summary="The library by name, a page at a time",
+    response_description="components, broken ones, and the URL of the next page or null",
+    responses=refused(422),
+)
 def list_components(
-    request: Request,
+    workspace: Opened,
+    response: Response,
     q: Annotated[str, Query(max_length=200, description="in name, title or notes")] = "",
-    archived: Annotated[bool, Query(description="with those that are put away")] = False,
+    archived: Annotated[bool, Query(description="with archived ones")] = False,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 1000,
+    after: Annotated[
+        str | None, Query(max_length=300, description="go on after this component's name")
+    ] = None,
 ) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
-    library = workspace.library
-    found = [_summary(workspace, library[name]) for name in library.names()]
+    library, cards = workspace.library, workspace.catalogue
+    found = [
+        library[name]
+        for name in library.names()
+        if (after is None or name > after) and (archived or not cards[name].archived)
+    ]
+    found = [one for one in found if _is_about(one, cards[one.name], q)]
+    following = None
+    if len(found) > limit:
+        words = {"q": q, "archived": archived, "limit": limit, "after": found[limit - 1].name}
+        following = next_page(response, "/v1/components", words)
     return {
-        "components": [
-            one for one in found if (archived or not one["archived"]) and _is_about(one, q)
-        ],
+        "components": [_summary(workspace, one) for one in found[:limit]],
+        "next": following,
         "broken": [
             {"name": name, "reason": redact(reason)}
             for name, reason in sorted(workspace.broken().items())
@@ -60,10 +79,10 @@ def list_components(
     }
 
 
-def _is_about(summary: dict[str, Any], asked: str) -> bool:
-    """Tell whether all words of a search stand in what is said of a component."""
-    said = f"{summary['name']} {summary['title']} {summary['notes']}".casefold()
-    return all(word in said for word in asked.casefold().split())
+def _is_about(component: Component, card: Card, search: str) -> bool:
+    """Return whether name, title or notes of a component have all words of a search."""
+    text = f"{component.name} {component.title} {card.notes}".casefold()
+    return all(word in text for word in search.casefold().split())
 
 
 @router.get(
@@ -72,8 +91,7 @@ def _is_about(summary: dict[str, Any], asked: str) -> bool:
     response_description="the component",
     responses=refused(404, 422),
 )
-async def one_component(name: str, request: Request) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
+async def one_component(name: str, workspace: Opened) -> dict[str, Any]:
     await workspace.newest(name, CATCH_UP_S)
     return await run_in_threadpool(component_body, workspace, workspace.library[name])
 
@@ -85,8 +103,7 @@ async def one_component(name: str, request: Request) -> dict[str, Any]:
     responses=answers(dict[str, Any], "added", 201) | refused(409, 422),
     openapi_extra=takes(TableOnlyComponent, {"multipart/form-data": {"schema": _BUNDLE}}),
 )
-async def add_component(request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
+async def add_component(request: Request, workspace: Opened) -> Response:
     kind = request.headers.get("content-type", "").partition(";")[0].strip()
     if kind == "multipart/form-data":
         component = await _add_bundle(workspace, request)
@@ -131,9 +148,8 @@ def _add_table_only(workspace: Workspace, body: TableOnlyComponent) -> Component
     | refused(404, 409, 422),
     openapi_extra=takes(FillBody),
 )
-async def fill(name: str, request: Request) -> Response:
+async def fill(name: str, request: Request, workspace: Opened) -> Response:
     order = read_body(FillBody, await read_limited(request.receive))
-    workspace: Workspace = request.app.state.workspace
     reply = await run_in_threadpool(_fill, workspace, name, order)
     return json_reply(reply, 202 if reply["jobs"] else 200)
 
@@ -167,7 +183,7 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
         "contract": CONTRACT,
         "interface": interface_of(component),
         "warnings": [
-            *_warnings(component, own_error, told=table.bars_are_whole),
+            *_warnings(component, own_error, known=table.bars_are_whole),
             *({"where": "rows", "message": one} for one in _of_rows(component, table)),
         ],
         "vibration": vibration_of(component.folder),
@@ -179,11 +195,11 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
 
 
 def _warnings(
-    component: Component, error: SolverError | None, *, told: bool
+    component: Component, error: SolverError | None, *, known: bool
 ) -> list[dict[str, str]]:
     """Return what its check warned of, and what the newest estimate of its solver's error does."""
     checked = warnings_of(component.folder)
-    if not told:
+    if not known:
         return [*checked, {"where": WHERE, "message": UNKNOWN}]
     limit = component.tolerance
     if error is None or limit is None:
@@ -197,7 +213,7 @@ def _warnings(
 
 def _of_rows(component: Component, table: ServedTable) -> list[str]:
     """Return what there is to know of rows that are in the ledger and not in the table."""
-    return [told] if (told := warning_of(component, table)) else []
+    return [warning] if (warning := warning_of(component, table)) else []
 
 
 def _solver_error(component: Component, error: SolverError | None) -> dict[str, Any] | None:
@@ -207,8 +223,8 @@ def _solver_error(component: Component, error: SolverError | None) -> dict[str, 
     if error is None:
         return {"mesh": None, "mesh_basis": UNKNOWN}
     words = ("mesh_basis", "linearity_basis", "buckling")
-    said = {name: error.values[name] for name in words if name in error.values}
-    return {**error.at_full_range(), **said}
+    basis = {name: error.values[name] for name in words if name in error.values}
+    return {**error.at_full_range(), **basis}
 
 
 def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:

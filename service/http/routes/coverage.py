@@ -1,18 +1,18 @@
-"""What a component's table covers, and what physics says about its rows."""
+"""Coverage of a component's table, and its compliance with checks of physics."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from wrenchbook.service.http.openapi import answers, refused
 from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.schemas import Compliance
 from wrenchbook.service.tables.served import ServedTable
-from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.physics_checks import check_physics
 from wrenchbook.surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
@@ -26,8 +26,7 @@ CATCH_UP_S = 30.0
     summary="Hull and gaps per axis, and rows that contradict each other",
     responses=answers(dict[str, Any], "hull and gaps"),
 )
-async def coverage(name: str, request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
+async def coverage(name: str, workspace: Opened) -> Response:
     return await run_in_threadpool(_coverage, name, await workspace.newest(name, CATCH_UP_S))
 
 
@@ -44,8 +43,7 @@ def _coverage(name: str, table: ServedTable) -> Response:
     summary="The 6x6 at zero load, its mean over the load range, and what breaks physics",
     response_model=Compliance,
 )
-async def compliance(name: str, request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
+async def compliance(name: str, workspace: Opened) -> Response:
     return await run_in_threadpool(_compliance, name, await workspace.newest(name, CATCH_UP_S))
 
 

@@ -15,6 +15,7 @@ from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.http.openapi import BYTES, answers, refused
 from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.library.checked import interface_of
 from wrenchbook.service.workspace import Workspace
 
@@ -40,6 +41,7 @@ _MOMENT = Query(allow_inf_nan=False, description="N·m, about the undeformed int
 async def deformed(
     name: str,
     request: Request,
+    workspace: Opened,
     fx: Annotated[float, _FORCE] = 0.0,
     fy: Annotated[float, _FORCE] = 0.0,
     fz: Annotated[float, _FORCE] = 0.0,
@@ -49,7 +51,6 @@ async def deformed(
     format: Literal["json", "gltf", "vtu"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
     _require_known_names(request)
-    workspace: Workspace = request.app.state.workspace
     await workspace.newest(name, CATCH_UP_S)
     loads = np.array([fx, fy, fz, mx, my, mz])
     # On threads of its own, few: it reads files and multiplies large arrays.
@@ -61,16 +62,16 @@ async def deformed(
 
 def _require_known_names(request: Request) -> None:
     """Refuse parameters that this call has not: a misspelt load would be a zero one."""
-    asked = [key for key, _ in request.query_params.multi_items()]
+    names = [key for key, _ in request.query_params.multi_items()]
     errors = [
         {"loc": key, "msg": f"no such parameter; there are {', '.join(_NAMES)}"}
-        for key in dict.fromkeys(asked)
+        for key in dict.fromkeys(names)
         if key not in _NAMES
     ]
     errors += [
         {"loc": key, "msg": "given more than once"}
-        for key in dict.fromkeys(asked)
-        if key in _NAMES and asked.count(key) > 1
+        for key in dict.fromkeys(names)
+        if key in _NAMES and names.count(key) > 1
     ]
     if errors:
         raise bad_body(errors)

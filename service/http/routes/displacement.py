@@ -17,11 +17,17 @@ from wrenchbook.service.answering.one import answer_or_submit
 from wrenchbook.service.answering.past import answer_at, answer_many_at
 from wrenchbook.service.answering.queries import BatchOutcome, BatchQuery, Query
 from wrenchbook.service.contract import CONTRACT_TEXT
-from wrenchbook.service.http import binary
 from wrenchbook.service.http.access import Permission, permission_of
 from wrenchbook.service.http.access.control import beyond_scope
-from wrenchbook.service.http.batch import few_large, read_batch_body
-from wrenchbook.service.http.binary import is_binary, read_binary
+from wrenchbook.service.http.batch import (
+    BINARY_BODY,
+    BINARY_REPLY,
+    BinaryQuery,
+    few_large,
+    is_binary,
+    read_batch_body,
+    read_binary,
+)
 from wrenchbook.service.http.bodies import BatchBody, DisplacementBody, SolveBody
 from wrenchbook.service.http.body import MOST_BATCH_BYTES, Spooled, read_limited, spooled
 from wrenchbook.service.http.openapi import answers, refused, takes
@@ -68,8 +74,8 @@ router = APIRouter(
 
 _SOLVED, _UNSOLVED = "covered, solved or estimated", "not solved yet: see job, or reason"
 _ONE = answers(Displacement, _SOLVED) | answers(Displacement, _UNSOLVED, 202) | refused(424)
-_MANY = answers(Displacements, _SOLVED, content=binary.REPLY) | answers(
-    Displacements, _UNSOLVED, 202, content=binary.REPLY
+_MANY = answers(Displacements, _SOLVED, content=BINARY_REPLY) | answers(
+    Displacements, _UNSOLVED, 202, content=BINARY_REPLY
 )
 
 
@@ -95,7 +101,7 @@ async def reply_to(
 
 
 def _asking(permission: Permission, read: Callable[[Body], Asked], body: Body) -> Asked:
-    """Read the body of one who may only ask: what could queue a solve is refused.
+    """Read the body of a caller with a key for reading; refuse a query that queues solves.
 
     Raises
     ------
@@ -129,7 +135,7 @@ async def displacement(name: str, request: Request) -> Response:
     summary="The displacements under many wrenches",
     description=CONTRACT_TEXT,
     responses=_MANY | refused(410),
-    openapi_extra=takes(BatchBody, binary.BODY, binary.BinaryQuery),
+    openapi_extra=takes(BatchBody, BINARY_BODY, BinaryQuery),
 )
 async def displacements(name: str, request: Request) -> Response:
     binary, permission = is_binary(request), permission_of(request.scope)
@@ -164,7 +170,7 @@ def _read_binary(body: Spooled, options: dict[str, str]) -> BatchQuery:
 
 @router.post(
     "/solve",
-    summary="DirectFEA: solve this wrench, whatever the table says",
+    summary="DirectFEA: solve this wrench, covered or not",
     description=CONTRACT_TEXT,
     responses=_ONE,
     openapi_extra=takes(SolveBody),

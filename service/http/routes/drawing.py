@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Query
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
@@ -13,8 +13,8 @@ from starlette.responses import Response
 from wrenchbook.service.answering.drawn import grid_of, sample_of, shares_of, sweep_of
 from wrenchbook.service.http.openapi import refused
 from wrenchbook.service.http.replies import COVERAGE, json_reply
+from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.tables.served import ServedTable
-from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.axes import AXES
 from wrenchbook.surrogate.table.rows import CLEAN, LOADS, OUTPUTS, Rows
 
@@ -30,8 +30,7 @@ Places = NDArray[np.intp]
 
 
 @router.get("/glance", summary="What parts of the load range are covered, thin and outside")
-async def glance(name: str, request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
+async def glance(name: str, workspace: Opened) -> Response:
     table = workspace.tables.surrogate(name)
     return json_reply(await run_in_threadpool(_glance, name, table))
 
@@ -43,17 +42,16 @@ def _glance(name: str, table: ServedTable) -> dict[str, Any]:
     return {**about, "whole": whole, "axes": axes}
 
 
-@router.get("/drawing", summary="Rows to draw, at most as many as asked for, and what covers")
+@router.get("/drawing", summary="Rows to draw, at most `most`, and the coverage of a grid")
 async def drawing(
     name: str,
-    request: Request,
+    workspace: Opened,
     axis: Annotated[
         Literal["x", "y", "z"] | None, Query(description="rows that load it alone first; its grid")
     ] = None,
     along: Annotated[Load | None, Query(description="only rows that have no other load")] = None,
     most: Annotated[int, Query(ge=1, le=MOST)] = 2_000,
 ) -> Response:
-    workspace: Workspace = request.app.state.workspace
     table = await workspace.newest(name, CATCH_UP_S)
     return json_reply(await run_in_threadpool(_rows, name, table, axis, along, most))
 
@@ -70,7 +68,7 @@ def _rows(
     if drawn is not None:
         clean = np.logical_not(loaded[:, drawn.others].any(axis=1))
     some = rows.take(shown := _spread(chosen, clean[chosen], most))
-    told = {
+    body = {
         "component": name,
         "table_version": table.version,
         "of": len(chosen),
@@ -82,10 +80,10 @@ def _rows(
         "source": [str(one) for one in some.source],
     }
     if drawn is None:
-        return told
+        return body
     grid = grid_of(table.load_range, drawn)
     covers = {"wrench": grid, "coverage": table.packed.batch(grid).coverage.tolist()}
-    return told | {"inputs": [LOADS[load] for load in drawn.inputs], "grid": covers}
+    return body | {"inputs": [LOADS[load] for load in drawn.inputs], "grid": covers}
 
 
 def _loaded(rows: Rows, table: ServedTable) -> NDArray[np.bool_]:
@@ -110,7 +108,7 @@ def _every(places: Places, most: int) -> Places:
 @router.get("/response", summary="What the table answers along one load, with its whole error bars")
 async def response(
     name: str,
-    request: Request,
+    workspace: Opened,
     load: Load,
     fx: Force = 0.0,
     fy: Force = 0.0,
@@ -120,7 +118,6 @@ async def response(
     mz: Moment = 0.0,
     points: Annotated[int, Query(ge=2, le=501)] = 121,
 ) -> Response:
-    workspace: Workspace = request.app.state.workspace
     table = await workspace.newest(name, CATCH_UP_S)
     at = np.array([fx, fy, fz, mx, my, mz])
     return json_reply(await run_in_threadpool(_sweep, name, table, load, at, points))

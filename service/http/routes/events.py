@@ -14,7 +14,7 @@ from wrenchbook.service.events.feed import Feed, Listener, TooManyListenersError
 from wrenchbook.service.events.watch import Watch
 from wrenchbook.service.http.openapi import refused
 from wrenchbook.service.http.problems import ProblemError
-from wrenchbook.service.workspace import Workspace
+from wrenchbook.service.http.routes import Opened
 
 router = APIRouter(prefix="/v1/events", tags=["events"], responses=refused(404, 422))
 
@@ -51,12 +51,12 @@ HEADERS: Mapping[str, str] = {
 )
 async def events(
     request: Request,
+    workspace: Opened,
     component: Annotated[str | None, Query(description="only about this component")] = None,
     last_event_id: Annotated[
         str | None, Header(max_length=64, description="go on after this event")
     ] = None,
 ) -> Response:
-    workspace: Workspace = request.app.state.workspace
     watch: Watch = request.app.state.watch
     if component is not None:
         _ = workspace.library[component]
@@ -97,7 +97,7 @@ class EventStream(Response):
             lines = await listener.read(HEARTBEAT_S)
             more = not listener.ended
             body = {"type": "http.response.body", "body": lines or b":\n\n", "more_body": more}
-            # One who does not read holds the connection, not the server: it is closed after this.
+            # A listener that does not read is disconnected after this time.
             await asyncio.wait_for(send(body), SEND_S)
 
 

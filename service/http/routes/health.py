@@ -10,6 +10,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.openapi import answers, refused
+from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.ops.metrics import Metrics
 from wrenchbook.service.workspace import Workspace
 
@@ -34,10 +35,9 @@ async def live() -> dict[str, str]:
     | refused(404, 422),
 )
 def ready(
-    request: Request,
+    workspace: Opened,
     component: Annotated[str | None, Query(description="only this component's table")] = None,
 ) -> JSONResponse:
-    workspace: Workspace = request.app.state.workspace
     faults, broken, tables = workspace.faults(), workspace.broken(), table_states(workspace)
     building = [name for name, state in tables.items() if state == "building"]
     if component is not None:

@@ -8,17 +8,17 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
-from urllib.parse import urlencode
 
-from fastapi import APIRouter, Path, Query, Request
+from fastapi import APIRouter, Path, Query
 from pydantic import AfterValidator
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
 from wrenchbook.service.files.redact import redact_values
-from wrenchbook.service.http.links import job_link
+from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.jobs.attempt import LOG
 from wrenchbook.service.jobs.attempt_zip import pieces_of, zipped
 from wrenchbook.service.ledger import Job, LedgerRow, Status, UnknownJobError
@@ -69,14 +69,14 @@ def job_body(
     if job.status == "done" and job.row is not None:
         body["row"] = job.row
         row = workspace.ledger.row(job.row) if rows is None else rows.get(job.row)
-        if row is not None:  # a damaged one is told of by GET /health/ready
+        if row is not None:  # GET /health/ready names a damaged one
             body |= {"translation": row.displacement[:3], "rotation": row.displacement[3:]}
     return body
 
 
 @router.get("", summary="List jobs, newest first, a page at a time")
 def list_jobs(
-    request: Request,
+    workspace: Opened,
     response: Response,
     component: str | None = None,
     status: Status | None = None,
@@ -85,7 +85,6 @@ def list_jobs(
         int | None, Query(ge=1, lt=2**63, description="go on after this job, to older ones")
     ] = None,
 ) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
     _check_known(workspace, component)
     jobs = workspace.ledger.jobs(component, status, limit + 1, below=after)
     more, jobs = len(jobs) > limit, jobs[:limit]
@@ -93,20 +92,18 @@ def list_jobs(
     following = None
     if more:
         words = {"component": component, "status": status, "limit": limit, "after": jobs[-1].id}
-        following = f"/v1/jobs?{urlencode({k: v for k, v in words.items() if v is not None})}"
-        response.headers["Link"] = f'<{following}>; rel="next"'
+        following = next_page(response, "/v1/jobs", words)
     return {"jobs": [job_body(workspace, job, rows) for job in jobs], "next": following}
 
 
 @router.get("/{job_id}", summary="One job; with wait_s, once it has ended or the time is up")
-async def one_job(job_id: JobId, request: Request, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
+async def one_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
     job = await workspace.wait(job_id, wait_s)
     return await run_in_threadpool(_whole_body, workspace, job)
 
 
 def _whole_body(workspace: Workspace, job: Job) -> dict[str, Any]:
-    """Return what one job's own reply says beside what lists do: its notes, why it waits."""
+    """Return what one job's own reply has more than in lists: its notes, why it waits."""
     body = job_body(workspace, job) | {"notes": redact_values(workspace.notes(job))}
     waiting = workspace.why_waiting(job)
     return body | {"waiting": redact_values(asdict(waiting)) if waiting else None}
@@ -118,26 +115,23 @@ def _whole_body(workspace: Workspace, job: Job) -> dict[str, Any]:
     responses={200: {"model": dict[Literal["cancelled"], int], "description": "how many"}},
 )
 def cancel_many(
-    request: Request,
+    workspace: Opened,
     component: Annotated[str | None, Query(description="only those of this component")] = None,
     status: Literal["waiting", "running"] = "waiting",
 ) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
     _check_known(workspace, component)
     return {"cancelled": workspace.ledger.cancel_many(component, status)}
 
 
 @router.delete("/{job_id}", summary="Cancel a job that has not ended", responses=refused(409))
-def cancel(job_id: JobId, request: Request) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
+def cancel(job_id: JobId, workspace: Opened) -> dict[str, Any]:
     return job_body(workspace, workspace.ledger.cancel(job_id))
 
 
 @router.post(
     "/{job_id}/retry", summary="Queue a failed or cancelled job again", responses=refused(409)
 )
-def retry(job_id: JobId, request: Request) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
+def retry(job_id: JobId, workspace: Opened) -> dict[str, Any]:
     return job_body(workspace, workspace.ledger.retry(job_id))
 
 
@@ -147,8 +141,7 @@ def retry(job_id: JobId, request: Request) -> dict[str, Any]:
     response_class=Response,
     responses={200: {"description": "the attempt's folder", "content": {"application/zip": BYTES}}},
 )
-def attempt_files(job_id: JobId, request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
+def attempt_files(job_id: JobId, workspace: Opened) -> Response:
     job = workspace.ledger.job(job_id)
     folder = workspace.attempt_folder(job)
     if not folder.is_dir():
@@ -177,8 +170,7 @@ def _no_files(job: Job, folder: pathlib.Path) -> ProblemError:
     response_class=PlainTextResponse,
     response_description="its end",
 )
-def attempt_log(job_id: JobId, request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
+def attempt_log(job_id: JobId, workspace: Opened) -> Response:
     job = workspace.ledger.job(job_id)
     path = workspace.attempt_folder(job) / LOG
     if path.is_symlink() or not path.is_file():  # a deck's command may have put a link there
@@ -188,14 +180,14 @@ def attempt_log(job_id: JobId, request: Request) -> Response:
         size = log.seek(0, 2)
         log.seek(max(0, size - MOST_LOG_BYTES))
         end = log.read(MOST_LOG_BYTES).decode(errors="replace")
-    told = without_places(end, workspace.settings.folder)
+    shown = without_places(end, workspace.settings.folder)
     if size > MOST_LOG_BYTES:
-        told = f"[the first {size - MOST_LOG_BYTES} bytes are in .../files]\n{told}"
-    return Response(told, 200, None, "text/plain")
+        shown = f"[the first {size - MOST_LOG_BYTES} bytes are in .../files]\n{shown}"
+    return Response(shown, 200, None, "text/plain")
 
 
 def without_places(text: str, data: pathlib.Path) -> str:
-    """Return a text without the folders of this machine: who reads it may not be on it."""
+    """Return a text without the folders of this machine: its reader may be elsewhere."""
     known = {
         str(data.absolute()): "<data>",
         str(CODE): "<wrenchbook>",

@@ -42,7 +42,7 @@ def list_keys(request: Request) -> dict[str, Any]:
 @router.post(
     "",
     status_code=201,
-    summary="Make a key; its secret is told this once",
+    summary="Make a key; its secret is sent this once",
     responses=answers(dict[str, Any], "made; `key` is its secret, sent this once", 201)
     | refused(422),
     openapi_extra=takes(KeyBody),

@@ -16,7 +16,9 @@ from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.problems import ProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.components import component_body
+from wrenchbook.service.http.routes.rows import import_body
 from wrenchbook.service.http.table_schemas import Card, Demand, Disagreement, Imports
 from wrenchbook.service.ledger import About
 from wrenchbook.service.tables.copying import copy_rows
@@ -32,7 +34,7 @@ MOST_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
 @router.post(
     "/copy",
     status_code=201,
-    summary="Copy a component, with its rows if wanted",
+    summary="Copy a component, with or without its rows",
     responses=answers(dict[str, Any], "copied", 201) | refused(409),
     openapi_extra=takes(CopyBody),
 )
@@ -81,34 +83,27 @@ async def write_notes(name: str, request: Request) -> Response:
 @router.get(
     "/imports", summary="Who loaded which rows from what, newest first", response_model=Imports
 )
-def imports(name: str, request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
+def imports(name: str, workspace: Opened) -> Response:
     found = workspace.ledger.imports(workspace.library[name].name)
     versions = {one.id: last for _, last, one in workspace.ledger.import_spans(name)}
-    told = [
+    rows = [
         {
-            "id": one.id,
+            **import_body(one),
             "when": iso_time(one.created),
-            "who": one.who,
-            "filename": one.filename,
-            "format": one.format,
-            "sha256": one.digest,
-            "note": one.note,
             "rows": one.rows,
             "table_version": versions.get(one.id),
         }
         for one in found
     ]
-    return json_reply({"imports": told})
+    return json_reply({"imports": rows})
 
 
 @router.get(
     "/disagreement",
-    summary="Measured rows beside what the solved ones say",
+    summary="Measured rows compared with the table of the solved ones",
     response_model=Disagreement,
 )
-def disagree(name: str, request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
+def disagree(name: str, workspace: Opened) -> Response:
     component = workspace.library[name]
     table = workspace.tables.caught_up(name, CATCH_UP_S)
     how = component.load_range, component.tolerance, component.linear, table.locked
@@ -116,16 +111,14 @@ def disagree(name: str, request: Request) -> Response:
     return json_reply({"component": name, "table_version": table.version, **found})
 
 
-@router.get("/demand", summary="What was asked and not covered", response_model=Demand)
-def demand(name: str, request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
+@router.get("/demand", summary="Queries that were not covered", response_model=Demand)
+def demand(name: str, workspace: Opened) -> Response:
     component = workspace.library[name]
     return json_reply({"component": name, **workspace.demand.map_of(name, component.load_range)})
 
 
 @router.delete("/demand", summary="Begin the demand map anew")
-def forget_demand(name: str, request: Request) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
+def forget_demand(name: str, workspace: Opened) -> dict[str, Any]:
     workspace.demand.forget(workspace.library[name].name)
     return {"component": name, "asked": 0}
 
@@ -137,7 +130,7 @@ def _put(request: Request, name: str, **fields: Any) -> Response:
 
 
 def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) -> Response:
-    """Copy a component; a copy whose rows could not be copied says so and stays without them."""
+    """Copy a component; an error while its rows are copied leaves it without them."""
     workspace: Workspace = request.app.state.workspace
     source = workspace.library[name]
     if renamed and source.shipped:

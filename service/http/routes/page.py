@@ -18,6 +18,7 @@ from typing import Annotated, Final
 from fastapi import APIRouter, Header, Request
 from starlette.responses import Response
 
+from wrenchbook.service.http.links import holds, naming
 from wrenchbook.service.http.problems import ProblemError
 
 router = APIRouter(include_in_schema=False)
@@ -35,8 +36,6 @@ BORROWED: Final = {
     "swagger-ui-bundle.js": ("fastapi_offline", "static/swagger-ui-bundle.js"),
     "swagger-ui.css": ("fastapi_offline", "static/swagger-ui.css"),
 }
-# A browser asks again each time, and is told in a few bytes that nothing has changed.
-CACHE: Final = "no-cache"
 
 
 @dataclass(frozen=True)
@@ -65,13 +64,13 @@ def page_file(
     return _answer(name, request, if_none_match)
 
 
-def _answer(name: str, request: Request, held: str | None) -> Response:
+def _answer(name: str, request: Request, if_none_match: str | None) -> Response:
     path = _paths().get(name)
     if path is None:
         raise ProblemError(404, "no-file", "No such file", "The page is at /, the calls at /docs.")
     file = _read(path, path.stat().st_mtime_ns)
-    headers = {"Cache-Control": CACHE, "ETag": file.tag, "Vary": "Accept-Encoding"}
-    if held is not None and file.tag in held:
+    headers = {**naming(file.tag), "Vary": "Accept-Encoding"}
+    if holds(if_none_match, file.tag):
         return Response(status_code=304, headers=headers)
     content = file.packed
     if "gzip" in request.headers.get("accept-encoding", ""):

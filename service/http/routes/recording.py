@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, Query, Request
 from numpy.typing import NDArray
-from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from wrenchbook.service.contract import CONTRACT_TEXT
-from wrenchbook.service.http import binary
 from wrenchbook.service.http import table_schemas as schemas
-from wrenchbook.service.http.binary import is_binary, read_wrenches
+from wrenchbook.service.http.batch import BINARY_BODY, is_binary, read_wrenches
 from wrenchbook.service.http.bodies import (
     MAX_BLOCK,
     BlockBody,
     BlockKey,
+    Body,
     EnvelopeStartBody,
     StartBody,
 )
 from wrenchbook.service.http.body import read_limited
 from wrenchbook.service.http.links import job_link
 from wrenchbook.service.http.openapi import answers, refused, takes
-from wrenchbook.service.http.parsing import read_block, read_body
-from wrenchbook.service.http.problems import bad_body, plain_errors
+from wrenchbook.service.http.parsing import both_tolerances, checked, read_block, read_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes.displacement import DirectRoute
 from wrenchbook.service.ledger import Block, Tally, block_of, packed
@@ -40,7 +39,6 @@ from wrenchbook.service.recording.start import (
 )
 from wrenchbook.service.recording.store import Envelope, RecordingStore, Took
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.table.rows import Tolerance
 
 Floats = NDArray[np.float64]
 Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
@@ -50,7 +48,7 @@ MOST_BLOCK_BYTES = MAX_BLOCK * 6 * 40
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["recording"], responses=refused(404, 422))
 blocks = APIRouter(route_class=DirectRoute, responses=refused(409))  # read their own bodies
-_BLOCK = takes(BlockBody, binary.BODY, BlockKey)
+_BLOCK = takes(BlockBody, BINARY_BODY, BlockKey)
 _QUEUED = answers(schemas.Started, "solves are queued", 202)
 
 
@@ -65,8 +63,7 @@ _QUEUED = answers(schemas.Started, "solves are queued", 202)
 )
 async def record(name: str, request: Request) -> Response:
     wrenches, block = await _block(request)
-    recording_store: RecordingStore = request.app.state.recording_store
-    took = await run_in_threadpool(recording_store.record, name, wrenches, block)
+    took = await run_in_threadpool(_store(request).record, name, wrenches, block)
     body = {**_took(name, len(wrenches), took), **_standing(took.tally)}
     return json_reply(body, 200 if took.known else 201)
 
@@ -92,17 +89,7 @@ def clear_recording(name: str, request: Request) -> Response:
     openapi_extra=takes(StartBody),
 )
 async def start_of_recording(name: str, request: Request) -> Response:
-    order = read_body(StartBody, await read_limited(request.receive))
-    workspace: Workspace = request.app.state.workspace
-    started = await run_in_threadpool(
-        start_recording,
-        workspace,
-        request.app.state.recording_store,
-        name,
-        order.budget,
-        beyond_range=order.beyond_range,
-    )
-    return _started(name, started)
+    return await _started(name, request, StartBody, start_recording)
 
 
 @blocks.post(
@@ -114,9 +101,8 @@ async def start_of_recording(name: str, request: Request) -> Response:
 )
 async def widen(name: str, request: Request) -> Response:
     wrenches, block = await _block(request)
-    recording_store: RecordingStore = request.app.state.recording_store
-    took = await run_in_threadpool(recording_store.widen, name, wrenches, block)
-    envelope = await run_in_threadpool(recording_store.envelope, name)
+    took = await run_in_threadpool(_store(request).widen, name, wrenches, block)
+    envelope = await run_in_threadpool(_store(request).envelope, name)
     return json_reply({**_took(name, len(wrenches), took), **_box(envelope)})
 
 
@@ -133,7 +119,7 @@ def envelope(
 ) -> Response:
     workspace: Workspace = request.app.state.workspace
     component = workspace.library[name]
-    tolerance = _tolerance(translation, rotation) or component.tolerance
+    tolerance = both_tolerances(translation, rotation) or component.tolerance
     found = _store(request).envelope(name)
     bound = bound_of(workspace.tables.surrogate(name), found, tolerance)
     limit = tolerance and {"translation": tolerance.translation, "rotation": tolerance.rotation}
@@ -166,16 +152,7 @@ def clear_envelope(name: str, request: Request) -> Response:
     openapi_extra=takes(EnvelopeStartBody),
 )
 async def start_of_envelope(name: str, request: Request) -> Response:
-    order = read_body(EnvelopeStartBody, await read_limited(request.receive))
-    workspace: Workspace = request.app.state.workspace
-    started = await run_in_threadpool(
-        start_envelope,
-        workspace,
-        request.app.state.recording_store,
-        name,
-        beyond_range=order.beyond_range,
-    )
-    return _started(name, started)
+    return await _started(name, request, EnvelopeStartBody, start_envelope)
 
 
 @blocks.post(
@@ -186,11 +163,10 @@ async def start_of_envelope(name: str, request: Request) -> Response:
     openapi_extra=takes(StartBody),
 )
 async def resolve(name: str, request: Request) -> Response:
-    order = read_body(StartBody, await read_limited(request.receive))
-    workspace: Workspace = request.app.state.workspace
-    how = workspace, name, order.budget
-    started = await run_in_threadpool(start_resolving, *how, beyond_range=order.beyond_range)
-    return _started(name, started)
+    def start(workspace: Workspace, _: RecordingStore, name: str, **order: Any) -> Started:
+        return start_resolving(workspace, name, **order)
+
+    return await _started(name, request, StartBody, start)
 
 
 def _store(request: Request) -> RecordingStore:
@@ -201,7 +177,10 @@ async def _block(request: Request) -> tuple[Floats, Block | None]:
     """Return a block's wrenches, shape (n, 6), N and N·m, and its key if it has one."""
     binary, body = is_binary(request), await read_limited(request.receive, MOST_BLOCK_BYTES)
     if binary:
-        wrenches, key = read_wrenches(body, MAX_BLOCK, np.inf), _key_of(dict(request.query_params))
+        wrenches, key = (
+            read_wrenches(body, MAX_BLOCK, np.inf),
+            checked(BlockKey, dict(request.query_params)),
+        )
     else:
         wrenches, key = await run_in_threadpool(read_block, body)
     if key.client is None or key.sequence is None:
@@ -209,29 +188,13 @@ async def _block(request: Request) -> tuple[Floats, Block | None]:
     return wrenches, block_of(key.client, key.sequence, packed(wrenches))
 
 
-def _key_of(query: dict[str, str]) -> BlockKey:
-    try:
-        return BlockKey.model_validate(query)
-    except ValidationError as error:
-        raise bad_body(plain_errors(error)) from None
-
-
-def _tolerance(translation: float | None, rotation: float | None) -> Tolerance | None:
-    if (translation is None) != (rotation is None):
-        missing = "rotation" if rotation is None else "translation"
-        raise bad_body([{"loc": missing, "msg": "a tolerance is translation and rotation, both"}])
-    if translation is None or rotation is None:
-        return None
-    return Tolerance(translation, rotation)
-
-
 def _took(name: str, count: int, took: Took) -> dict[str, Any]:
-    """Return what a block's reply says of recordings and envelopes alike."""
-    told = [_thinning(took.tally)]
+    """Return the fields of a block's reply that recordings and envelopes share."""
+    remarks = [_thinning(took.tally)]
     if took.known:
-        told.append("this block was recorded before; nothing has changed")
+        remarks.append("this block was recorded before; nothing has changed")
     if took.outside:
-        told.append(
+        remarks.append(
             f"{took.outside} of these are outside the load range: they are kept, and solved only "
             "by a start with beyond_range true"
         )
@@ -240,7 +203,7 @@ def _took(name: str, count: int, took: Took) -> dict[str, Any]:
         "recorded": count,
         "duplicate": took.known,
         "outside": took.tally.outside,
-        "reason": "; ".join(filter(None, told)),
+        "reason": "; ".join(filter(None, remarks)),
     }
 
 
@@ -269,17 +232,15 @@ def _box(envelope: Envelope) -> dict[str, Any]:
     return {"count": envelope.tally.offered, "min": low, "max": high}
 
 
-def _started(name: str, started: Started) -> Response:
-    body = {
-        "component": name,
-        "jobs": [job_link(job) for job in started.jobs],
-        "solved": started.solved,
-        "covered": started.covered,
-        "failed": started.failed,
-        "beyond_range": started.beyond_range,
-        "left": started.left,
-        "reason": started.reason,
-    }
+async def _started(
+    name: str, request: Request, kind: type[Body], start: Callable[..., Started]
+) -> Response:
+    """Queue solves by the options in the body."""
+    order: Body = read_body(kind, await read_limited(request.receive))
+    state = request.app.state
+    how = state.workspace, state.recording_store, name
+    started = await run_in_threadpool(start, *how, **order.model_dump())
+    body = {"component": name, **vars(started), "jobs": [job_link(job) for job in started.jobs]}
     return json_reply(body, 202 if started.jobs else 200)
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Query
 from starlette.responses import Response
 
 from wrenchbook.service.http.openapi import JSON, TEXT, answers, refused
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.ordering import NoSetupError
 from wrenchbook.service.workspace import Workspace
 
@@ -35,11 +36,10 @@ _MAKING = answers(dict[str, Any], "being made", 202)
 )
 def make_report(
     name: str,
-    request: Request,
+    workspace: Opened,
     wrenches: Annotated[int, Query(ge=3, le=1000, description="wrenches to compare")] = 24,
     seed: Annotated[int, Query(ge=0, description="of the random wrenches")] = 1,
 ) -> Response:
-    workspace: Workspace = request.app.state.workspace
     component = workspace.library[name]
     if not component.has_fea:
         raise NoSetupError(
@@ -65,10 +65,9 @@ def make_report(
 )
 def get_report(
     name: str,
-    request: Request,
+    workspace: Opened,
     format: Literal["json", "md", "html", "state"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
-    workspace: Workspace = request.app.state.workspace
     _ = workspace.library[name]
     if format == "state":
         return _state(workspace, name)

@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Request
+from fastapi import APIRouter, Path
 
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.service.http.openapi import refused
 from wrenchbook.service.http.problems import ProblemError
-from wrenchbook.service.ledger import LedgerRow, RowStatusError, UnknownRowError
+from wrenchbook.service.http.routes import Opened
+from wrenchbook.service.ledger import Import, LedgerRow, RowStatusError, UnknownRowError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import Workspace
@@ -29,20 +30,17 @@ _EDITS = refused(s409="the row is withdrawn already, or is in the table already"
 
 
 @router.get("", summary="A row, and where it comes from")
-def one_row(name: str, row: RowId, request: Request) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
+def one_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     return row_body(workspace, workspace.library[name], row)
 
 
 @router.delete("", summary="Withdraw a row: it leaves the table and its exports", responses=_EDITS)
-def withdraw(name: str, row: RowId, request: Request) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
+def withdraw(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     return _edited(workspace, name, row, workspace.ledger.withdraw, "withdrawn")
 
 
 @router.post("/restore", summary="Bring a withdrawn row back into the table", responses=_EDITS)
-def restore(name: str, row: RowId, request: Request) -> dict[str, Any]:
-    workspace: Workspace = request.app.state.workspace
+def restore(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     return _edited(workspace, name, row, workspace.ledger.restore, "restored")
 
 
@@ -102,15 +100,18 @@ def _nulls(values: tuple[float, ...]) -> list[float | None]:
 
 def _import(workspace: Workspace, seq: int) -> dict[str, Any] | None:
     found = workspace.ledger.import_of(seq)
-    if found is None:
-        return None
+    return None if found is None else import_body(found)
+
+
+def import_body(one: Import) -> dict[str, Any]:
+    """Return who loaded rows from which file."""
     return {
-        "id": found.id,
-        "who": found.who,
-        "filename": found.filename,
-        "format": found.format,
-        "sha256": found.digest,
-        "note": found.note,
+        "id": one.id,
+        "who": one.who,
+        "filename": one.filename,
+        "format": one.format,
+        "sha256": one.digest,
+        "note": one.note,
     }
 
 
@@ -132,18 +133,18 @@ def _job(workspace: Workspace, row: LedgerRow) -> dict[str, Any] | None:
 
 def _setup(component: Component, row: LedgerRow) -> dict[str, Any]:
     """Return the setup that was solved; of an earlier one only its fingerprint is known."""
-    told: dict[str, Any] = {
+    body: dict[str, Any] = {
         "fingerprint": row.fingerprint,
         "present": row.fingerprint == component.fingerprint,
     }
-    if not told["present"]:
-        return told
+    if not body["present"]:
+        return body
     try:
         bundle = read_bundle(component.folder)
     except (BundleError, OSError):
-        return told
+        return body
     mesh = bundle.mesh
-    return told | {
+    return body | {
         "solver": "deck" if bundle.deck is not None else "embedded",
         "nonlinear": bundle.analysis.nonlinear,
         "mesh": {

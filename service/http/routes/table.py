@@ -21,11 +21,12 @@ from wrenchbook.service.formats import SheetFullError, UnitError
 from wrenchbook.service.http.access.permission import permission_of
 from wrenchbook.service.http.body import received
 from wrenchbook.service.http.import_query import ImportQuery
+from wrenchbook.service.http.links import holds, naming
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.table_schemas import Imported, Table
-from wrenchbook.service.http.versions import holds, naming
 from wrenchbook.service.ledger import About
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.sandbox import SandboxBusyError
@@ -85,7 +86,7 @@ _ETAG = {
     }
 }
 _CURRENT = "the version named by If-None-Match is the present one"
-# A file of any form may come as plain bytes: its content tells what it is.
+# A file of any form may come as plain bytes: the content identifies it.
 _TAKEN = frozenset(
     {
         *MEDIA_TYPES.values(),
@@ -109,7 +110,7 @@ _TAKEN = frozenset(
 )
 async def export(
     name: str,
-    request: Request,
+    workspace: Opened,
     format: Format = "json",  # noqa: A002 (the contract's word)
     force: Annotated[str, Query(description="csv, xlsx: unit of forces")] = "N",
     moment: Annotated[str, Query(description="csv, xlsx: unit of moments")] = "N*m",
@@ -121,9 +122,10 @@ async def export(
     comments: Annotated[
         bool, Query(description="csv: lines after a # that say what it is")
     ] = False,
-    if_none_match: Annotated[str | None, Header(description="a version held already")] = None,
+    if_none_match: Annotated[
+        str | None, Header(description="the version that the caller has")
+    ] = None,
 ) -> Response:
-    workspace: Workspace = request.app.state.workspace
     if format == "packed":
         return await _packed(workspace, name, table_version, if_none_match)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
@@ -194,9 +196,8 @@ def _export(
     openapi_extra=takes(Table, _SENT),
 )
 async def import_table(
-    name: str, request: Request, query: Annotated[ImportQuery, Query()]
+    name: str, request: Request, workspace: Opened, query: Annotated[ImportQuery, Query()]
 ) -> Response:
-    workspace: Workspace = request.app.state.workspace
     component = workspace.library[name]
     _check_kind(request)
     options, wish = query.options(), query.wish()

@@ -1,58 +1,154 @@
-"""Each component as a model of the UM-Bridge protocol 1.0, for its clients in any language."""
+"""Each component as a model of the UM-Bridge protocol 1.0, for its clients in any language.
+
+UM-Bridge (Seelinger et al. 2023, "UM-Bridge: Uncertainty quantification and modeling bridge") lets
+any program for uncertainty quantification or optimisation call any simulation. Here each component
+is a model of one vector in, the wrench, and one vector out, the displacement.
+"""
 
 from __future__ import annotations
 
 import logging
-from typing import Annotated, Any, Literal
+from collections.abc import Callable, Coroutine
+from typing import Annotated, Any, Final, Literal
 
-import orjson
+import numpy as np
 from fastapi import APIRouter, Request
-from pydantic import Field
+from fastapi.routing import APIRoute
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
 from wrenchbook.service.answering.one import answer_or_submit
-from wrenchbook.service.http import umbridge
-from wrenchbook.service.http.bodies import Body
+from wrenchbook.service.answering.queries import Outcome, Query
+from wrenchbook.service.http.bodies import Body, Finite, Flag, Seconds, ToleranceBody
 from wrenchbook.service.http.body import read_limited
 from wrenchbook.service.http.openapi import answers, takes
-from wrenchbook.service.http.problems import problem_of
-from wrenchbook.service.http.routes.displacement import DirectRoute
-from wrenchbook.service.http.umbridge import Call, UmBridgeError
+from wrenchbook.service.http.parsing import known_method, parsed_json
+from wrenchbook.service.http.problems import ProblemError, problem_of
+from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.library.component import UnknownComponentError
 from wrenchbook.service.tables.behind import TableBehindError
 from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.table.rows import OUTPUTS, Tolerance
 
 log = logging.getLogger(__name__)
 
-_Vector = Annotated[list[float], Field(min_length=6)]
+SIZES: Final = [6]  # one vector of six numbers, in and out
+SUPPORT: Final = {
+    "Evaluate": True,
+    "Gradient": True,
+    "ApplyJacobian": True,
+    "ApplyHessian": False,
+}
+DEFAULT_WAIT_S: Final = 600.0  # a caller of this protocol waits for a simulation, however long
+Kind = Literal["ModelNotFound", "UnsupportedFeature", "InvalidInput", "InvalidOutput"]
+_Six = Annotated[list[Finite], Field(min_length=6, max_length=6)]
+_Output = Annotated[list[float], Field(min_length=6)]
+
+
+class UmBridgeError(Exception):
+    """An error in the protocol's form; status 500 where there is no output, 400 else."""
+
+    def __init__(self, kind: Kind, message: str) -> None:
+        super().__init__(message)
+        self.kind, self.status = kind, 500 if kind == "InvalidOutput" else 400
 
 
 class Failure(TypedDict):
     """The protocol's own form of an error."""
 
-    type: Literal["ModelNotFound", "UnsupportedFeature", "InvalidInput", "InvalidOutput"]
+    type: Kind
     message: str
 
 
-class Named(Body):
+class Named(BaseModel):
     """The body of a call about one component."""
 
     name: str
 
 
-_Product = dict[Literal["output"], _Vector]
-_Output = dict[Literal["output"], Annotated[list[_Vector], Field(min_length=1)]]
+class Config(Body):
+    """Options of a call."""
+
+    method: str | None = None
+    tolerance: ToleranceBody | None = None
+    on_thin: Literal["wait", "estimate", "reject"] = "wait"
+    wait_s: Seconds = DEFAULT_WAIT_S
+    beyond_range: Flag = False
+
+
+class EvaluateBody(Named):
+    """One wrench, and options."""
+
+    input: Annotated[
+        list[_Six], Field(min_length=1, max_length=1, description="the wrench: N and N·m")
+    ]
+    config: Config | None = None
+
+    def query(self, *, derivatives: bool) -> Query:
+        """Return the query of the main call."""
+        config = self.config or Config()
+        limit = config.tolerance
+        return Query(
+            wrench=tuple(load + 0.0 for load in self.input[0]),  # 0 for -0
+            on_thin=config.on_thin,
+            wait_s=config.wait_s,
+            tolerance=Tolerance(limit.translation, limit.rotation) if limit else None,
+            method=known_method(config.method, "config.method"),
+            beyond_range=config.beyond_range,
+            derivatives=derivatives,
+        )
+
+
+class ProductBody(EvaluateBody):
+    """One wrench and the number of its vector and of the output's, which are 0."""
+
+    outWrt: Literal[0]  # noqa: N815  # the protocol's spelling
+    inWrt: Literal[0]  # noqa: N815
+
+
+class GradientBody(ProductBody):
+    """What J^T is multiplied by: weights of the outputs, per m and rad."""
+
+    sens: _Six
+
+
+class JacobianBody(ProductBody):
+    """What J is multiplied by: loads, N and N·m."""
+
+    vec: _Six
+
+
+class UmBridgeRoute(APIRoute):
+    """A call that reads its own body, and whose errors have the protocol's form."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return the endpoint, called with the request."""
+
+        async def handle(request: Request) -> Response:
+            try:
+                return await self.endpoint(request)
+            except ClientDisconnect:
+                raise
+            except Exception as error:
+                failure = _failure(error)
+            body = {"error": {"type": failure.kind, "message": str(failure)}}
+            return json_reply(body, failure.status)
+
+        return handle
+
+
+router = APIRouter(prefix="/umbridge", tags=["umbridge"], route_class=UmBridgeRoute)
+
+_Vector = dict[Literal["output"], _Output]
 _Sizes = dict[Literal["inputSizes", "outputSizes"], list[int]]
 _Error = dict[Literal["error"], Failure]
 _ERRORS = answers(_Error, "a mistake of the caller", 400) | answers(
     _Error, "there is no output to give", 500
 )
-
-
-router = APIRouter(prefix="/umbridge", tags=["umbridge"], route_class=DirectRoute)
 
 
 def _post(path: str, summary: str, reply: Any, body: Any = Named) -> Any:
@@ -63,93 +159,156 @@ def _post(path: str, summary: str, reply: Any, body: Any = Named) -> Any:
 
 @router.get("/Info", summary="UM-Bridge: the protocol's version and the components")
 async def info(request: Request) -> Response:
-    workspace: Workspace = request.app.state.workspace
-    names = await run_in_threadpool(_names, workspace)
-    return _reply({"protocolVersion": umbridge.PROTOCOL, "models": names})
+    names = await run_in_threadpool(_names, request.app.state.workspace)
+    return json_reply({"protocolVersion": 1.0, "models": names})
 
 
 @_post("/ModelInfo", "which calls a component supports", dict[Literal["support"], dict[str, bool]])
 async def model_info(request: Request) -> Response:
-    return await _constant_reply(request, {"support": umbridge.SUPPORT})
+    await _fields(request)
+    return json_reply({"support": SUPPORT})
 
 
 @_post("/InputSizes", "one vector in, the wrench, N and N·m", _Sizes)
 async def input_sizes(request: Request) -> Response:
-    return await _constant_reply(request, {"inputSizes": umbridge.SIZES})
+    await _fields(request)
+    return json_reply({"inputSizes": SIZES})
+
+
+@_post("/OutputSizes", "one vector out, the displacement, m and rad", _Sizes)
+async def output_sizes(request: Request) -> Response:
+    await _fields(request)
+    return json_reply({"outputSizes": SIZES})
 
 
 @_post(
-    "/OutputSizes",
-    "one vector out, the displacement, m and rad",
-    _Sizes,
+    "/Evaluate",
+    "the displacement under a wrench",
+    dict[Literal["output"], Annotated[list[_Output], Field(min_length=1)]],
+    EvaluateBody,
 )
-async def output_sizes(request: Request) -> Response:
-    return await _constant_reply(request, {"outputSizes": umbridge.SIZES})
-
-
-@_post("/Evaluate", "the displacement under a wrench", _Output, umbridge.EvaluateBody)
 async def evaluate(request: Request) -> Response:
-    return await _answered(request, "Evaluate")
+    body = EvaluateBody.model_validate(await _fields(request))
+    outcome = await _outcome(request, body.name, body.query(derivatives=False))
+    return _reply(outcome, [_known(outcome)])
 
 
-@_post("/Gradient", "J^T sens, J being du/dw", _Product, umbridge.ProductBody)
+@_post("/Gradient", "J^T sens, J being du/dw", _Vector, GradientBody)
 async def gradient(request: Request) -> Response:
-    return await _answered(request, "Gradient")
+    body = GradientBody.model_validate(await _fields(request))
+    outcome = await _outcome(request, body.name, body.query(derivatives=True))
+    return _reply(outcome, _product(_jacobian(outcome).T, body.sens, "sens"))
 
 
-@_post("/ApplyJacobian", "J vec, J being du/dw", _Product, umbridge.ProductBody)
+@_post("/ApplyJacobian", "J vec, J being du/dw", _Vector, JacobianBody)
 async def apply_jacobian(request: Request) -> Response:
-    return await _answered(request, "ApplyJacobian")
+    body = JacobianBody.model_validate(await _fields(request))
+    outcome = await _outcome(request, body.name, body.query(derivatives=True))
+    return _reply(outcome, _product(_jacobian(outcome), body.vec, "vec"))
 
 
 @_post("/ApplyHessian", "not offered; answers UnsupportedFeature", _Error)
 async def apply_hessian(request: Request) -> Response:
-    return await _constant_reply(request, None)
+    await _fields(request)
+    message = "ApplyHessian is not supported: tables have first derivatives only"
+    raise UmBridgeError("UnsupportedFeature", message)
 
 
-async def _constant_reply(request: Request, body: dict[str, Any] | None) -> Response:
-    """Answer what is the same of every component; None: a call that no component supports."""
-    try:
-        await _named(request)
-        if body is None:
-            told = "ApplyHessian is not supported: tables tell first derivatives only"
-            raise UmBridgeError("UnsupportedFeature", told)
-        return _reply(body)
-    except UmBridgeError as error:
-        return _reply(error.body(), error.status)
-    except Exception as error:
-        return _refused(error)
+async def _fields(request: Request) -> dict[str, Any]:
+    """Return a body's fields; the component that they name exists."""
+    fields = parsed_json(await read_limited(request.receive))
+    if not isinstance(fields, dict):
+        raise UmBridgeError("InvalidInput", "the body must be a JSON object")
+    workspace: Workspace = request.app.state.workspace
+    name = fields.get("name")
+    if isinstance(name, str) and name in workspace.library:
+        return fields
+    names = ", ".join(await run_in_threadpool(workspace.library.names))
+    found = f"there is no component {name!r}" if "name" in fields else "the body has no 'name'"
+    raise UmBridgeError("ModelNotFound", f"{found}; there are: {names}")
 
 
-async def _answered(request: Request, call: Call) -> Response:
-    try:
-        fields, name = await _named(request)
-        query = umbridge.read_query(fields, call)
-        direction = umbridge.read_direction(fields, call)
-        outcome = await answer_or_submit(request.app.state.workspace, name, query)
-        output = umbridge.output_of(call, outcome, direction)
-    except UmBridgeError as error:
-        return _reply(error.body(), error.status)
-    except Exception as error:
-        return _refused(error)
-    # The protocol allows no further keys; headers tell what an answer is worth to whom looks.
+def _place(loc: str) -> str:
+    """Return a dotted place with its numbers in brackets: ``input[0][5]``."""
+    first, *rest = loc.split(".")
+    return first + "".join(f"[{one}]" if one.isdecimal() else f".{one}" for one in rest)
+
+
+async def _outcome(request: Request, name: str, query: Query) -> Outcome:
+    """Return a solved or estimated answer."""
+    outcome = await answer_or_submit(request.app.state.workspace, name, query)
+    if not outcome.unsolved:
+        return outcome
+    if outcome.job is None:
+        raise UmBridgeError("InvalidOutput", f"not solved: {outcome.reason}")
+    raise UmBridgeError(
+        "InvalidOutput",
+        f"not solved within config wait_s: job {outcome.job.id} is {outcome.job.status}; ask again "
+        "later, with a longer wait_s, or with config on_thin 'estimate'",
+    )
+
+
+def _known(outcome: Outcome) -> list[float]:
+    """Return all six outputs, m and rad."""
+    values = np.array(outcome.displacement or (None,) * 6, dtype=float)
+    if np.isfinite(values).all():
+        return values.tolist()
+    lost = [name for name, value in zip(OUTPUTS, values, strict=True) if not np.isfinite(value)]
+    why = outcome.reason or "no row of the table holds it"
+    raise UmBridgeError("InvalidOutput", f"{', '.join(lost)} not known: {why}")
+
+
+def _jacobian(outcome: Outcome) -> NDArray[np.float64]:
+    """Return du/dw, shape (6, 6), m and rad over N and N·m."""
+    found = outcome.derivative
+    if found is None or not np.isfinite(found).all():
+        message = "the derivative is not known here: the row that answers brings no tangent"
+        raise UmBridgeError("InvalidOutput", message)
+    return found
+
+
+def _product(matrix: NDArray[np.float64], vector: list[float], name: str) -> list[float]:
+    """Return J^T sens, per N and N·m, or J vec, m and rad; the matrix has shape (6, 6)."""
+    found = matrix @ np.array(vector)
+    if not np.isfinite(found).all():
+        message = f"{name} is too large: the product with the derivative overflows"
+        raise UmBridgeError("InvalidInput", message)
+    return found.tolist()
+
+
+def _reply(outcome: Outcome, output: Any) -> Response:
+    """Answer; the protocol allows no further keys, so the coverage is in the headers."""
     headers = {
         "Wrenchbook-Coverage": outcome.coverage,
         "Wrenchbook-Method": str(outcome.method),
         "Wrenchbook-Table-Version": str(outcome.table_version),
     }
-    return _reply({"output": output}, headers=headers)
+    return json_reply({"output": output}, 200, headers)
 
 
-async def _named(request: Request) -> tuple[dict[str, Any], str]:
-    """Return a body's fields and its component: the name is looked at before anything else."""
-    fields = umbridge.read_fields(await read_limited(request.receive))
-    workspace: Workspace = request.app.state.workspace
-    name = fields.get("name")
-    if isinstance(name, str) and name in workspace.library:
-        return fields, name
-    names = await run_in_threadpool(workspace.library.names)
-    return fields, umbridge.model_name(fields, names)
+def _failure(error: Exception) -> UmBridgeError:
+    """Return an error in this protocol's form; an unknown one is logged."""
+    if isinstance(error, UmBridgeError):
+        return error
+    try:
+        problem = problem_of(error)
+    except Exception:
+        log.exception("a call of /umbridge failed")
+        return UmBridgeError(
+            "InvalidOutput", "the server made a mistake; its log has the traceback"
+        )
+    if problem.status == 404:
+        kind = "ModelNotFound"
+    else:  # no output: a solve or the ledger failed
+        kind = "InvalidOutput" if problem.status >= 500 or problem.status == 424 else "InvalidInput"
+    return UmBridgeError(kind, _message(problem))
+
+
+def _message(problem: ProblemError) -> str:
+    errors = problem.body.get("errors")
+    if problem.status != 422 or not errors:
+        return str(problem.body["detail"])
+    return "; ".join(f"{_place(one['loc'])}: {one['msg']}" for one in errors)
 
 
 def _names(workspace: Workspace) -> list[str]:
@@ -162,23 +321,3 @@ def _has_rows(workspace: Workspace, name: str) -> bool:
         return workspace.tables.surrogate(name).row_count > 0
     except (TableBehindError, UnknownComponentError):  # still being built, or just removed
         return False
-
-
-def _refused(error: Exception) -> Response:
-    """Answer an error that has no word of its own in this protocol."""
-    if isinstance(error, ClientDisconnect):
-        raise error
-    try:
-        told = umbridge.error_of(problem_of(error))
-    except Exception:
-        log.exception("a call of /umbridge failed")
-        told = UmBridgeError(
-            "InvalidOutput", "internal server error; the server's log has the traceback"
-        )
-    return _reply(told.body(), told.status)
-
-
-def _reply(
-    body: dict[str, Any], status: int = 200, headers: dict[str, str] | None = None
-) -> Response:
-    return Response(orjson.dumps(body), status, headers, "application/json")

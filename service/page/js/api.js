@@ -49,6 +49,19 @@ export async function post(path, json, signal) {
   return (await send("POST", path, { json, signal })).json();
 }
 
+// All components of the library, page after page.
+export async function listed(signal, archived = false) {
+  const found = { components: [], broken: [] };
+  let url = `v1/components${archived ? "?archived=true" : ""}`;
+  while (url) {
+    const page = await get(url, signal);
+    found.components.push(...page.components);
+    found.broken = page.broken;
+    url = page.next?.slice(1);
+  }
+  return found;
+}
+
 export const of = (name) => `v1/components/${encodeURIComponent(name)}`;
 
 // Waits until a table answers with all rows there are.

@@ -1,6 +1,6 @@
 // One component: its heading, and a tab for each thing to do with it.
 
-import { get, of } from "./api.js";
+import { get, listed, of } from "./api.js";
 import { el, pill, put } from "./dom.js";
 import { trouble } from "./api.js";
 
@@ -21,7 +21,7 @@ const TABS = [
 
 export async function show(root, [name, tab = "overview"], signal) {
   // The library's entry is told at once; all there is to say of a large table takes seconds.
-  const { components } = await get("v1/components", signal);
+  const { components } = await listed(signal);
   const about = components.find((one) => one.name === name) || await get(of(name), signal);
   const [, text, file] = TABS.find(([one]) => one === tab) || TABS[0];
   document.title = `${name}: ${text} · wrenchbook`;

@@ -1,6 +1,6 @@
 // The library: each component with what its table covers.
 
-import { get, of } from "./api.js";
+import { get, listed, of } from "./api.js";
 import { el, pill, put, note } from "./dom.js";
 import { listen } from "./events.js";
 import { count } from "./format.js";
@@ -10,7 +10,7 @@ const AT_ONCE = 4; // glances asked for at a time
 const BUILDING_MS = 3000; // between looks at a table that is being built
 
 export async function show(root, _, signal, archived = false) {
-  const { components, broken } = await get(`v1/components${archived ? "?archived=true" : ""}`, signal);
+  const { components, broken } = await listed(signal, archived);
   const cards = new Map(components.map((one) => [one.name, card(one)]));
   const list = el("div", { class: "cards" }, [...cards.values()].map((one) => one.root));
   const search = el("input", {

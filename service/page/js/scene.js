@@ -1,12 +1,12 @@
 // Scene plan: what one simulation needs of its components, and what that saves.
 
-import { get, post, trouble } from "./api.js";
+import { listed, post, trouble } from "./api.js";
 import { el, facts, field, note, pill, put } from "./dom.js";
 import { LOADS, OUTPUTS, count, number, plain, quantity, seconds, symbol, unitOfLoad, unitOfOutput } from "./format.js";
 
 export async function show(root, _, signal) {
   document.title = "Scene plan · wrenchbook";
-  const { components } = await get("v1/components", signal);
+  const { components } = await listed(signal);
   const chosen = new Map();
   const forms = el("div", { class: "stack" }), plan = el("div", { class: "cards", "aria-live": "polite" });
   const make = el("button", { class: "first", disabled: true }, "Plan");

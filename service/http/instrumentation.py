@@ -1,0 +1,155 @@
+"""Request ids, request metrics, the access log, and OpenTelemetry of the web application."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import secrets
+from collections.abc import Callable
+from importlib import import_module
+from time import perf_counter
+from typing import Any, Final
+
+from fastapi import FastAPI
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from wrenchbook.service.http.problems import CLIENT_GONE
+from wrenchbook.service.ops.counts import Counts
+from wrenchbook.service.ops.logs import REQUEST_ID
+
+log = logging.getLogger(__name__)
+access_log = logging.getLogger("wrenchbook.access")
+
+HEADER: Final = b"x-request-id"
+ROUTE: Final = "wrenchbook.route"  # key in a scope: the route's template, if no router has set it
+MAIN_ROUTE: Final = "/v1/components/{name}/displacement"
+NO_ROUTE: Final = "none"  # no call of the API, or refused before the router
+_ID: Final = re.compile(rb"[\x21-\x7e]{1,128}")
+_METHODS: Final = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
+# Environment variables that name the destination of traces (OpenTelemetry specification).
+_DESTINATIONS: Final = (
+    "OTEL_EXPORTER_OTLP_ENDPOINT",
+    "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT",
+    "OTEL_TRACES_EXPORTER",
+)
+
+
+class MissingExtraError(RuntimeError):
+    """The OpenTelemetry packages are not installed."""
+
+
+class RequestObserver:
+    """ASGI middleware: gives each request an id, counts it, and logs it on request.
+
+    The id is the header X-Request-ID of the request (1 to 128 visible ASCII characters), else a
+    random one. The reply has it, but for a displacement with status 200 to a request without the
+    header: the fast path sends the same reply.
+
+    Parameters
+    ----------
+    app : ASGI application
+    counts : Counts
+    logged : bool
+        Whether each request is a line of the access log.
+    """
+
+    def __init__(self, app: ASGIApp, counts: Counts, *, logged: bool) -> None:
+        self._app, self._counts, self._logged = app, counts, logged
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass an HTTP request on."""
+        started, status = perf_counter(), CLIENT_GONE
+        given = next((value for name, value in scope["headers"] if name == HEADER), b"")
+        request_id = given if _ID.fullmatch(given) else secrets.token_hex(8).encode()
+        REQUEST_ID.set(request_id.decode())  # each request runs in a context of its own
+
+        async def send_with_id(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                if given or status != 200 or not scope["path"].endswith("/displacement"):
+                    fields = [*message.get("headers", ()), (HEADER, request_id)]
+                    message = {**message, "headers": fields}
+            await send(message)
+
+        try:
+            await self._app(scope, receive, send_with_id)
+        finally:
+            seconds = perf_counter() - started
+            self._counts.add_request(_route(scope), _method(scope), status, seconds)
+            if self._logged:
+                _log_access(scope, status, seconds)
+
+
+def _route(scope: Scope) -> str:
+    """Return the template of a request's route, such as ``/v1/jobs/{job_id}``."""
+    return scope.get(ROUTE) or getattr(scope.get("route"), "path", NO_ROUTE)
+
+
+def _method(scope: Scope) -> str:
+    """Return a method of HTTP; "other" for any word of the caller."""
+    return scope["method"] if scope["method"] in _METHODS else "other"
+
+
+def _log_access(scope: Scope, status: int, seconds: float) -> None:
+    host, query = (scope.get("client") or ("-",))[0], scope["query_string"].decode("latin-1")
+    target = scope["path"] + ("?" + query if query else "")
+    access_log.info('%s "%s %s" %d %.1f ms', host, scope["method"], target, status, 1e3 * seconds)
+
+
+def is_tracing_configured() -> bool:
+    """Return whether the environment names a destination of OpenTelemetry traces."""
+    if os.environ.get("OTEL_SDK_DISABLED", "").lower() == "true":
+        return False
+    return any(os.environ.get(name, "none") not in ("", "none") for name in _DESTINATIONS)
+
+
+def tracing_packages() -> tuple[Callable[[], None], Any]:
+    """Return OpenTelemetry's set-up by OTEL_* variables, and its instrumentor of FastAPI.
+
+    Raises
+    ------
+    MissingExtraError
+        If they are not installed.
+    """
+    try:
+        auto = import_module("opentelemetry.instrumentation.auto_instrumentation")
+        of_fastapi = import_module("opentelemetry.instrumentation.fastapi")
+    except ImportError as error:
+        raise MissingExtraError(
+            f"{error}: tracing needs an extra, pip install 'wrenchbook[opentelemetry]'"
+        ) from error
+    return auto.initialize, of_fastapi.FastAPIInstrumentor
+
+
+def _trace(app: FastAPI, *, required: bool) -> bool:
+    """Trace the requests of an application by OpenTelemetry; return whether that was possible."""
+    try:
+        initialize, instrumentor = tracing_packages()
+    except MissingExtraError as error:
+        if required:
+            raise
+        log.warning("OTEL_* variables are set, but requests are not traced. %s", error)
+        return False
+    initialize()
+    instrumentor.instrument_app(app)
+    return True
+
+
+def set_up(app: Any, *, logged: bool, traced: bool) -> None:
+    """Observe the requests of an application; trace them if `traced` or OTEL_* variables say so.
+
+    Requests that are traced or logged one by one take no fast path.
+
+    Raises
+    ------
+    MissingExtraError
+        If `traced` and the OpenTelemetry packages are not installed.
+    """
+    if logged:
+        access_log.setLevel(logging.INFO)
+    app.state.traced = (traced or is_tracing_configured()) and _trace(app, required=traced)
+    app.state.observer = RequestObserver(app.permitted, app.state.counts, logged=logged)
+    if logged or app.state.traced:
+        app.answer_at_once = None
