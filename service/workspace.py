@@ -17,29 +17,25 @@ from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.attempt import Progress, attempt_folder, read_progress
 from wrenchbook.service.jobs.dispatcher import Dispatcher
+from wrenchbook.service.jobs.engines import open_engine
 from wrenchbook.service.jobs.engines.engine import Engine
-from wrenchbook.service.jobs.engines.registry import open_engine
-from wrenchbook.service.jobs.polls import Polls
 from wrenchbook.service.jobs.record_outcome import notes_of
-from wrenchbook.service.jobs.waiting import Waiting, why_waiting
+from wrenchbook.service.jobs.waiting import Polls, Waiting, why_waiting
 from wrenchbook.service.ledger import Change, Job, Ledger, LedgerUnavailableError, OpenJob
 from wrenchbook.service.library.catalogue import Catalogue
-from wrenchbook.service.library.checked import solver_error_of
-from wrenchbook.service.library.component import Component
+from wrenchbook.service.library.component import Component, solver_error_of
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.checks import is_full
 from wrenchbook.service.ops.retention import Retention
 from wrenchbook.service.ordering import Orders
 from wrenchbook.service.report.queue import Reports
 from wrenchbook.service.settings import Settings
-from wrenchbook.service.tables.behind import TableBehindError
-from wrenchbook.service.tables.changes import rows_for, table_rows
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.live import Tables
-from wrenchbook.service.tables.making import row_table
 from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.service.tables.past import PastTables
-from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.rows import own_rows, table_rows
+from wrenchbook.service.tables.served import ServedTable, TableBehindError, row_table
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.design.adaptive import Design, next_wrenches
 from wrenchbook.surrogate.scene.need import Need
@@ -155,7 +151,8 @@ class Workspace:
         A row is at a wrench within 1e-6 of the range in each load; 0 where there is none.
         """
         component, after = self.library[name], self.tables.surrogate(name).version
-        rows = rows_for(component, self.ledger.row_changes(name, after, MOST_UNBUILT))
+        changes = self.ledger.row_changes(name, after, MOST_UNBUILT)
+        rows = table_rows(own_rows(component, changes.rows))
         if not len(rows):
             return np.zeros(len(wrenches), dtype=np.int64)
         places = RowIndex(rows.wrench, component.load_range.scale).places(wrenches)

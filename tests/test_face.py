@@ -11,7 +11,7 @@ import pytest
 
 import wrenchbook
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.program import child_command
 
 FACE = Path(wrenchbook.__file__)
 

@@ -18,7 +18,7 @@ from wrenchbook.service.client.replies import EXACT, ROUNDED
 from wrenchbook.service.ledger import Job
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.ordering import Placed
-from wrenchbook.service.tables.other_setup import others_in_words
+from wrenchbook.service.tables.rows import others_in_words
 from wrenchbook.service.tables.served import ROW_DETAIL, ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.answer import six

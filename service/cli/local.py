@@ -14,8 +14,7 @@ from wrenchbook.fea.bundle.read import FILE_NAME
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.cli.keys import make_first_key
 from wrenchbook.service.cli.screen import Screen
-from wrenchbook.service.files.child import child_command
-from wrenchbook.service.files.cores import usable_cores
+from wrenchbook.service.files.program import child_command, usable_cores
 
 CORES = usable_cores()
 LogLevel = Literal["debug", "info", "warning", "error"]
@@ -103,7 +102,7 @@ def serve(
 def _serve(**said: Any) -> None:
     """Serve by settings as they hold."""
     from wrenchbook.service.http.access.security import require_keys, security_of_options
-    from wrenchbook.service.jobs.engines.registry import EngineSettingsError, check_engine
+    from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
 
     try:
         check_engine(said["engine"], said["scheduler"])

@@ -16,8 +16,14 @@ from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.service.fields.blend import Blend
 from wrenchbook.service.fields.codec import DamagedFieldsError
 from wrenchbook.service.fields.record import Geometry, RowFields
-from wrenchbook.service.fields.shape import Deformed, largest_stress, rounding, stress_of_row
-from wrenchbook.service.fields.solver_share import error_parts, following
+from wrenchbook.service.fields.shape import (
+    Deformed,
+    error_parts,
+    following,
+    largest_stress,
+    rounding,
+    stress_of_row,
+)
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.field_weights import FieldWeights, nearest_rows

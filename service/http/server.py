@@ -23,7 +23,7 @@ from typing import Any, TextIO
 import uvicorn
 
 from wrenchbook.service.client import Client
-from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.program import child_command, keep_few_heaps
 from wrenchbook.service.http.access import SecuritySettings
 from wrenchbook.service.http.access.security import OWN_KEY, require_keys, security_settings
 from wrenchbook.service.http.app import create_app
@@ -33,7 +33,6 @@ from wrenchbook.service.http.protocol import FastPathProtocol
 from wrenchbook.service.ops.logs import LogFormat, set_up
 from wrenchbook.service.sandbox import warm_up
 from wrenchbook.service.settings import Settings
-from wrenchbook.service.tables.memory import keep_few_heaps
 
 log = logging.getLogger(__name__)
 

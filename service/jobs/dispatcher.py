@@ -12,11 +12,9 @@ from pathlib import Path
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.attempt import LOG, last_words, prepare, solver_began, solver_seconds
 from wrenchbook.service.jobs.engines.engine import ALIVE, Engine
-from wrenchbook.service.jobs.lease import BEAT_SECONDS, Lease
-from wrenchbook.service.jobs.needs import attempt_of, completed
+from wrenchbook.service.jobs.lease import BEAT_SECONDS, Lease, Recovery
 from wrenchbook.service.jobs.record_outcome import component_missing, settle
-from wrenchbook.service.jobs.recovery import Recovery
-from wrenchbook.service.jobs.run import Run
+from wrenchbook.service.jobs.supervised import Run, attempt_of, completed
 from wrenchbook.service.ledger import Change, Job, Ledger, StaleAttemptError
 from wrenchbook.service.tables.solver_errors import SolverErrors
 

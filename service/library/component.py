@@ -1,18 +1,22 @@
-"""A component as the service sees it, and what can be wrong with one."""
+"""A component as the service sees it: its facts, the report of its check, and its errors."""
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.fea.bundle.read import FILE_NAME, Bundle
+from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, read_bundle
 from wrenchbook.fea.spec.schema import FREEDOMS
+from wrenchbook.service.contract import MOMENT_POINT
 from wrenchbook.surrogate.table.rows import LoadRange, Tolerance, acting
 
 FileStamp = tuple[tuple[int, int] | None, ...]
@@ -159,3 +163,74 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
             if material.yield_strength is not None
         },
     )
+
+
+CHECK_FILE = "check.json"  # in a bundle: what its check found at the upload
+
+
+def interface_of(component: Component) -> dict[str, Any] | None:
+    """Return the interface of a component in SI; None if it has no finite-element setup.
+
+    Returns
+    -------
+    dict
+        ``section``, ``point`` (shape (3,), m; None for the section's area centre while no check has
+        told where that is), ``axes`` (shape (3, 3), one axis a row), ``coupling``, ``locked`` and
+        ``moment``, in words.
+    """
+    return _interface(component.folder, component.fingerprint)
+
+
+def warnings_of(folder: Path) -> list[dict[str, str]]:
+    """Return what the check of a bundle warned of, each ``{"where", "message"}``."""
+    return _report(folder).get("warnings", [])
+
+
+def estimate_of(folder: Path) -> dict[str, Any]:
+    """Return what a solve takes by the check of a bundle (`fea.check.cost`); empty if unknown."""
+    found = _report(folder).get("estimate")
+    return found if isinstance(found, dict) else {}
+
+
+def solver_error_of(folder: Path, fingerprint: str) -> dict[str, Any] | None:
+    """Return what the check of a bundle estimated its solver to be wrong by, if of that set-up."""
+    report = _report(folder)
+    found = report.get("solver_error") if report.get("fingerprint") == fingerprint else None
+    return found if isinstance(found, dict) and found.get("mesh") is not None else None
+
+
+def vibration_of(folder: Path) -> dict[str, Any] | None:
+    """Return mass and first natural frequency as the check of a bundle found them.
+
+    By itself, without what it will carry: ``mass`` (kg), ``first_frequency`` (Hz), ``motion`` (six
+    numbers, m and rad). None where the bundle tells no density or no check has been stored.
+    """
+    return _report(folder).get("vibration") or None
+
+
+@lru_cache(maxsize=256)
+def _interface(folder: Path, _fingerprint: str) -> dict[str, Any] | None:
+    """Read once for each fingerprint: reading a bundle hashes its mesh."""
+    interface = read_bundle(folder).interface
+    if interface is None:
+        return None
+    point = interface.point
+    return {
+        "section": interface.section,
+        "point": _report(folder).get("section", {}).get("point")
+        if point is None
+        else point.tolist(),
+        "axes": interface.axes.tolist(),
+        "coupling": interface.coupling,
+        "locked": list(interface.locked),
+        "moment": f"about {MOMENT_POINT}",
+    }
+
+
+def _report(folder: Path) -> dict[str, Any]:
+    """Return the stored report; an empty one where no check has been stored."""
+    try:
+        found = json.loads((folder / CHECK_FILE).read_text("utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}

@@ -18,9 +18,10 @@ from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.bundle.tables import is_slug
 from wrenchbook.service.files.durable import sync_folder, sync_tree
-from wrenchbook.service.library.arrival import check_mesh, unpack
+from wrenchbook.service.library.arrival import check_mesh, copy_bundle, toml_text, unpack
 from wrenchbook.service.library.bundle_zip import one_problem
 from wrenchbook.service.library.component import (
+    CHECK_FILE,
     BrokenComponentError,
     Component,
     ComponentExistsError,
@@ -28,12 +29,10 @@ from wrenchbook.service.library.component import (
     UnknownComponentError,
     component_of,
 )
-from wrenchbook.service.library.copying import copy_bundle, toml_text
 
 log = logging.getLogger(__name__)
 
 LOOK_SECONDS = 1.0  # between looks at files that were edited while nobody asks for them
-CHECK_FILE = "check.json"  # beside component.toml: what the check found at the upload
 _DECKS_REFUSED = (
     "A deck names a command that the server's solvers run, and this server takes none from "
     "outside. Ask its operator to start it with: wrenchbook serve --allow-decks; or to put the "

@@ -12,7 +12,7 @@ from wrenchbook.service.library.component import Component
 from wrenchbook.service.ordering import NoSetupError
 from wrenchbook.service.recording.net import farthest_first, scaled_loads
 from wrenchbook.service.recording.store import RecordingStore
-from wrenchbook.service.tables.other_setup import unsolved
+from wrenchbook.service.tables.rows import unsolved
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.answer import COVERED
 

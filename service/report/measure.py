@@ -17,9 +17,9 @@ from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
-from wrenchbook.service.report.timing import answer_times
 from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, acting
 
@@ -288,3 +288,26 @@ def _ratio(bars: Array, error: Array) -> float | None:
     """Return the median error bar over the median true error; None where the error is nothing."""
     true = float(np.median(error)) if len(error) else 0.0
     return float(np.median(bars)) / true if true > 0.0 else None
+
+
+TIMED_QUERIES, TIMED_SECONDS = 2000, 0.5
+
+
+def answer_times(table: PackedTable, method: str, wrenches: np.ndarray) -> tuple[float, float]:
+    """Return median and 99 % of the times of single answers, µs.
+
+    Parameters
+    ----------
+    wrenches : ndarray, shape (n, 6), N and N·m
+        Asked in turn; the first once before, so that what a first answer makes is not counted.
+    """
+    asked = wrenches.tolist()
+    table.answer(asked[0], None, method)
+    times: list[float] = []
+    deadline = time.perf_counter() + TIMED_SECONDS
+    while len(times) < TIMED_QUERIES and time.perf_counter() < deadline:
+        wrench = asked[len(times) % len(asked)]
+        started = time.perf_counter_ns()
+        table.answer(wrench, None, method)
+        times.append((time.perf_counter_ns() - started) / 1e3)
+    return float(np.median(times)), float(np.quantile(times, 0.99))

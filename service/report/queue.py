@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from wrenchbook.service.files import lock
-from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.program import child_command
 from wrenchbook.service.jobs.attempt import write_whole
 from wrenchbook.service.library.component import Component
 

@@ -30,7 +30,7 @@ def disagreement(
     Parameters
     ----------
     rows : Rows
-        All of a component's rows_for rows.
+        All rows of a component's present setup, solved and measured.
     span : LoadRange, N and N·m
     tolerance : Tolerance or None, m and rad
     linear : bool

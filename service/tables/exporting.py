@@ -26,7 +26,7 @@ from wrenchbook.service.tables.rows import (
     ExportRows,
     export_rows,
     joined_rows,
-    rows_for,
+    own_rows,
     table_meta,
 )
 from wrenchbook.surrogate.solver_error import SolverError
@@ -90,7 +90,7 @@ def export_table(
     check_units(wanted)
     with ledger.table_at(component.name, wanted.version) as table:
         spans = ledger.import_spans(component.name)
-        pieces = (export_rows(rows_for(lot, component), spans) for lot in table.lots)
+        pieces = (export_rows(own_rows(component, lot), spans) for lot in table.lots)
         if wanted.format == "hdf5":
             _hdf5(path, pieces, component, table, error)
         else:

@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from wrenchbook.service.contract import CONTRACT
-from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, NewRow, RowChanges, RowEdit
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, NewRow, RowEdit
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.changes import rows_for
+from wrenchbook.service.tables.rows import own_rows, table_rows
 from wrenchbook.surrogate.table.hdf5 import TableFileError, read_meta, read_table, write_table
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Rows, joined
@@ -65,7 +65,7 @@ class TableFiles:
         return self._sound(component, read_table)
 
     def saved(self, component: Component, version: int, digest: str) -> int | None:
-        """Return up to which seq a component's file has its rows; 0 without a rows_for file.
+        """Return up to which seq a component's file has its rows; 0 without a usable file.
 
         None if it has rows that the ledger lacks: `load` puts these back.
 
@@ -102,9 +102,7 @@ class TableFiles:
             if (meta.last_seq, meta.fingerprint) == (version, component.fingerprint):
                 return rows
         with self._ledger.table_at(component.name, version) as table:
-            parts = [
-                rows_for(component, RowChanges(lot, frozenset(), version)) for lot in table.lots
-            ]
+            parts = [table_rows(own_rows(component, lot)) for lot in table.lots]
             return joined([Rows.empty(), *parts])
 
     def _sound(

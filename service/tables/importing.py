@@ -1,16 +1,17 @@
-"""Table files into the ledger: read in the sandbox, all rows or none, and every row told of."""
+"""Rows into the ledger: of table files, read in the sandbox, and of another component."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from wrenchbook.service.formats import Options, ReadResult, read_untrusted
-from wrenchbook.service.ledger import About, Ledger
+from wrenchbook.service.ledger import About, Ledger, PackedRow, packed_columns
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.rows import packed_pieces
+from wrenchbook.service.tables.rows import export_rows, own_rows, packed_pieces
 
 
 @dataclass(frozen=True)
@@ -85,3 +86,23 @@ def _counted(ledger: Ledger, component: Component, read: ReadResult) -> tuple[in
         keys += [row[-2] for row in block if isinstance(row[-2], bytes)]
     known = ledger.known_rows(keys)
     return len(keys) - known, known
+
+
+def copy_rows(ledger: Ledger, source: Component, target: Component, about: About) -> int:
+    """Copy the rows of a component's present setup; return their number.
+
+    Raises
+    ------
+    ImportRunningError, LedgerUnavailableError
+        If they cannot be written now; none is copied then.
+    """
+    with ledger.table_at(source.name) as table:
+
+        def blocks() -> Iterator[list[PackedRow]]:
+            for lot in table.lots:
+                rows = export_rows(own_rows(source, lot), ())
+                columns = rows.wrench, rows.displacement, rows.uncertainty, rows.compliance
+                texts = rows.source, rows.fingerprint, rows.note
+                yield packed_columns(target.name, columns, texts, time.time())
+
+        return ledger.import_rows(target.name, blocks(), about)[0]

@@ -12,19 +12,23 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from wrenchbook.service.files.cores import usable_cores
+from wrenchbook.service.files.program import give_back, usable_cores
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
-from wrenchbook.service.tables.behind import TableBehindError
 from wrenchbook.service.tables.builders import LARGE, Builders
-from wrenchbook.service.tables.changes import rows_for, without
 from wrenchbook.service.tables.files import TableFiles
-from wrenchbook.service.tables.making import empty_table, make, packed_bytes
-from wrenchbook.service.tables.memory import give_back
-from wrenchbook.service.tables.other_setup import count_others
 from wrenchbook.service.tables.packed_files import PackedFiles, origin_of
-from wrenchbook.service.tables.served import TABLE_MEMORY, ServedTable, drop_built
+from wrenchbook.service.tables.rows import count_others, own_rows, table_rows, without
+from wrenchbook.service.tables.served import (
+    TABLE_MEMORY,
+    ServedTable,
+    TableBehindError,
+    drop_built,
+    empty_table,
+    make,
+    packed_bytes,
+)
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.build import AnyTable
 from wrenchbook.surrogate.kernel.binding import PackedTable
@@ -299,8 +303,8 @@ class Tables:
         while True:
             row_changes = self._ledger.row_changes(component.name, after)
             if row_changes.gone:
-                fresh = [without(joined(fresh), row_changes)]
-            fresh.append(rows_for(component, row_changes))
+                fresh = [without(joined(fresh), row_changes.gone)]
+            fresh.append(table_rows(own_rows(component, row_changes.rows)))
             after = row_changes.last_seq
             if row_changes.whole:
                 return joined(fresh), after

@@ -13,12 +13,9 @@ from pathlib import Path
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
-from wrenchbook.service.tables.behind import TableBehindError
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
 from wrenchbook.service.tables.files import TableFiles
 from wrenchbook.service.tables.live import START_S, SWITCH_S
-from wrenchbook.service.tables.making import empty_table
-from wrenchbook.service.tables.other_setup import count_others
 from wrenchbook.service.tables.packed_files import (
     PackedFile,
     PackedFiles,
@@ -26,7 +23,14 @@ from wrenchbook.service.tables.packed_files import (
     origin_of,
     setup_of,
 )
-from wrenchbook.service.tables.served import TABLE_MEMORY, ServedTable, drop_built
+from wrenchbook.service.tables.rows import count_others
+from wrenchbook.service.tables.served import (
+    TABLE_MEMORY,
+    ServedTable,
+    TableBehindError,
+    drop_built,
+    empty_table,
+)
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.format import PackedTableError

@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from wrenchbook.service.files.durable import write_whole_bytes
-from wrenchbook.service.files.sources import code_digest
+from wrenchbook.service.files.program import code_digest
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.solver_errors import SolverErrors

@@ -7,15 +7,14 @@ from collections import OrderedDict
 
 from anyio import CapacityLimiter
 
-from wrenchbook.service.ledger import Ledger, RowChanges
+from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
-from wrenchbook.service.tables.changes import rows_for
 from wrenchbook.service.tables.live import Tables
-from wrenchbook.service.tables.making import in_memory, make, packed_bytes
 from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.service.tables.packed_files import origin_of
-from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.rows import own_rows, table_rows
+from wrenchbook.service.tables.served import ServedTable, in_memory, make, packed_bytes
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.table.rows import Rows, joined
 
@@ -111,7 +110,7 @@ class PastTables:
                         "too many to be built for a question. Export it with table_version, import "
                         "it into a component of its own, and ask that"
                     )
-                pieces.append(rows_for(component, RowChanges(lot, frozenset(), version)))
+                pieces.append(table_rows(own_rows(component, lot)))
         self._check_whole(component.name, version)
         origin = origin_of(self._ledger, component, version, self._errors)
         table = make(component, joined(pieces), version, errors=self._errors)

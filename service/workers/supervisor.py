@@ -18,7 +18,7 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.program import child_command
 from wrenchbook.service.http.listen import bind_to
 from wrenchbook.service.ops.logs import set_up
 from wrenchbook.service.workers.heartbeat import READY_S, SILENT_S, HeartbeatWatch

@@ -16,7 +16,7 @@ from wrenchbook.fea.accuracy.estimate import accuracy_of
 from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.recovery.surface import surface_of
 from wrenchbook.fea.solve import Solver
-from wrenchbook.service.fields.solver_share import error_parts, following
+from wrenchbook.service.fields.shape import error_parts, following
 from wrenchbook.surrogate.solver_error import SolverError
 
 RATIO = 6.0  # of one part; of all together 5

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.service.formats import Layout, ParsedTable, csv_text, json_text, layout
+from wrenchbook.service.formats.binary_table import read_hdf5 as hdf5_file
 from wrenchbook.service.formats.csv_table import read_csv as csv_file
-from wrenchbook.service.formats.hdf5_table import read_hdf5 as hdf5_file
 from wrenchbook.service.formats.json_table import read_json as json_file
 from wrenchbook.service.formats.options import Options, ReadReport, RowMistake
 from wrenchbook.service.formats.table_rows import joined

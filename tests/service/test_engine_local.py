@@ -13,9 +13,9 @@ from tests.service.attempts import asked, ended
 from tests.service.until import until
 from wrenchbook.service.files import lock as flock
 from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome, read_progress
+from wrenchbook.service.jobs.engines import open_engine
 from wrenchbook.service.jobs.engines.engine import ALIVE, EngineError
 from wrenchbook.service.jobs.engines.local import LocalEngine
-from wrenchbook.service.jobs.engines.registry import open_engine
 
 HERE = Path(__file__).parent
 SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test

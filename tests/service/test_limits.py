@@ -19,9 +19,9 @@ from wrenchbook.service.http import body as bodies
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.batch import batch_parts
 from wrenchbook.service.http.problems import ProblemError
-from wrenchbook.service.jobs import polls
+from wrenchbook.service.jobs import waiting
 from wrenchbook.service.jobs.attempt_zip import zipped
-from wrenchbook.service.jobs.polls import Polls, TooManyPollsError
+from wrenchbook.service.jobs.waiting import Polls, TooManyPollsError
 from wrenchbook.service.workspace import Settings
 
 RIG = "/v1/components/rig"
@@ -271,7 +271,7 @@ async def entered(waiting, count):
 
 
 def test_two_thousand_polls_take_one_look_and_no_thread_each(monkeypatch):
-    monkeypatch.setattr(polls, "LOOK_S", 0.02)
+    monkeypatch.setattr(waiting, "LOOK_S", 0.02)
 
     async def run():
         ledger = Jobs()
@@ -284,7 +284,7 @@ def test_two_thousand_polls_take_one_look_and_no_thread_each(monkeypatch):
         waiting.tell()
         found = await asyncio.gather(*tasks)
         assert all(jobs[0].is_final for jobs in found)
-        assert ledger.looks <= 2 + (time.monotonic() - started) / polls.LOOK_S
+        assert ledger.looks <= 2 + (time.monotonic() - started) / waiting.LOOK_S
         assert not waiting._waiters
         assert not waiting._wanted
 
@@ -305,7 +305,7 @@ def test_who_waits_is_answered_when_the_time_is_up_or_the_server_stops():
 
 
 def test_no_more_wait_than_may(monkeypatch):
-    monkeypatch.setattr(polls, "MOST", 1)
+    monkeypatch.setattr(waiting, "MOST", 1)
 
     async def run():
         waiting = Polls(Jobs())

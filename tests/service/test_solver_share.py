@@ -11,9 +11,9 @@ from tests.service.surfaces import keep, sheet, solved, solver, wrenches, write_
 from wrenchbook.fea.accuracy.estimate import accuracy_of
 from wrenchbook.fea.solve import Solver
 from wrenchbook.service.fields.deformed import DeformedShapes
-from wrenchbook.service.fields.solver_share import LOCAL, NOT_FOLLOWED, error_parts, following
+from wrenchbook.service.fields.shape import LOCAL, NOT_FOLLOWED, error_parts, following
 from wrenchbook.service.fields.store import FieldStore
-from wrenchbook.service.fields.vtu import write_vtu
+from wrenchbook.service.fields.surface_files import write_vtu
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 

@@ -6,10 +6,9 @@ import meshio
 import numpy as np
 import pytest
 
-from wrenchbook.service.fields.gltf import write_gltf
 from wrenchbook.service.fields.record import Geometry
 from wrenchbook.service.fields.shape import Deformed, Stress
-from wrenchbook.service.fields.vtu import write_vtu
+from wrenchbook.service.fields.surface_files import write_gltf, write_vtu
 
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]) / 3
 TRIANGLES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], dtype=np.int32)

@@ -26,9 +26,9 @@ from tests.service.table_files import (
 )
 from tests.service.test_table_roundtrip import any_units, same, tables, texts
 from wrenchbook.service.formats import Options, csv_table, options, write_hdf5, xlsx_table
+from wrenchbook.service.formats.binary_table import write_parquet
 from wrenchbook.service.formats.cells import guard_formula, unguard_formula
 from wrenchbook.service.formats.options import ReadReport
-from wrenchbook.service.formats.parquet_table import write_parquet
 from wrenchbook.service.formats.table_file import ContentError, read_table_file, unpack
 from wrenchbook.service.formats.xlsx_table import (
     ZipBoundsError,

@@ -23,9 +23,8 @@ from wrenchbook.service.http.problems import ProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.schemas import Queued
 from wrenchbook.service.library.bundle_zip import MAX_BUNDLE_BYTES
-from wrenchbook.service.library.checked import interface_of, vibration_of, warnings_of
-from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.other_setup import warning_of
+from wrenchbook.service.library.component import Component, interface_of, vibration_of, warnings_of
+from wrenchbook.service.tables.rows import warning_of
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError

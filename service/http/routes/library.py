@@ -19,8 +19,8 @@ from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.table_schemas import Card, Demand, Disagreement, Imports
 from wrenchbook.service.ledger import About
-from wrenchbook.service.tables.copying import copy_rows
 from wrenchbook.service.tables.disagreement import disagreement
+from wrenchbook.service.tables.importing import copy_rows
 from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import Workspace
 

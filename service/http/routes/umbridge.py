@@ -22,7 +22,7 @@ from wrenchbook.service.http.problems import problem_of
 from wrenchbook.service.http.routes.displacement import DirectRoute
 from wrenchbook.service.http.umbridge import Call, UmBridgeError
 from wrenchbook.service.library.component import UnknownComponentError
-from wrenchbook.service.tables.behind import TableBehindError
+from wrenchbook.service.tables.served import TableBehindError
 from wrenchbook.service.workspace import Workspace
 
 log = logging.getLogger(__name__)

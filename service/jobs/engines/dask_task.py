@@ -24,7 +24,7 @@ from wrenchbook.service.jobs.engines import on_worker
 from wrenchbook.service.jobs.engines.dask_cluster import Cluster, Place
 from wrenchbook.service.jobs.engines.engine import Attempt, State
 from wrenchbook.service.jobs.engines.on_worker import Payload
-from wrenchbook.service.jobs.engines.payload import (
+from wrenchbook.service.jobs.engines.worker_files import (
     BUNDLE_BYTES,
     BadPayloadError,
     digest,

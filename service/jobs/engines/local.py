@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from wrenchbook.service.files import lock as flock
-from wrenchbook.service.files.cores import usable_cores
+from wrenchbook.service.files.program import usable_cores
 from wrenchbook.service.jobs.attempt import (
     LOCK,
     LOG,

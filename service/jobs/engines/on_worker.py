@@ -19,15 +19,18 @@ from typing import Any, TypedDict
 from distributed import Reschedule, Status, Worker, get_worker
 
 from wrenchbook.service.files import lock as flock
-from wrenchbook.service.files.sources import code_digest
+from wrenchbook.service.files.program import code_digest
 from wrenchbook.service.jobs.attempt import LOCK, OUTCOME, prepare, read_progress, solver_seconds
-from wrenchbook.service.jobs.engines import worker_folder as folders
+from wrenchbook.service.jobs.engines import worker_files as folders
 from wrenchbook.service.jobs.engines.engine import ALIVE, Attempt
 from wrenchbook.service.jobs.engines.local import LocalEngine
-from wrenchbook.service.jobs.engines.payload import BadPayloadError, Files, artifacts, place
-from wrenchbook.service.jobs.engines.worker_folder import (
+from wrenchbook.service.jobs.engines.worker_files import (
+    BadPayloadError,
+    Files,
     WorkerFolderError,
+    artifacts,
     attempt_folder,
+    place,
     worker_folder,
 )
 

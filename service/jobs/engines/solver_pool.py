@@ -16,7 +16,7 @@ import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.program import child_command
 from wrenchbook.service.jobs.attempt import LOG, OUTCOME
 from wrenchbook.service.jobs.engines.engine import Attempt
 

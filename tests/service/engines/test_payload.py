@@ -13,7 +13,13 @@ from wrenchbook.service.jobs.attempt import Spec, prepare, write_outcome
 from wrenchbook.service.jobs.engines import on_worker, worker_folder
 from wrenchbook.service.jobs.engines.engine import Attempt
 from wrenchbook.service.jobs.engines.local import LocalEngine
-from wrenchbook.service.jobs.engines.payload import BadPayloadError, digest, pack, place, unpack
+from wrenchbook.service.jobs.engines.worker_files import (
+    BadPayloadError,
+    digest,
+    pack,
+    place,
+    unpack,
+)
 
 SPEC = Spec(1, 1, "quick", "", "f1", (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
 
@@ -92,7 +98,7 @@ def test_a_disk_that_fills_while_a_bundle_comes_is_told_and_nothing_is_left(
     def full(*arguments, **named):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("wrenchbook.service.jobs.engines.payload.write_whole_bytes", full)
+    monkeypatch.setattr("wrenchbook.service.jobs.engines.worker_files.write_whole_bytes", full)
     with pytest.raises(OSError, match="No space left"):
         place({"a": b"1"}, digest({"a": b"1"}), on_a_worker / "bundles")
     assert list((on_a_worker / "bundles").iterdir()) == []
