@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from wrenchbook.service.files.program import usable_cores
 from wrenchbook.service.ops.retention import KEEP, Keep
-from wrenchbook.service.ordering import QUEUE_LIMIT
+from wrenchbook.service.submission import QUEUE_LIMIT
 from wrenchbook.service.tables.served import TABLE_MEMORY
 
 # What a process does of the work on a data directory: all of it; or, of several, the one that

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wrenchbook.service.demand.demand import Demand
-from wrenchbook.service.fields.deformed import DeformedShapes
+from wrenchbook.service.fields.deformed import DeformedSurfaces
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.attempt import Progress, attempt_folder, read_progress
@@ -27,9 +27,9 @@ from wrenchbook.service.library.component import Component, solver_error_of
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.checks import is_full
 from wrenchbook.service.ops.retention import Retention
-from wrenchbook.service.ordering import Orders
 from wrenchbook.service.report.queue import Reports
 from wrenchbook.service.settings import Settings
+from wrenchbook.service.submission import Submission
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.live import Tables
 from wrenchbook.service.tables.mapped import MappedTables
@@ -70,20 +70,20 @@ class Workspace:
             on_copy=self._on_copy,
         )
         self.catalogue = Catalogue(settings.folder / "library.json")
-        self.demand = Demand(settings.folder / "demand.json")
-        self.orders = Orders(self.ledger, self.library, settings.queue_limit)
+        self.query_counts = Demand(settings.folder / "demand.json")
+        self.submission = Submission(self.ledger, self.library, settings.queue_limit)
         self.errors = SolverErrors(settings.folder / "solver_errors")
         self.tables = self._open_tables(settings.folder / "tables")
         self.past = PastTables(self.ledger, self.library, self.tables, self.errors)
         self._retention = Retention(self.ledger, self._jobs_folder, settings.keep)
         self.fields = FieldStore(settings.folder / "fields")
-        self.shapes = DeformedShapes(self.fields)
+        self.shapes = DeformedSurfaces(self.fields)
         self.reports = Reports(settings.folder / "reports", settings.folder / "tables")
         self._dispatcher: Dispatcher | None = None
         self._engine: Engine | None = None
         self._polls = Polls(self.ledger)
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._unit_solves_asked: dict[str, tuple[str, int]] = {}
+        self._compliance_requested: dict[str, tuple[str, int]] = {}
 
     def start(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
         """Load the tables, recover the jobs that were running, and start solving."""
@@ -94,7 +94,7 @@ class Workspace:
             self.ledger.drop_abandoned()  # what a server left that was killed during an import
         self.ledger.on_change(self._on_change)
         self.tables.start()
-        self.demand.start()
+        self.query_counts.start()
         self.start_solving()
 
     def start_solving(self) -> None:
@@ -118,7 +118,7 @@ class Workspace:
         self.reports.close()
         self.shapes.close()
         self.tables.stop()
-        self.demand.stop()
+        self.query_counts.stop()
         self.ledger.close()
 
     def surrogate(self, name: str) -> ServedTable:
@@ -195,8 +195,8 @@ class Workspace:
         """
         table = self.surrogate(name)
         component, solver = self.library[name], self.solver_error(name)
-        asked = wrench.tolist()
-        found = table.packed.answer(asked)
+        loads = wrench.tolist()
+        found = table.packed.answer(loads)
         shares = {} if table.solver_error is None else {"mesh": found.discretisation}
         if table.solver_error is not None and "linearity" in table.solver_error.told:
             shares["linearity"] = found.linearity
@@ -228,17 +228,19 @@ class Workspace:
             If the table does not hold all rows yet: a design on an older one asks, and pays,
             for what is known.
         """
-        self.orders.solvable(name)
+        self.submission.solvable(name)
         # First what is open, then what is known: a solve that ends between the two is in both.
         # The other way round it would be in neither, and be asked for again.
-        asked = self.orders.asked_wrenches(name)
+        pending = self.submission.pending_wrenches(name)
         surrogate = self.tables.caught_up(name, CATCH_UP_S).surrogate()
         if need is None:
             span = self.library[name].acting_range
-            design = next_wrenches(surrogate, budget, pending=asked, tolerance=tolerance, span=span)
+            design = next_wrenches(
+                surrogate, budget, pending=pending, tolerance=tolerance, span=span
+            )
         else:
-            design = design_of(surrogate, plan_of(surrogate, need), budget, asked)
-        jobs = self.orders.fill(name, design.wrenches)
+            design = design_of(surrogate, plan_of(surrogate, need), budget, pending)
+        jobs = self.submission.fill(name, design.wrenches)
         # A design tells apart by 1e-9 of the range, a queue by 1e-6: some may be known.
         return design, [job for job in jobs if job.status != "done"]
 
@@ -306,12 +308,12 @@ class Workspace:
         return Tables(self.ledger, self.library, folder, self.errors, self.settings.table_memory)
 
     def _on_added(self, component: Component) -> None:
-        told = solver_error_of(component.folder, component.fingerprint)
+        estimate = solver_error_of(component.folder, component.fingerprint)
         known = self.errors.read(component.name, component.fingerprint)
         # Its check estimated it already: the first solve need not. A copy has its original's, which
         # a solve may have told since.
-        if told is not None and (known is None or not known.can_grow):
-            self.errors.settle(component.name, component.fingerprint, told)
+        if estimate is not None and (known is None or not known.can_grow):
+            self.errors.settle(component.name, component.fingerprint, estimate)
         try:
             self.surrogate(component.name)
         except TableBehindError:
@@ -324,16 +326,16 @@ class Workspace:
     def _ask_compliance(self, name: str, table: ServedTable) -> None:
         """Queue what tells a linear component's compliance, once a version of its table."""
         component = self.library[name]
-        asked_for = component.fingerprint, table.version
-        if not component.has_fea or self._unit_solves_asked.get(name) == asked_for:
+        setup = component.fingerprint, table.version
+        if not component.has_fea or self._compliance_requested.get(name) == setup:
             return
-        self._unit_solves_asked[name] = asked_for
+        self._compliance_requested[name] = setup
         try:
-            asked = self.orders.asked_wrenches(name)
-            design = next_wrenches(table.surrogate(), 6, pending=asked)
-            self.orders.fill(name, design.wrenches, urgent=True)
+            pending = self.submission.pending_wrenches(name)
+            design = next_wrenches(table.surrogate(), 6, pending=pending)
+            self.submission.fill(name, design.wrenches, urgent=True)
         except LedgerUnavailableError:
-            del self._unit_solves_asked[name]  # asked again by the next question
+            del self._compliance_requested[name]  # asked again by the next question
 
     def _bundle(self, name: str) -> Path:
         return self.library[name].folder

@@ -65,8 +65,8 @@ async def answer_many_at(
 
 async def table_at(workspace: Workspace, name: str, version: int) -> ServedTable:
     """Return a component's table as it was at a version; errors as `answer_at`."""
-    held = workspace.past.held(name, version)
-    if held is not None:
-        return held
+    cached = workspace.past.cached(name, version)
+    if cached is not None:
+        return cached
     limit = workspace.past.turns
     return await to_thread.run_sync(workspace.past.surrogate, name, version, limiter=limit)

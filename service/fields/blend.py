@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.fea.element.equivalent_stress import von_mises
-from wrenchbook.service.fields.record import Geometry, RowFields
+from wrenchbook.service.fields.record import RowFields, SurfaceGeometry
 from wrenchbook.surrogate.field_weights import LEAST_LEFT_OUT, FieldWeights
 
 Floats = NDArray[np.float64]
@@ -22,7 +22,7 @@ WIDENING = 5.0
 """Bars widen by this over the number of rows left out: few tell a tail badly (as the table's)."""
 
 
-class Told(NamedTuple):
+class BlendedFields(NamedTuple):
     """Fields at one wrench.
 
     Attributes
@@ -62,7 +62,7 @@ class Blend:
         Pa: the bar of the largest von Mises stress over sigma.
     """
 
-    geometry: Geometry
+    geometry: SurfaceGeometry
     weights: FieldWeights
     values: Floats
     rows: tuple[int, ...]
@@ -74,7 +74,7 @@ class Blend:
     @classmethod
     def of(
         cls,
-        geometry: Geometry,
+        geometry: SurfaceGeometry,
         weights: FieldWeights,
         rows: Sequence[RowFields],
         numbers: tuple[int, ...],
@@ -95,7 +95,7 @@ class Blend:
         stresses = _stress_factor(values[:, 0, moved:], errors[:, moved:], rows, sigmas)
         return cls(geometry, weights, values, numbers, largest, spread, factor, stresses)
 
-    def at(self, wrench: Floats) -> Told:
+    def at(self, wrench: Floats) -> BlendedFields:
         """Return the fields at a wrench (6,), N and N·m."""
         found = self.weights.at(wrench)
         lambdas = np.concatenate((found.values[:, None], found.slopes), axis=1)
@@ -105,8 +105,8 @@ class Blend:
         error = None if self.spread is None else self.factor * found.sigma * self.spread
         stress = fields[moved:].reshape(-1, 6) if len(fields) > moved else None
         factor = self.stress_factor
-        bar = None if factor is None else factor * found.sigma
-        return Told(displacement, error, stress, bar)
+        stress_error = None if factor is None else factor * found.sigma
+        return BlendedFields(displacement, error, stress, stress_error)
 
     def nearest(self, wrench: Floats) -> tuple[int, Floats]:
         """Return the row nearest to a wrench (6,), N and N·m, and its slopes.
@@ -141,9 +141,9 @@ def _stress_factor(
     """
     if not stress.shape[1]:
         return None
-    told = von_mises((stress - errors).reshape(len(rows), -1, 6)).max(axis=1)
+    largest = von_mises((stress - errors).reshape(len(rows), -1, 6)).max(axis=1)
     true = np.array([row.meta["largest"] for row in rows])
-    return _conformal(np.abs(told - true) / sigmas)
+    return _conformal(np.abs(largest - true) / sigmas)
 
 
 def _conformal(ratios: Floats) -> float:

@@ -49,13 +49,13 @@ def pack(meta: Mapping[str, Any], columns: Mapping[str, Column]) -> bytes:
     ValueError
         If a number is not finite.
     """
-    told, payloads = [], []
+    entries, payloads = [], []
     for name, column in columns.items():
         entry, payload = _packed(name, column)
-        told.append(entry)
+        entries.append(entry)
         payloads.append(payload)
     body = b"".join(payloads)
-    header: dict[str, Any] = {"meta": dict(meta), "columns": told}
+    header: dict[str, Any] = {"meta": dict(meta), "columns": entries}
     header["digest"] = _digest(header, body)
     text = json.dumps(header, allow_nan=False).encode()
     return MAGIC + len(text).to_bytes(4, "little") + text + body

@@ -22,7 +22,7 @@ FINE, STRESS, SLOPES = 44, 24, 20  # bits
 Array = NDArray[Any]
 
 
-class Geometry(NamedTuple):
+class SurfaceGeometry(NamedTuple):
     """The undeformed surface, and where stresses are told; in the interface frame.
 
     Attributes
@@ -131,7 +131,7 @@ def digest_of(geometry: bytes) -> str:
     return blake2b(geometry, digest_size=12).hexdigest()
 
 
-def read_geometry(content: bytes) -> Geometry:
+def read_geometry(content: bytes) -> SurfaceGeometry:
     """Return the geometry of a file.
 
     Raises
@@ -140,7 +140,7 @@ def read_geometry(content: bytes) -> Geometry:
         If it is not as it was written.
     """
     meta, columns = unpack(content)
-    return Geometry(
+    return SurfaceGeometry(
         columns["vertices"],
         columns["triangles"],
         int(meta["whole_vertices"]),

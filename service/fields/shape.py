@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.fea.element.equivalent_stress import von_mises
-from wrenchbook.service.fields.record import Geometry, RowFields
+from wrenchbook.service.fields.record import RowFields, SurfaceGeometry
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 
@@ -72,7 +72,7 @@ class ErrorParts(NamedTuple):
         return largest | self.words
 
 
-def following(slopes: Floats, compliance: Floats) -> Floats | None:
+def vertex_modes(slopes: Floats, compliance: Floats) -> Floats | None:
     """Return how the vertices follow the interface, shape (v, 3, 6), m/m and m/rad.
 
     Parameters
@@ -104,7 +104,7 @@ def error_parts(
     table
         Shape (v,), m: the table's own bars.
     follows
-        As `following` has it, shape (v, 3, 6), m/m and m/rad.
+        As `vertex_modes` has it, shape (v, 3, 6), m/m and m/rad.
     solver
         What the solver may be wrong by; None where nothing has told.
     wrench
@@ -115,7 +115,7 @@ def error_parts(
     found: dict[str, Floats | None] = {"table": table, "mesh": None}
     if solver is None:
         return ErrorParts(found, {"mesh_basis": UNKNOWN})
-    words = {name: str(said) for name, said in solver.told.items() if name.endswith("_basis")}
+    words = {name: str(text) for name, text in solver.told.items() if name.endswith("_basis")}
     if follows is None:
         return ErrorParts(found, words | {"mesh_basis": NOT_FOLLOWED})
     for cause, bars in (shares or solver.parts(wrench.tolist())).items():
@@ -138,7 +138,7 @@ ROUNDING = 1e-12
 """Of the largest displacement: what storing a field and adding up loses at most."""
 
 
-class Stress(NamedTuple):
+class LargestStress(NamedTuple):
     """The largest von Mises stress at the solver's integration points.
 
     Attributes
@@ -195,10 +195,10 @@ class Deformed:
 
     component: str
     wrench: tuple[float, ...]
-    geometry: Geometry
+    geometry: SurfaceGeometry
     displacement: Floats
     error: Floats | None
-    stress: Stress | None
+    stress: LargestStress | None
     source: str
     rows: tuple[int, ...] = ()
     coverage: str = "covered"
@@ -214,8 +214,8 @@ def rounding(displacement: Floats) -> Floats:
 
 
 def largest_stress(
-    component: Component, geometry: Geometry, stress: Floats, error: float | None
-) -> Stress | None:
+    component: Component, geometry: SurfaceGeometry, stress: Floats, error: float | None
+) -> LargestStress | None:
     """Return the largest of stresses (p, 6), Pa, or that of the part that yields first.
 
     With yield strengths the point named is the one nearest to yielding, or furthest past it.
@@ -233,21 +233,23 @@ def largest_stress(
     worst = int(use.argmax()) if use.max() >= 1.0 else int(equivalent.argmax())
     region = geometry.regions[int(geometry.materials[worst])]
     at = tuple(geometry.places[worst].tolist())
-    return _held(component, float(equivalent[worst]), error, at, region)
+    return _with_yield_strength(component, float(equivalent[worst]), error, at, region)
 
 
-def stress_of_row(component: Component, row: RowFields) -> Stress:
+def stress_of_row(component: Component, row: RowFields) -> LargestStress:
     """Return the largest stress that a row's own solve told, at any integration point."""
     at = tuple(float(x) for x in row.meta["at"])
-    return _held(component, float(row.meta["largest"]), 0.0, at, str(row.meta["region"]))
+    return _with_yield_strength(
+        component, float(row.meta["largest"]), 0.0, at, str(row.meta["region"])
+    )
 
 
-def _held(
+def _with_yield_strength(
     component: Component, largest: float, error: float | None, at: tuple[float, ...], region: str
-) -> Stress:
+) -> LargestStress:
     """Hold a stress against its region's yield strength."""
     strength = component.yield_strengths.get(region)
     yields = None
     if strength is not None and error is not None and abs(largest - strength) > error:
         yields = largest > strength
-    return Stress(largest, error, at, region, strength, yields)
+    return LargestStress(largest, error, at, region, strength, yields)

@@ -16,7 +16,7 @@ GLTF_MEDIA_TYPE = "model/gltf-binary"
 
 _FLOAT, _UNSIGNED = 5126, 5125  # componentType
 _VERTICES, _INDICES = 34962, 34963  # target of a bufferView
-_TURN = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # quaternion: minus a quarter turn about x
+_Z_UP_TO_Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # quaternion: minus a quarter turn about x
 _JSON, _BINARY = b"JSON", b"BIN\x00"
 _MATERIAL = {
     "doubleSided": True,
@@ -95,7 +95,7 @@ def write_gltf(shape: Deformed) -> bytes:
         "asset": {"version": "2.0", "generator": "wrenchbook"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": shape.component, "mesh": 0, "rotation": _TURN}],
+        "nodes": [{"name": shape.component, "mesh": 0, "rotation": _Z_UP_TO_Y_UP}],
         "meshes": [mesh],
         "materials": [_MATERIAL],
         "accessors": buffer.accessors,

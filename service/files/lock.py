@@ -9,7 +9,7 @@ import os
 import time
 from pathlib import Path
 
-# How long `take` puts up with the short shared lock that `is_held` looks with.
+# How long `take` puts up with the short shared lock that `is_locked` looks with.
 _PATIENCE_SECONDS = 0.5
 
 
@@ -28,7 +28,7 @@ def take(path: Path) -> int | None:
         time.sleep(0.01)
 
 
-def is_held(path: Path) -> bool:
+def is_locked(path: Path) -> bool:
     """Return whether anybody holds the lock; a file that is not there is not held."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)

@@ -8,6 +8,7 @@ import os
 import sys
 from contextlib import suppress
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 
@@ -36,6 +37,18 @@ def usable_cores() -> int:
 
 
 _ROOT = Path(__file__).resolve().parents[2]
+
+
+def solver_version() -> str:
+    """Return version and code digest of the solver, such as ``0.2.0+1f3a5b7c9d0e``.
+
+    The version is ``unknown`` in a checkout that is not installed.
+    """
+    try:
+        number = version("wrenchbook")
+    except PackageNotFoundError:
+        number = "unknown"
+    return f"{number}+{code_digest('fea', 'service/jobs')[:12]}"
 
 
 @cache

@@ -45,7 +45,7 @@ def identifier_of(component: str) -> str:
     return word if word[:1].isalpha() else f"fmu_{word}"
 
 
-def describe(component: str, guid: str, made_by: str, told: str) -> bytes:
+def describe(component: str, guid: str, made_by: str, summary: str) -> bytes:
     """Return modelDescription.xml.
 
     Parameters
@@ -53,7 +53,7 @@ def describe(component: str, guid: str, made_by: str, told: str) -> bytes:
     component, guid : str
     made_by : str
         Program and version.
-    told : str
+    summary : str
         What answers: the table's version, its rows and its method.
     """
     identifier = identifier_of(component)
@@ -62,7 +62,7 @@ def describe(component: str, guid: str, made_by: str, told: str) -> bytes:
         fmiVersion="2.0",
         modelName=component,
         guid=guid,
-        description=f"{told}; {_CONTRACT}",
+        description=f"{summary}; {_CONTRACT}",
         generationTool=made_by,
         variableNamingConvention="flat",
         numberOfEventIndicators="0",
@@ -75,8 +75,8 @@ def describe(component: str, guid: str, made_by: str, told: str) -> bytes:
         "canNotUseMemoryManagementFunctions": "true",  # the table is mapped
     }
     for kind, more in (("ModelExchange", {}), ("CoSimulation", _STEPS)):
-        door = ElementTree.SubElement(root, kind, abilities | more)
-        files = ElementTree.SubElement(door, "SourceFiles")
+        interface = ElementTree.SubElement(root, kind, abilities | more)
+        files = ElementTree.SubElement(interface, "SourceFiles")
         for name in SOURCES:
             ElementTree.SubElement(files, "File", name=name)
     _add_units(root)
@@ -120,7 +120,7 @@ def _add(
     name: str,
     causality: str,
     about: str,
-    told: dict[str, str],
+    attributes: dict[str, str],
     variability: str = "continuous",
 ) -> None:
     variable = ElementTree.SubElement(
@@ -132,7 +132,7 @@ def _add(
         variability=variability,
         description=about,
     )
-    ElementTree.SubElement(variable, "Integer" if name in _INTEGERS else "Real", told)
+    ElementTree.SubElement(variable, "Integer" if name in _INTEGERS else "Real", attributes)
 
 
 def _add_structure(root: ElementTree.Element) -> None:

@@ -109,11 +109,11 @@ def make_fmu(component: str, table: PackedTable, method: str | None = None) -> F
     _check_rows(table)
     used = ", ".join(dict.fromkeys(method or one["method"] for one in table.words["groups"]))
     about = table.words["provenance"]
-    told = f"table version {about['version']}, {about['rows']} rows, method {used}"
+    summary = f"table version {about['version']}, {about['rows']} rows, method {used}"
     number = -1 if method is None else METHODS.index(method)
     guid = _guid(component, number, table.content)
     parts = {
-        "modelDescription.xml": describe(component, guid, _made_by(), told),
+        "modelDescription.xml": describe(component, guid, _made_by(), summary),
         "resources/table.wbt": table.content,
         "resources/model.txt": f"{guid}\n{number}\n".encode(),
         **_sources(identifier_of(component)),

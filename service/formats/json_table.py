@@ -81,7 +81,7 @@ def _pieces(stream: _JsonStream, options: Options, report: ReadReport) -> Iterat
         return
     for key in stream.members():
         if key != "rows" or stream.peek() != "[":
-            if problem := _member_problem(key, stream.value()):
+            if problem := _key_problem(key, stream.value()):
                 report.mistakes.ruin(0, key, problem)
                 return
             continue
@@ -103,7 +103,7 @@ def _pieces(stream: _JsonStream, options: Options, report: ReadReport) -> Iterat
     report.is_beyond_limits()
 
 
-def _member_problem(key: str, value: Any) -> str:
+def _key_problem(key: str, value: Any) -> str:
     """Return what is wrong with a member of the table that is no list of rows."""
     if key == "rows":
         return _NO_TABLE

@@ -41,8 +41,8 @@ from wrenchbook.service.library.component import (
     LibraryUnavailableError,
     UnknownComponentError,
 )
-from wrenchbook.service.ordering import NoSetupError
 from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
+from wrenchbook.service.submission import NoSetupError
 from wrenchbook.service.tables.past import PastDamagedError, PastTooLargeError
 from wrenchbook.service.tables.served import TableBehindError
 

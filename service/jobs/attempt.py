@@ -137,13 +137,13 @@ def read_outcome(folder: Path, spec: Spec) -> dict[str, Any] | None:
         digest = outcome.pop("digest")
         if digest != _digest(outcome):
             raise ValueError("its numbers are not those that were written")
-        asked = outcome.pop("asked")
+        answered = outcome.pop("asked")
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, AttributeError, TypeError) as error:
         raise BadOutcomeError(f"{folder / OUTCOME} cannot be read: {error!r}") from error
-    if asked != _question(spec):
-        raise BadOutcomeError(f"{folder / OUTCOME} answers {asked}, not {_question(spec)}")
+    if answered != _question(spec):
+        raise BadOutcomeError(f"{folder / OUTCOME} answers {answered}, not {_question(spec)}")
     return outcome
 
 

@@ -36,8 +36,8 @@ def zipped(folder: Path) -> IO[bytes]:
             else:
                 left -= size
         if missing:
-            told = "links, files that are gone, or too large to be sent:"
-            archive.writestr(_LEFT_OUT, "\n".join([told, *sorted(missing)]))
+            header = "links, files that are gone, or too large to be sent:"
+            archive.writestr(_LEFT_OUT, "\n".join([header, *sorted(missing)]))
     file.seek(0)
     return file  # pyright: ignore[reportReturnType]
 
@@ -72,9 +72,9 @@ def _put(archive: zipfile.ZipFile, path: Path, inside: str, left: int) -> int | 
         if path.suffix in _TEXTS and found.st_size <= _MOST_TEXT:
             archive.writestr(inside, redact(file.read().decode(errors="replace")))
             return found.st_size
-        with archive.open(inside, "w", force_zip64=True) as member:
+        with archive.open(inside, "w", force_zip64=True) as target:
             size = 0
             while (piece := file.read(_PIECE)) and size <= left:
-                member.write(piece)
+                target.write(piece)
                 size += len(piece)
         return size

@@ -48,7 +48,7 @@ class Lease:
         """
         file = self._file(owner)
         there = file.exists()
-        if there and not flock.is_held(file):
+        if there and not flock.is_locked(file):
             return True
         if not there and (engine == "local" or beat is None):
             return True
@@ -62,7 +62,7 @@ class Lease:
     def remove(self, owner: str) -> None:
         """Remove the lock file of a dispatcher that is dead; one that is merely late keeps it."""
         self._seen.pop(owner, None)
-        if not flock.is_held(self._file(owner)):
+        if not flock.is_locked(self._file(owner)):
             self._file(owner).unlink(missing_ok=True)
 
     def close(self) -> None:

@@ -30,6 +30,7 @@ from typing import Any
 
 from wrenchbook.service.fields.record import leave
 from wrenchbook.service.files import lock as flock
+from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs.attempt import (
     LOCK,
     PROGRESS,
@@ -79,7 +80,9 @@ def main(folder: str | Path, solve: Solve | None = None) -> int:
     try:
         with _hearing_sigterm():
             numbers = (solve or _chosen_solve(folder))(spec, _Reporter(folder))
-        _write_patiently(folder, spec, {"status": "done", **_checked(numbers)})
+        _write_patiently(
+            folder, spec, {"status": "done", **_checked(numbers), "program": solver_version()}
+        )
         return DONE
     except Cancelled:
         write_outcome(folder, spec, {"status": "cancelled"})
@@ -136,11 +139,11 @@ def solve_ready(
         for note in solution.notes:
             print(note)
     numbers = ("displacement", "compliance", "strain_energy", "work", "seconds", "unknowns")
-    told = {name: getattr(solution, name) for name in (*numbers, "history", "notes")}
+    result = {name: getattr(solution, name) for name in (*numbers, "history", "notes")}
     if spec.estimate:
         report(1.0, "estimating the error of the mesh")
-        told["solver_error"] = _own_error(ready)
-    return told
+        result["solver_error"] = _own_error(ready)
+    return result
 
 
 def _own_error(ready: Any) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def needs_of(bundle: Path) -> Needs:
 
 
 @dataclass
-class Run:
+class SupervisedAttempt:
     """An attempt this dispatcher looks after.
 
     Attributes

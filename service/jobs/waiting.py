@@ -135,7 +135,7 @@ class Polls:
     def __init__(self, ledger: Ledger) -> None:
         self._ledger = ledger
         self._waiters: set[_Waiter] = set()
-        self._wanted: Counter[int] = Counter()
+        self._awaited: Counter[int] = Counter()
         self._changed: asyncio.Event | None = None
         self._looking: asyncio.Task[None] | None = None
         self._let_go = False
@@ -184,17 +184,17 @@ class Polls:
 
     def _enter(self, waiter: _Waiter) -> None:
         self._waiters.add(waiter)
-        self._wanted.update(waiter.open_jobs)
+        self._awaited.update(waiter.open_jobs)
         if self._looking is None or self._looking.done():
             self._changed = asyncio.Event()
             self._looking = asyncio.create_task(self._look())
 
     def _leave(self, waiter: _Waiter) -> None:
         self._waiters.discard(waiter)
-        self._wanted.subtract(waiter.open_jobs)
+        self._awaited.subtract(waiter.open_jobs)
         for job in waiter.open_jobs:
-            if self._wanted[job] <= 0:
-                del self._wanted[job]
+            if self._awaited[job] <= 0:
+                del self._awaited[job]
 
     async def _look(self) -> None:
         """Look for jobs that have ended, for as long as anybody waits."""
@@ -203,7 +203,7 @@ class Polls:
         while self._waiters:
             changed.clear()
             try:
-                ended = await run_in_threadpool(self._ledger.ended, list(self._wanted))
+                ended = await run_in_threadpool(self._ledger.ended, list(self._awaited))
             except LedgerUnavailableError:
                 ended = set()  # each who waits is told of it at the end
             for waiter in list(self._waiters):

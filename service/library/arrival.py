@@ -44,13 +44,13 @@ def unpack(archive: BinaryIO, incoming: Path) -> tuple[Path, bool]:
         shutil.copyfileobj(archive, file, 1 << 20)
     where = {"target": str(target)}
     try:
-        (told,) = run("wrenchbook.service.library.bundle_zip:unpacked", kept, where, UNPACK)
+        (part,) = run("wrenchbook.service.library.bundle_zip:unpacked", kept, where, UNPACK)
     except SandboxError as error:
         raise one_problem("bundle", str(error)) from None
     kept.unlink()
-    if told.fields["problems"]:
-        raise BundleError([Problem(where, why) for where, why in told.fields["problems"]])
-    return target / told.fields["folder"], bool(told.fields["deck"])
+    if part.fields["problems"]:
+        raise BundleError([Problem(where, why) for where, why in part.fields["problems"]])
+    return target / part.fields["folder"], bool(part.fields["deck"])
 
 
 def check_mesh(folder: Path) -> dict[str, Any]:

@@ -49,8 +49,8 @@ def unpacked(archive: Path, target: str) -> Iterator[Part]:
         _refuse_links(folder)
         bundle = read_bundle(folder)
     except BundleError as error:
-        told = [[one.where, one.message] for one in error.problems[:MOST_PROBLEMS]]
-        yield Part({"problems": told})
+        problems = [[one.where, one.message] for one in error.problems[:MOST_PROBLEMS]]
+        yield Part({"problems": problems})
     else:
         inside = folder.relative_to(target).as_posix()
         yield Part({"problems": [], "folder": inside, "deck": bundle.deck is not None})

@@ -14,7 +14,7 @@ MOST_NOTES = 100_000  # characters
 
 
 @dataclass(frozen=True)
-class Card:
+class CatalogueCard:
     """What is said of one component.
 
     Attributes
@@ -49,14 +49,14 @@ class Catalogue:
         self._path = path
         self._lock = threading.Lock()
         self._stamp: tuple[int, int] | None = None
-        self._cards: dict[str, Card] = {}
+        self._cards: dict[str, CatalogueCard] = {}
 
-    def __getitem__(self, name: str) -> Card:
+    def __getitem__(self, name: str) -> CatalogueCard:
         with self._lock:
             self._look()
-            return self._cards.get(name, Card())
+            return self._cards.get(name, CatalogueCard())
 
-    def change(self, name: str, **fields: Any) -> Card:
+    def change(self, name: str, **fields: Any) -> CatalogueCard:
         """Change what is said of a component, for good.
 
         Raises
@@ -66,7 +66,7 @@ class Catalogue:
         """
         with self._lock:
             self._look()
-            card = replace(self._cards.get(name, Card()), **fields)
+            card = replace(self._cards.get(name, CatalogueCard()), **fields)
             cards = {**self._cards, name: card}
             content = json.dumps({name: asdict(one) for name, one in cards.items()})
             try:
@@ -92,6 +92,6 @@ class Catalogue:
         self._stamp = stamp
         try:
             read = json.loads(self._path.read_bytes())
-            self._cards = {str(name): Card(**fields) for name, fields in read.items()}
+            self._cards = {str(name): CatalogueCard(**fields) for name, fields in read.items()}
         except (OSError, ValueError, TypeError, AttributeError):
             return

@@ -21,11 +21,11 @@ from wrenchbook.service.paper.part import (
     Effort,
     Heard,
     Mask,
-    Part,
+    PaperPart,
     Plot,
     Vector,
 )
-from wrenchbook.service.paper.scenes import Run, move_arm
+from wrenchbook.service.paper.scenes import LoopRun, move_arm
 
 METHODS = (None, "griddata")  # None: the table's own choice
 # Of each output's range over the trajectory, worst output, RMS: an engineer's one per cent.
@@ -54,7 +54,7 @@ class Check:
         Median time of one answer, in this process and over HTTP, and of one solve, s.
     """
 
-    run: Run
+    run: LoopRun
     method: str
     chosen: NDArray[np.intp]
     answered: Vector
@@ -85,9 +85,9 @@ class Check:
         return float(np.mean(self.error <= self.bars))
 
 
-def arm(client: Client, effort: Effort, heard: Heard) -> Part:
+def arm(client: Client, effort: Effort, heard: Heard) -> PaperPart:
     """Move a six-joint arm on two plates, and compare its tables with direct solves."""
-    part = Part(
+    part = PaperPart(
         "Robot on a plate (figure 10)",
         f"Six joints, 8 kg, {effort.arm_seconds:g} s past three postures, a wrench every 10 ms. "
         f"The first run is recorded on the rigid plate (LM_direct); at most {effort.arm_solves} of "
@@ -109,7 +109,9 @@ def arm(client: Client, effort: Effort, heard: Heard) -> Part:
     return part
 
 
-def _filled(client: Client, name: str, effort: Effort, heard: Heard) -> tuple[Run, dict[str, Any]]:
+def _filled(
+    client: Client, name: str, effort: Effort, heard: Heard
+) -> tuple[LoopRun, dict[str, Any]]:
     """Record the trajectory on the rigid component, and have the wrenches it met solved."""
     heard(0.0, "recording")
     recorded = move_arm(client, name, effort.arm_seconds, mode="record")
@@ -189,7 +191,7 @@ def _seconds_of(ask: Any, wrench: Vector, method: str | None) -> float:
 def _findings(name: str, checks: list[Check], limits: Vector) -> list[Finding]:
     """Hold the default method to its bands; tell griddata's figures. Limits: (6,), m and rad."""
     found = []
-    for check, held in zip(checks, (True, False), strict=True):
+    for check, is_band in zip(checks, (True, False), strict=True):
         worst = int(np.argmax(check.relative))
         label = f"arm on {name}, {check.method}"
         over = float((check.error / limits).max())
@@ -201,7 +203,7 @@ def _findings(name: str, checks: list[Check], limits: Vector) -> list[Finding]:
             ),
             ("largest error over tolerance", over, 1.0),
         ):
-            limit = most if held else None
+            limit = most if is_band else None
             words = f"{label}: {words}"
             found.append(Finding(words, "direct solves", 0.0, float(value), limit, "absolute"))
         words = f"{label}: part of the errors inside their bars"
@@ -217,7 +219,7 @@ def _numbers(checks: list[Check], limits: Vector) -> dict[str, Any]:
     return {
         "tolerance": limits.tolist(),
         "methods": {
-            asked or "default": {
+            requested or "default": {
                 "method": check.method,
                 "coverage": dict(
                     zip(("covered", "thin", "outside", "unknown"), check.run.coverage, strict=True)
@@ -236,7 +238,7 @@ def _numbers(checks: list[Check], limits: Vector) -> dict[str, Any]:
                 "answered": check.answered.tolist(),
                 "run": _trace(check.run),
             }
-            for asked, check in zip(METHODS, checks, strict=True)
+            for requested, check in zip(METHODS, checks, strict=True)
         },
     }
 
@@ -246,7 +248,7 @@ def _is_small(span: Vector) -> Mask:
     return (span.reshape(2, 3) < SMALL * span.reshape(2, 3).max(axis=1)[:, None]).ravel()
 
 
-def _trace(run: Run) -> dict[str, Any]:
+def _trace(run: LoopRun) -> dict[str, Any]:
     """Return a run as JSON-able values: s; N and N·m; m and rad."""
     return {
         "time": run.times.tolist(),
@@ -255,7 +257,7 @@ def _trace(run: Run) -> dict[str, Any]:
     }
 
 
-def _wrench_plots(name: str, run: Run) -> list[Plot]:
+def _wrench_plots(name: str, run: LoopRun) -> list[Plot]:
     """Draw figure 10a: forces and moments of the recorded run."""
     drawn = []
     for kind, unit, places in (("forces", "N", range(3)), ("moments", "N·m", range(3, 6))):

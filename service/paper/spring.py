@@ -20,7 +20,7 @@ from wrenchbook.service.paper.part import (
     Effort,
     Heard,
     Mask,
-    Part,
+    PaperPart,
     Plot,
     Vector,
     apart,
@@ -87,15 +87,18 @@ BAND, BAND_WIDTH, PAPER_LOOP = 0.582, 0.001, 0.585
 FORMULA_13 = 0.59  # N/mm, as the paper rounds it
 SMALL_LOAD = 2.0  # N: the range that the band is held over; a spring softens as it is pressed
 LOOP = 1e-6  # of the third level against the second
-ROD_FORCE, ROD_TURN = 5e-3, 1e-2  # of the solver against rod theory, as `validate spring` holds it
+ROD_FORCE, ROD_ROTATION = (
+    5e-3,
+    1e-2,
+)  # of the solver against rod theory, as `validate spring` holds it
 SOLVE_S = 300.0
 
 _LEVELS: tuple[str, ...] = ("closed form", "finite elements", "MuJoCo and service")
 
 
-def spring(client: Client, effort: Effort, heard: Heard) -> Part:
+def spring(client: Client, effort: Effort, heard: Heard) -> PaperPart:
     """Press the spring on three levels, and compare stiffness and turn."""
-    part = Part(
+    part = PaperPart(
         "Spring on three levels (section 6, figures 8, 11 and 12)",
         "Guided along its axis, free to turn about it. Level 1 is rod theory (Love, article 271), "
         "level 2 a nonlinear solve a load, level 3 MuJoCo on the service's table, whose rows are "
@@ -120,7 +123,10 @@ def spring(client: Client, effort: Effort, heard: Heard) -> Part:
     tangent = 1e-3 / float(solver.compliance[2, 2])
     rows = np.isin(effort.spring_loads, effort.spring_rows)
     part.findings = [*_stiffness(rod, fits, tangent), *_between(levels, run.covered)]
-    part.findings += [_direct(_pressed(stopped.displacements), solved[rows]), *_turn(loads, levels)]
+    part.findings += [
+        _direct(_pressed(stopped.displacements), solved[rows]),
+        *_rotation_findings(loads, levels),
+    ]
     part.numbers = {
         "load_N": loads.tolist(),
         "row": rows.tolist(),
@@ -197,8 +203,8 @@ def _stiffness(rod: Rod, fits: dict[str, dict[str, Line]], tangent: float) -> li
     for level, spans in fits.items():
         for span, line in spans.items():
             words = f"spring: k, {level}, {span}, N/mm (standard error {line.error:.1g})"
-            held = level != "closed form" and span != "0 to 10 N"
-            width = BAND_WIDTH if held else None
+            is_band = level != "closed form" and span != "0 to 10 N"
+            width = BAND_WIDTH if is_band else None
             found.append(Finding(words, band, BAND, line.slope, width, "absolute"))
     for span, line in fits[_LEVELS[2]].items():
         words = f"spring: k, MuJoCo and service over finite elements, {span}"
@@ -225,11 +231,11 @@ def _between(levels: dict[str, Vector], covered: Mask) -> list[Finding]:
         if not solved[chosen].any():
             continue
         shortening = apart(looped[chosen, 0], solved[chosen, 0])
-        turn = float(np.abs(looped[chosen, 1] - solved[chosen, 1]).max() / solved[:, 1].max())
+        rotation = float(np.abs(looped[chosen, 1] - solved[chosen, 1]).max() / solved[:, 1].max())
         own = apart(looped[chosen, 1], solved[chosen, 1])
         for quantity, off, most in (
             ("shortening, worst relative", shortening, LOOP),
-            ("turn, worst over the largest turn", turn, LOOP if chosen is covered else None),
+            ("turn, worst over the largest turn", rotation, LOOP if chosen is covered else None),
             ("turn, worst relative", own, None),
         ):
             name = f"spring: {quantity}, MuJoCo and service {words}"
@@ -244,7 +250,7 @@ def _direct(stopped: Vector, solved: Vector) -> Finding:
     return Finding(name, _LEVELS[1], 0.0, off, LOOP, "absolute")
 
 
-def _turn(loads: Vector, levels: dict[str, Vector]) -> list[Finding]:
+def _rotation_findings(loads: Vector, levels: dict[str, Vector]) -> list[Finding]:
     """Compare the turn under the largest load, N, with rod theory and the printed formula."""
     closed, solved, _ = levels.values()
     printed = float(np.interp(PRINTED_14[0][-1], *PRINTED_14))
@@ -255,7 +261,7 @@ def _turn(loads: Vector, levels: dict[str, Vector]) -> list[Finding]:
             "rod theory",
             closed[-1, 1],
             solved[-1, 1],
-            ROD_TURN,
+            ROD_ROTATION,
         ),
         Finding(
             "spring: turn at 17 mm by formula 14 as printed, degrees", "rod theory", by_rod, printed

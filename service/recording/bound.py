@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.service.recording.store import Envelope
+from wrenchbook.service.recording.store import EnvelopeState
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE
 from wrenchbook.surrogate.table.rows import Tolerance
@@ -53,7 +53,7 @@ class Bound:
     reason: str
 
 
-def bound_of(table: ServedTable, envelope: Envelope, tolerance: Tolerance | None) -> Bound:
+def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance | None) -> Bound:
     """Return how far a table says an envelope's wrenches move the component."""
     low, high = envelope.box
     unknown = np.full(6, np.nan)

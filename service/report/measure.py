@@ -42,8 +42,8 @@ def measure(
         Wrenches to compare.
     """
     linear = not bundle.analysis.nonlinear
-    held = bundle.interface.locked if bundle.interface else ()
-    locked = [place for place, name in enumerate(FREEDOMS) if name in held]
+    locked_names = bundle.interface.locked if bundle.interface else ()
+    locked = [place for place, name in enumerate(FREEDOMS) if name in locked_names]
     wrenches = acting(random_wrenches(load_range, count, seed), locked)
     levels = _solve_levels(bundle, wrenches, report)
     finest, own = levels[-1], next(level for level in levels if level["level"] == "own")
@@ -301,12 +301,12 @@ def answer_times(table: PackedTable, method: str, wrenches: np.ndarray) -> tuple
     wrenches : ndarray, shape (n, 6), N and N·m
         Asked in turn; the first once before, so that what a first answer makes is not counted.
     """
-    asked = wrenches.tolist()
-    table.answer(asked[0], None, method)
+    loads = wrenches.tolist()
+    table.answer(loads[0], None, method)
     times: list[float] = []
     deadline = time.perf_counter() + TIMED_SECONDS
     while len(times) < TIMED_QUERIES and time.perf_counter() < deadline:
-        wrench = asked[len(times) % len(asked)]
+        wrench = loads[len(times) % len(loads)]
         started = time.perf_counter_ns()
         table.answer(wrench, None, method)
         times.append((time.perf_counter_ns() - started) / 1e3)

@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from wrenchbook.service.report.measure import mesh_error, name_of, seconds_of, worst
 from wrenchbook.service.report.text import (
     OUTPUTS,
-    Section,
+    ReportSection,
     advice_of,
     sections,
     summary_of,
@@ -59,7 +59,7 @@ def as_page(report: dict[str, Any]) -> str:
     )
 
 
-def section_html(section: Section) -> str:
+def section_html(section: ReportSection) -> str:
     """Lay out a section as HTML: heading, note, table."""
     head = _line("th", section.head) if section.head else ""
     body = "".join(_line("td", line) for line in section.lines)

@@ -64,8 +64,8 @@ class Reports:
         with self._lock:
             folder.mkdir(parents=True, exist_ok=True)
             # Held by who makes it, whichever process of the server has started that.
-            held = None if self._is_alive(component.name) else lock.take(folder / _LOCK)
-            if held is None:
+            descriptor = None if self._is_alive(component.name) else lock.take(folder / _LOCK)
+            if descriptor is None:
                 return
             order = {"bundle": str(component.folder), "table": str(table)}
             write_whole(folder / "order.json", {**order, "wrenches": wrenches, "seed": seed})
@@ -79,10 +79,10 @@ class Reports:
                         stdout=log,
                         stderr=subprocess.STDOUT,
                         env=environment,
-                        pass_fds=(held,),
+                        pass_fds=(descriptor,),
                     )
             finally:
-                os.close(held)
+                os.close(descriptor)
 
     def state(self, name: str) -> Making:
         """Return how far a component's report is."""
@@ -116,7 +116,7 @@ class Reports:
         making = self._making.get(name)
         if making is not None and making.poll() is None:
             return True
-        return lock.is_held(self._folder / name / _LOCK)
+        return lock.is_locked(self._folder / name / _LOCK)
 
 
 def _read(path: Path) -> dict[str, Any] | None:

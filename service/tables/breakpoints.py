@@ -55,20 +55,22 @@ def write_breakpoints(table: ServedTable, name: str, path: Path) -> None:
             "or export them as they are: csv, xlsx, parquet, hdf5, json"
         )
     known = [column[np.isfinite(column)] for column in exact.errors.T]
-    bar = np.array([np.median(column) if len(column) else np.nan for column in known])
+    table_error = np.array([np.median(column) if len(column) else np.nan for column in known])
     alone = _single(wrenches)
     for count in GRIDS:
         content = _resampled(table, low, high, count)
         single = _errors(table, content, alone)
-        if (single[1] <= 0.5 * bar).all() or count == GRIDS[-1]:
+        if (single[1] <= 0.5 * table_error).all() or count == GRIDS[-1]:
             break
     else:
         raise AssertionError("there is a last grid")
     whole = _errors(table, content, wrenches)
-    savemat(path, {**content, "about": _about(table, name, count, bar, single, whole)})
+    savemat(path, {**content, "about": _about(table, name, count, table_error, single, whole)})
 
 
-def _about(table: ServedTable, name: str, count: int, bar: Any, single: Any, whole: Any) -> dict:
+def _about(
+    table: ServedTable, name: str, count: int, table_error: Any, single: Any, whole: Any
+) -> dict:
     return {
         "component": name,
         "table_version": float(table.version),
@@ -78,7 +80,7 @@ def _about(table: ServedTable, name: str, count: int, bar: Any, single: Any, who
         "outputs": " ".join(OUTPUTS),
         "units": " ".join(OUTPUT_UNITS),
         "breakpoints_a_load": float(count),
-        "table_bar_median": bar,
+        "table_bar_median": table_error,
         "resampling_error_max": single[0],
         "resampling_error_rms": single[1],
         "composition_error_max": whole[0],

@@ -22,7 +22,7 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 ROW_BYTES = 450  # of a row in a file, about
-_DOUBT = (
+_UNKNOWN_WITHDRAWALS = (
     "the ledger is another one than its table file was written beside, and the file does not tell "
     "which rows were withdrawn: those may be in the table again. Look through its rows, or put "
     "back the newer ledger"
@@ -43,7 +43,7 @@ class TableFiles:
     def __init__(self, folder: Path, ledger: Ledger) -> None:
         self._folder = folder
         self._ledger = ledger
-        self.doubts: dict[str, str] = {}
+        self.caveats: dict[str, str] = {}
         """What is not known of a component's table, by its name, and what to do about it."""
 
     def size(self, name: str) -> int:
@@ -134,7 +134,7 @@ class TableFiles:
 
         No rows, and 0, if they are not exactly what the ledger has up to there. Rows that the
         ledger has lost, being a new one or an older copy, are put back into it first, and so are
-        withdrawals; where the file does not tell those, `doubts` does.
+        withdrawals; where the file does not tell those, `caveats` does.
 
         Raises
         ------
@@ -194,8 +194,8 @@ class TableFiles:
                 inserted,
             )
         if meta.edits is None:
-            self.doubts[name] = _DOUBT
-            log.warning("%s: %s", name, _DOUBT)
+            self.caveats[name] = _UNKNOWN_WITHDRAWALS
+            log.warning("%s: %s", name, _UNKNOWN_WITHDRAWALS)
             return
         edits = [RowEdit(bytes.fromhex(key), gone, when) for key, gone, when in meta.edits]
         if changed := self._ledger.replay(name, edits):

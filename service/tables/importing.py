@@ -15,7 +15,7 @@ from wrenchbook.service.tables.rows import export_rows, own_rows, packed_pieces
 
 
 @dataclass(frozen=True)
-class Wish:
+class ImportRequest:
     """What is to become of a file's rows.
 
     Attributes
@@ -38,7 +38,7 @@ def import_files(
     component: Component,
     files: Sequence[Path],
     options: Options,
-    wish: Wish,
+    request: ImportRequest,
     about: About,
 ) -> dict[str, Any]:
     """Read a file, or two logs, and load its rows unless something is wrong.
@@ -55,11 +55,11 @@ def import_files(
         If it could not be read or written now; nothing was loaded.
     """
     own = replace(options, load_range=component.load_range, fingerprint=component.fingerprint)
-    read = read_untrusted(files, own, wish.preview)
+    read = read_untrusted(files, own, request.preview)
     report = dict(read.report)
-    refused = report.pop("whole") or bool(report["errors"] and not wish.partial)
+    refused = report.pop("whole") or bool(report["errors"] and not request.partial)
     inserted, existing, number = 0, 0, None
-    if not refused and wish.dry_run:
+    if not refused and request.dry_run:
         inserted, existing = _counted(ledger, component, read)
     elif not refused:
         packed = packed_pieces(component, read.pieces())
@@ -70,12 +70,12 @@ def import_files(
     return {
         "inserted": inserted,
         "existing": existing,
-        "dry_run": wish.dry_run,
-        "partial": wish.partial,
+        "dry_run": request.dry_run,
+        "partial": request.partial,
         "import": number,
-        "loaded": not refused and not wish.dry_run,
+        "loaded": not refused and not request.dry_run,
         **report,
-        "rows": {**rows, "loaded": 0 if refused or wish.dry_run else good},
+        "rows": {**rows, "loaded": 0 if refused or request.dry_run else good},
     }
 
 

@@ -81,7 +81,7 @@ class Tables:
         self._files, self._packed = TableFiles(folder, ledger), PackedFiles(folder)
         self._tables: dict[str, ServedTable] = {}
         self._seen: dict[str, int] = {}
-        self._asked: dict[str, tuple[int, Component]] = {}
+        self._requested: dict[str, tuple[int, Component]] = {}
         self._built_for: dict[str, Component] = {}
         self._unsaved: dict[str, float] = {}
         self._faults: dict[str, str] = {}
@@ -144,7 +144,7 @@ class Tables:
 
     def faults(self) -> dict[str, str]:
         """Return why a component's table is not what the ledger says, by its name."""
-        return {**self._files.doubts, **self._unwritten, **self._faults}
+        return {**self._files.caveats, **self._unwritten, **self._faults}
 
     def present(self) -> dict[str, ServedTable]:
         """Return the tables that answer now, by component."""
@@ -171,7 +171,7 @@ class Tables:
         if self._holds(name, goal):
             return True
         if name in self._faults:  # tried once more, now that somebody waits for it
-            self._asked.pop(name, None)
+            self._requested.pop(name, None)
         self._look(name, goal)
 
         def settled() -> bool:
@@ -222,12 +222,12 @@ class Tables:
         goal = self._ledger.last_seq(name) if goal is None else goal
         component = self._library[name]
         with self._grown:
-            asked_goal, asked_for = self._asked.get(name, (None, None))
-            if asked_goal == goal and asked_for is component:
+            requested_goal, requested_for = self._requested.get(name, (None, None))
+            if requested_goal == goal and requested_for is component:
                 return
             if self._seen.get(name) == goal and self._built_for.get(name) is component:
                 return
-            self._asked[name] = goal, component
+            self._requested[name] = goal, component
         known = self._tables.get(name)
         self._builders.ask(name, known.row_count if known is not None else self._size(name))
 
@@ -266,7 +266,7 @@ class Tables:
             with self._grown:
                 faults[name] = why
                 self._failures += 1
-                self._asked.pop(name, None)  # the next change of the ledger tries again
+                self._requested.pop(name, None)  # the next change of the ledger tries again
                 self._grown.notify_all()
 
     def _bring_up(self, name: str) -> None:

@@ -147,8 +147,8 @@ def origin_of(
     Without ``ledger`` if the ledger cannot be read: then no file is known to be of these rows.
     """
     error = errors.read(component.name, component.fingerprint) if errors is not None else None
-    told = json.dumps(error and error.told, sort_keys=True)
-    origin = {"setup": setup_of(component), "solver_error": _short(told), "program": _program()}
+    text = json.dumps(error and error.told, sort_keys=True)
+    origin = {"setup": setup_of(component), "solver_error": _short(text), "program": _program()}
     with suppress(LedgerUnavailableError):
         origin["ledger"] = ledger.digest(component.name, version)
     return origin
@@ -157,14 +157,14 @@ def origin_of(
 def setup_of(component: Component) -> str:
     """Return a mark of all but rows that a component's table is built from."""
     bounds, tolerance = component.load_range, component.tolerance
-    told = (
+    values = (
         component.fingerprint,
         component.linear,
         bounds.low.tobytes(),
         bounds.high.tobytes(),
         tolerance and (tolerance.translation, tolerance.rotation),
     )
-    return _short(repr(told))
+    return _short(repr(values))
 
 
 def _program() -> str:

@@ -62,7 +62,7 @@ class PastTables:
         self._lock = threading.Lock()
         self.turns = CapacityLimiter(1)
 
-    def held(self, name: str, version: int) -> ServedTable | None:
+    def cached(self, name: str, version: int) -> ServedTable | None:
         """Return a version's table if it is there already; it takes microseconds.
 
         Raises
@@ -93,7 +93,7 @@ class PastTables:
         """
         component = self._library[name]
         with self._lock:
-            found = self.held(name, version)
+            found = self.cached(name, version)
             if found is None:
                 found = self._built(component, version)
                 self._keep((name, version), component, found)

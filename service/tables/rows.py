@@ -190,11 +190,11 @@ def unsolved(component: Component, others: Iterable[bytes], known: Floats) -> Fl
     ndarray, shape (k, 6), N and N·m
         In their order, loads on locked freedoms zero.
     """
-    wanted = dict.fromkeys(packed(component.acting(unpacked(others))))
-    if not wanted:
+    distinct = dict.fromkeys(packed(component.acting(unpacked(others))))
+    if not distinct:
         return np.empty((0, 6))
     has = set(packed(component.acting(known)))
-    return unpacked(wrench for wrench in wanted if wrench not in has)
+    return unpacked(wrench for wrench in distinct if wrench not in has)
 
 
 def others_in_words(name: str, table: ServedTable) -> str:

@@ -136,10 +136,12 @@ class ServedTable:
     @property
     def fit(self) -> ComplianceFit:
         """The compliance of the outputs that the fewest rows hold."""
-        matrix, bar, known = (
+        matrix, half_width, known = (
             self.packed.arrays[f"g0/fit/{name}"] for name in ("matrix", "bar", "known")
         )
-        return ComplianceFit(matrix, known.astype(bool), bar, self.summary["compliance"]["origin"])
+        return ComplianceFit(
+            matrix, known.astype(bool), half_width, self.summary["compliance"]["origin"]
+        )
 
     @property
     def steepest(self) -> Floats:

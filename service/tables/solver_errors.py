@@ -49,12 +49,12 @@ class SolverErrors:
             self._claimed.add(key)
             return True
 
-    def settle(self, component: str, fingerprint: str, told: Mapping[str, Any] | None) -> None:
+    def settle(self, component: str, fingerprint: str, estimate: Mapping[str, Any] | None) -> None:
         """Keep what a solve that has ended told, or let the next one estimate; never raises."""
         try:
-            if told is not None:
-                SolverError(told)
-                self._write(component, fingerprint, told)
+            if estimate is not None:
+                SolverError(estimate)
+                self._write(component, fingerprint, estimate)
         except (OSError, ValueError, TypeError) as error:
             _log.warning("%s: the solver's error was not kept: %s", component, error)
         finally:
@@ -87,10 +87,10 @@ class SolverErrors:
             _log.warning("%s: the solver's error cannot be read: %s", component, error)
             return None
 
-    def _write(self, component: str, fingerprint: str, told: Mapping[str, Any]) -> None:
+    def _write(self, component: str, fingerprint: str, estimate: Mapping[str, Any]) -> None:
         path = self._path(component, fingerprint)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole_bytes(path, json.dumps(dict(told), allow_nan=False).encode())
+        write_whole_bytes(path, json.dumps(dict(estimate), allow_nan=False).encode())
 
     def _path(self, component: str, fingerprint: str) -> Path:
         return self._folder / component / f"{fingerprint}.json"

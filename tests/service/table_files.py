@@ -15,7 +15,7 @@ from wrenchbook.service.formats import Layout, ParsedTable, csv_text, json_text,
 from wrenchbook.service.formats.binary_table import read_hdf5 as hdf5_file
 from wrenchbook.service.formats.csv_table import read_csv as csv_file
 from wrenchbook.service.formats.json_table import read_json as json_file
-from wrenchbook.service.formats.options import Options, ReadReport, RowMistake
+from wrenchbook.service.formats.options import Mistake, Options, ReadReport
 from wrenchbook.service.formats.table_rows import joined
 
 
@@ -23,7 +23,7 @@ from wrenchbook.service.formats.table_rows import joined
 class ReadTable(ParsedTable):
     """The good rows of a file, none if a mistake is about the whole file, and all mistakes."""
 
-    errors: tuple[RowMistake, ...] = ()
+    errors: tuple[Mistake, ...] = ()
 
 
 def read_table(pieces: list[ParsedTable], report: ReadReport) -> ReadTable:

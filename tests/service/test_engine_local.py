@@ -154,9 +154,9 @@ def test_an_engine_is_opened_by_name():
 
 def test_a_lock_is_held_until_its_holder_lets_go(tmp_path):
     path = tmp_path / "lock"
-    assert not flock.is_held(path)
+    assert not flock.is_locked(path)
     held = flock.take(path)
-    assert flock.is_held(path)
+    assert flock.is_locked(path)
     assert flock.take(path) is None
     os.close(held)
-    assert not flock.is_held(path)
+    assert not flock.is_locked(path)

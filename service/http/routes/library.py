@@ -120,13 +120,15 @@ def disagree(name: str, request: Request) -> Response:
 def demand(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     component = workspace.library[name]
-    return json_reply({"component": name, **workspace.demand.map_of(name, component.load_range)})
+    return json_reply(
+        {"component": name, **workspace.query_counts.map_of(name, component.load_range)}
+    )
 
 
 @router.delete("/demand", summary="Begin the demand map anew")
 def forget_demand(name: str, request: Request) -> dict[str, Any]:
     workspace: Workspace = request.app.state.workspace
-    workspace.demand.forget(workspace.library[name].name)
+    workspace.query_counts.forget(workspace.library[name].name)
     return {"component": name, "asked": 0}
 
 

@@ -33,12 +33,12 @@ from wrenchbook.service.ledger import Block, Tally, block_of, packed
 from wrenchbook.service.ledger.recorded import MERGE
 from wrenchbook.service.recording.bound import bound_of
 from wrenchbook.service.recording.start import (
-    Started,
+    StartedSolves,
     start_envelope,
     start_recording,
     start_resolving,
 )
-from wrenchbook.service.recording.store import Envelope, RecordingStore, Took
+from wrenchbook.service.recording.store import EnvelopeState, RecordingStore, Took
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.rows import Tolerance
 
@@ -264,12 +264,12 @@ def _thinning(tally: Tally) -> str:
     return f"{tally.thinned} wrenches were thinned out: {near}"
 
 
-def _box(envelope: Envelope) -> dict[str, Any]:
+def _box(envelope: EnvelopeState) -> dict[str, Any]:
     low, high = envelope.box
     return {"count": envelope.tally.offered, "min": low, "max": high}
 
 
-def _started(name: str, started: Started) -> Response:
+def _started(name: str, started: StartedSolves) -> Response:
     body = {
         "component": name,
         "jobs": [job_link(job) for job in started.jobs],

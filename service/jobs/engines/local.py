@@ -101,7 +101,7 @@ class LocalEngine:
         folder = attempt.folder
         if (folder / OUTCOME).exists():
             return "finished"
-        if flock.is_held(folder / LOCK):
+        if flock.is_locked(folder / LOCK):
             self._end_if_due(attempt)
             return "running" if solver_began(folder) else "submitted"
         # The solver may have ended well between the two looks.
@@ -161,7 +161,7 @@ class LocalEngine:
             return
         # Another server's solver. Only while the lock is held is the pid in it surely the solver's.
         pid = _holder(attempt.folder / LOCK)
-        if pid is not None and flock.is_held(attempt.folder / LOCK):
+        if pid is not None and flock.is_locked(attempt.folder / LOCK):
             signal_group(pid, number)
 
 

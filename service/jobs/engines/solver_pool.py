@@ -28,7 +28,7 @@ ENDING_SECONDS = 2.0  # between an attempt's result.json and its solver's word t
 Ended = Callable[[Attempt], None]
 
 
-class Solver:
+class SolverProcess:
     """A solver process, and the attempt that it is at."""
 
     def __init__(self, process: subprocess.Popen[bytes], line: socket.socket) -> None:
@@ -46,8 +46,8 @@ class Solver:
         self.has_taken = False
         self.answered.clear()
         self.component = component_of(attempt)
-        asked = {"folder": str(attempt.folder.absolute()), "memory": attempt.memory}
-        socket.send_fds(self.line, [json.dumps(asked).encode() + b"\n"], [lock, log])
+        request = {"folder": str(attempt.folder.absolute()), "memory": attempt.memory}
+        socket.send_fds(self.line, [json.dumps(request).encode() + b"\n"], [lock, log])
 
     def signal(self, number: int) -> None:
         """Send a signal to the solver and what it started."""
@@ -76,7 +76,7 @@ class SolverPool:
         self._slots = slots
         self._ended = ended
         self._options = options
-        self._solvers: list[Solver] = []  # those longest without work first
+        self._solvers: list[SolverProcess] = []  # those longest without work first
         self._processes: set[int] = set()
         self._changed = threading.Condition()
 
@@ -124,7 +124,7 @@ class SolverPool:
                 solver.dismiss()
             self._solvers.clear()
 
-    def _reserve(self, attempt: Attempt, environment: Mapping[str, str]) -> Solver | None:
+    def _reserve(self, attempt: Attempt, environment: Mapping[str, str]) -> SolverProcess | None:
         with self._changed:
             if not self._changed.wait_for(lambda: not self._ending(), ENDING_SECONDS):
                 for solver in self._ending():
@@ -134,8 +134,8 @@ class SolverPool:
             for solver in [one for one in idle if one.environment != environment]:
                 idle.remove(solver)
                 self._drop(solver)
-            wanted = component_of(attempt)
-            ready = [solver for solver in idle if solver.component == wanted]
+            component = component_of(attempt)
+            ready = [solver for solver in idle if solver.component == component]
             # Another component's solver keeps what it has while there is room for one more.
             if not ready and len(self._solvers) >= self._slots:
                 ready = idle
@@ -144,7 +144,7 @@ class SolverPool:
             ready[0].attempt = attempt
             return ready[0]
 
-    def _ending(self) -> list[Solver]:
+    def _ending(self) -> list[SolverProcess]:
         """Return those that will wait for work in a moment, their outcome being there.
 
         None if a solver waits already.
@@ -174,7 +174,7 @@ class SolverPool:
             except BaseException:
                 ours.close()
                 raise
-        solver = Solver(process, ours)
+        solver = SolverProcess(process, ours)
         solver.environment, solver.attempt = environment, attempt
         with self._changed:
             self._solvers.append(solver)
@@ -184,7 +184,7 @@ class SolverPool:
             solver.hand(attempt, lock, log)
         threading.Thread(target=self._watch, args=(solver,), daemon=True).start()
 
-    def _watch(self, solver: Solver) -> None:
+    def _watch(self, solver: SolverProcess) -> None:
         """Follow one solver until it has ended, and reap it."""
         with solver.line, contextlib.suppress(OSError):
             while word := solver.line.recv(1):
@@ -196,7 +196,7 @@ class SolverPool:
         solver.process.wait()
         self._bury(solver)
 
-    def _free(self, solver: Solver, *, stays: bool) -> None:
+    def _free(self, solver: SolverProcess, *, stays: bool) -> None:
         with self._changed:
             over, solver.attempt = solver.attempt, None
             if stays and solver in self._solvers and len(self._solvers) <= self._slots:
@@ -208,12 +208,12 @@ class SolverPool:
         if over is not None:
             self._ended(over)
 
-    def _drop(self, solver: Solver) -> None:
+    def _drop(self, solver: SolverProcess) -> None:
         if solver in self._solvers:
             self._solvers.remove(solver)
         solver.dismiss()
 
-    def _bury(self, solver: Solver) -> None:
+    def _bury(self, solver: SolverProcess) -> None:
         code = solver.process.returncode
         with self._changed:
             over, solver.attempt = solver.attempt, None

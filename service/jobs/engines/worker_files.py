@@ -280,7 +280,7 @@ def sweep(folder: Path, engine: LocalEngine, orphans: dict[str, float]) -> dict[
     found: dict[str, float] = {}
     ended: list[Path] = []
     for path in (folder / "attempts").iterdir():
-        if flock.is_held(_supervision(path)):
+        if flock.is_locked(_supervision(path)):
             continue
         attempt = bare(path.name, path)
         if engine.poll(attempt) not in ALIVE:
@@ -306,7 +306,7 @@ def _remove(attempt: Path) -> None:
     if lock is None:
         return
     try:
-        if not flock.is_held(attempt / LOCK):
+        if not flock.is_locked(attempt / LOCK):
             shutil.rmtree(attempt, ignore_errors=True)
             _supervision(attempt).unlink(missing_ok=True)
     finally:
