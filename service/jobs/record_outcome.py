@@ -81,7 +81,7 @@ def _commit(ledger: Ledger, job: Job, folder: Path, outcome: dict[str, Any]) -> 
             job.attempt,
             displacement,
             compliance=compliance,
-            origin=f"job {job.id}",
+            origin=_origin(job, outcome),
             seconds=solver_seconds(folder),
         )
     except (ValueError, TypeError, KeyError) as error:
@@ -89,6 +89,12 @@ def _commit(ledger: Ledger, job: Job, folder: Path, outcome: dict[str, Any]) -> 
         return
     with contextlib.suppress(OSError):
         tidy(folder)
+
+
+def _origin(job: Job, outcome: dict[str, Any]) -> str:
+    """Return the job of a row, with version and code digest of the program that solved it."""
+    program = outcome.get("program")
+    return f"job {job.id}, wrenchbook {program}" if isinstance(program, str) else f"job {job.id}"
 
 
 def notes_of(job: Job, folder: Path) -> list[str]:
