@@ -1,6 +1,6 @@
 """The folder of one attempt: the only thing dispatcher, engine and solver share.
 
-``spec.json`` says what to solve, ``lock`` is held by the solver as long as it lives, ``log.txt``
+``spec.json`` is what to solve, ``lock`` is locked by the solver as long as it lives, ``log.txt``
 is what it printed, ``progress.json`` how far it is, ``result.json`` how it ended. Both JSON
 files of the solver appear whole or not at all.
 """
@@ -30,7 +30,7 @@ class BadOutcomeError(Exception):
 class Spec:
     """What one attempt solves: a wrench (N, N·m) on the component in the folder `bundle`.
 
-    With `estimate` it also tells what the solver's own answers may be wrong by, once a set-up.
+    With `estimate` the solver also estimates its own error, once a set-up.
     """
 
     job: int
@@ -74,7 +74,7 @@ def read_spec(folder: Path) -> Spec:
 
 
 def read_progress(folder: Path) -> Progress | None:
-    """Return how far the attempt's solver is; None if it has not said anything yet."""
+    """Return the progress of the attempt's solver; None before its first report."""
     try:
         fields = json.loads((folder / PROGRESS).read_bytes())
         return Progress(fields["fraction"], fields["message"])
@@ -85,7 +85,7 @@ def read_progress(folder: Path) -> Progress | None:
 def solver_began(folder: Path) -> bool:
     """Return whether a solver came to its first instruction: it writes its pid into the lock.
 
-    The lock alone says nothing: an engine takes it before there is a process.
+    The lock alone proves nothing: an engine takes it before there is a process.
     """
     return solver_seconds(folder) is not None
 
@@ -118,7 +118,7 @@ def last_words(folder: Path) -> str:
 def write_outcome(folder: Path, spec: Spec, outcome: Mapping[str, Any]) -> None:
     """Write result.json to disk for good; its appearance means that the solver has ended.
 
-    It repeats what was asked, so that nobody can take it for the answer to another wrench.
+    It repeats the question, so that it is not taken for the answer to another wrench.
     """
     whole = {**outcome, "asked": _question(spec)}
     write_whole(folder / OUTCOME, {**whole, "digest": _digest(whole)}, durable=True)
@@ -173,7 +173,7 @@ def _digest(content: Mapping[str, Any]) -> str:
 
 
 def _question(spec: Spec) -> dict[str, Any]:
-    """Return what makes an answer another one: not where files are, nor what else is told."""
+    """Return the fields that identify an answer: not paths, nor the estimate flag."""
     fields = asdict(spec) | {"wrench": list(spec.wrench)}
     del fields["bundle"], fields["estimate"]
     return fields

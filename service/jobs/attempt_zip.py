@@ -25,7 +25,7 @@ def zipped(folder: Path) -> IO[bytes]:
     Links and whatever else is no plain file are left out: a deck's command may have made them, to
     anything on the machine. Texts lose the paths of the machine.
     """
-    file = tempfile.SpooledTemporaryFile(_MOST_TEXT)  # noqa: SIM115 (closed by who reads it)
+    file = tempfile.SpooledTemporaryFile(_MOST_TEXT)  # noqa: SIM115 (closed by the reader)
     left, missing = MOST_BYTES, []
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in _files(folder):

@@ -20,7 +20,7 @@ from wrenchbook.service.tables.solver_errors import SolverErrors
 
 _log = logging.getLogger(__name__)
 
-# Between looks for what no event tells: commits of other processes, the end of solvers that another
+# Between looks for what has no event: commits of other processes, the end of solvers that another
 # dispatcher started, and the grace of those that are to end.
 LOOK_SECONDS = 0.02
 RECOVER_SECONDS = 1.0  # between looks at all attempts, and for jobs whose dispatcher has died

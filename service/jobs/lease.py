@@ -36,7 +36,7 @@ class Lease:
     def is_lost(self, owner: str, engine: str, beat: Beat | None) -> bool:
         """Return whether an owner of attempts has died, or does not look after them any more.
 
-        A lock that nobody holds proves it at once. Otherwise the heartbeat tells, by whether it has
+        A file that is not locked proves it at once. Otherwise the heartbeat does, by whether it has
         changed while this dispatcher looked on: no clock of another one is trusted.
 
         Parameters
@@ -78,8 +78,8 @@ class Lease:
 
 _log = logging.getLogger(__name__)
 
-ORPHANS = 200  # cancelled jobs looked at, at start-up, for solvers nobody has stopped
-# A dispatcher never takes over what another engine has: it could not tell whether that lives. But
+ORPHANS = 200  # cancelled jobs examined at start-up for solvers that still run
+# A dispatcher never takes over attempts of another engine: it cannot see whether they live. But
 # if no dispatcher of that engine comes back within a minute, the job waits again, for any engine.
 ABANDONED_SECONDS = 60.0
 
@@ -100,7 +100,7 @@ class Recovery:
         self._abandoned: dict[tuple[int, int], float] = {}
 
     def orphans(self) -> list[Job]:
-        """Return jobs of this engine whose solver may not have heard that they are cancelled."""
+        """Return cancelled jobs of this engine whose solver may still run."""
         found = self._ledger.jobs(status="cancelled", limit=ORPHANS)
         return [job for job in found if job.attempt and job.engine == self._engine.name]
 
@@ -143,7 +143,7 @@ class Recovery:
         for job in jobs:
             if now - self._abandoned[job.id, job.attempt] > ABANDONED_SECONDS:
                 _log.warning(
-                    "job %d waits again: nobody looks after attempt %d on the engine %s any more",
+                    "job %d waits again: no dispatcher supervises attempt %d on engine %s any more",
                     job.id, job.attempt, job.engine,
                 )  # fmt: skip
                 with contextlib.suppress(StaleAttemptError):

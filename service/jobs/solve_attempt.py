@@ -3,7 +3,7 @@
 ``python -m wrenchbook.service.jobs.solve_attempt FOLDER`` runs it.
 
 Every engine runs this, and it is where a component and the service meet. However the solve
-ends, ``result.json`` says so: ``done`` with the numbers, ``failed`` with kind, message and
+ends, ``result.json`` has the end: ``done`` with the numbers, ``failed`` with kind, message and
 remedy, or ``cancelled``. Only a solver that was killed leaves none.
 
 ``WRENCHBOOK_SOLVE="package.module:function"`` names another solver than the embedded one: a
@@ -44,7 +44,7 @@ from wrenchbook.service.jobs.attempt import (
 SOLVE_VARIABLE = "WRENCHBOOK_SOLVE"
 DONE, FAILED, IN_USE, CANCELLED = 0, 1, 75, 143  # exit codes
 
-# An outcome waits so long for room on the disk: somebody has to notice first, and to make some.
+# An outcome waits so long for room on a full disk: until an operator notices and makes some.
 FULL_DISK_SECONDS = 3600.0
 _AGAIN_SECONDS = 1.0
 
@@ -62,7 +62,7 @@ class SolveRefusedError(Exception):
 
 
 class Cancelled(BaseException):
-    """Somebody asked the solver to end."""
+    """The solver received SIGTERM."""
 
 
 def main(folder: str | Path, solve: Solve | None = None) -> int:
@@ -130,7 +130,7 @@ def require_same(spec: Spec, fingerprint: str) -> None:
 def solve_ready(
     ready: Any, spec: Spec, report: Report, folder: Path | None = None
 ) -> dict[str, Any]:
-    """Solve a bundle, or the solver made ready for it, and return what an outcome tells."""
+    """Solve a bundle, or the solver made ready for it, and return the numbers of the outcome."""
     from wrenchbook.fea.solve import solve
 
     keep = None if folder is None else functools.partial(_leave_fields, folder, spec)
@@ -149,7 +149,7 @@ def solve_ready(
 def _own_error(ready: Any) -> dict[str, Any]:
     """Return what the solver's answers may be wrong by, or why that is not known.
 
-    An answer is worth having without it, so what goes wrong here is told and not raised.
+    An answer is worth having without it, so an error here is returned and not raised.
     """
     from wrenchbook.fea.accuracy.estimate import accuracy_or_why, unknown_of_deck
     from wrenchbook.fea.solve import Solver
@@ -161,12 +161,12 @@ def _own_error(ready: Any) -> dict[str, Any]:
 
 
 def begin(lock: int) -> None:
-    """Write into an attempt's lock, which is held, who holds it: a solver is at it from here on."""
+    """Write this process's id into an attempt's lock, which it has: the solver has begun."""
     os.pwrite(lock, str(os.getpid()).encode(), 0)
 
 
 def _leave_fields(folder: Path, spec: Spec, fields: Any) -> None:
-    """Leave surface and stresses beside the outcome; an answer is worth having without them."""
+    """Leave surface and stresses next to the outcome; an answer is worth having without them."""
     try:
         leave(folder, spec.wrench, fields)
     except (OSError, ValueError, MemoryError) as error:
@@ -253,7 +253,7 @@ def _named(error: Exception) -> dict[str, str]:
 
 
 def keep_sigterm_waiting() -> None:
-    """Let SIGTERM wait until `main` hears it; it then raises `Cancelled`."""
+    """Block SIGTERM until `main` unblocks it; it then raises `Cancelled`."""
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
     signal.signal(signal.SIGTERM, _raise_cancelled)
 
@@ -267,7 +267,7 @@ def _raise_cancelled(signum: int, frame: object) -> None:
 def _hearing_sigterm() -> Iterator[None]:
     """Let SIGTERM interrupt what is inside, if the command line has kept it waiting so far.
 
-    Outside it waits, so that it can neither come before anybody catches it nor tear the
+    Outside it is blocked, so that it can neither come before it is caught nor tear the
     writing of the outcome.
     """
     before = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})

@@ -37,7 +37,7 @@ def completed(
 ) -> Attempt:
     """Add where the component lies and what a solve of it needs, with a deadline of one's own.
 
-    With `estimate` the solve also tells what the solver's own answers may be wrong by.
+    With `estimate` the solve also estimates the solver's own error.
     """
     needs = needs_of(bundle)
     seconds = needs.deadline if deadline is None else deadline
@@ -67,7 +67,7 @@ class SupervisedAttempt:
     adopted : bool
         Whether another dispatcher started it.
     leaving : bool
-        Whether nobody wants its answer any more.
+        Whether its answer is not needed any more.
     began : bool
         Whether a solver was seen at it.
     died : float or None
@@ -95,7 +95,7 @@ class SupervisedAttempt:
 
     @property
     def is_pressing(self) -> bool:
-        """Whether to look at it often: nobody may tell of its end, or something is due soon."""
+        """Whether to poll it often: its end may come without an event, or something is due soon."""
         return self.adopted or self.leaving or self.died is not None
 
     @property

@@ -26,7 +26,7 @@ class Waiting:
     running : int
         Jobs that a solver works on now, wherever.
     slots : int
-        Solves at once of the server that was asked.
+        Solves at once of this server.
     solve_s : float or None
         What the newest solves of its component took on average, s; None if there is none.
     expected_s : float or None
@@ -63,7 +63,7 @@ def why_waiting(ledger: Ledger, job: Job, slots: int, trouble: str | None) -> Wa
     means = {one.component: one.seconds for one in ahead}
     for name in {one.component for one in taken} - means.keys():
         means[name] = ledger.solve_seconds(name)
-    # Of those that run, what is left: nothing of one that takes longer than the others did.
+    # Remaining time of those that run: 0 for one that takes longer than the mean.
     left = [
         max(0.0, mean - max(0.0, now - (now if one.is_queued else one.began or one.started or now)))
         if (mean := means[one.component]) is not None
@@ -108,7 +108,7 @@ def _reason(
 
 LOOK_S: Final = 0.25  # between looks for what other processes commit
 MOST: Final = 4096
-"""Who wait at once: each holds a connection and some 10 kB."""
+"""Callers that wait at once: each takes a connection and some 10 kB."""
 
 
 class TooManyPollsError(RuntimeError):
@@ -116,7 +116,7 @@ class TooManyPollsError(RuntimeError):
 
 
 class _Waiter:
-    """One who waits until none of its jobs is open."""
+    """A caller that waits until none of its jobs is open."""
 
     def __init__(self, open_jobs: set[int]) -> None:
         self.open_jobs = open_jobs
@@ -124,7 +124,7 @@ class _Waiter:
 
 
 class Polls:
-    """All who wait for jobs, on one event loop.
+    """All callers that wait for jobs, on one event loop.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class Polls:
             self._changed.set()
 
     def let_go(self) -> None:
-        """Let all who wait have their jobs as they are: the server stops. For the loop."""
+        """Return from all waits with the jobs as they are: the server stops. For the loop."""
         self._let_go = True
         for waiter in self._waiters:
             waiter.ended.set()
@@ -197,7 +197,7 @@ class Polls:
                 del self._awaited[job]
 
     async def _look(self) -> None:
-        """Look for jobs that have ended, for as long as anybody waits."""
+        """Look for jobs that have ended, for as long as a caller waits."""
         changed = self._changed
         assert changed is not None
         while self._waiters:
@@ -205,7 +205,7 @@ class Polls:
             try:
                 ended = await run_in_threadpool(self._ledger.ended, list(self._awaited))
             except LedgerUnavailableError:
-                ended = set()  # each who waits is told of it at the end
+                ended = set()  # each caller gets the error from its last read
             for waiter in list(self._waiters):
                 if waiter.open_jobs <= ended:
                     waiter.ended.set()

@@ -118,7 +118,7 @@ class WarmSolver:
         return self._kept.spoiled or self._growth.is_leak(self._kept.ready, self._kept.estimated)
 
     def _say(self, word: bytes) -> bool:
-        """Tell the engine, if there is one still."""
+        """Notify the engine, if there is one still."""
         try:
             self._line.sendall(word)
         except OSError:

@@ -10,7 +10,7 @@ _SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")  # that Dask connects to other mac
 
 
 class EngineSettingsError(ValueError):
-    """An engine cannot be opened with these settings; the text says what to do."""
+    """An engine cannot be opened with these settings; the message has the remedy."""
 
 
 def open_engine(

@@ -37,7 +37,7 @@ MEMORY, CORES = "wrenchbook_memory", "wrenchbook_cores"
 class WorkerState:
     """One worker, as scheduler and `on_worker.look` describe it.
 
-    ``unfit`` says why it gets no tasks, ``tasks`` are the attempts found on its machine.
+    ``unfit`` is why it gets no tasks, ``tasks`` are the attempts found on its machine.
     """
 
     address: str

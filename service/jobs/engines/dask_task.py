@@ -67,7 +67,7 @@ class Bundles:
         self._sending = asyncio.Lock()
 
     async def send(self, client: Client, folder: Path) -> SentBundle:
-        """Return a component's files on the cluster, sent anew if they have changed."""
+        """Return a component's files on the cluster, sent again if they have changed."""
         async with self._sending:
             seen = await asyncio.to_thread(_look_at, folder)
             bundle = self._bundles.pop(folder, None)
@@ -257,7 +257,7 @@ class DaskTask:
             os.utime(lock, (now, now - seconds))
 
     def set(self, state: State) -> None:
-        """Set the state and tell the engine if it is another one."""
+        """Set the state and notify the engine if it has changed."""
         if state != self.state:
             self.state = state
             self._on_change(self.attempt.task)

@@ -51,7 +51,7 @@ _engines_lock = threading.Lock()
 class Payload(TypedDict):
     """The result of a task.
 
-    ``unfit`` says why the worker could not run the attempt. Otherwise ``files`` are the artifacts
+    ``unfit`` is why the worker could not run the attempt. Otherwise ``files`` are the artifacts
     (without result.json if the solver died) and ``seconds`` is how long the solver ran.
     """
 

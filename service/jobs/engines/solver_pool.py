@@ -1,7 +1,7 @@
 """Solvers that live from one attempt to the next, as processes of this machine.
 
 A solver is started with one end of a socket pair. Over it come, for each attempt, its folder and
-two open files: the attempt's lock, held, and its log. It answers with one letter when it is at it
+two open files: the attempt's lock, taken, and its log. It answers with one letter when it is at it
 and one when it has ended; when the socket is closed, as it is when the server dies, it ends itself
 after the attempt it is at (`service.jobs.warm_solver`).
 """
@@ -20,7 +20,7 @@ from wrenchbook.service.files.program import child_command
 from wrenchbook.service.jobs.attempt import LOG, OUTCOME
 from wrenchbook.service.jobs.engines.engine import Attempt
 
-# A solver that waits for work says at once that it took some. One that does not is stopped or
+# A solver that waits for work confirms an attempt at once. One that does not is stopped or
 # damaged, and another one is started in its place.
 TAKEN_SECONDS = 5.0
 ENDING_SECONDS = 2.0  # between an attempt's result.json and its solver's word that it is free
@@ -42,7 +42,7 @@ class SolverProcess:
         self.gone = threading.Event()
 
     def hand(self, attempt: Attempt, lock: int, log: int) -> None:
-        """Send an attempt with its lock and its log; raises OSError if nobody is there."""
+        """Send an attempt with its lock and its log; raises OSError if the solver is gone."""
         self.has_taken = False
         self.answered.clear()
         self.component = component_of(attempt)
@@ -67,7 +67,7 @@ class SolverPool:
     ----------
     slots : int
     ended : callable
-        Told of attempts that their solvers have left, well or dead; from threads of the pool's own.
+        Called with attempts that their solvers have left, well or dead; from the pool's threads.
     options : sequence of str
         Of `service.jobs.warm_solver`.
     """
@@ -86,7 +86,7 @@ class SolverPool:
         Raises
         ------
         OSError
-            If no process can be started; nobody is at the attempt then.
+            If no process can be started; no solver is at the attempt then.
         """
         while (solver := self._reserve(attempt, environment)) is not None:
             with contextlib.suppress(OSError):
@@ -94,7 +94,7 @@ class SolverPool:
                 solver.answered.wait(TAKEN_SECONDS)
                 if solver.has_taken:
                     return
-            # Nobody may begin late what another one is at.
+            # It must not begin late what another solver is at.
             with self._changed:
                 solver.attempt = None
                 self._drop(solver)
@@ -103,7 +103,7 @@ class SolverPool:
         self._start(attempt, lock, log, environment)
 
     def signal(self, attempt: Attempt, number: int) -> bool:
-        """Send a signal to the solver that is at an attempt; tell whether there is one here."""
+        """Send a signal to the solver that is at an attempt; return whether there is one here."""
         with self._changed:
             for solver in self._solvers:
                 if solver.attempt is not None and solver.attempt.folder == attempt.folder:
@@ -179,7 +179,7 @@ class SolverPool:
         with self._changed:
             self._solvers.append(solver)
             self._processes.add(process.pid)
-        # Sent before anybody listens: a solver that cannot begin leaves the lock as it dies.
+        # Sent before the solver listens: one that cannot begin leaves the lock as it dies.
         with contextlib.suppress(OSError):
             solver.hand(attempt, lock, log)
         threading.Thread(target=self._watch, args=(solver,), daemon=True).start()

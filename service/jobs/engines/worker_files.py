@@ -193,7 +193,7 @@ def worker_folder() -> Path:
     Raises
     ------
     WorkerFolderError
-        If it belongs to another user, who could replace its files.
+        If it belongs to another user: that user could replace its files.
     """
     default = Path(tempfile.gettempdir()) / f"wrenchbook-{os.getuid()}"
     folder = Path(os.environ.get(FOLDER_VARIABLE) or default)
