@@ -4,7 +4,7 @@ An axis is one block: its three loads are the breakpoints, u and the three rotat
 (linear interpolation, end values clipped). The rotation of a wrench that loads several axes is the
 sum over the axes less the answers to each moment alone plus the one to no load, as the table's own
 composition (DESIGN, section 3). Resampling makes an error of its own; it is measured on wrenches
-between the grid's and stands in the file, beside the table's own bars.
+between the grid's and is in the file, next to the table's own error bars.
 """
 
 from __future__ import annotations

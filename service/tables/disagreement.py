@@ -1,4 +1,4 @@
-"""Measured rows beside solved ones: where a measurement lies outside what the solves say."""
+"""Measured rows against solved ones: measurements outside the error bars of the solves."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def disagreement(
     -------
     dict
         ``measured``, ``solved``, ``compared``, ``outside`` (rows with an output outside of both
-        bars, the solves' and the measurement's own), ``outputs`` (of each: how many outside, the
-        mean difference, m or rad, which tells an offset) and ``rows``, the worst first.
+        error bars, the solves' and its own), ``outputs`` (of each: how many outside, the
+        mean difference, m or rad, which shows an offset) and ``rows``, the worst first.
     """
     solved = rows.source == FEA
     counts: dict[str, Any] = {"measured": int((~solved).sum()), "solved": int(solved.sum())}

@@ -1,4 +1,4 @@
-"""Table files beside the ledger: a quicker way to read what the ledger says, and a second copy."""
+"""HDF5 tables: a faster way to read the ledger's rows, and a second copy of them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class TableFiles:
     folder : path
         Made if there is none.
     ledger : Ledger
-        What it says holds; a file that says something else is written anew.
+        The record of rows; a file that differs from it is written again.
     """
 
     def __init__(self, folder: Path, ledger: Ledger) -> None:
@@ -134,12 +134,12 @@ class TableFiles:
 
         No rows, and 0, if they are not exactly what the ledger has up to there. Rows that the
         ledger has lost, being a new one or an older copy, are put back into it first, and so are
-        withdrawals; where the file does not tell those, `caveats` does.
+        withdrawals; `caveats` names the tables whose file does not have those.
 
         Raises
         ------
         LedgerUnavailableError
-            If the ledger cannot be asked, or cannot take what it has lost.
+            If the ledger cannot be read, or cannot take the rows it has lost.
         """
         found = self.read(component)
         if found is None:
@@ -199,7 +199,7 @@ class TableFiles:
             return
         edits = [RowEdit(bytes.fromhex(key), gone, when) for key, gone, when in meta.edits]
         if changed := self._ledger.replay(name, edits):
-            log.warning("%s: %d rows were withdrawn or restored as its file says", name, changed)
+            log.warning("%s: %d rows were withdrawn or restored as in its file", name, changed)
 
     def _path(self, name: str) -> Path:
         return self._folder / f"{name}.h5"

@@ -25,7 +25,7 @@ class ImportRequest:
     partial : bool
         Load the good rows though others have mistakes.
     preview : int
-        How many of the first good rows are told.
+        Number of the first good rows in the reply.
     """
 
     dry_run: bool = False
@@ -44,10 +44,10 @@ def import_files(
     """Read a file, or two logs, and load its rows unless something is wrong.
 
     `files` are one table, or the log of the loads and that of the displacements; load range and
-    fingerprint are the component's, whatever `options` say.
+    fingerprint are the component's; those of `options` are ignored.
 
     Returns the members of a reply: ``inserted``, ``existing``, ``errors``, ``rows`` and so on;
-    rows were loaded if ``loaded`` says so.
+    ``loaded`` is whether rows were loaded.
 
     Raises
     ------

@@ -46,7 +46,7 @@ class Tables(CurrentTables):
     A request takes the table there is (`surrogate`, a dictionary look-up). A start maps the packed
     files of the last one that are what it would build, and builds the others. One thread watches
     the ledger for rows committed, withdrawn or restored by this or any other process on the
-    machine, `Builders` build the next version of a table beside all others, write its packed file
+    machine, `Builders` build the next version of a table in threads, write its packed file
     and swap it in, and a third writes a table's HDF5 file once it has been quiet for a second. What
     goes wrong with one component is in `faults`; the others go on. Parameters as `CurrentTables`.
     """
@@ -108,7 +108,7 @@ class Tables(CurrentTables):
         self._save(quiet_s=0.0)
 
     def faults(self) -> dict[str, str]:
-        """Return why a component's table is not what the ledger says, by its name."""
+        """Return why a component's table differs from the ledger, by its name."""
         return {**self._files.caveats, **self._unwritten, **self._faults}
 
     def building(self) -> list[str]:
@@ -127,7 +127,7 @@ class Tables(CurrentTables):
         goal, before = self._ledger.last_seq(name), self._failures
         if self._holds(name, goal):
             return True
-        if name in self._faults:  # tried once more, now that somebody waits for it
+        if name in self._faults:  # tried once more, now that a caller waits for it
             self._requested.pop(name, None)
         self._look(name, goal)
 
@@ -140,12 +140,12 @@ class Tables(CurrentTables):
             return self._holds(name, goal)
 
     def _holds(self, name: str, goal: int) -> bool:
-        """Tell whether a table is of the component as it is now and has all rows up to goal."""
+        """Return whether a table is of the component as it is now and has all rows up to goal."""
         present = self._built_for.get(name) is self._library[name]
         return self._seen.get(name, 0) >= goal and present
 
     def _look(self, name: str, goal: int | None = None) -> None:
-        """Have a table built if the ledger has what nobody has asked to be built."""
+        """Request a build if the ledger has changes that no build was requested for."""
         goal = self._ledger.last_seq(name) if goal is None else goal
         component = self._library[name]
         with self._grown:
@@ -170,7 +170,7 @@ class Tables(CurrentTables):
                         self._look(name)
                     seen = now
             except LedgerUnavailableError:
-                seen = None  # the ledger itself tells of it
+                seen = None  # the ledger reports it
                 self._stopping.wait(TROUBLE_S)
             except Exception:
                 log.exception("following the ledger failed; trying again")
@@ -225,7 +225,7 @@ class Tables(CurrentTables):
             self._grown.notify_all()
 
     def _followed(self, component: Component, rows: Rows, after: int) -> tuple[Rows, int]:
-        """Return rows with all that the ledger says of them after a seq, and up to which seq."""
+        """Return rows with the ledger's changes after a seq, and up to which seq."""
         fresh = [rows]  # joined at the end: a table of a million rows comes in fifty parts
         while True:
             row_changes = self._ledger.row_changes(component.name, after)
@@ -237,7 +237,7 @@ class Tables(CurrentTables):
                 return joined(fresh), after
 
     def _unchecked(self, component: Component) -> tuple[Rows, int]:
-        """Return what a component's file holds, for as long as the ledger cannot be asked."""
+        """Return the rows of a component's file, for as long as the ledger cannot be read."""
         found = self._files.read(component)
         if found is None or found[1].fingerprint != component.fingerprint:
             return Rows.empty(), 0

@@ -87,7 +87,7 @@ class MappedTables(CurrentTables):
             self._thread.join()
 
     def faults(self) -> dict[str, str]:
-        """Return why a component's table is not what the ledger says, by its name."""
+        """Return why a component's table differs from the ledger, by its name."""
         return {**self._status.faults, **self._unread}
 
     def trouble(self) -> str | None:
@@ -119,7 +119,7 @@ class MappedTables(CurrentTables):
             return self._holds(component, goal)
 
     def _holds(self, component: Component, goal: int) -> bool:
-        """Tell whether a table is of the component as it is now and has all rows up to goal."""
+        """Return whether a table is of the component as it is now and has all rows up to goal."""
         table = self._tables.get(component.name)
         if table is None or table.version < goal:
             return False

@@ -1,4 +1,4 @@
-"""The packed tables of a data directory: ``NAME-VERSION.wbt`` beside the HDF5 tables.
+"""The packed tables of a data directory: ``NAME-VERSION.wbt`` next to the HDF5 tables.
 
 They are derived: a file that is missing, damaged or of anything else than its `origin_of` is
 written again. The process that builds tables writes them, all processes of a server map them.
@@ -83,7 +83,7 @@ class PackedFiles:
         return found if is_of(found, name, origin) and "ledger" in origin else None
 
     def remove(self, name: str, but: Path | None = None) -> None:
-        """Remove a component's files but one; mapped ones live on in whoever maps them."""
+        """Remove a component's files but one; processes that have mapped one keep it."""
         for found, path in self._files():
             if found == name and path != but:
                 with suppress(OSError):  # another process has removed it, or it is in use
@@ -133,7 +133,7 @@ class PackedFiles:
 
 
 def is_of(packed: PackedTable, name: str, origin: dict[str, str]) -> bool:
-    """Return whether a packed table is of a component and of what `origin_of` says."""
+    """Return whether a packed table is of a component and of this `origin_of`."""
     about = packed.words.get("provenance", {})
     built = about.get("origin") or {"setup": None}
     return about.get("component") == name and built.items() <= origin.items()

@@ -1,4 +1,4 @@
-"""Tables as they were at an earlier version, built when somebody asks them."""
+"""Tables as they were at an earlier version, built on request."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wrenchbook.service.tables.served import ServedTable, in_memory, make, packe
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.table.rows import Rows, joined
 
-# A study asks one version, or compares a few.
+# A study reads one version, or compares a few.
 MOST_TABLES = 4
 # Rows of an earlier version, and of all that are kept: as many take some ten seconds to build and
 # some 100 MB; the newest table alone is worth more.
@@ -34,7 +34,7 @@ class PastDamagedError(Exception):
 
 
 class PastTables:
-    """Tables of earlier versions; the last few asked are kept.
+    """Tables of earlier versions; those used last are kept.
 
     A table is a function of its rows alone, so that an earlier version answers with the digits
     that it answered with then.
@@ -51,7 +51,7 @@ class PastTables:
     Attributes
     ----------
     turns : CapacityLimiter
-        For event loops: who waits for its turn to build holds none of the threads that answer.
+        For event loops: a request that waits to build takes none of the threads that answer.
     """
 
     def __init__(

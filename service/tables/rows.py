@@ -50,7 +50,7 @@ class ExportRows:
         NaN where not known.
     source, note, fingerprint : list of str
     when, who : list of str
-        When each came, UTC, and who sent it; who is empty for a solve.
+        When each came, UTC, and its sender; ``who`` is empty for a solve.
     """
 
     seq: list[int]
@@ -109,7 +109,7 @@ def iso_time(seconds: float) -> str:
 
 
 def table_meta(component: Component, version: int, error: SolverError | None = None) -> TableMeta:
-    """Return what an HDF5 export says about its rows, and what their solver may be wrong by."""
+    """Return the metadata of an HDF5 export: contract, range, and the solver's own error."""
     return TableMeta(
         component=component.name,
         last_seq=version,
@@ -166,7 +166,7 @@ def count_others(ledger: Ledger, component: Component, table: ServedTable) -> No
     Raises
     ------
     LedgerUnavailableError
-        If the ledger cannot be asked.
+        If the ledger cannot be read.
     """
     found = ledger.of_other_setups(component.name, component.fingerprint)
     table.other_rows = sum(found.values())

@@ -25,7 +25,7 @@ class TableBehindError(Exception):
 
     @classmethod
     def late(cls, name: str, why: str | None, seconds: float, more: str = "") -> TableBehindError:
-        """Say that the newest rows are not in a table after so long, and why if that is known."""
+        """Return the error of a table that lacks the newest rows after so long."""
         why = why or f"its newest rows are not in it after {seconds:g} s"
         return cls(
             f"the table of {name!r} is older than the ledger: {why}{more}. Nothing was asked for; "
@@ -34,7 +34,7 @@ class TableBehindError(Exception):
 
     @classmethod
     def unbuilt(cls, name: str, why: str | None) -> TableBehindError:
-        """Say that a table that has rows was never built since the start."""
+        """Return the error of a table with rows that was never built since the start."""
         why = why or "it is being built for the first time since the start"
         return cls(
             f"the table of {name!r} has rows and cannot answer yet: {why}. Nothing was asked "
@@ -43,7 +43,7 @@ class TableBehindError(Exception):
 
 
 ROW_DETAIL = "the displacement that a row of the table has at this wrench"
-_WHOLE = 4  # the place in the solver's flags that says whether error bars have all their parts
+_WHOLE = 4  # the place in the solver's flags of whether error bars have all their parts
 # MB of rows and numpy tables that a process keeps. The packed tables answer; numpy tables serve
 # fills, plans and the build of the next version.
 TABLE_MEMORY = 700
@@ -199,10 +199,10 @@ def make(
 ) -> AnyTable:
     """Build the surrogate; its version is the number of the ledger's newest change in it.
 
-    It is the same function of the rows alone, whatever was before: whoever has the same rows, a
+    It is a function of the rows alone, whatever `before` is: with the same rows, a
     simulator that has downloaded them or this server after a restart, has the same digits. What
     has not changed since the version before is not made again. What `errors` knows of the solver
-    stands beside it.
+    is part of it.
     """
     own = errors if component.has_fea else None
     return build(
