@@ -16,10 +16,10 @@ from wrenchbook.surrogate.field_weights import LEAST_LEFT_OUT, FieldWeights
 Floats = NDArray[np.float64]
 
 LEVEL = 0.95
-"""Share of a row's vertices, and of rows, that a bar is to hold."""
+"""Share of a row's vertices, and of rows, that an error bar covers."""
 
 WIDENING = 5.0
-"""Bars widen by this over the number of rows left out: few tell a tail badly (as the table's)."""
+"""Error bars widen by this over the number of rows left out: few show a tail badly (as tables')."""
 
 
 class BlendedFields(NamedTuple):
@@ -28,9 +28,9 @@ class BlendedFields(NamedTuple):
     Attributes
     ----------
     displacement, error
-        Shapes (v, 3) and (v,), m; None where too few rows tell an error.
+        Shapes (v, 3) and (v,), m; None where too few rows give an error.
     stress, stress_error
-        Shape (p, 6), Pa, and the bar of its largest von Mises stress; None where not known.
+        Shape (p, 6), Pa, and the error bar of its largest von Mises stress; None where not known.
     """
 
     displacement: Floats
@@ -55,11 +55,11 @@ class Blend:
     largest
         The largest displacement in any row, m.
     spread
-        Shape (v,), m: of a vertex's error over sigma; None where too few rows tell it.
+        Shape (v,), m: of a vertex's error over sigma; None where too few rows give it.
     factor
         What sigma times spread is multiplied by.
     stress_factor
-        Pa: the bar of the largest von Mises stress over sigma.
+        Pa: the error bar of the largest von Mises stress over sigma.
     """
 
     geometry: SurfaceGeometry
@@ -135,9 +135,9 @@ def _columns(row: RowFields) -> Floats:
 def _stress_factor(
     stress: Floats, errors: Floats, rows: Sequence[RowFields], sigmas: Floats
 ) -> float | None:
-    """Return the bar of the largest von Mises stress over sigma, Pa; None without stresses.
+    """Return the error bar of the largest von Mises stress over sigma, Pa; None without stresses.
 
-    Of each row left out it is what its largest would be told as, held against its own largest.
+    Of each row left out the predicted largest is compared with its own largest.
     """
     if not stress.shape[1]:
         return None

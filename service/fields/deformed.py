@@ -40,7 +40,7 @@ BLEND_BYTES = 128 << 20
 """Of the fields that one component's interpolation holds; larger surfaces take fewer rows."""
 
 LEAST_ROWS = 8
-"""Rows taken however large their fields are: fewer tell neither an answer nor an error."""
+"""Rows taken however large their fields are: fewer give neither an answer nor an error."""
 
 MOST_BLENDS = 2
 """Components whose interpolation is kept at once."""
@@ -49,17 +49,17 @@ THREADS = 2
 """Surfaces made at once: each may take a processor."""
 
 FARTHEST = 2.0
-"""Half ranges beyond an end of the load range: further out no row says anything of a surface."""
+"""Half ranges beyond an end of the load range: further out rows do not determine a surface."""
 
 SAME = 1e-6
 """Of the load range: a wrench so near to a row's is the one that row was rounded from."""
 
 WITHOUT_TOLERANCE = 0.01
-"""Of the largest displacement of any row: a vertex's bar where the component tells no tolerance."""
+"""Of the largest displacement of any row: a vertex's error bar allowed without a tolerance."""
 
 
 class NoFieldsError(Exception):
-    """No row of the component has a deformed surface; says how to get one."""
+    """No row of the component has a deformed surface; the message has the remedy."""
 
     def __init__(self, component: Component, why: str) -> None:
         super().__init__(_how_to(component, why))
@@ -80,7 +80,7 @@ class DeformedSurfaces:
     Attributes
     ----------
     threads : ThreadPoolExecutor
-        For those who must not wait themselves: `answer` may take a second.
+        For callers that must not block: `answer` may take a second.
     """
 
     def __init__(self, store: FieldStore) -> None:
@@ -113,8 +113,8 @@ class DeformedSurfaces:
         hyperparameters : Hyperparameters, optional
             Of the table's kriging.
         solver : SolverError, optional
-            What the component's solver may be wrong by; without it bars are of the table alone,
-            which `Deformed.parts` says.
+            The solver's own error; without it error bars are the interpolation error alone,
+            see `Deformed.parts`.
         shares : mapping, optional
             Its shares at the interface under that wrench (`SolverError.parts`).
 
@@ -161,7 +161,7 @@ class DeformedSurfaces:
         )
 
     def _own(self, component: Component, rows: Rows, wrench: Floats) -> Deformed | None:
-        """Return what the solve of this wrench says; None if there is none with fields."""
+        """Return the surface of this wrench's own solve; None if there is none with fields."""
         apart = np.abs(rows.wrench - wrench) / component.load_range.scale
         near = apart.max(axis=1, initial=0.0) <= SAME
         for place in np.flatnonzero(near & (rows.fingerprint == component.fingerprint)).tolist():
@@ -270,7 +270,7 @@ class DeformedSurfaces:
         return blend
 
     def _most_rows(self, component: Component, rows: Rows) -> int:
-        """Return of how many rows the fields may be held at once."""
+        """Return how many rows' fields may be in memory at once."""
         for row in self._readable(component, rows.wrench):
             size = 7 * 8 * (row.displacement.size + row.stress.size)
             return min(MOST_ROWS, max(LEAST_ROWS, BLEND_BYTES // max(size, 1)))
@@ -328,7 +328,7 @@ def _whole(
     solver: SolverError | None,
     shares: Mapping[str, Sequence[float] | None] | None,
 ) -> Deformed:
-    """Return a surface whose bars hold the solver's share too; coverage stays the table's."""
+    """Return a surface whose error bars include the solver's error; coverage stays the table's."""
     if shape.error is None:
         return shape
     parts = error_parts(shape.error, shape.follows, solver, np.array(shape.wrench), shares)
@@ -352,7 +352,7 @@ def _judged(component: Component, blend: Blend, error: Floats | None) -> tuple[s
 
 
 def _how_to(component: Component, why: str) -> str:
-    """Say why there is no surface, and how to get one."""
+    """Return why there is no surface, and how to get one."""
     name = component.name
     if not component.has_fea:
         return (

@@ -2,7 +2,7 @@
 
 Two files: the geometry, which all rows of a component share, and the row's own fields. The
 displacement is kept to 2^-44 of its largest number, stresses to 2^-24 and slopes to 2^-20, as they
-are told between rows only; a linear component's slopes are its whole answer and kept to 2^-44.
+serve interpolation only; a linear component's slopes are its whole answer and kept to 2^-44.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = NDArray[Any]
 
 
 class SurfaceGeometry(NamedTuple):
-    """The undeformed surface, and where stresses are told; in the interface frame.
+    """The undeformed surface, and the points of stresses; in the interface frame.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ def leave(folder: Path, wrench: tuple[float, ...], fields: Any) -> None:
     wrench
         Six numbers, N and N·m.
     fields : fea.recovery.fields.SolveFields
-        Not named in code: whoever reads the files imports no finite elements.
+        Not imported: readers of the files import no finite elements.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def _row_file(wrench: tuple[float, ...], fields: Any, geometry: str) -> bytes:
 
 
 def digest_of(geometry: bytes) -> str:
-    """Return what tells one geometry's file from another."""
+    """Return the digest that identifies a geometry's file."""
     return blake2b(geometry, digest_size=12).hexdigest()
 
 

@@ -25,9 +25,9 @@ from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 
 LOCAL = 0.1
-"""Of the mesh's largest share on the surface, what a free vertex may be off besides: cells deform
+"""Of the largest discretisation error on the surface, a free vertex's error besides: cells deform
 wrongly on their own too, by clamps and edges. On six parts 9 of 10 vertices are 3 to 18 % of the
-largest share off what follows the interface; without this 77 to 99 % of vertices are held, with it
+largest off what follows the interface; without this 77 to 99 % of vertices are covered, with it
 97 % and more (`make bench NAME=surface_error`)."""
 
 _SINGULAR = 1e-9
@@ -39,7 +39,7 @@ NOT_FOLLOWED = (
 
 
 class ErrorParts(NamedTuple):
-    """What the bars of a surface are the sum of.
+    """The parts of the error bars of a surface.
 
     Attributes
     ----------
@@ -55,12 +55,12 @@ class ErrorParts(NamedTuple):
 
     @property
     def total(self) -> Floats:
-        """The bars, shape (v,), m: all shares that are known."""
+        """The error bars, shape (v,), m: the sum of all known parts."""
         return np.sum([share for share in self.shares.values() if share is not None], axis=0)
 
     @property
     def are_whole(self) -> bool:
-        """Whether the mesh's share is known: without it bars are of the table alone."""
+        """Whether the discretisation error is known: else only the interpolation error is."""
         return self.shares.get("mesh") is not None
 
     def largest(self) -> dict[str, float | str | None]:
@@ -97,16 +97,16 @@ def error_parts(
     wrench: Floats,
     shares: Mapping[str, Sequence[float] | None] | None = None,
 ) -> ErrorParts:
-    """Return the shares of a surface's bars.
+    """Return the parts of a surface's error bars.
 
     Parameters
     ----------
     table
-        Shape (v,), m: the table's own bars.
+        Shape (v,), m: the interpolation error.
     follows
         As `vertex_modes` has it, shape (v, 3, 6), m/m and m/rad.
     solver
-        What the solver may be wrong by; None where nothing has told.
+        The solver's own error; None where it was never estimated.
     wrench
         Shape (6,), N and N·m.
     shares
@@ -128,7 +128,7 @@ def error_parts(
 
 
 def _carried(follows: Floats, bars: Floats) -> Floats:
-    """Return the vertices' bars (v,), m, of the interface's six, m and rad, of unknown signs."""
+    """Return the vertices' error bars (v,), m, of the interface's (6,), m and rad, any sign."""
     return np.linalg.norm(np.abs(follows) @ bars, axis=1)
 
 
@@ -144,14 +144,14 @@ class LargestStress(NamedTuple):
     Attributes
     ----------
     largest, error
-        Pa, and its 95 % bar, of the table alone; None where nothing tells it.
+        Pa, and its 95 % error bar, of the interpolation alone; None where not known.
     at
         Shape (3,), m: the integration point, undeformed, in the interface frame.
     region, yield_strength
-        The material there, and what it bears, Pa; None where its bundle does not say it.
+        The material there, and its yield strength, Pa; None where its bundle does not have it.
     yields
         Whether any part yields, and by it which is named: True, False, or None where it is not
-        known, for lack of a yield strength or because the bar reaches across it.
+        known, for lack of a yield strength or because the error bar reaches across it.
     """
 
     largest: float
@@ -175,10 +175,10 @@ class Deformed:
     displacement
         Shape (v, 3), m.
     error
-        Shape (v,), m: 95 % bar of the length of each vertex's error; None where nothing tells it.
+        Shape (v,), m: 95 % error bar of the length of each vertex's error; None where not known.
         The solver's own share is in it, as far as it is known: see `parts`.
     stress
-        None where no row tells it between rows: the body has too many integration points.
+        None between rows of a body with too many integration points.
     source
         ``row``: a solve of this wrench; ``rows``: interpolated; ``linear``: six unit fields.
     rows
@@ -188,9 +188,9 @@ class Deformed:
     follows
         Shape (v, 3, 6), m/m and m/rad: how vertices follow the interface; None where not known.
     parts
-        What `error` is the sum of; None until the solver's share is added, or without bars.
+        The parts of `error`; None until the solver's error is added, or without error bars.
     within_tolerance
-        Whether all bars are; None where there is no tolerance, or they are of the table alone.
+        Whether all error bars are; None without a tolerance or a discretisation error.
     """
 
     component: str
@@ -209,7 +209,7 @@ class Deformed:
 
 
 def rounding(displacement: Floats) -> Floats:
-    """Return the bar that no vertex is below, shape (v,), m, of displacements (v, 3), m."""
+    """Return the least error bar, shape (v,), m, of displacements (v, 3), m."""
     return np.full(len(displacement), ROUNDING * np.abs(displacement).max(initial=0.0))
 
 
@@ -223,7 +223,7 @@ def largest_stress(
     Parameters
     ----------
     error
-        The bar of the von Mises stress, Pa.
+        The error bar of the von Mises stress, Pa.
     """
     if not len(stress):
         return None
@@ -237,7 +237,7 @@ def largest_stress(
 
 
 def stress_of_row(component: Component, row: RowFields) -> LargestStress:
-    """Return the largest stress that a row's own solve told, at any integration point."""
+    """Return the largest stress of a row's own solve, at any integration point."""
     at = tuple(float(x) for x in row.meta["at"])
     return _with_yield_strength(
         component, float(row.meta["largest"]), 0.0, at, str(row.meta["region"])

@@ -137,7 +137,7 @@ _TYPES = {"<f8": "Float64", "<i8": "Int64", "|u1": "UInt8"}
 def write_vtu(shape: Deformed) -> bytes:
     """Return the .vtu file: undeformed triangles, in metres, with displacement and error.
 
-    Numbers are float64, as they are. Beside ``error`` stand the shares it is the sum of, as
+    Numbers are float64, as they are. Next to ``error`` are the parts it is the sum of, as
     ``error_table``, ``error_mesh`` and ``error_linearity``; one that is not known is left out.
     """
     return "\n".join(_lines(shape)).encode()
