@@ -41,7 +41,7 @@ _NO_TABLE = 'is not a table; write {"rows": [{"wrench": [6 numbers], "displaceme
 
 
 class JsonError(ValueError):
-    """The text is no JSON, or no object; the message tells the place."""
+    """The text is no JSON, or no object; the message has the place."""
 
 
 def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:

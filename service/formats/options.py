@@ -17,7 +17,7 @@ Role = Literal["table", "loads", "displacements"]
 MOST_ROWS = 5_000_000  # of a file: 0.6 GB as arrays without tangents
 MOST_ZERO_ROWS = 10_000  # all in the first piece of a file
 MOST_LISTED = 1000
-"""Mistakes listed at most; one more line then says that there are more."""
+"""Mistakes listed at most; one more line then counts the others."""
 
 MOST_MISTAKES = 100 * MOST_LISTED
 """Reading stops after so many: 8.8 KB of gzip can hold six million, 78 s of processor time."""
@@ -152,7 +152,7 @@ class Mistakes:
         del self._kept[MOST_LISTED + 1 :]
 
     def listed(self) -> tuple[Mistake, ...]:
-        """Return the first by row; a last one tells how many are not listed."""
+        """Return the first by row; a last one counts those that are not listed."""
         self.settle()
         if self.count <= MOST_LISTED:
             return tuple(self._kept)

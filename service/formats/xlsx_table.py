@@ -44,7 +44,7 @@ class SheetFullError(ValueError):
 
 
 class ZipBoundsError(ValueError):
-    """The archive is damaged, or unpacks to more than the limit; the message says which."""
+    """The archive is damaged, or unpacks to more than the limit; see the message."""
 
 
 def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
