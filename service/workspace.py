@@ -59,7 +59,7 @@ class Workspace:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._jobs_folder = settings.folder / "jobs"
-        # A full disk or a damaged file keeps nobody from asking the tables there are.
+        # A full disk or a damaged file does not keep the existing tables from answering.
         self.ledger = Ledger(settings.folder / "ledger.sqlite", patient=True)
         if trouble := self.ledger.trouble():
             log.error("nothing is accepted until this is mended: %s", trouble)
@@ -122,9 +122,9 @@ class Workspace:
         self.ledger.close()
 
     def surrogate(self, name: str) -> ServedTable:
-        """Return the newest table of a component that somebody asks for an answer.
+        """Return the newest table of a component for a query.
 
-        A linear component whose 6x6 compliance is not known has the solves that tell it queued,
+        A linear component whose 6x6 compliance is not known has the solves that give it queued,
         once a version of its table.
         """
         table = self.tables.surrogate(name)
@@ -225,12 +225,12 @@ class Workspace:
         NoSetupError
             If the component has no finite-element setup.
         TableBehindError
-            If the table does not hold all rows yet: a design on an older one asks, and pays,
+            If the table does not hold all rows yet: a design on an older one would pay
             for what is known.
         """
         self.submission.solvable(name)
         # First what is open, then what is known: a solve that ends between the two is in both.
-        # The other way round it would be in neither, and be asked for again.
+        # The other way round it would be in neither, and be solved twice.
         pending = self.submission.pending_wrenches(name)
         surrogate = self.tables.caught_up(name, CATCH_UP_S).surrogate()
         if need is None:
@@ -241,7 +241,7 @@ class Workspace:
         else:
             design = design_of(surrogate, plan_of(surrogate, need), budget, pending)
         jobs = self.submission.fill(name, design.wrenches)
-        # A design tells apart by 1e-9 of the range, a queue by 1e-6: some may be known.
+        # A design separates by 1e-9 of the range, a queue by 1e-6: some may be known.
         return design, [job for job in jobs if job.status != "done"]
 
     async def wait(self, job_id: int, seconds: float) -> Job:
@@ -253,7 +253,7 @@ class Workspace:
         return await self._polls.wait_all(job_ids, seconds)
 
     def let_go(self) -> None:
-        """Let all who wait for jobs have them as they are: the server stops. For the loop."""
+        """Return from all waits with the jobs as they are: the server stops. For the loop."""
         self._polls.let_go()
 
     def why_waiting(self, job: Job) -> Waiting | None:
@@ -269,11 +269,11 @@ class Workspace:
         return self._dispatcher.trouble if self._dispatcher else None
 
     def progress(self, job: Job) -> Progress | None:
-        """Return how far a running job is; None if its solver has not said anything yet."""
+        """Return the progress of a running job; None before its solver's first report."""
         return read_progress(self.attempt_folder(job))
 
     def notes(self, job: Job) -> list[str]:
-        """Return what the solver of a done job said about its answer."""
+        """Return the solver's notes on the answer of a done job."""
         return notes_of(job, self.attempt_folder(job)) if job.status == "done" else []
 
     def attempt_folder(self, job: Job) -> Path:
@@ -311,7 +311,7 @@ class Workspace:
         estimate = solver_error_of(component.folder, component.fingerprint)
         known = self.errors.read(component.name, component.fingerprint)
         # Its check estimated it already: the first solve need not. A copy has its original's, which
-        # a solve may have told since.
+        # a later solve may have refined.
         if estimate is not None and (known is None or not known.can_grow):
             self.errors.settle(component.name, component.fingerprint, estimate)
         try:
@@ -324,7 +324,7 @@ class Workspace:
         self.errors.copy(component.name, component.fingerprint, name)
 
     def _ask_compliance(self, name: str, table: ServedTable) -> None:
-        """Queue what tells a linear component's compliance, once a version of its table."""
+        """Queue the solves of a linear component's compliance, once a version of its table."""
         component = self.library[name]
         setup = component.fingerprint, table.version
         if not component.has_fea or self._compliance_requested.get(name) == setup:
@@ -335,13 +335,13 @@ class Workspace:
             design = next_wrenches(table.surrogate(), 6, pending=pending)
             self.submission.fill(name, design.wrenches, urgent=True)
         except LedgerUnavailableError:
-            del self._compliance_requested[name]  # asked again by the next question
+            del self._compliance_requested[name]  # the next query tries again
 
     def _bundle(self, name: str) -> Path:
         return self.library[name].folder
 
     def _on_change(self, _: Change) -> None:
-        """Wake whoever waits for a job; called from the thread that committed."""
+        """Wake the callers that wait for a job; called from the thread that committed."""
         self.tables.notify()
         loop = self._loop
         if loop is None or loop.is_closed():

@@ -14,7 +14,7 @@ _PATIENCE_SECONDS = 0.5
 
 
 def take(path: Path) -> int | None:
-    """Lock the file (made if there is none) and return its descriptor; None if it is held."""
+    """Lock the file (made if there is none) and return its descriptor; None if it is locked."""
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     deadline = time.monotonic() + _PATIENCE_SECONDS
     while True:
@@ -29,7 +29,7 @@ def take(path: Path) -> int | None:
 
 
 def is_locked(path: Path) -> bool:
-    """Return whether anybody holds the lock; a file that is not there is not held."""
+    """Return whether a process has the lock; a file that is missing is not locked."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except FileNotFoundError:

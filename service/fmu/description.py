@@ -40,7 +40,7 @@ _TOLERANCE = "largest error bar of a covered answer; 0: the component's own. Giv
 
 
 def identifier_of(component: str) -> str:
-    """Return a component's name as a C identifier, which FMI asks for."""
+    """Return a component's name as a C identifier, as FMI requires."""
     word = re.sub(r"[^A-Za-z0-9_]", "_", component)
     return word if word[:1].isalpha() else f"fmu_{word}"
 

@@ -51,11 +51,11 @@ endif()
 
 
 class NotExportableError(ValueError):
-    """A table that no FMU can hold; the text says why and what to do."""
+    """A table that no FMU can hold; the message has the reason and the remedy."""
 
 
 class CompilerError(RuntimeError):
-    """A compiler that did not compile the FMU; carries what it said."""
+    """A compiler that did not compile the FMU; carries its output."""
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ def extract(archive: Path, target: Path) -> Path:
 
 
 def _unpack(bundle: zipfile.ZipFile, target: Path) -> None:
-    """Write each member, counting what comes out of it: its head may say anything."""
+    """Write each member and count its bytes: the size in its header may be wrong."""
     left = MAX_BUNDLE_BYTES
     for info in bundle.infolist():
         path = target.joinpath(*Path(info.filename).parts)

@@ -1,4 +1,4 @@
-"""What people say about components: notes, and which are put away. One small file."""
+"""Notes on components, and which components are archived. One small file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST_NOTES = 100_000  # characters
 
 @dataclass(frozen=True)
 class CatalogueCard:
-    """What is said of one component.
+    """The entry of one component.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Catalogue:
             return self._cards.get(name, CatalogueCard())
 
     def change(self, name: str, **fields: Any) -> CatalogueCard:
-        """Change what is said of a component, for good.
+        """Change a component's entry, on disk for good.
 
         Raises
         ------
@@ -81,7 +81,7 @@ class Catalogue:
             return card
 
     def _look(self) -> None:
-        """Read the file if it is another one than before; one that is broken says nothing."""
+        """Read the file if it has changed; a damaged one is ignored."""
         try:
             found = self._path.stat()
         except OSError:

@@ -1,4 +1,4 @@
-"""A component as the service sees it: its facts, the report of its check, and its errors."""
+"""A component as the service sees it: its data, the report of its check, and its errors."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Component:
     idle : tuple of int
         Which of the six loads act on a freedom of the interface that is locked.
     yield_strengths : mapping
-        By a material's region, Pa; of those whose bundle says it.
+        By a material's region, Pa; of those whose bundle has one.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Component:
 
     @property
     def acting_range(self) -> LoadRange:
-        """The load range, N and N·m, with loads on locked freedoms held at 0.
+        """The load range, N and N·m, with loads on locked freedoms at 0.
 
         What is designed varies no other load: one wrench would count as several, and a first
         design, of which the queue drops the copies, would always have some to go.
@@ -85,13 +85,13 @@ def file_stamp(files: Iterable[Path]) -> FileStamp:
 
 def _stamp(path: Path) -> tuple[int, int] | None:
     try:
-        found = os.stat(path)  # noqa: PTH116 (half the time of Path.stat; asked for by each query)
+        found = os.stat(path)  # noqa: PTH116 (half the time of Path.stat; for each query)
     except OSError:
         return None
     return found.st_mtime_ns, found.st_size
 
 
-MOST_NAMES = 20  # that a refusal tells; those most like the one that was asked for, if more
+MOST_NAMES = 20  # in a refusal; those most like the requested one, if there are more
 
 
 class UnknownComponentError(KeyError):
@@ -174,8 +174,8 @@ def interface_of(component: Component) -> dict[str, Any] | None:
     Returns
     -------
     dict
-        ``section``, ``point`` (shape (3,), m; None for the section's area centre while no check has
-        told where that is), ``axes`` (shape (3, 3), one axis a row), ``coupling``, ``locked`` and
+        ``section``, ``point`` (shape (3,), m; None for the section's area centre, until a check has
+        found it), ``axes`` (shape (3, 3), one axis a row), ``coupling``, ``locked`` and
         ``moment``, in words.
     """
     return _interface(component.folder, component.fingerprint)
@@ -203,7 +203,7 @@ def vibration_of(folder: Path) -> dict[str, Any] | None:
     """Return mass and first natural frequency as the check of a bundle found them.
 
     By itself, without what it will carry: ``mass`` (kg), ``first_frequency`` (Hz), ``motion`` (six
-    numbers, m and rad). None where the bundle tells no density or no check has been stored.
+    numbers, m and rad). None where the bundle has no density or no check has been stored.
     """
     return _report(folder).get("vibration") or None
 

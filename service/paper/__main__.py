@@ -1,7 +1,7 @@
 """Reproduce the paper: ``python -m wrenchbook.service.paper FOLDER [--quick]``.
 
 Writes ``paper.html`` and ``paper.json`` into the folder, prints a table of what was found, and ends
-with status 1 if a band is missed. It runs in a process of its own, as every solve does, beside a
+with status 1 if a band is missed. It runs in a process of its own, as every solve does, next to a
 private server on an empty data directory.
 """
 

@@ -1,4 +1,4 @@
-"""Figure 10 of the paper: a robot on a plate, and its table beside direct finite elements."""
+"""Figure 10 of the paper: a robot on a plate, and its table against direct finite elements."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from wrenchbook.service.paper.scenes import LoopRun, move_arm
 METHODS = (None, "griddata")  # None: the table's own choice
 # Of each output's range over the trajectory, worst output, RMS: an engineer's one per cent.
 ERROR = 1e-2
-INSIDE = 0.9  # of the errors lie within the bars, which are 95 % ones
+INSIDE = 0.9  # of the errors lie within the error bars, which are 95 % ones
 SMALL = 0.1  # of the largest of its kind: an output that the straight influence may not resolve
 WIDER = 0.05  # of the span that each load had on the rigid plate
 SOLVE_S = 600.0
@@ -81,7 +81,7 @@ class Check:
 
     @property
     def inside(self) -> float:
-        """The part of all errors that lie within their bars, dimensionless."""
+        """The part of all errors that lie within their error bars, dimensionless."""
         return float(np.mean(self.error <= self.bars))
 
 
@@ -189,7 +189,7 @@ def _seconds_of(ask: Any, wrench: Vector, method: str | None) -> float:
 
 
 def _findings(name: str, checks: list[Check], limits: Vector) -> list[Finding]:
-    """Hold the default method to its bands; tell griddata's figures. Limits: (6,), m and rad."""
+    """Compare the default method with its bands; report griddata's. Limits: (6,), m and rad."""
     found = []
     for check, is_band in zip(checks, (True, False), strict=True):
         worst = int(np.argmax(check.relative))
@@ -206,8 +206,8 @@ def _findings(name: str, checks: list[Check], limits: Vector) -> list[Finding]:
             limit = most if is_band else None
             words = f"{label}: {words}"
             found.append(Finding(words, "direct solves", 0.0, float(value), limit, "absolute"))
-        words = f"{label}: part of the errors inside their bars"
-        found.append(Finding(words, "95 % bars", INSIDE, check.inside, 0.0, "at least"))
+        words = f"{label}: part of the errors inside their error bars"
+        found.append(Finding(words, "95 % error bars", INSIDE, check.inside, 0.0, "at least"))
         words = f"{label}: a solve over an answer of the table, time"
         ratio = check.solve_s / check.answer_s
         found.append(Finding(words, "run time", 1.0, ratio))
@@ -244,7 +244,7 @@ def _numbers(checks: list[Check], limits: Vector) -> dict[str, Any]:
 
 
 def _is_small(span: Vector) -> Mask:
-    """Tell which outputs hardly move beside the largest of their kind; shape (6,), m and rad."""
+    """Return which outputs hardly move against the largest of their kind; (6,), m and rad."""
     return (span.reshape(2, 3) < SMALL * span.reshape(2, 3).max(axis=1)[:, None]).ravel()
 
 
@@ -269,7 +269,7 @@ def _wrench_plots(name: str, run: LoopRun) -> list[Plot]:
 def _displacement_plots(name: str, checks: list[Check]) -> list[Plot]:
     """Draw figure 10b: displacements of the table's own method, and of direct solves.
 
-    Outputs that hardly move have a plot of their own, with griddata beside: there the methods part.
+    Outputs that hardly move have a plot of their own, with griddata's: there the methods differ.
     """
     small = _is_small(checks[0].span)
     groups = (

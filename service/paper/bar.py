@@ -32,7 +32,7 @@ _LEVELS: tuple[str, ...] = ("closed form", "finite elements", "MuJoCo and servic
 
 
 def tip_load(client: Client, effort: Effort, heard: Heard) -> PaperPart:
-    """Load the bar, and compare deflection and turn of its tip on three levels."""
+    """Load the bar, and compare deflection and rotation of its tip on three levels."""
     part = PaperPart(
         "Bar with a load (figure 2)",
         "Steel bar, 1 m, 20 x 20 mm, clamped: u_z = F L^3/(3 E I) + M L^2/(2 E I), r_y = F "

@@ -58,7 +58,7 @@ def lines_of(findings: list[dict[str, Any]]) -> tuple[tuple[str, ...], ...]:
 
 
 def _band(finding: dict[str, Any]) -> str:
-    """Say what a finding's error may be."""
+    """Return a finding's tolerance in words."""
     tolerance, comparison = finding["tolerance"], finding["comparison"]
     if tolerance is None:
         return ""
@@ -99,8 +99,8 @@ def _components(numbers: dict[str, Any]) -> list[ReportSection]:
             for place, output in enumerate(OUTPUTS):
                 lines.append(_component_line(figures, place, output))
         note = (
-            f"{one['rows']} rows for {one['wrenches']} wrenches. Ranges, errors and bars in m and "
-            "rad; small: below a tenth of the largest output of its kind."
+            f"{one['rows']} rows for {one['wrenches']} wrenches. Ranges, errors, error bars in m "
+            "and rad; small: below a tenth of the largest output of its kind."
         )
         head = (
             "method",
@@ -108,7 +108,7 @@ def _components(numbers: dict[str, Any]) -> list[ReportSection]:
             "range",
             "RMS/range",
             "largest error",
-            "median bar",
+            "median error bar",
             "inside",
             "",
         )

@@ -20,7 +20,7 @@ ARM = (_INSTALLED if _INSTALLED.is_dir() else _CHECKOUT) / "arm.xml"
 
 BLOCK_WEIGHT = 0.01 * 9.81  # N, of a block of 10 g: it shows that the sign is right
 # Steps that a load stays: the pose follows the answer, and the lever moves with the pose; each
-# step multiplies what is left by some 1e-3.
+# step multiplies the remaining error by some 1e-3.
 HOLD = 8
 SYNC = 0.01  # s
 WAYPOINTS = np.array(
@@ -58,7 +58,7 @@ class LoopRun:
     times : numpy.ndarray
         Shape (n,), s.
     wrenches : numpy.ndarray
-        Shape (n, 6), N and N·m, as the sensors told them.
+        Shape (n, 6), N and N·m, as read from the sensors.
     displacements : numpy.ndarray
         Shape (n, 6), m and rad, of the interface, as it stands in the simulation.
     covered : numpy.ndarray of bool

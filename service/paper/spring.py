@@ -85,7 +85,7 @@ def line_through(x: ArrayLike, y: ArrayLike) -> Line:
 # N/mm: what the paper found by finite elements, with its spread; its whole loop: 0.585 ± 0.003.
 BAND, BAND_WIDTH, PAPER_LOOP = 0.582, 0.001, 0.585
 FORMULA_13 = 0.59  # N/mm, as the paper rounds it
-SMALL_LOAD = 2.0  # N: the range that the band is held over; a spring softens as it is pressed
+SMALL_LOAD = 2.0  # N: the range of the band; a spring softens as it is pressed
 LOOP = 1e-6  # of the third level against the second
 ROD_FORCE, ROD_ROTATION = (
     5e-3,
@@ -103,7 +103,7 @@ def spring(client: Client, effort: Effort, heard: Heard) -> PaperPart:
         "Guided along its axis, free to turn about it. Level 1 is rod theory (Love, article 271), "
         "level 2 a nonlinear solve a load, level 3 MuJoCo on the service's table, whose rows are "
         "the loads that a first run recorded (LM_direct) and had solved (LM_start). The stiffness "
-        f"falls as the spring is pressed: the paper's band is held over 0 to {SMALL_LOAD:g} N.",
+        f"falls as the spring is pressed: the paper's band is for 0 to {SMALL_LOAD:g} N.",
     )
     component = shipped("spring")
     rod, solver = rod_of(component), Solver(component)
@@ -184,7 +184,7 @@ def _fits(loads: Vector, shortening: Vector) -> dict[str, Line]:
 
 
 def _stiffness(rod: Rod, fits: dict[str, dict[str, Line]], tangent: float) -> list[Finding]:
-    """Set each level's stiffness, N/mm, beside the paper's."""
+    """Compare each level's stiffness, N/mm, with the paper's."""
     formula = rod.young / (2 * (1 + rod.poisson)) * rod.wire**4 / (8 * rod.turns * rod.mean**3)
     band = f"{PAPER}: {BAND} ± {BAND_WIDTH} by finite elements"
     found = [
@@ -221,9 +221,9 @@ def _stiffness(rod: Rod, fits: dict[str, dict[str, Line]], tangent: float) -> li
 def _between(levels: dict[str, Vector], covered: Mask) -> list[Finding]:
     """Compare the third level with the second, shapes (n, 2), mm and degrees.
 
-    The turn is held to its largest value: the solves end at 1e-6 of the displacement, and what they
-    leave is the turn of small loads too. What it is of each turn is reported. An answer that is
-    not covered tells an estimate with its bar: the turn of those is reported, too.
+    The rotation is compared with its largest value: the solves end at 1e-6 of the displacement,
+    which is large against the rotation under small loads. The error of each rotation is reported.
+    So is the rotation of answers that are not covered: those are estimates with error bars.
     """
     _, solved, looped = levels.values()
     found = []

@@ -19,7 +19,7 @@ from wrenchbook.surrogate.answer import COVERED
 Floats = NDArray[np.float64]
 
 OPEN = ("waiting", "running")
-UNIT_SOLVES = 6  # the most that tell a linear component
+UNIT_SOLVES = 6  # the most that a linear component needs
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def start_recording(
     """Queue the solves of recorded wrenches that the table does not cover.
 
     The one farthest from all that is solved or queued comes first, so that a budget is spent where
-    it tells most. The recording stays as it is.
+    it gains most. The recording stays as it is.
 
     Raises
     ------
@@ -194,7 +194,7 @@ def _submitted(
 
 
 def _reason(count: int, counted: StartedSolves, failed: int, left: int) -> str:
-    """Say what is not queued and what to do about it."""
+    """Return what is not queued and what to do about it."""
     reasons = []
     if left:
         reasons.append(f"{left} are left by the budget: start again once these are solved")
@@ -214,7 +214,7 @@ def _reason(count: int, counted: StartedSolves, failed: int, left: int) -> str:
 def _start_linear(
     workspace: Workspace, component: Component, wrenches: Floats, beyond_range: bool
 ) -> StartedSolves:
-    """Queue what tells a linear component's compliance: it answers every wrench."""
+    """Queue the solves of a linear component's compliance: it answers every wrench."""
     if not len(wrenches):
         return StartedSolves([], reason="nothing was gathered yet")
     inside, beyond = _within(component, wrenches, beyond_range)

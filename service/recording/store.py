@@ -203,7 +203,7 @@ def _take(subset: Subset, points: Floats, keys: list[bytes], which: NDArray[np.b
 
 
 def _wider(wrenches: Floats, keys: list[bytes], there: dict[int, bytes]) -> list[tuple[int, bytes]]:
-    """Return the extremes that wrenches, shape (n, 6), N and N·m, set anew, with their places."""
+    """Return the new extremes of wrenches, shape (n, 6), N and N·m, with their places."""
     if not keys:
         return []
     found = []

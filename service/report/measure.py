@@ -299,7 +299,7 @@ def answer_times(table: PackedTable, method: str, wrenches: np.ndarray) -> tuple
     Parameters
     ----------
     wrenches : ndarray, shape (n, 6), N and N·m
-        Asked in turn; the first once before, so that what a first answer makes is not counted.
+        Answered in order; the first once before, so that one-time work is not counted.
     """
     loads = wrenches.tolist()
     table.answer(loads[0], None, method)

@@ -22,7 +22,7 @@ State = Literal["none", "running", "done", "failed"]
 
 @dataclass(frozen=True)
 class Making:
-    """How far a report is; ``message`` says why it failed."""
+    """Progress of a report; ``message`` is why it failed."""
 
     state: State
     fraction: float = 0.0
@@ -63,7 +63,7 @@ class Reports:
         folder = self._folder / component.name
         with self._lock:
             folder.mkdir(parents=True, exist_ok=True)
-            # Held by who makes it, whichever process of the server has started that.
+            # Locked by the process that makes it, whichever process of the server started that.
             descriptor = None if self._is_alive(component.name) else lock.take(folder / _LOCK)
             if descriptor is None:
                 return

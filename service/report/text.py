@@ -26,7 +26,7 @@ def title_of(report: dict[str, Any]) -> str:
 
 
 def summary_of(report: dict[str, Any]) -> str:
-    """Say what was compared with what."""
+    """Return what was compared with what."""
     wrenches = report["wrenches"]
     return (
         f"{wrenches['compared']} of {wrenches['asked']} random full wrenches (seed "
@@ -37,7 +37,7 @@ def summary_of(report: dict[str, Any]) -> str:
 
 
 def advice_of(report: dict[str, Any]) -> str:
-    """Say in one sentence what to do about the table."""
+    """Return advice on the table in one sentence."""
     table = default_entry(report)
     error, mesh, name = worst(table), mesh_error(report), report["component"]
     sentence = f"the table ({name_of(table)}) errs by {100 * error:.2g} % of the range"
@@ -59,7 +59,7 @@ def advice_of(report: dict[str, Any]) -> str:
 
 
 def default_entry(report: dict[str, Any]) -> dict[str, Any]:
-    """Return the figures of the whole table by the method that answers where none is asked for."""
+    """Return the figures of the whole table by its default method."""
     name, rows = report["default"]["method"], report["rows"]
     return next(e for e in report["tables"] if e["method"] == name and e["rows"] == rows)
 
@@ -153,7 +153,7 @@ def _absolute(report: dict[str, Any]) -> ReportSection:
         "range is below a thousandth of the largest of its kind counts as near zero: its relative "
         "error is taken over that floor."
     )
-    return ReportSection("Absolute errors beside the tolerance", note, ("", *OUTPUTS), lines)
+    return ReportSection("Absolute errors against the tolerance", note, ("", *OUTPUTS), lines)
 
 
 def _bars(report: dict[str, Any]) -> ReportSection:
@@ -163,8 +163,8 @@ def _bars(report: dict[str, Any]) -> ReportSection:
         for entry in whole
     )
     note = (
-        "Share of true errors within the bar (against the table's own mesh), and the median bar "
-        "over the median error."
+        "Share of true errors within the error bar (against the table's own mesh), and the median "
+        "error bar over the median error."
     )
     return ReportSection("Error bars", note, ("method", *OUTPUTS), lines)
 
@@ -178,7 +178,7 @@ def _inside(share: float | None, ratio: float | None) -> str:
 def _default(report: dict[str, Any]) -> ReportSection:
     default = report["default"]
     note = (
-        f"Where no method is asked for, {default['method']} answers: {default['reason']}. "
+        f"Without a choice of method {default['method']} answers: {default['reason']}. "
         f"{default['full_wrench_rows']} rows load more than one axis."
     )
     errors = default["errors_left_out"]
