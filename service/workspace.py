@@ -254,7 +254,7 @@ class Workspace:
 
     def let_go(self) -> None:
         """Return from all waits with the jobs as they are: the server stops. For the loop."""
-        self._polls.let_go()
+        self._polls.stop()
 
     def why_waiting(self, job: Job) -> Waiting | None:
         """Return why a job waits and for how long it may; None if it does not wait."""
@@ -346,4 +346,4 @@ class Workspace:
         loop = self._loop
         if loop is None or loop.is_closed():
             return
-        loop.call_soon_threadsafe(self._polls.tell)
+        loop.call_soon_threadsafe(self._polls.notify)

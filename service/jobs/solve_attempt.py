@@ -1,10 +1,8 @@
 """Solve the wrench of an attempt's folder.
 
-``python -m wrenchbook.service.jobs.solve_attempt FOLDER`` runs it.
-
-Every engine runs this, and it is where a component and the service meet. However the solve
-ends, ``result.json`` has the end: ``done`` with the numbers, ``failed`` with kind, message and
-remedy, or ``cancelled``. Only a solver that was killed leaves none.
+Every solver runs this (`service.jobs.warm_solver`); it connects the finite elements and the
+service. ``result.json`` then has the end: ``done`` with the numbers, ``failed`` with kind, message
+and remedy, or ``cancelled``. Only a solver that was killed leaves none.
 
 ``WRENCHBOOK_SOLVE="package.module:function"`` names another solver than the embedded one: a
 function of a `Spec` and a progress callback that returns a mapping with at least
@@ -12,7 +10,6 @@ function of a `Spec` and a progress callback that returns a mapping with at leas
 and ``remedy`` is reported with them.
 """
 
-import argparse
 import contextlib
 import errno
 import functools
@@ -29,10 +26,8 @@ from pathlib import Path
 from typing import Any
 
 from wrenchbook.service.fields.record import leave
-from wrenchbook.service.files import lock as flock
 from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs.attempt import (
-    LOCK,
     PROGRESS,
     Progress,
     Spec,
@@ -42,7 +37,7 @@ from wrenchbook.service.jobs.attempt import (
 )
 
 SOLVE_VARIABLE = "WRENCHBOOK_SOLVE"
-DONE, FAILED, IN_USE, CANCELLED = 0, 1, 75, 143  # exit codes
+DONE, FAILED, CANCELLED = 0, 1, 143
 
 # An outcome waits so long for room on a full disk: until an operator notices and makes some.
 FULL_DISK_SECONDS = 3600.0
@@ -66,7 +61,7 @@ class Cancelled(BaseException):
 
 
 def main(folder: str | Path, solve: Solve | None = None) -> int:
-    """Solve the attempt in `folder`, write its result.json, return the exit code.
+    """Solve the attempt in `folder`, write its result.json, return DONE, FAILED or CANCELLED.
 
     Parameters
     ----------
@@ -275,23 +270,3 @@ def _hearing_sigterm() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def command_line(arguments: Sequence[str] | None = None) -> int:
-    """Run as the program: hold the lock, end on SIGTERM."""
-    keep_sigterm_waiting()
-    parser = argparse.ArgumentParser(
-        prog="python -m wrenchbook.service.jobs.solve_attempt", description=__doc__
-    )
-    parser.add_argument("folder", type=Path)
-    folder = parser.parse_args(arguments).folder
-    lock = flock.take(folder / LOCK)
-    if lock is None:
-        print(f"a solver is at work in {folder} already", file=sys.stderr)
-        return IN_USE
-    begin(lock)
-    return main(folder)
-
-
-if __name__ == "__main__":
-    sys.exit(command_line())

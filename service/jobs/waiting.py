@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -135,10 +134,9 @@ class Polls:
     def __init__(self, ledger: Ledger) -> None:
         self._ledger = ledger
         self._waiters: set[_Waiter] = set()
-        self._awaited: Counter[int] = Counter()
         self._changed: asyncio.Event | None = None
         self._looking: asyncio.Task[None] | None = None
-        self._let_go = False
+        self._stopping = False
 
     async def wait_all(self, job_ids: Sequence[int], seconds: float) -> list[Job]:
         """Return the jobs once all have ended, or as they are after ``seconds``.
@@ -152,49 +150,38 @@ class Polls:
         """
         jobs = await run_in_threadpool(self._read, job_ids)
         waiter = _Waiter({job.id for job in jobs if not job.is_final})
-        if not waiter.open_jobs or seconds <= 0 or self._let_go:
+        if not waiter.open_jobs or seconds <= 0 or self._stopping:
             return jobs
         if len(self._waiters) >= MOST:
             raise TooManyPollsError(
                 f"{MOST} callers wait for jobs already. Ask again in some seconds, or follow all "
                 "jobs at once with GET /v1/events"
             )
-        self._enter(waiter)
+        self._waiters.add(waiter)
+        if self._looking is None or self._looking.done():
+            self._changed = asyncio.Event()
+            self._looking = asyncio.create_task(self._look())
         try:
             await asyncio.wait_for(waiter.ended.wait(), seconds)
         except TimeoutError:
             pass
         finally:
-            self._leave(waiter)
+            self._waiters.discard(waiter)
         return await run_in_threadpool(self._read, job_ids)
 
-    def tell(self) -> None:
+    def notify(self) -> None:
         """Look soon: something was committed. For the loop."""
         if self._changed is not None:
             self._changed.set()
 
-    def let_go(self) -> None:
+    def stop(self) -> None:
         """Return from all waits with the jobs as they are: the server stops. For the loop."""
-        self._let_go = True
+        self._stopping = True
         for waiter in self._waiters:
             waiter.ended.set()
 
     def _read(self, job_ids: Sequence[int]) -> list[Job]:
         return [self._ledger.job(one) for one in job_ids]
-
-    def _enter(self, waiter: _Waiter) -> None:
-        self._waiters.add(waiter)
-        self._awaited.update(waiter.open_jobs)
-        if self._looking is None or self._looking.done():
-            self._changed = asyncio.Event()
-            self._looking = asyncio.create_task(self._look())
-
-    def _leave(self, waiter: _Waiter) -> None:
-        self._waiters.discard(waiter)
-        self._awaited.subtract(waiter.open_jobs)
-        for job in waiter.open_jobs:
-            if self._awaited[job] <= 0:
-                del self._awaited[job]
 
     async def _look(self) -> None:
         """Look for jobs that have ended, for as long as a caller waits."""
@@ -202,8 +189,9 @@ class Polls:
         assert changed is not None
         while self._waiters:
             changed.clear()
+            open_jobs = list(set[int]().union(*(one.open_jobs for one in self._waiters)))
             try:
-                ended = await run_in_threadpool(self._ledger.ended, list(self._awaited))
+                ended = await run_in_threadpool(self._ledger.ended, open_jobs)
             except LedgerUnavailableError:
                 ended = set()  # each caller gets the error from its last read
             for waiter in list(self._waiters):

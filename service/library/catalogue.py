@@ -10,8 +10,6 @@ from typing import Any
 
 from wrenchbook.service.files.durable import write_whole_bytes
 
-MOST_NOTES = 100_000  # characters
-
 
 @dataclass(frozen=True)
 class CatalogueCard:

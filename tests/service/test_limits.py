@@ -19,7 +19,7 @@ from wrenchbook.service.http import body as bodies
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.batch import batch_parts
 from wrenchbook.service.http.problems import ProblemError
-from wrenchbook.service.jobs import waiting
+from wrenchbook.service.jobs import waiting as polls
 from wrenchbook.service.jobs.attempt_zip import zipped
 from wrenchbook.service.jobs.waiting import Polls, TooManyPollsError
 from wrenchbook.service.workspace import Settings
@@ -271,7 +271,7 @@ async def entered(waiting, count):
 
 
 def test_two_thousand_polls_take_one_look_and_no_thread_each(monkeypatch):
-    monkeypatch.setattr(waiting, "LOOK_S", 0.02)
+    monkeypatch.setattr(polls, "LOOK_S", 0.02)
 
     async def run():
         ledger = Jobs()
@@ -281,12 +281,11 @@ def test_two_thousand_polls_take_one_look_and_no_thread_each(monkeypatch):
         ledger.looks = 0
         started = time.monotonic()
         ledger.over = set(range(2000))
-        waiting.tell()
+        waiting.notify()
         found = await asyncio.gather(*tasks)
         assert all(jobs[0].is_final for jobs in found)
-        assert ledger.looks <= 2 + (time.monotonic() - started) / waiting.LOOK_S
+        assert ledger.looks <= 2 + (time.monotonic() - started) / polls.LOOK_S
         assert not waiting._waiters
-        assert not waiting._wanted
 
     asyncio.run(run())
 
@@ -298,14 +297,14 @@ def test_who_waits_is_answered_when_the_time_is_up_or_the_server_stops():
         assert not job.is_final
         task = asyncio.create_task(waiting.wait_all([1, 2], 60))
         await entered(waiting, 1)
-        waiting.let_go()
+        waiting.stop()
         assert len(await task) == 2
 
     asyncio.run(run())
 
 
 def test_no_more_wait_than_may(monkeypatch):
-    monkeypatch.setattr(waiting, "MOST", 1)
+    monkeypatch.setattr(polls, "MOST", 1)
 
     async def run():
         waiting = Polls(Jobs())
@@ -313,7 +312,7 @@ def test_no_more_wait_than_may(monkeypatch):
         await entered(waiting, 1)
         with pytest.raises(TooManyPollsError):
             await waiting.wait_all([2], 60)
-        waiting.let_go()
+        waiting.stop()
         await task
 
     asyncio.run(run())
