@@ -12,6 +12,7 @@ from wrenchbook.fea.export.failure_record import keep
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import Bundle
+from wrenchbook.service.files.program import MARGIN_VARIABLE, limit_memory
 from wrenchbook.service.jobs.attempt import Spec
 from wrenchbook.service.jobs.solve_attempt import (
     Report,
@@ -19,7 +20,6 @@ from wrenchbook.service.jobs.solve_attempt import (
     require_same,
     solve_ready,
 )
-from wrenchbook.service.jobs.solver_memory import MARGIN_VARIABLE, limit_memory
 
 
 class KeptComponent:

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from wrenchbook.service.files.program import Growth, limit_memory
 from wrenchbook.service.jobs import solve_attempt
 from wrenchbook.service.jobs.solve_attempt import (
     CANCELLED,
@@ -26,7 +27,6 @@ from wrenchbook.service.jobs.solve_attempt import (
     begin,
     keep_sigterm_waiting,
 )
-from wrenchbook.service.jobs.solver_memory import Growth, limit_memory
 
 TAKEN, FREE, LEAVES = b"t", b"e", b"r"
 

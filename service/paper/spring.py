@@ -123,27 +123,30 @@ def spring(client: Client, effort: Effort, heard: Heard) -> PaperPart:
     tangent = 1e-3 / float(solver.compliance[2, 2])
     rows = np.isin(effort.spring_loads, effort.spring_rows)
     part.findings = [*_stiffness(rod, fits, tangent), *_between(levels, run.covered)]
-    part.findings += [
-        _direct(_pressed(stopped.displacements), solved[rows]),
-        *_rotation_findings(loads, levels),
-    ]
+    part.findings.append(_direct(_pressed(stopped.displacements), solved[rows]))
+    part.findings += _rotation_findings(loads, levels)
     part.numbers = {
         "load_N": loads.tolist(),
         "row": rows.tolist(),
         "covered": run.covered.tolist(),
         "answers_not_covered": sum(run.coverage[1:]),
         "tangent_k_N_per_mm": {"closed form": 1e-3 * _tangent(rod), "finite elements": tangent},
-        "levels": {
-            name: {
-                "shortening_mm": moved[:, 0].tolist(),
-                "turn_deg": moved[:, 1].tolist(),
-                "k_N_per_mm": {span: asdict(line) for span, line in fits[name].items()},
-            }
-            for name, moved in levels.items()
-        },
+        "levels": _level_numbers(levels, fits),
     }
     part.plots = _plots(loads, levels, fits)
     return part
+
+
+def _level_numbers(levels: dict[str, Vector], fits: dict[str, dict[str, Line]]) -> dict[str, Any]:
+    """Return the curves, shape (n, 2), mm and degrees, and stiffness of each level for JSON."""
+    return {
+        name: {
+            "shortening_mm": moved[:, 0].tolist(),
+            "turn_deg": moved[:, 1].tolist(),
+            "k_N_per_mm": {span: asdict(line) for span, line in fits[name].items()},
+        }
+        for name, moved in levels.items()
+    }
 
 
 def _record(client: Client, effort: Effort) -> None:
