@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 
@@ -95,22 +94,6 @@ class ParsedTable:
         )
 
 
-def joined(pieces: list[ParsedTable]) -> ParsedTable:
-    """Return the rows of the pieces of a file, in this order."""
-    times = [piece.time for piece in pieces if piece.time is not None]
-    return ParsedTable(
-        wrench=np.concatenate([np.empty((0, 6)), *(piece.wrench for piece in pieces)]),
-        displacement=np.concatenate([np.empty((0, 6)), *(piece.displacement for piece in pieces)]),
-        uncertainty=_concatenated([piece.uncertainty for piece in pieces], 6),
-        compliance=_concatenated([piece.compliance for piece in pieces], 6, 6),
-        source=tuple(chain.from_iterable(piece.source for piece in pieces)),
-        note=tuple(chain.from_iterable(piece.note for piece in pieces)),
-        fingerprint=tuple(chain.from_iterable(piece.fingerprint for piece in pieces)),
-        row=np.concatenate([np.empty(0, dtype=np.int64), *(piece.row for piece in pieces)]),
-        time=np.concatenate(times) if times else None,
-    )
-
-
 def known_column(column: Array) -> Array:
     """Return a column, or one that takes no memory (`unknown_column`) if all of it is unknown."""
     return unknown_column(*column.shape) if np.isnan(column).all() else column
@@ -120,12 +103,6 @@ def _taken(column: Array, which: Array) -> Array:
     if any(column.strides):
         return column[which]
     return unknown_column(int(which.sum()), *column.shape[1:])
-
-
-def _concatenated(columns: list[Array], *shape: int) -> Array:
-    if any(any(column.strides) for column in columns):
-        return np.concatenate(columns)
-    return unknown_column(sum(map(len, columns)), *shape)
 
 
 def within_limits(

@@ -5,16 +5,23 @@ is what it printed, ``progress.json`` how far it is, ``result.json`` how it ende
 files of the solver appear whole or not at all.
 """
 
+from __future__ import annotations
+
 import json
+import os
 import shutil
+import stat
+import tempfile
 import time
-from collections.abc import Mapping
+import zipfile
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, Final
 
 from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.redact import redact
 
 SPEC, LOCK, LOG = "spec.json", "lock", "log.txt"
 PROGRESS, OUTCOME = "progress.json", "result.json"
@@ -177,3 +184,71 @@ def _question(spec: Spec) -> dict[str, Any]:
     fields = asdict(spec) | {"wrench": list(spec.wrench)}
     del fields["bundle"], fields["estimate"]
     return fields
+
+
+MOST_BYTES: Final = 1 << 30  # of all files together; a deck's solver may leave any number
+_MOST_TEXT: Final = 8 << 20
+_PIECE: Final = 1 << 18
+_TEXTS: Final = (".txt", ".json", ".log")
+_LEFT_OUT: Final = "LEFT_OUT.txt"
+
+
+def zipped(folder: Path) -> IO[bytes]:
+    """Return a file that holds the zip of a folder.
+
+    Links and whatever else is no plain file are left out: a deck's command may have made them, to
+    anything on the machine. Texts lose the paths of the machine.
+    """
+    file = tempfile.SpooledTemporaryFile(_MOST_TEXT)  # noqa: SIM115 (closed by the reader)
+    left, missing = MOST_BYTES, []
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in _files(folder):
+            inside = path.relative_to(folder).as_posix()
+            size = _put(archive, path, inside, left)
+            if size is None:
+                missing.append(inside)
+            else:
+                left -= size
+        if missing:
+            header = "links, files that are gone, or too large to be sent:"
+            archive.writestr(_LEFT_OUT, "\n".join([header, *sorted(missing)]))
+    file.seek(0)
+    return file  # pyright: ignore[reportReturnType]
+
+
+def pieces_of(file: IO[bytes]) -> Iterator[bytes]:
+    """Yield a file's content, and close it."""
+    with file:
+        while piece := file.read(_PIECE):
+            yield piece
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return all that is in a folder and no folder; links to folders are not followed."""
+    found = []
+    for where, folders, names in os.walk(folder, followlinks=False):
+        links = [name for name in folders if (Path(where) / name).is_symlink()]
+        found += [Path(where) / name for name in (*names, *links)]
+    return sorted(found)
+
+
+def _put(archive: zipfile.ZipFile, path: Path, inside: str, left: int) -> int | None:
+    """Put a file into the zip and return its size; None if it is left out."""
+    try:
+        # Opened first and looked at then: between the two it could become a link.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:
+        return None
+    with open(descriptor, "rb") as file:  # noqa: PTH123 (a descriptor)
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode) or found.st_size > left:
+            return None
+        if path.suffix in _TEXTS and found.st_size <= _MOST_TEXT:
+            archive.writestr(inside, redact(file.read().decode(errors="replace")))
+            return found.st_size
+        with archive.open(inside, "w", force_zip64=True) as target:
+            size = 0
+            while (piece := file.read(_PIECE)) and size <= left:
+                target.write(piece)
+                size += len(piece)
+        return size

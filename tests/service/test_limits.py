@@ -20,7 +20,7 @@ from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.batch import batch_parts
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.jobs import waiting as polls
-from wrenchbook.service.jobs.attempt_zip import zipped
+from wrenchbook.service.jobs.attempt import zipped
 from wrenchbook.service.jobs.waiting import Polls, TooManyPollsError
 from wrenchbook.service.workspace import Settings
 
