@@ -90,7 +90,7 @@ class Options:
 
 
 @dataclass(frozen=True, order=True)
-class Mistake:
+class FileMistake:
     """One mistake in a table file.
 
     Parameters
@@ -125,21 +125,21 @@ class Mistakes:
     """
 
     def __init__(self) -> None:
-        self._kept: list[Mistake] = []
+        self._kept: list[FileMistake] = []
         self.count = 0
         self.whole = False
 
     def __bool__(self) -> bool:
         return self.count > 0
 
-    def __iter__(self) -> Iterator[Mistake]:
+    def __iter__(self) -> Iterator[FileMistake]:
         return iter(self.listed())
 
     def add(self, row: int, field: str, message: str) -> None:
         """Add a mistake of a row."""
         self.count += 1
         if len(self._kept) < _MOST_KEPT:
-            self._kept.append(Mistake(row, field[:_MOST_FIELD], message))
+            self._kept.append(FileMistake(row, field[:_MOST_FIELD], message))
 
     def ruin(self, row: int, field: str, message: str) -> None:
         """Add a mistake of the whole file."""
@@ -151,7 +151,7 @@ class Mistakes:
         self._kept.sort(key=lambda mistake: mistake.row)
         del self._kept[MOST_LISTED + 1 :]
 
-    def listed(self) -> tuple[Mistake, ...]:
+    def listed(self) -> tuple[FileMistake, ...]:
         """Return the first by row; a last one counts those that are not listed."""
         self.settle()
         if self.count <= MOST_LISTED:
@@ -160,7 +160,7 @@ class Mistakes:
         if self.count > MOST_MISTAKES:
             message += f"; reading stopped after more than {MOST_MISTAKES:,}"
         row = self._kept[MOST_LISTED].row if len(self._kept) > MOST_LISTED else 0
-        return (*self._kept[:MOST_LISTED], Mistake(row, "", message))
+        return (*self._kept[:MOST_LISTED], FileMistake(row, "", message))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from wrenchbook.service.formats import Layout, ParsedTable, csv_text, json_text,
 from wrenchbook.service.formats.binary_table import read_hdf5 as hdf5_file
 from wrenchbook.service.formats.csv_table import read_csv as csv_file
 from wrenchbook.service.formats.json_table import read_json as json_file
-from wrenchbook.service.formats.options import Mistake, Options, ReadReport
+from wrenchbook.service.formats.options import FileMistake, Options, ReadReport
 from wrenchbook.surrogate.table.rows import unknown_column
 
 
@@ -24,7 +24,7 @@ from wrenchbook.surrogate.table.rows import unknown_column
 class ReadTable(ParsedTable):
     """The good rows of a file, none if a mistake is about the whole file, and all mistakes."""
 
-    errors: tuple[Mistake, ...] = ()
+    errors: tuple[FileMistake, ...] = ()
 
 
 def read_table(pieces: list[ParsedTable], report: ReadReport) -> ReadTable:
