@@ -57,7 +57,7 @@ class ParsedTable:
     source, note, fingerprint : tuple of str
         One a row; empty where the file gives none.
     row : numpy.ndarray
-        Shape (n,), the place of each row: see `RowMistake.row`.
+        Shape (n,), the place of each row: see `FileMistake.row`.
     time : numpy.ndarray or None
         Shape (n,), s; of logs that are joined by it.
     """
