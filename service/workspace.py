@@ -62,7 +62,7 @@ class Workspace:
         # A full disk or a damaged file does not keep the existing tables from answering.
         self.ledger = Ledger(settings.folder / "ledger.sqlite", patient=True)
         if trouble := self.ledger.trouble():
-            log.error("nothing is accepted until this is mended: %s", trouble)
+            log.error("nothing is accepted until this is repaired: %s", trouble)
         self.library = Library(
             settings.folder / "components",
             allow_decks=settings.allow_decks,

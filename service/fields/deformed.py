@@ -342,7 +342,7 @@ def _judged(component: Component, blend: Blend, error: Floats | None) -> tuple[s
     """Return the coverage of an interpolation, and the reason if it is not covered."""
     if error is None:
         count = len(blend.rows)
-        return "thin", f"{count} row(s) with a surface: too few to tell how far this is wrong"
+        return "thin", f"{count} row(s) with a surface: too few for an error bar"
     limit = component.tolerance
     allowed = limit.translation if limit else WITHOUT_TOLERANCE * blend.largest
     worst = float(error.max(initial=0.0))

@@ -34,7 +34,7 @@ _SINGULAR = 1e-9
 """Of the scaled compliance's largest singular value: below it are locked freedoms and roundoff."""
 
 NOT_FOLLOWED = (
-    "no row tells how the surface follows its interface; the next solve of this component does"
+    "no row has how the surface follows its interface; the next solve of this component will"
 )
 
 

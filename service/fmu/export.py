@@ -52,8 +52,8 @@ _COVERAGE = (
     "error bar may be wrong"
 )
 _WITHIN = (
-    "1 if the whole bar of every displacement is within the tolerance, the solver's own error "
-    "included, 0 if not, -1 where that is not known"
+    "1 if the whole error bar of every displacement is within the tolerance, the solver's own "
+    "error included, 0 if not, -1 where that is not known"
 )
 _TOLERANCE = "largest error bar of a covered answer; 0: the component's own. Give both or none"
 

@@ -142,7 +142,7 @@ def _encoding(path: Path) -> str:
             content.seek(0)
             if _decodes(content, encoding):
                 return encoding
-    raise UnreadableFileError("the text encoding cannot be told; save the file as UTF-8")
+    raise UnreadableFileError("the text encoding is not known; save the file as UTF-8")
 
 
 def _decodes(content: BinaryIO, encoding: str) -> bool:

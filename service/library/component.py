@@ -128,7 +128,7 @@ class BrokenComponentError(UnknownComponentError):
     def __str__(self) -> str:
         return (
             f"The component {self.name!r} is in the library but cannot be used: {self.reason}. "
-            "Mend the files in its folder; it is then taken up by itself."
+            "Repair the files in its folder; the server then reads them by itself."
         )
 
 

@@ -143,7 +143,7 @@ def _solvable(workspace: Workspace, name: str) -> Component:
     if not component.has_fea:
         raise NoSetupError(
             f"{name!r} has rows loaded from outside and no finite-element setup, so nothing was "
-            "queued; what was gathered stays. GET it, measure or solve these wrenches elsewhere, "
+            "queued; the recorded wrenches stay. GET them, measure or solve them elsewhere, "
             f"and load the rows: POST /v1/components/{name}/table."
         )
     return component

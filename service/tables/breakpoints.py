@@ -51,7 +51,7 @@ def write_breakpoints(table: ServedTable, name: str, path: Path) -> None:
     exact = table.packed.batch(wrenches)
     if not np.isfinite(exact.outputs).all():
         raise NoTableError(
-            f"the table of {name!r} does not tell all six outputs within its load range; add rows, "
+            f"the table of {name!r} lacks some of the six outputs within its load range; add rows, "
             "or export them as they are: csv, xlsx, parquet, hdf5, json"
         )
     known = [column[np.isfinite(column)] for column in exact.errors.T]

@@ -23,9 +23,9 @@ log = logging.getLogger(__name__)
 
 ROW_BYTES = 450  # of a row in a file, about
 _UNKNOWN_WITHDRAWALS = (
-    "the ledger is another one than its table file was written beside, and the file does not tell "
-    "which rows were withdrawn: those may be in the table again. Look through its rows, or put "
-    "back the newer ledger"
+    "the ledger is not the one that its table file was written from, and the file does not list "
+    "withdrawn rows: those may be in the table again. Look through its rows, or restore the newer "
+    "ledger"
 )
 
 
@@ -133,7 +133,7 @@ class TableFiles:
         """Return the rows of a component's file and the seq they go up to.
 
         No rows, and 0, if they are not exactly what the ledger has up to there. Rows that the
-        ledger has lost, being a new one or an older copy, are put back into it first, and so are
+        ledger has lost, being a new one or an older copy, are restored in it first, and so are
         withdrawals; `caveats` names the tables whose file does not have those.
 
         Raises
@@ -181,7 +181,7 @@ class TableFiles:
                 "edits": tuple((key.hex(), gone, when) for key, gone, when in edits),
             }
         except LedgerUnavailableError:
-            return {}  # the file may be all there is left of the rows: they are put back from it
+            return {}  # the file may be the last copy of the rows: they are restored from it
 
     def _put_back(self, name: str, rows: Rows, meta: TableMeta) -> None:
         """Insert a file's rows and repeat its edits; the ledger knows what it has by content."""

@@ -28,8 +28,8 @@ class TableBehindError(Exception):
         """Return the error of a table that lacks the newest rows after so long."""
         why = why or f"its newest rows are not in it after {seconds:g} s"
         return cls(
-            f"the table of {name!r} is older than the ledger: {why}{more}. Nothing was asked for; "
-            "ask again in a while"
+            f"the table of {name!r} is older than the ledger: {why}{more}. No solve was "
+            "queued; ask again in a while"
         )
 
     @classmethod
@@ -37,8 +37,8 @@ class TableBehindError(Exception):
         """Return the error of a table with rows that was never built since the start."""
         why = why or "it is being built for the first time since the start"
         return cls(
-            f"the table of {name!r} has rows and cannot answer yet: {why}. Nothing was asked "
-            "for; ask again in a while"
+            f"the table of {name!r} has rows and cannot answer yet: {why}. No solve was queued; "
+            "ask again in a while"
         )
 
 
