@@ -76,7 +76,7 @@ class ParsedTable:
         return len(self.wrench)
 
     def take(self, which: Array) -> ParsedTable:
-        """Return the rows of a mask of shape (n,)."""
+        """Return the rows of a mask, shape (n,), dimensionless."""
         if which.all():
             return self
         places = np.flatnonzero(which).tolist()
@@ -95,7 +95,7 @@ class ParsedTable:
 
 
 def known_column(column: Array) -> Array:
-    """Return a column, or one that takes no memory (`unknown_column`) if all of it is unknown."""
+    """Return a column, shape (n, k), m and rad; one without memory if all of it is unknown."""
     return unknown_column(*column.shape) if np.isnan(column).all() else column
 
 
@@ -110,7 +110,7 @@ def within_limits(
 ) -> ParsedTable:
     """Return the rows within all limits; the others become mistakes.
 
-    `good`, shape (n,), is a mask of rows without other mistakes; the others are left out too.
+    `good`, shape (n,), dimensionless, masks rows without other mistakes; others are left out.
     """
     good = np.ones(len(piece), dtype=bool) if good is None else good
     for at, name, message in _excesses(piece, options.load_range):
@@ -121,7 +121,7 @@ def within_limits(
 
 
 def good_rows(piece: ParsedTable, good: Array, options: Options, report: ReadReport) -> ParsedTable:
-    """Return the rows of a mask within all limits.
+    """Return the rows of a mask, shape (n,), dimensionless, that are within all limits.
 
     Logs and rows with a zero offset are not checked against limits here, but after they are joined
     and corrected.

@@ -130,12 +130,12 @@ class PaperPart:
 
 
 def apart(found: Vector, expected: Vector) -> float:
-    """Return how far numbers are from what is expected, relative to each; where that is 0, 0.
+    """Return the largest relative error of numbers, dimensionless; those expected to be 0 apart.
 
     Parameters
     ----------
     found, expected : numpy.ndarray
-        Shape (n,), of one unit.
+        Shape (n,), of one unit such as m or rad.
     """
     known = expected != 0.0
     if not known.any():
