@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from wrenchbook.service.files.cores import usable_cores
+from wrenchbook.service.files.program import usable_cores
 from wrenchbook.service.ops.retention import KEEP, Keep
-from wrenchbook.service.ordering import QUEUE_LIMIT
+from wrenchbook.service.submission import QUEUE_LIMIT
 from wrenchbook.service.tables.served import TABLE_MEMORY
 
 # What a process does: all; or, of a server's processes, build tables and dispatch jobs, or answer.

@@ -12,34 +12,30 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wrenchbook.service.demand.demand import Demand
-from wrenchbook.service.fields.deformed import DeformedShapes
+from wrenchbook.service.fields.deformed import DeformedSurfaces
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.attempt import Progress, attempt_folder, read_progress
 from wrenchbook.service.jobs.dispatcher import Dispatcher
+from wrenchbook.service.jobs.engines import open_engine
 from wrenchbook.service.jobs.engines.engine import Engine
-from wrenchbook.service.jobs.engines.registry import open_engine
-from wrenchbook.service.jobs.polls import Polls
 from wrenchbook.service.jobs.record_outcome import notes_of
-from wrenchbook.service.jobs.waiting import Waiting, why_waiting
+from wrenchbook.service.jobs.waiting import Polls, Waiting, why_waiting
 from wrenchbook.service.ledger import Change, Job, Ledger, LedgerUnavailableError, OpenJob
 from wrenchbook.service.library.catalogue import Catalogue
-from wrenchbook.service.library.checked import solver_error_of
-from wrenchbook.service.library.component import Component
+from wrenchbook.service.library.component import Component, solver_error_of
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.checks import is_full
 from wrenchbook.service.ops.retention import Retention
-from wrenchbook.service.ordering import Orders
 from wrenchbook.service.report.queue import Reports
 from wrenchbook.service.settings import Settings
-from wrenchbook.service.tables.behind import TableBehindError
-from wrenchbook.service.tables.changes import rows_for, table_rows
+from wrenchbook.service.submission import Submission
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.live import Tables
-from wrenchbook.service.tables.making import row_table
 from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.service.tables.past import PastTables
-from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.rows import own_rows, table_rows
+from wrenchbook.service.tables.served import ServedTable, TableBehindError, row_table
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.design import Design, next_wrenches
 from wrenchbook.surrogate.scene.need import Need
@@ -63,10 +59,10 @@ class Workspace:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._jobs_folder = settings.folder / "jobs"
-        # A full disk or a damaged file keeps nobody from asking the tables there are.
+        # A full disk or a damaged file does not keep the existing tables from answering.
         self.ledger = Ledger(settings.folder / "ledger.sqlite", patient=True)
         if trouble := self.ledger.trouble():
-            log.error("nothing is accepted until this is mended: %s", trouble)
+            log.error("nothing is accepted until this is repaired: %s", trouble)
         self.library = Library(
             settings.folder / "components",
             allow_decks=settings.allow_decks,
@@ -74,20 +70,20 @@ class Workspace:
             on_copy=self._on_copy,
         )
         self.catalogue = Catalogue(settings.folder / "library.json")
-        self.demand = Demand(settings.folder / "demand.json")
-        self.orders = Orders(self.ledger, self.library, settings.queue_limit)
+        self.query_counts = Demand(settings.folder / "demand.json")
+        self.submission = Submission(self.ledger, self.library, settings.queue_limit)
         self.errors = SolverErrors(settings.folder / "solver_errors")
         self.tables = self._open_tables(settings.folder / "tables")
         self.past = PastTables(self.ledger, self.library, self.tables, self.errors)
         self._retention = Retention(self.ledger, self._jobs_folder, settings.keep)
         self.fields = FieldStore(settings.folder / "fields")
-        self.shapes = DeformedShapes(self.fields)
+        self.shapes = DeformedSurfaces(self.fields)
         self.reports = Reports(settings.folder / "reports", settings.folder / "tables")
         self._dispatcher: Dispatcher | None = None
         self._engine: Engine | None = None
         self._polls = Polls(self.ledger)
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._unit_solves_asked: dict[str, tuple[str, int]] = {}
+        self._compliance_requested: dict[str, tuple[str, int]] = {}
 
     def start(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
         """Load the tables, recover the jobs that were running, and start solving."""
@@ -98,7 +94,7 @@ class Workspace:
             self.ledger.drop_abandoned()  # what a server left that was killed during an import
         self.ledger.on_change(self._on_change)
         self.tables.start()
-        self.demand.start()
+        self.query_counts.start()
         self.start_solving()
 
     def start_solving(self) -> None:
@@ -122,13 +118,13 @@ class Workspace:
         self.reports.close()
         self.shapes.close()
         self.tables.stop()
-        self.demand.stop()
+        self.query_counts.stop()
         self.ledger.close()
 
     def surrogate(self, name: str) -> ServedTable:
-        """Return the newest table of a component that somebody asks for an answer.
+        """Return the newest table of a component for a query.
 
-        A linear component whose 6x6 compliance is not known has the solves that tell it queued,
+        A linear component whose 6x6 compliance is not known has the solves that give it queued,
         once a version of its table.
         """
         table = self.tables.surrogate(name)
@@ -156,7 +152,8 @@ class Workspace:
         A row is at a wrench within 1e-6 of the range in each load; 0 where there is none.
         """
         component, after = self.library[name], self.tables.surrogate(name).version
-        rows = rows_for(component, self.ledger.row_changes(name, after, MOST_UNBUILT))
+        changes = self.ledger.row_changes(name, after, MOST_UNBUILT)
+        rows = table_rows(own_rows(component, changes.rows))
         if not len(rows):
             return np.zeros(len(wrenches), dtype=np.int64)
         places = RowIndex(rows.wrench, component.load_range.scale).places(wrenches)
@@ -199,8 +196,8 @@ class Workspace:
         """
         table = self.surrogate(name)
         component, solver = self.library[name], self.solver_error(name)
-        asked = wrench.tolist()
-        found = table.packed.answer(asked)
+        loads = wrench.tolist()
+        found = table.packed.answer(loads)
         shares = {} if table.solver_error is None else {"mesh": found.discretisation}
         if table.solver_error is not None and "linearity" in table.solver_error.values:
             shares["linearity"] = found.linearity
@@ -229,21 +226,23 @@ class Workspace:
         NoSetupError
             If the component has no finite-element setup.
         TableBehindError
-            If the table does not hold all rows yet: a design on an older one asks, and pays,
+            If the table does not hold all rows yet: a design on an older one would pay
             for what is known.
         """
-        self.orders.solvable(name)
+        self.submission.solvable(name)
         # First what is open, then what is known: a solve that ends between the two is in both.
-        # The other way round it would be in neither, and be asked for again.
-        asked = self.orders.asked_wrenches(name)
+        # The other way round it would be in neither, and be solved twice.
+        pending = self.submission.pending_wrenches(name)
         surrogate = self.tables.caught_up(name, CATCH_UP_S).surrogate()
         if need is None:
             span = self.library[name].acting_range
-            design = next_wrenches(surrogate, budget, pending=asked, tolerance=tolerance, span=span)
+            design = next_wrenches(
+                surrogate, budget, pending=pending, tolerance=tolerance, span=span
+            )
         else:
-            design = design_of(surrogate, plan_of(surrogate, need), budget, asked)
-        jobs = self.orders.fill(name, design.wrenches)
-        # A design tells apart by 1e-9 of the range, a queue by 1e-6: some may be known.
+            design = design_of(surrogate, plan_of(surrogate, need), budget, pending)
+        jobs = self.submission.fill(name, design.wrenches)
+        # A design separates by 1e-9 of the range, a queue by 1e-6: some may be known.
         return design, [job for job in jobs if job.status != "done"]
 
     async def wait(self, job_id: int, seconds: float) -> Job:
@@ -255,8 +254,8 @@ class Workspace:
         return await self._polls.wait_all(job_ids, seconds)
 
     def let_go(self) -> None:
-        """Let all who wait for jobs have them as they are: the server stops. For the loop."""
-        self._polls.let_go()
+        """Return from all waits with the jobs as they are: the server stops. For the loop."""
+        self._polls.stop()
 
     def why_waiting(self, job: Job) -> Waiting | None:
         """Return why a job waits and for how long it may; None if it does not wait."""
@@ -271,11 +270,11 @@ class Workspace:
         return self._dispatcher.trouble if self._dispatcher else None
 
     def progress(self, job: Job) -> Progress | None:
-        """Return how far a running job is; None if its solver has not said anything yet."""
+        """Return the progress of a running job; None before its solver's first report."""
         return read_progress(self.attempt_folder(job))
 
     def notes(self, job: Job) -> list[str]:
-        """Return what the solver of a done job said about its answer."""
+        """Return the solver's notes on the answer of a done job."""
         return notes_of(job, self.attempt_folder(job)) if job.status == "done" else []
 
     def attempt_folder(self, job: Job) -> Path:
@@ -310,12 +309,12 @@ class Workspace:
         return Tables(self.ledger, self.library, folder, self.errors, self.settings.table_memory)
 
     def _on_added(self, component: Component) -> None:
-        told = solver_error_of(component.folder, component.fingerprint)
+        estimate = solver_error_of(component.folder, component.fingerprint)
         known = self.errors.read(component.name, component.fingerprint)
         # Its check estimated it already: the first solve need not. A copy has its original's, which
-        # a solve may have told since.
-        if told is not None and (known is None or not known.can_grow):
-            self.errors.settle(component.name, component.fingerprint, told)
+        # a later solve may have refined.
+        if estimate is not None and (known is None or not known.can_grow):
+            self.errors.settle(component.name, component.fingerprint, estimate)
         try:
             self.surrogate(component.name)
         except TableBehindError:
@@ -326,26 +325,26 @@ class Workspace:
         self.errors.copy(component.name, component.fingerprint, name)
 
     def _ask_compliance(self, name: str, table: ServedTable) -> None:
-        """Queue what tells a linear component's compliance, once a version of its table."""
+        """Queue the solves of a linear component's compliance, once a version of its table."""
         component = self.library[name]
-        asked_for = component.fingerprint, table.version
-        if not component.has_fea or self._unit_solves_asked.get(name) == asked_for:
+        setup = component.fingerprint, table.version
+        if not component.has_fea or self._compliance_requested.get(name) == setup:
             return
-        self._unit_solves_asked[name] = asked_for
+        self._compliance_requested[name] = setup
         try:
-            asked = self.orders.asked_wrenches(name)
-            design = next_wrenches(table.surrogate(), 6, pending=asked)
-            self.orders.fill(name, design.wrenches, urgent=True)
+            pending = self.submission.pending_wrenches(name)
+            design = next_wrenches(table.surrogate(), 6, pending=pending)
+            self.submission.fill(name, design.wrenches, urgent=True)
         except LedgerUnavailableError:
-            del self._unit_solves_asked[name]  # asked again by the next question
+            del self._compliance_requested[name]  # the next query tries again
 
     def _bundle(self, name: str) -> Path:
         return self.library[name].folder
 
     def _on_change(self, _: Change) -> None:
-        """Wake whoever waits for a job; called from the thread that committed."""
+        """Wake the callers that wait for a job; called from the thread that committed."""
         self.tables.notify()
         loop = self._loop
         if loop is None or loop.is_closed():
             return
-        loop.call_soon_threadsafe(self._polls.tell)
+        loop.call_soon_threadsafe(self._polls.notify)

@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from wrenchbook.service.answering.queries import BatchOutcome, BatchQuery, WrenchJob
 from wrenchbook.service.answering.refusals import BeyondRangeError, NotCoveredError
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.ordering import Placed
+from wrenchbook.service.submission import Placed
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.answer import six
@@ -54,7 +54,7 @@ def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcom
     if len(thin):
         component = workspace.library.as_read(name)
         span, batch = component.load_range, _acting(component, batch)
-        workspace.demand.note_batch(name, span, batch.wrenches, outcome.coverage)
+        workspace.query_counts.note_batch(name, span, batch.wrenches, outcome.coverage)
     if not len(thin) or batch.on_thin == "estimate":
         return outcome
     refuse_thin(batch, thin)
@@ -106,7 +106,7 @@ def _acting(component: Component, batch: BatchQuery) -> BatchQuery:
 
 def _placed(workspace: Workspace, name: str, batch: BatchQuery, thin: Places) -> list[WrenchJob]:
     """Find a job for each of the thin wrenches, or the reason why it has none."""
-    component, orders = workspace.orders.solvable(name), workspace.orders
+    component, submission = workspace.submission.solvable(name), workspace.submission
     out = ~component.load_range.holds(batch.wrenches[thin]) & (not batch.beyond_range)
     if out.any() and batch.on_thin == "wait":
         first = int(thin[out][0])
@@ -116,7 +116,7 @@ def _placed(workspace: Workspace, name: str, batch: BatchQuery, thin: Places) ->
             "with beyond_range true to have them solved all the same.",
             beyond=thin[out].tolist(),
         )
-    place = orders.each if batch.on_thin == "wait" else orders.queue
+    place = submission.each if batch.on_thin == "wait" else submission.queue
     within = iter(place(name, batch.wrenches[thin[~out]]))
     return [
         WrenchJob(index, None, own=False, reason="beyond-range")

@@ -18,8 +18,8 @@ from wrenchbook.service.answering.refusals import (
 from wrenchbook.service.client.replies import EXACT, ROUNDED
 from wrenchbook.service.ledger import Job
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.ordering import Placed
-from wrenchbook.service.tables.other_setup import others_in_words
+from wrenchbook.service.submission import Placed
+from wrenchbook.service.tables.rows import others_in_words
 from wrenchbook.service.tables.served import ROW, ROW_DETAIL, ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.answer import six
@@ -108,7 +108,7 @@ def _note(workspace: Workspace, query: Query, outcome: Outcome) -> None:
     """Count what the table does not cover."""
     component = workspace.library.as_read(outcome.component)
     wrench = _acting(component, query).wrench
-    workspace.demand.note(outcome.component, component.load_range, wrench, outcome.coverage)
+    workspace.query_counts.note(outcome.component, component.load_range, wrench, outcome.coverage)
 
 
 def _acting(component: Component, query: Query) -> Query:
@@ -244,7 +244,7 @@ async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Ou
 
 def _queued(workspace: Workspace, query: Query, outcome: Outcome) -> Placed:
     """Queue without getting in the way of a loop: a wrench that is not queued has a reason."""
-    component = workspace.orders.solvable(outcome.component)
+    component = workspace.submission.solvable(outcome.component)
     wrench = np.array([query.wrench])
     if not query.beyond_range and not component.load_range.holds(wrench)[0]:
         beyond = why_beyond(component.load_range, wrench[0])
@@ -252,9 +252,9 @@ def _queued(workspace: Workspace, query: Query, outcome: Outcome) -> Placed:
         why = f"no solve is queued beyond the load range unless beyond_range: {beyond}"
         outcome.reason = also(own, why)
         return Placed(None, own=False)
-    placed = workspace.orders.queue(outcome.component, wrench)[0]
+    placed = workspace.submission.queue(outcome.component, wrench)[0]
     if placed.job is None:
-        limit = workspace.orders.queue_limit
+        limit = workspace.submission.queue_limit
         outcome.reason = also(
             outcome.reason,
             f"no solve is queued: {limit} jobs of queries are open already (serve --queue-limit)",
@@ -264,7 +264,7 @@ def _queued(workspace: Workspace, query: Query, outcome: Outcome) -> Placed:
 
 def _own_job(workspace: Workspace, query: Query, name: str) -> Job:
     """Accept the job of exactly this wrench."""
-    component = workspace.orders.solvable(name)
+    component = workspace.submission.solvable(name)
     wrench = np.array([query.wrench])
     if not query.beyond_range and not component.load_range.holds(wrench)[0]:
         raise BeyondRangeError(
@@ -272,7 +272,9 @@ def _own_job(workspace: Workspace, query: Query, name: str) -> Job:
             "beyond_range true to have it solved all the same.",
             coverage="outside",
         )
-    return workspace.orders.own(name, query.wrench, urgent=query.wait_s > 0, asked_by=query.on_thin)
+    return workspace.submission.own(
+        name, query.wrench, urgent=query.wait_s > 0, asked_by=query.on_thin
+    )
 
 
 def _by_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) -> Outcome:

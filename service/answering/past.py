@@ -65,7 +65,7 @@ async def answer_many_at(
 
 async def table_at(workspace: Workspace, name: str, version: int) -> ServedTable:
     """Return a component's table as it was at a version; errors as `answer_at`."""
-    table = workspace.past.held(name, version)
+    table = workspace.past.cached(name, version)
     if table is None:
         limit = workspace.past.turns
         table = await to_thread.run_sync(workspace.past.surrogate, name, version, limiter=limit)

@@ -15,8 +15,7 @@ from wrenchbook.fea.bundle.read import FILE_NAME
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.cli.keys import make_first_key
 from wrenchbook.service.cli.screen import Screen
-from wrenchbook.service.files.child import child_command
-from wrenchbook.service.files.cores import usable_cores
+from wrenchbook.service.files.program import child_command, usable_cores
 
 CORES = usable_cores()
 LogLevel = Literal["debug", "info", "warning", "error"]
@@ -120,7 +119,7 @@ def serve(
 def _serve(**options: Any) -> None:
     """Serve by the settings found."""
     from wrenchbook.service.http.instrumentation import MissingExtraError, tracing_packages
-    from wrenchbook.service.jobs.engines.registry import EngineSettingsError, check_engine
+    from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
     from wrenchbook.service.keys.needed import require_keys
     from wrenchbook.service.workers.listen import AddressError
     from wrenchbook.service.workers.supervisor import supervise

@@ -17,7 +17,7 @@ from starlette.concurrency import run_in_threadpool
 
 from wrenchbook.service.events.feed import Feed, Listener
 from wrenchbook.service.ledger import Change, Job, LedgerError, LedgerUnavailableError
-from wrenchbook.service.tables.behind import TableBehindError
+from wrenchbook.service.tables.served import TableBehindError
 from wrenchbook.service.workspace import Workspace
 
 _log = logging.getLogger(__name__)

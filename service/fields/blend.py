@@ -10,27 +10,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.fea.element.equivalent_stress import von_mises
-from wrenchbook.service.fields.record import Geometry, RowFields
+from wrenchbook.service.fields.record import RowFields, SurfaceGeometry
 from wrenchbook.surrogate.field_weights import LEAST_LEFT_OUT, FieldWeights
 
 Floats = NDArray[np.float64]
 
 LEVEL = 0.95
-"""Share of a row's vertices, and of rows, that a bar is to hold."""
+"""Share of a row's vertices, and of rows, that an error bar covers."""
 
 WIDENING = 5.0
-"""Bars widen by this over the number of rows left out: few tell a tail badly (as the table's)."""
+"""Error bars widen by this over the number of rows left out: few show a tail badly (as tables')."""
 
 
-class Told(NamedTuple):
+class BlendedFields(NamedTuple):
     """Fields at one wrench.
 
     Attributes
     ----------
     displacement, error
-        Shapes (v, 3) and (v,), m; None where too few rows tell an error.
+        Shapes (v, 3) and (v,), m; None where too few rows give an error.
     stress, stress_error
-        Shape (p, 6), Pa, and the bar of its largest von Mises stress; None where not known.
+        Shape (p, 6), Pa, and the error bar of its largest von Mises stress; None where not known.
     """
 
     displacement: Floats
@@ -55,14 +55,14 @@ class Blend:
     largest
         The largest displacement in any row, m.
     spread
-        Shape (v,), m: of a vertex's error over sigma; None where too few rows tell it.
+        Shape (v,), m: of a vertex's error over sigma; None where too few rows give it.
     factor
         What sigma times spread is multiplied by.
     stress_factor
-        Pa: the bar of the largest von Mises stress over sigma.
+        Pa: the error bar of the largest von Mises stress over sigma.
     """
 
-    geometry: Geometry
+    geometry: SurfaceGeometry
     weights: FieldWeights
     values: Floats
     rows: tuple[int, ...]
@@ -74,7 +74,7 @@ class Blend:
     @classmethod
     def of(
         cls,
-        geometry: Geometry,
+        geometry: SurfaceGeometry,
         weights: FieldWeights,
         rows: Sequence[RowFields],
         numbers: tuple[int, ...],
@@ -95,7 +95,7 @@ class Blend:
         stresses = _stress_factor(values[:, 0, moved:], errors[:, moved:], rows, sigmas)
         return cls(geometry, weights, values, numbers, largest, spread, factor, stresses)
 
-    def at(self, wrench: Floats) -> Told:
+    def at(self, wrench: Floats) -> BlendedFields:
         """Return the fields at a wrench (6,), N and N·m."""
         found = self.weights.at(wrench)
         lambdas = np.concatenate((found.values[:, None], found.slopes), axis=1)
@@ -105,8 +105,8 @@ class Blend:
         error = None if self.spread is None else self.factor * found.sigma * self.spread
         stress = fields[moved:].reshape(-1, 6) if len(fields) > moved else None
         factor = self.stress_factor
-        bar = None if factor is None else factor * found.sigma
-        return Told(displacement, error, stress, bar)
+        stress_error = None if factor is None else factor * found.sigma
+        return BlendedFields(displacement, error, stress, stress_error)
 
     def nearest(self, wrench: Floats) -> tuple[int, Floats]:
         """Return the row nearest to a wrench (6,), N and N·m, and its slopes.
@@ -135,15 +135,15 @@ def _columns(row: RowFields) -> Floats:
 def _stress_factor(
     stress: Floats, errors: Floats, rows: Sequence[RowFields], sigmas: Floats
 ) -> float | None:
-    """Return the bar of the largest von Mises stress over sigma, Pa; None without stresses.
+    """Return the error bar of the largest von Mises stress over sigma, Pa; None without stresses.
 
-    Of each row left out it is what its largest would be told as, held against its own largest.
+    Of each row left out the predicted largest is compared with its own largest.
     """
     if not stress.shape[1]:
         return None
-    told = von_mises((stress - errors).reshape(len(rows), -1, 6)).max(axis=1)
+    largest = von_mises((stress - errors).reshape(len(rows), -1, 6)).max(axis=1)
     true = np.array([row.meta["largest"] for row in rows])
-    return _conformal(np.abs(told - true) / sigmas)
+    return _conformal(np.abs(largest - true) / sigmas)
 
 
 def _conformal(ratios: Floats) -> float:

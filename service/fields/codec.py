@@ -1,7 +1,7 @@
 """Arrays in a file of their own: exact or rounded to a stated step, compressed, with a digest.
 
 A file is `MAGIC`, the length of a JSON header (four bytes, little-endian), the header and the
-compressed columns one after the other. The header tells each column's shape and steps and a digest
+compressed columns one after the other. The header has each column's shape and steps and a digest
 of all, so that a file that was cut off or damaged is not taken for numbers.
 
 A column is rounded to whole multiples of a step, 2^-bits of its largest number or finer, by the
@@ -42,27 +42,27 @@ class Column(NamedTuple):
 
 
 def pack(meta: Mapping[str, Any], columns: Mapping[str, Column]) -> bytes:
-    """Return the file of some arrays and of what a JSON header can say.
+    """Return the file of some arrays and of JSON values for its header.
 
     Raises
     ------
     ValueError
         If a number is not finite.
     """
-    told, payloads = [], []
+    entries, payloads = [], []
     for name, column in columns.items():
         entry, payload = _packed(name, column)
-        told.append(entry)
+        entries.append(entry)
         payloads.append(payload)
     body = b"".join(payloads)
-    header: dict[str, Any] = {"meta": dict(meta), "columns": told}
+    header: dict[str, Any] = {"meta": dict(meta), "columns": entries}
     header["digest"] = _digest(header, body)
     text = json.dumps(header, allow_nan=False).encode()
     return MAGIC + len(text).to_bytes(4, "little") + text + body
 
 
 def read_meta(content: bytes) -> dict[str, Any]:
-    """Return what a file's header says, without its columns.
+    """Return the JSON values of a file's header, without its columns.
 
     Raises
     ------

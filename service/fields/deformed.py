@@ -15,9 +15,15 @@ from numpy.typing import NDArray
 from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.service.fields.blend import Blend
 from wrenchbook.service.fields.codec import DamagedFieldsError
-from wrenchbook.service.fields.record import Geometry, RowFields
-from wrenchbook.service.fields.shape import Deformed, largest_stress, rounding, stress_of_row
-from wrenchbook.service.fields.solver_share import error_parts, following
+from wrenchbook.service.fields.record import RowFields, SurfaceGeometry
+from wrenchbook.service.fields.shape import (
+    Deformed,
+    error_parts,
+    largest_stress,
+    rounding,
+    stress_of_row,
+    vertex_modes,
+)
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.field_weights import FieldWeights, nearest_rows
@@ -34,7 +40,7 @@ BLEND_BYTES = 128 << 20
 """Of the fields that one component's interpolation holds; larger surfaces take fewer rows."""
 
 LEAST_ROWS = 8
-"""Rows taken however large their fields are: fewer tell neither an answer nor an error."""
+"""Rows taken however large their fields are: fewer give neither an answer nor an error."""
 
 MOST_BLENDS = 2
 """Components whose interpolation is kept at once."""
@@ -43,17 +49,17 @@ THREADS = 2
 """Surfaces made at once: each may take a processor."""
 
 FARTHEST = 2.0
-"""Half ranges beyond an end of the load range: further out no row says anything of a surface."""
+"""Half ranges beyond an end of the load range: further out rows do not determine a surface."""
 
 SAME = 1e-6
 """Of the load range: a wrench so near to a row's is the one that row was rounded from."""
 
 WITHOUT_TOLERANCE = 0.01
-"""Of the largest displacement of any row: a vertex's bar where the component tells no tolerance."""
+"""Of the largest displacement of any row: a vertex's error bar allowed without a tolerance."""
 
 
 class NoFieldsError(Exception):
-    """No row of the component has a deformed surface; says how to get one."""
+    """No row of the component has a deformed surface; the message has the remedy."""
 
     def __init__(self, component: Component, why: str) -> None:
         super().__init__(_how_to(component, why))
@@ -63,7 +69,7 @@ class TooFarError(ValueError):
     """The wrench is so far beyond the load range that nothing is known there."""
 
 
-class DeformedShapes:
+class DeformedSurfaces:
     """Answers deformed surfaces, and keeps what the last ones were made of.
 
     Parameters
@@ -74,7 +80,7 @@ class DeformedShapes:
     Attributes
     ----------
     threads : ThreadPoolExecutor
-        For those who must not wait themselves: `answer` may take a second.
+        For callers that must not block: `answer` may take a second.
     """
 
     def __init__(self, store: FieldStore) -> None:
@@ -92,7 +98,7 @@ class DeformedShapes:
         component: Component,
         rows: Rows,
         wrench: Floats,
-        held: Hyperparameters | None = None,
+        hyperparameters: Hyperparameters | None = None,
         solver: SolverError | None = None,
         shares: Mapping[str, Sequence[float] | None] | None = None,
     ) -> Deformed:
@@ -104,11 +110,11 @@ class DeformedShapes:
         ----------
         rows : Rows
             All rows of the component's table.
-        held : Hyperparameters, optional
+        hyperparameters : Hyperparameters, optional
             Of the table's kriging.
         solver : SolverError, optional
-            What the component's solver may be wrong by; without it bars are of the table alone,
-            which `Deformed.parts` says.
+            The solver's own error; without it error bars are the interpolation error alone,
+            see `Deformed.parts`.
         shares : mapping, optional
             Its shares at the interface under that wrench (`SolverError.parts`).
 
@@ -125,7 +131,7 @@ class DeformedShapes:
             found = self._linear(component, rows, acting)
         else:
             found = self._own(component, rows, acting) or self._between(
-                component, rows, acting, held
+                component, rows, acting, hyperparameters
             )
         found = _whole(component, found, solver, shares)
         beyond = why_beyond(component.load_range, acting)
@@ -151,17 +157,17 @@ class DeformedShapes:
             error=rounding(moved),
             stress=stress,
             source="linear",
-            follows=following(row.displacement_slopes, _any_compliance(component, rows)),
+            follows=vertex_modes(row.displacement_slopes, _any_compliance(component, rows)),
         )
 
     def _own(self, component: Component, rows: Rows, wrench: Floats) -> Deformed | None:
-        """Return what the solve of this wrench says; None if there is none with fields."""
+        """Return the surface of this wrench's own solve; None if there is none with fields."""
         apart = np.abs(rows.wrench - wrench) / component.load_range.scale
         near = apart.max(axis=1, initial=0.0) <= SAME
         for place in np.flatnonzero(near & (rows.fingerprint == component.fingerprint)).tolist():
             for row in self._readable(component, rows.wrench[place : place + 1]):
                 found = self._stepped(component, row, wrench, int(rows.seq[place]))
-                follows = following(row.displacement_slopes, rows.compliance[place])
+                follows = vertex_modes(row.displacement_slopes, rows.compliance[place])
                 return found and replace(found, follows=follows)
         return None
 
@@ -181,38 +187,44 @@ class DeformedShapes:
             error = float(von_mises(change).max())
             stress = largest_stress(component, geometry, row.stress + change, error)
         whole = row.displacement + moved
-        bar = rounding(whole) + np.linalg.norm(moved, axis=1)
-        told = tuple(wrench.tolist())
-        return Deformed(component.name, told, geometry, whole, bar, stress, "row", (number,))
+        vertex_error = rounding(whole) + np.linalg.norm(moved, axis=1)
+        loads = tuple(wrench.tolist())
+        return Deformed(
+            component.name, loads, geometry, whole, vertex_error, stress, "row", (number,)
+        )
 
     def _between(
-        self, component: Component, rows: Rows, wrench: Floats, held: Hyperparameters | None
+        self,
+        component: Component,
+        rows: Rows,
+        wrench: Floats,
+        hyperparameters: Hyperparameters | None,
     ) -> Deformed:
         """Return the interpolation of the rows that have fields."""
         places = self._having_fields(component, rows)
         with self._lock:  # one at a time: a new interpolation takes a processor and its memory
-            blend = self._blend(component, rows.take(places), wrench, held)
-        told = blend.at(wrench)
-        error = told.error
+            blend = self._blend(component, rows.take(places), wrench, hyperparameters)
+        fields = blend.at(wrench)
+        error = fields.error
         if error is not None:
-            error = np.maximum(error, rounding(told.displacement))
+            error = np.maximum(error, rounding(fields.displacement))
         coverage, reason = _judged(component, blend, error)
         stress = None
-        if told.stress is not None:
-            stress = largest_stress(component, blend.geometry, told.stress, told.stress_error)
+        if fields.stress is not None:
+            stress = largest_stress(component, blend.geometry, fields.stress, fields.stress_error)
         number, slopes = blend.nearest(wrench)
         return Deformed(
             component=component.name,
             wrench=tuple(wrench.tolist()),
             geometry=blend.geometry,
-            displacement=told.displacement,
+            displacement=fields.displacement,
             error=error,
             stress=stress,
             source="rows",
             rows=blend.rows,
             coverage=coverage,
             reason=reason,
-            follows=following(slopes, rows.compliance[np.flatnonzero(rows.seq == number)[0]]),
+            follows=vertex_modes(slopes, rows.compliance[np.flatnonzero(rows.seq == number)[0]]),
         )
 
     def _having_fields(self, component: Component, rows: Rows) -> NDArray[np.intp]:
@@ -231,33 +243,42 @@ class DeformedShapes:
         return solved[having][np.sort(first)]
 
     def _blend(
-        self, component: Component, rows: Rows, wrench: Floats, held: Hyperparameters | None
+        self,
+        component: Component,
+        rows: Rows,
+        wrench: Floats,
+        hyperparameters: Hyperparameters | None,
     ) -> Blend:
         """Return the interpolation of the rows nearest to a wrench; the last one if it is that."""
         chosen = nearest_rows(
             rows.wrench, wrench, component.load_range, self._most_rows(component, rows)
         )
-        near, lengths = rows.take(chosen), None if held is None else held.logarithms.tobytes()
+        near, lengths = (
+            rows.take(chosen),
+            None if hyperparameters is None else hyperparameters.logarithms.tobytes(),
+        )
         key = component.fingerprint, near.seq.tobytes(), lengths
         kept = self._kept.get(component.name)
         if kept is not None and kept[0] == key:
             self._kept.move_to_end(component.name)
             return kept[1]
         self._kept.pop(component.name, None)  # before its like takes as much memory again
-        blend = self._made(component, near, held)
+        blend = self._made(component, near, hyperparameters)
         self._kept[component.name] = key, blend
         while len(self._kept) > MOST_BLENDS:
             self._kept.popitem(last=False)
         return blend
 
     def _most_rows(self, component: Component, rows: Rows) -> int:
-        """Return of how many rows the fields may be held at once."""
+        """Return how many rows' fields may be in memory at once."""
         for row in self._readable(component, rows.wrench):
             size = 7 * 8 * (row.displacement.size + row.stress.size)
             return min(MOST_ROWS, max(LEAST_ROWS, BLEND_BYTES // max(size, 1)))
         raise NoFieldsError(component, "the files of all rows are damaged")
 
-    def _made(self, component: Component, rows: Rows, held: Hyperparameters | None) -> Blend:
+    def _made(
+        self, component: Component, rows: Rows, hyperparameters: Hyperparameters | None
+    ) -> Blend:
         found: list[tuple[int, RowFields]] = []
         for place, wrench in enumerate(rows.wrench):
             found += [(place, row) for row in self._readable(component, wrench[None])]
@@ -268,7 +289,7 @@ class DeformedShapes:
         kept = rows.take([place for place, _ in like])
         try:
             geometry = self._geometry(component, like[0][1])
-            weights = FieldWeights.of(kept.wrench, component.load_range, held)
+            weights = FieldWeights.of(kept.wrench, component.load_range, hyperparameters)
         except (DamagedFieldsError, SingularCovarianceError) as error:
             raise NoFieldsError(component, str(error)) from error
         return Blend.of(geometry, weights, [row for _, row in like], tuple(kept.seq.tolist()))
@@ -281,7 +302,7 @@ class DeformedShapes:
             except DamagedFieldsError:
                 continue
 
-    def _geometry(self, component: Component, row: RowFields) -> Geometry:
+    def _geometry(self, component: Component, row: RowFields) -> SurfaceGeometry:
         return self._store.geometry(component.name, component.fingerprint, row.meta["geometry"])
 
 
@@ -307,7 +328,7 @@ def _whole(
     solver: SolverError | None,
     shares: Mapping[str, Sequence[float] | None] | None,
 ) -> Deformed:
-    """Return a surface whose bars hold the solver's share too; coverage stays the table's."""
+    """Return a surface whose error bars include the solver's error; coverage stays the table's."""
     if shape.error is None:
         return shape
     parts = error_parts(shape.error, shape.follows, solver, np.array(shape.wrench), shares)
@@ -321,7 +342,7 @@ def _judged(component: Component, blend: Blend, error: Floats | None) -> tuple[s
     """Return the coverage of an interpolation, and the reason if it is not covered."""
     if error is None:
         count = len(blend.rows)
-        return "thin", f"{count} row(s) with a surface: too few to tell how far this is wrong"
+        return "thin", f"{count} row(s) with a surface: too few for an error bar"
     limit = component.tolerance
     allowed = limit.translation if limit else WITHOUT_TOLERANCE * blend.largest
     worst = float(error.max(initial=0.0))
@@ -331,7 +352,7 @@ def _judged(component: Component, blend: Blend, error: Floats | None) -> tuple[s
 
 
 def _how_to(component: Component, why: str) -> str:
-    """Say why there is no surface, and how to get one."""
+    """Return why there is no surface, and how to get one."""
     name = component.name
     if not component.has_fea:
         return (

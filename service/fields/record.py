@@ -2,7 +2,7 @@
 
 Two files: the geometry, which all rows of a component share, and the row's own fields. The
 displacement is kept to 2^-44 of its largest number, stresses to 2^-24 and slopes to 2^-20, as they
-are told between rows only; a linear component's slopes are its whole answer and kept to 2^-44.
+serve interpolation only; a linear component's slopes are its whole answer and kept to 2^-44.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ FINE, STRESS, SLOPES = 44, 24, 20  # bits
 Array = NDArray[Any]
 
 
-class Geometry(NamedTuple):
-    """The undeformed surface, and where stresses are told; in the interface frame.
+class SurfaceGeometry(NamedTuple):
+    """The undeformed surface, and the points of stresses; in the interface frame.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ def leave(folder: Path, wrench: tuple[float, ...], fields: Any) -> None:
     wrench
         Six numbers, N and N·m.
     fields : fea.recovery.fields.SolveFields
-        Not named in code: whoever reads the files imports no finite elements.
+        Not imported: readers of the files import no finite elements.
 
     Raises
     ------
@@ -127,11 +127,11 @@ def _row_file(wrench: tuple[float, ...], fields: Any, geometry: str) -> bytes:
 
 
 def digest_of(geometry: bytes) -> str:
-    """Return what tells one geometry's file from another."""
+    """Return the digest that identifies a geometry's file."""
     return blake2b(geometry, digest_size=12).hexdigest()
 
 
-def read_geometry(content: bytes) -> Geometry:
+def read_geometry(content: bytes) -> SurfaceGeometry:
     """Return the geometry of a file.
 
     Raises
@@ -140,7 +140,7 @@ def read_geometry(content: bytes) -> Geometry:
         If it is not as it was written.
     """
     meta, columns = unpack(content)
-    return Geometry(
+    return SurfaceGeometry(
         columns["vertices"],
         columns["triangles"],
         int(meta["whole_vertices"]),

@@ -21,8 +21,8 @@ from wrenchbook.service.fields.codec import DamagedFieldsError, read_meta
 from wrenchbook.service.fields.record import (
     GEOMETRY,
     ROW,
-    Geometry,
     RowFields,
+    SurfaceGeometry,
     digest_of,
     read_geometry,
     read_row,
@@ -116,7 +116,7 @@ class FieldStore:
         path = self._place(component, fingerprint) / f"{_LINEAR}.fields"
         return self._read(path) if path.exists() else None
 
-    def geometry(self, component: str, fingerprint: str, digest: str) -> Geometry:
+    def geometry(self, component: str, fingerprint: str, digest: str) -> SurfaceGeometry:
         """Return the geometry that a row's fields belong to.
 
         Raises

@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def sync_folder(folder: Path) -> None:
-    """Return once the folder's entries, a file just renamed into it say, are on disk."""
+    """Return once the folder's entries, such as a file just renamed into it, are on disk."""
     sync(folder)
 
 

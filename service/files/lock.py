@@ -9,12 +9,12 @@ import os
 import time
 from pathlib import Path
 
-# How long `take` puts up with the short shared lock that `is_held` looks with.
+# How long `take` puts up with the short shared lock that `is_locked` looks with.
 _PATIENCE_SECONDS = 0.5
 
 
 def take(path: Path, patience_s: float = _PATIENCE_SECONDS) -> int | None:
-    """Lock the file (made if there is none) and return its descriptor; None if it is held."""
+    """Lock the file (made if there is none) and return its descriptor; None if it is locked."""
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     deadline = time.monotonic() + patience_s
     while True:
@@ -28,8 +28,8 @@ def take(path: Path, patience_s: float = _PATIENCE_SECONDS) -> int | None:
         time.sleep(0.01)
 
 
-def is_held(path: Path) -> bool:
-    """Return whether anybody holds the lock; a file that is not there is not held."""
+def is_locked(path: Path) -> bool:
+    """Return whether a process has the lock; a file that is missing is not locked."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except FileNotFoundError:

@@ -25,15 +25,15 @@ def redact(text: str) -> str:
     return _paths().sub(lambda found: f".../{found[1]}", _TRACEBACK.sub("", text))
 
 
-def redact_values(told: Any) -> Any:
+def redact_values(value: Any) -> Any:
     """Return JSON's values with all their texts made `redact`."""
-    if isinstance(told, str):
-        return redact(told)
-    if isinstance(told, dict):
-        return {key: redact_values(value) for key, value in told.items()}
-    if isinstance(told, list | tuple):
-        return [redact_values(value) for value in told]
-    return told
+    if isinstance(value, str):
+        return redact(value)
+    if isinstance(value, dict):
+        return {key: redact_values(value) for key, value in value.items()}
+    if isinstance(value, list | tuple):
+        return [redact_values(value) for value in value]
+    return value
 
 
 @cache

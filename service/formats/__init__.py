@@ -1,16 +1,15 @@
 """Table files: CSV, XLSX, Parquet, JSON and HDF5 to rows in SI with named mistakes, and back.
 
 No HTTP, no ledger. The columns of a file are described in `header` (CSV, XLSX, Parquet),
-`json_table` and `hdf5_table`, its units in `units`, the limits of a row in `table_rows`.
+`json_table` and `binary_table`, its units in `units`, the limits of a row in `table_rows`.
 """
 
+from wrenchbook.service.formats.binary_table import write_hdf5, write_parquet
 from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.formats.column_names import Layout, layout
 from wrenchbook.service.formats.csv_table import csv_text
-from wrenchbook.service.formats.hdf5_table import write_hdf5
 from wrenchbook.service.formats.json_table import json_text
 from wrenchbook.service.formats.options import MOST_ZERO_ROWS, Options
-from wrenchbook.service.formats.parquet_table import write_parquet
 from wrenchbook.service.formats.table_file import MOST_PREVIEW, ReadResult, read_untrusted
 from wrenchbook.service.formats.table_rows import ParsedTable
 from wrenchbook.service.formats.units import UnitError, chosen_units

@@ -56,7 +56,7 @@ _NO_CSV = (
 
 
 class UnreadableFileError(ValueError):
-    """The bytes are no CSV text; the message says how to save the file."""
+    """The bytes are no CSV text; the message has the remedy."""
 
 
 def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:

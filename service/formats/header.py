@@ -33,7 +33,7 @@ from wrenchbook.service.formats.column_names import (
     readings,
     split,
 )
-from wrenchbook.service.formats.options import Options, RowMistake
+from wrenchbook.service.formats.options import FileMistake, Options
 from wrenchbook.service.formats.preamble import MOST_COLUMNS, Preamble, Record, split_titles
 from wrenchbook.service.formats.units import UnitError, product, quotient
 
@@ -59,7 +59,7 @@ class Header:
 
     width: int
     columns: dict[str, HeaderColumn] = field(default_factory=dict)
-    mistakes: list[RowMistake] = field(default_factory=list)
+    mistakes: list[FileMistake] = field(default_factory=list)
     ignored: list[str] = field(default_factory=list)
     status: HeaderColumn | None = None
     sequence: HeaderColumn | None = None
@@ -105,7 +105,7 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
 
 
 def _no_header(line: int, field: str, message: str) -> Header:
-    return Header(0, mistakes=[RowMistake(line, field, message)])
+    return Header(0, mistakes=[FileMistake(line, field, message)])
 
 
 def _is_units_row(labels: list[str], cells: list[str]) -> bool:
@@ -146,13 +146,13 @@ def _read_header(
         try:
             _add_column(header, names, index, label, line)
         except UnitError as error:
-            mistake = RowMistake(line, label or f"column {index + 1}", str(error))
+            mistake = FileMistake(line, label or f"column {index + 1}", str(error))
             header.mistakes.append(mistake)
     for name in names.missing_from(labels) if options.role == "table" else ():
         message = "is named by ignore or mapping, and the file has no such column"
-        header.mistakes.append(RowMistake(line, name, message))
+        header.mistakes.append(FileMistake(line, name, message))
     for message in _missing_columns(header, labels, options):
-        header.mistakes.append(RowMistake(line, "header", message))
+        header.mistakes.append(FileMistake(line, "header", message))
     return header
 
 
@@ -176,7 +176,7 @@ def _add_column(header: Header, names: _ColumnNames, index: int, label: str, lin
         return
     if column.name in header.columns:
         message = f"{column.name} stands twice; keep one"
-        header.mistakes.append(RowMistake(line, label, message))
+        header.mistakes.append(FileMistake(line, label, message))
     header.columns[column.name] = column
 
 

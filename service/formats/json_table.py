@@ -6,19 +6,18 @@ of ux uy uz rx ry rz, over fx fy fz mx my mz), ``source``, ``note`` and ``finger
 An export also has ``component``, ``table_version`` and the number of each row in the ledger,
 ``row``; an import ignores them.
 
-The file is decoded row by row: the standard library needs seven times the size of a text of 256 MB
-to decode it at once, and orjson reports neither keys that stand twice nor 1e-400 nor NaN.
+The text is decoded row by row: decoded at once, the rows of a text of 256 MB take seven times its
+size, and orjson reports neither duplicate keys nor 1e-400 nor NaN.
 """
 
 from __future__ import annotations
 
-import codecs
 import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, TypeGuard
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -35,8 +34,6 @@ from wrenchbook.service.formats.table_rows import Array, ParsedTable, good_rows,
 from wrenchbook.service.formats.units import vanished
 
 PIECE = 20_000  # rows at once
-MOST_VALUE = 1 << 20  # characters of one value: a row with its 54 numbers has some 1,500
-_BLOCK = 1 << 18  # bytes read at once
 _BLANKS = re.compile(r"[ \t\n\r]*")
 _TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_version")
 _ROW_KEYS = ("wrench", "displacement", "uncertainty", "compliance", *TEXTS, *ORIGIN)
@@ -44,16 +41,22 @@ _NO_TABLE = 'is not a table; write {"rows": [{"wrench": [6 numbers], "displaceme
 
 
 class JsonError(ValueError):
-    """The text is no JSON, or no object; the message tells the place."""
+    """The text is no JSON, or no object; the message has the place."""
 
 
 def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of a JSON file piece by piece; `report` gets the mistakes."""
-    with path.open("rb") as file:
-        try:
-            yield from _pieces(_JsonStream(file), options, report)
-        except ValueError as error:
-            report.mistakes.ruin(report.read + 1 if report.read else 0, "file", str(error))
+    try:
+        yield from _pieces(_JsonReader(_text_of(path)), options, report)
+    except ValueError as error:
+        report.mistakes.ruin(report.read + 1 if report.read else 0, "file", str(error))
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise JsonError(f"is not JSON: {error.reason}; save it as UTF-8") from error
 
 
 def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Iterator[str]:
@@ -72,21 +75,21 @@ def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Itera
     yield "]}"
 
 
-def _pieces(stream: _JsonStream, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+def _pieces(reader: _JsonReader, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     piece, listed = _JsonRows(), False
-    if stream.peek() != "{":
-        stream.value()
-        stream.end()
+    if reader.peek() != "{":
+        reader.value()
+        reader.end()
         report.mistakes.ruin(0, "rows", _NO_TABLE)
         return
-    for key in stream.members():
-        if key != "rows" or stream.peek() != "[":
-            if problem := _member_problem(key, stream.value()):
+    for key in reader.members():
+        if key != "rows" or reader.peek() != "[":
+            if problem := _key_problem(key, reader.value()):
                 report.mistakes.ruin(0, key, problem)
                 return
             continue
         listed = True
-        for value in stream.items():
+        for value in reader.items():
             report.read += 1
             piece.add(report.read, value)
             if report.read % PIECE == 0 or len(piece.mistakes) > MOST_LISTED:
@@ -94,7 +97,7 @@ def _pieces(stream: _JsonStream, options: Options, report: ReadReport) -> Iterat
                 if report.is_beyond_limits():
                     return
                 piece = _JsonRows()
-    stream.end()
+    reader.end()
     if not listed:
         report.mistakes.ruin(0, "rows", _NO_TABLE)
     elif not report.read:
@@ -103,7 +106,7 @@ def _pieces(stream: _JsonStream, options: Options, report: ReadReport) -> Iterat
     report.is_beyond_limits()
 
 
-def _member_problem(key: str, value: Any) -> str:
+def _key_problem(key: str, value: Any) -> str:
     """Return what is wrong with a member of the table that is no list of rows."""
     if key == "rows":
         return _NO_TABLE
@@ -261,15 +264,12 @@ def _twice(key: str) -> str:
     return f"the key {key!r} stands twice in one object; keep one"
 
 
-class _JsonStream:
-    """The text of a JSON file in blocks, decoded one value at a time."""
+class _JsonReader:
+    """The text of a JSON file, decoded one value at a time."""
 
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self._bytes = codecs.getincrementaldecoder("utf-8-sig")()
+    def __init__(self, text: str) -> None:
         self._decoder = json.JSONDecoder(parse_float=_parsed_float, object_pairs_hook=_unique)
-        self._text, self._at, self._dropped = "", 0, 0
-        self._ended = False
+        self._text, self._at = text, 0
 
     def members(self) -> Iterator[str]:
         """Yield the keys of an object; the caller takes the value of each."""
@@ -298,33 +298,22 @@ class _JsonStream:
                 return
 
     def value(self) -> Any:
-        """Return the next value, of at most `MOST_VALUE` characters; raises JsonError."""
+        """Return the next value; raises JsonError."""
         self.peek()
-        while True:
-            try:
-                value, end = self._decoder.raw_decode(self._text, self._at)
-            except RecursionError as error:
-                raise JsonError("is not JSON of a table: it is nested too deeply") from error
-            except ValueError as error:
-                if len(self._text) - self._at > MOST_VALUE or not self._read():
-                    reason = error.msg if isinstance(error, json.JSONDecodeError) else str(error)
-                    raise JsonError(f"is not JSON: {reason} after {self._place()}") from error
-                continue
-            # A number at the end of the block may go on in the next one.
-            if end < len(self._text) or self._ended:
-                self._at = end
-                return value
-            self._read()
+        try:
+            value, self._at = self._decoder.raw_decode(self._text, self._at)
+        except RecursionError as error:
+            raise JsonError("is not JSON of a table: it is nested too deeply") from error
+        except ValueError as error:
+            reason = error.msg if isinstance(error, json.JSONDecodeError) else str(error)
+            raise JsonError(f"is not JSON: {reason} after {self._place()}") from error
+        return value
 
     def peek(self) -> str:
         """Return the next character that is no blank, empty at the end."""
-        while True:
-            found = _BLANKS.match(self._text, self._at)
-            self._at = found.end() if found else self._at
-            if self._at < len(self._text):
-                return self._text[self._at]
-            if not self._read():
-                return ""
+        found = _BLANKS.match(self._text, self._at)
+        self._at = found.end() if found else self._at
+        return self._text[self._at : self._at + 1]
 
     def end(self) -> None:
         """Raise JsonError if there is more text."""
@@ -340,22 +329,8 @@ class _JsonStream:
         self._at += 1
         return found
 
-    def _read(self) -> bool:
-        """Read another block; return False at the end of the file."""
-        if self._ended:
-            return False
-        block = self._file.read(_BLOCK)
-        self._ended = not block
-        try:
-            fresh = self._bytes.decode(block, final=self._ended)
-        except UnicodeDecodeError as error:
-            raise JsonError(f"is not JSON: {error.reason}; save it as UTF-8") from error
-        self._dropped += self._at
-        self._text, self._at = self._text[self._at :] + fresh, 0
-        return not self._ended or bool(fresh)
-
     def _place(self) -> str:
-        return f"character {self._dropped + self._at:,}"
+        return f"character {self._at:,}"
 
 
 def _row_dicts(table: WritableRows) -> list[dict[str, Any]]:

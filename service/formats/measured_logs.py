@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from wrenchbook.service.formats.options import Options, ReadReport
-from wrenchbook.service.formats.table_rows import Array, ParsedTable, joined, within_limits
+from wrenchbook.service.formats.table_rows import Array, ParsedTable, within_limits
 
 GAP_FACTOR = 5.0
 """Times the median interval of the loads: in a longer one samples were lost."""
@@ -60,19 +60,19 @@ def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Arr
 
     None if it has a mistake: a missing load is missing for the rows before and after it.
     """
-    table, mistakes = joined(list(pieces)), report.mistakes
+    parts, mistakes = list(pieces), report.mistakes
     if mistakes:
         mistakes.whole = True
         return None
-    assert table.time is not None or not len(table)
-    steps = np.diff(table.time) if table.time is not None else np.empty(0)
+    time = np.concatenate([np.empty(0), *(one.time for one in parts if one.time is not None)])
+    steps = np.diff(time)
     if not len(steps) or (steps <= 0.0).any():
+        rows = [row for one in parts for row in one.row.tolist()]
         at = int(np.argmax(steps <= 0.0)) + 1 if len(steps) else 0
         message = "the log of the loads needs times that grow from sample to sample"
-        mistakes.ruin(int(table.row[at]) if len(table) else 0, "time", message)
+        mistakes.ruin(rows[at] if rows else 0, "time", message)
         return None
-    assert table.time is not None
-    return table.time, table.wrench
+    return time, np.concatenate([one.wrench for one in parts])
 
 
 def with_loads(

@@ -17,7 +17,7 @@ Role = Literal["table", "loads", "displacements"]
 MOST_ROWS = 5_000_000  # of a file: 0.6 GB as arrays without tangents
 MOST_ZERO_ROWS = 10_000  # all in the first piece of a file
 MOST_LISTED = 1000
-"""Mistakes listed at most; one more line then says that there are more."""
+"""Mistakes listed at most; one more line then counts the others."""
 
 MOST_MISTAKES = 100 * MOST_LISTED
 """Reading stops after so many: 8.8 KB of gzip can hold six million, 78 s of processor time."""
@@ -90,7 +90,7 @@ class Options:
 
 
 @dataclass(frozen=True, order=True)
-class RowMistake:
+class FileMistake:
     """One mistake in a table file.
 
     Parameters
@@ -125,21 +125,21 @@ class Mistakes:
     """
 
     def __init__(self) -> None:
-        self._kept: list[RowMistake] = []
+        self._kept: list[FileMistake] = []
         self.count = 0
         self.whole = False
 
     def __bool__(self) -> bool:
         return self.count > 0
 
-    def __iter__(self) -> Iterator[RowMistake]:
+    def __iter__(self) -> Iterator[FileMistake]:
         return iter(self.listed())
 
     def add(self, row: int, field: str, message: str) -> None:
         """Add a mistake of a row."""
         self.count += 1
         if len(self._kept) < _MOST_KEPT:
-            self._kept.append(RowMistake(row, field[:_MOST_FIELD], message))
+            self._kept.append(FileMistake(row, field[:_MOST_FIELD], message))
 
     def ruin(self, row: int, field: str, message: str) -> None:
         """Add a mistake of the whole file."""
@@ -151,8 +151,8 @@ class Mistakes:
         self._kept.sort(key=lambda mistake: mistake.row)
         del self._kept[MOST_LISTED + 1 :]
 
-    def listed(self) -> tuple[RowMistake, ...]:
-        """Return the first by row; a last one tells how many are not listed."""
+    def listed(self) -> tuple[FileMistake, ...]:
+        """Return the first by row; a last one counts those that are not listed."""
         self.settle()
         if self.count <= MOST_LISTED:
             return tuple(self._kept)
@@ -160,7 +160,7 @@ class Mistakes:
         if self.count > MOST_MISTAKES:
             message += f"; reading stopped after more than {MOST_MISTAKES:,}"
         row = self._kept[MOST_LISTED].row if len(self._kept) > MOST_LISTED else 0
-        return (*self._kept[:MOST_LISTED], RowMistake(row, "", message))
+        return (*self._kept[:MOST_LISTED], FileMistake(row, "", message))
 
 
 @dataclass(frozen=True)

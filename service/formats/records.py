@@ -152,7 +152,7 @@ def _ambiguity(cell: str) -> str:
     mark = "," if "," in cell else "."
     one, other = cell.replace(",", "."), cell.replace(mark, "")
     return (
-        f"'{cell}' is {one} or {other}, and no number in the file tells which; say "
+        f"'{cell}' is {one} or {other}, and no number in the file decides; say "
         f"decimal={mark} for {one}, or write {other} without the mark"
     )
 

@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from wrenchbook.service.formats.binary_table import read_hdf5, read_parquet
 from wrenchbook.service.formats.csv_table import read_csv
-from wrenchbook.service.formats.hdf5_table import read_hdf5
 from wrenchbook.service.formats.json_table import read_json
 from wrenchbook.service.formats.measured_logs import joined_loads, with_loads, zeroed
 from wrenchbook.service.formats.options import Format, Options, ReadReport
-from wrenchbook.service.formats.parquet_table import read_parquet
 from wrenchbook.service.formats.table_rows import ParsedTable, with_own_setup, within_limits
 from wrenchbook.service.formats.units import FORCE, si_factor
 from wrenchbook.service.formats.xlsx_table import read_xlsx

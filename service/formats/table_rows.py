@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 
@@ -58,7 +57,7 @@ class ParsedTable:
     source, note, fingerprint : tuple of str
         One a row; empty where the file gives none.
     row : numpy.ndarray
-        Shape (n,), the place of each row: see `RowMistake.row`.
+        Shape (n,), the place of each row: see `FileMistake.row`.
     time : numpy.ndarray or None
         Shape (n,), s; of logs that are joined by it.
     """
@@ -77,7 +76,7 @@ class ParsedTable:
         return len(self.wrench)
 
     def take(self, which: Array) -> ParsedTable:
-        """Return the rows of a mask of shape (n,)."""
+        """Return the rows of a mask, shape (n,), dimensionless."""
         if which.all():
             return self
         places = np.flatnonzero(which).tolist()
@@ -95,24 +94,8 @@ class ParsedTable:
         )
 
 
-def joined(pieces: list[ParsedTable]) -> ParsedTable:
-    """Return the rows of the pieces of a file, in this order."""
-    times = [piece.time for piece in pieces if piece.time is not None]
-    return ParsedTable(
-        wrench=np.concatenate([np.empty((0, 6)), *(piece.wrench for piece in pieces)]),
-        displacement=np.concatenate([np.empty((0, 6)), *(piece.displacement for piece in pieces)]),
-        uncertainty=_concatenated([piece.uncertainty for piece in pieces], 6),
-        compliance=_concatenated([piece.compliance for piece in pieces], 6, 6),
-        source=tuple(chain.from_iterable(piece.source for piece in pieces)),
-        note=tuple(chain.from_iterable(piece.note for piece in pieces)),
-        fingerprint=tuple(chain.from_iterable(piece.fingerprint for piece in pieces)),
-        row=np.concatenate([np.empty(0, dtype=np.int64), *(piece.row for piece in pieces)]),
-        time=np.concatenate(times) if times else None,
-    )
-
-
 def known_column(column: Array) -> Array:
-    """Return a column, or one that takes no memory (`unknown_column`) if all of it is unknown."""
+    """Return a column, shape (n, k), m and rad; one without memory if all of it is unknown."""
     return unknown_column(*column.shape) if np.isnan(column).all() else column
 
 
@@ -122,18 +105,12 @@ def _taken(column: Array, which: Array) -> Array:
     return unknown_column(int(which.sum()), *column.shape[1:])
 
 
-def _concatenated(columns: list[Array], *shape: int) -> Array:
-    if any(any(column.strides) for column in columns):
-        return np.concatenate(columns)
-    return unknown_column(sum(map(len, columns)), *shape)
-
-
 def within_limits(
     piece: ParsedTable, options: Options, report: ReadReport, good: Array | None = None
 ) -> ParsedTable:
     """Return the rows within all limits; the others become mistakes.
 
-    `good`, shape (n,), is a mask of rows without other mistakes; the others are left out too.
+    `good`, shape (n,), dimensionless, masks rows without other mistakes; others are left out.
     """
     good = np.ones(len(piece), dtype=bool) if good is None else good
     for at, name, message in _excesses(piece, options.load_range):
@@ -144,7 +121,7 @@ def within_limits(
 
 
 def good_rows(piece: ParsedTable, good: Array, options: Options, report: ReadReport) -> ParsedTable:
-    """Return the rows of a mask within all limits.
+    """Return the rows of a mask, shape (n,), dimensionless, that are within all limits.
 
     Logs and rows with a zero offset are not checked against limits here, but after they are joined
     and corrected.

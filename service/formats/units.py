@@ -21,7 +21,7 @@ from typing import Any
 
 
 class UnitError(ValueError):
-    """A unit is unknown or measures another quantity; the message says what to write."""
+    """A unit is unknown or measures another quantity; the message has the remedy."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def _registry() -> Any:
 # the caller checks the float.
 _WIDE = Context(prec=120, Emin=-(10**6), Emax=10**6, traps=[])
 _SHORT = tuple(Context(prec=digits, traps=[]) for digits in (15, 16))
-_FULL = Context(prec=17, traps=[])  # tells every float64 from its neighbours (IEEE 754)
+_FULL = Context(prec=17, traps=[])  # separates neighbouring float64 (IEEE 754)
 _ONE = Decimal(1)
 
 

@@ -44,7 +44,7 @@ class SheetFullError(ValueError):
 
 
 class ZipBoundsError(ValueError):
-    """The archive is damaged, or unpacks to more than the limit; the message says which."""
+    """The archive is damaged, or unpacks to more than the limit; see the message."""
 
 
 def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
@@ -106,9 +106,9 @@ def _write_cell(sheet: Any, text: str, kind: str) -> Any:
 
 def _sheet(path: Path, file: BinaryIO, name: str | None) -> Any:
     """Return the sheet of a name, or the first one."""
-    for member, size in member_sizes(path, MOST_UNPACKED).items():
-        if size > MOST_IN_MEMORY and not member.startswith("xl/worksheets/"):
-            raise ZipBoundsError(f"holds more than {MOST_IN_MEMORY >> 20} MiB in {member}")
+    for entry, size in entry_sizes(path, MOST_UNPACKED).items():
+        if size > MOST_IN_MEMORY and not entry.startswith("xl/worksheets/"):
+            raise ZipBoundsError(f"holds more than {MOST_IN_MEMORY >> 20} MiB in {entry}")
     # Imported on first use: 0.2 s and 20 MB.
     import openpyxl
 
@@ -199,7 +199,7 @@ def unescape(text: str) -> str:
     return _ESCAPE.sub(lambda found: chr(int(found[1], 16)), text)
 
 
-def member_sizes(path: Path, most: int) -> dict[str, int]:
+def entry_sizes(path: Path, most: int) -> dict[str, int]:
     """Return the bytes of each member of a zip file that unpacks to at most `most`.
 
     Every member is unpacked and dropped: the sizes in the directory may be wrong.
@@ -211,14 +211,14 @@ def member_sizes(path: Path, most: int) -> dict[str, int]:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-            if problem := _directory_problem(members, most):
+            entries = archive.infolist()
+            if problem := _directory_problem(entries, most):
                 raise ZipBoundsError(problem)
             sizes: dict[str, int] = {}
-            for member in members:
+            for entry in entries:
                 left = most - sum(sizes.values())
-                sizes[member.filename] = _size(archive, member, left)
-                if sizes[member.filename] > left:
+                sizes[entry.filename] = _size(archive, entry, left)
+                if sizes[entry.filename] > left:
                     raise ZipBoundsError(_TOO_LARGE.format(most >> 20))
             return sizes
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError) as error:
@@ -227,22 +227,22 @@ def member_sizes(path: Path, most: int) -> dict[str, int]:
         raise ZipBoundsError(f"is a damaged zip file ({error})") from error
 
 
-def _directory_problem(members: list[zipfile.ZipInfo], most: int) -> str:
-    if len(members) > MOST_MEMBERS:
-        return f"has {len(members)} members; at most {MOST_MEMBERS} are read"
-    if len({member.filename for member in members}) < len(members):
+def _directory_problem(entries: list[zipfile.ZipInfo], most: int) -> str:
+    if len(entries) > MOST_MEMBERS:
+        return f"has {len(entries)} members; at most {MOST_MEMBERS} are read"
+    if len({entry.filename for entry in entries}) < len(entries):
         return "has two members of one name"
-    if any(member.compress_type not in _METHODS or member.flag_bits & 1 for member in members):
+    if any(entry.compress_type not in _METHODS or entry.flag_bits & 1 for entry in entries):
         return "is encrypted or packed in a way no spreadsheet is; save it plainly"
-    if sum(member.file_size for member in members) > most:
+    if sum(entry.file_size for entry in entries) > most:
         return _TOO_LARGE.format(most >> 20)
     return ""
 
 
-def _size(archive: zipfile.ZipFile, member: zipfile.ZipInfo, most: int) -> int:
+def _size(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, most: int) -> int:
     """Return what a member unpacks to, measured until it is more than `most`."""
     size = 0
-    with archive.open(member) as content:
+    with archive.open(entry) as content:
         while size <= most and (block := content.read(_BLOCK)):
             size += len(block)
     return size

@@ -9,7 +9,7 @@ from pydantic import ConfigDict, Field, field_validator
 
 from wrenchbook.service.formats import MOST_PREVIEW, MOST_ZERO_ROWS, Options
 from wrenchbook.service.http.bodies import Body
-from wrenchbook.service.tables.importing import Wish
+from wrenchbook.service.tables.importing import ImportRequest
 
 _MOST_COLUMNS = 1000
 _Text = Annotated[str, Field(max_length=1000)]
@@ -97,9 +97,9 @@ class ImportQuery(Body):
             max_gap_s=self.max_gap_s,
         )
 
-    def wish(self) -> Wish:
+    def wish(self) -> ImportRequest:
         """Return what is to become of the rows."""
-        return Wish(self.dry_run, self.partial, self.preview)
+        return ImportRequest(self.dry_run, self.partial, self.preview)
 
 
 def _pairs(text: str) -> dict[str, str]:

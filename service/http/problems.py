@@ -23,7 +23,7 @@ from wrenchbook.service.answering.refusals import (
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.links import job_link
-from wrenchbook.service.jobs.polls import TooManyPollsError
+from wrenchbook.service.jobs.waiting import TooManyPollsError
 from wrenchbook.service.ledger import (
     BlockKeyError,
     DamagedRowError,
@@ -42,10 +42,10 @@ from wrenchbook.service.library.component import (
     UnknownComponentError,
 )
 from wrenchbook.service.ops.logs import REQUEST_ID
-from wrenchbook.service.ordering import NoSetupError
 from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
-from wrenchbook.service.tables.behind import TableBehindError
+from wrenchbook.service.submission import NoSetupError
 from wrenchbook.service.tables.past import PastDamagedError, PastTooLargeError
+from wrenchbook.service.tables.served import TableBehindError
 
 MEDIA_TYPE = "application/problem+json"
 CLIENT_GONE = 499  # as nginx counts it: the caller left before its request was whole

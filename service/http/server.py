@@ -11,9 +11,9 @@ from typing import Any
 
 import uvicorn
 
+from wrenchbook.service.files.program import keep_few_heaps
 from wrenchbook.service.http.application import Application
 from wrenchbook.service.http.protocol import FastPathProtocol
-from wrenchbook.service.tables.memory import keep_few_heaps
 
 log = logging.getLogger(__name__)
 

@@ -12,17 +12,15 @@ from pathlib import Path
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.attempt import LOG, last_words, prepare, solver_began, solver_seconds
 from wrenchbook.service.jobs.engines.engine import ALIVE, Engine
-from wrenchbook.service.jobs.lease import BEAT_SECONDS, Lease
-from wrenchbook.service.jobs.needs import attempt_of, completed
+from wrenchbook.service.jobs.lease import BEAT_SECONDS, Lease, Recovery
 from wrenchbook.service.jobs.record_outcome import component_missing, settle
-from wrenchbook.service.jobs.recovery import Recovery
-from wrenchbook.service.jobs.run import Run
+from wrenchbook.service.jobs.supervised import SupervisedAttempt, attempt_of, completed
 from wrenchbook.service.ledger import Change, Job, Ledger, StaleAttemptError
 from wrenchbook.service.tables.solver_errors import SolverErrors
 
 _log = logging.getLogger(__name__)
 
-# Between looks for what no event tells: commits of other processes, the end of solvers that another
+# Between looks for what has no event: commits of other processes, the end of solvers that another
 # dispatcher started, and the grace of those that are to end.
 LOOK_SECONDS = 0.02
 RECOVER_SECONDS = 1.0  # between looks at all attempts, and for jobs whose dispatcher has died
@@ -80,9 +78,9 @@ class Dispatcher:
         self._fields, self._errors = fields, errors
         self._deadline = deadline
         self._lease: Lease | None = None
-        self._runs: dict[tuple[int, int], Run] = {}
-        self._pressing: dict[tuple[int, int], Run] = {}
-        self._tasks: dict[str, Run] = {}
+        self._runs: dict[tuple[int, int], SupervisedAttempt] = {}
+        self._pressing: dict[tuple[int, int], SupervisedAttempt] = {}
+        self._tasks: dict[str, SupervisedAttempt] = {}
         self._begun: dict[tuple[int, int], float] = {}
         self._heard: deque[str] = deque()
         self._wake = threading.Event()
@@ -227,12 +225,12 @@ class Dispatcher:
 
     # -- attempts ---------------------------------------------------------------------------
 
-    def _add(self, run: Run) -> None:
+    def _add(self, run: SupervisedAttempt) -> None:
         self._runs[run.key] = self._tasks[run.attempt.task] = run
         if run.is_pressing:
             self._pressing[run.key] = run
 
-    def _drop(self, run: Run) -> None:
+    def _drop(self, run: SupervisedAttempt) -> None:
         self._engine.forget(run.attempt)
         del self._runs[run.key]
         for kept in (self._pressing, self._begun):
@@ -246,17 +244,17 @@ class Dispatcher:
             attempt = completed(attempt, job, self._bundles(job.component), self._deadline)
         self._engine.attach(attempt)
         alive = self._engine.poll(attempt) in ALIVE
-        self._add(Run(job, attempt, taken=True, witnessed=alive, adopted=True))
+        self._add(SupervisedAttempt(job, attempt, taken=True, witnessed=alive, adopted=True))
 
     def _stop_orphan(self, job: Job) -> None:
         attempt = attempt_of(job, self._jobs_folder)
         self._engine.cancel(attempt)
         if self._engine.poll(attempt) in ALIVE:
-            self._add(Run(job, attempt, adopted=True, leaving=True))
+            self._add(SupervisedAttempt(job, attempt, adopted=True, leaving=True))
         else:
             self._engine.forget(attempt)
 
-    def _look(self, run: Run) -> None:
+    def _look(self, run: SupervisedAttempt) -> None:
         state = self._engine.poll(run.attempt)
         if state == "running" and not run.began:
             seconds = solver_seconds(run.folder) or 0.0
@@ -277,11 +275,13 @@ class Dispatcher:
                 self._settle(run, died)
         self._drop(run)
 
-    def _settle(self, run: Run, died: Callable[[int, int], Job] | None = None) -> None:
+    def _settle(
+        self, run: SupervisedAttempt, died: Callable[[int, int], Job] | None = None
+    ) -> None:
         kept = {"fields": self._fields, "errors": self._errors}
         settle(self._ledger, run.job, run.folder, died=died, **kept)
 
-    def _died(self, run: Run) -> Callable[[int, int], Job]:
+    def _died(self, run: SupervisedAttempt) -> Callable[[int, int], Job]:
         if run.counts:
             return functools.partial(self._ledger.lose, cause=last_words(run.folder))
         if not run.witnessed or not run.taken:
@@ -296,13 +296,13 @@ class Dispatcher:
         self._may_claim = len(jobs) == most
         # Known from here on: whatever fails below, the next look finds attempts without a
         # solver and gives them back.
-        runs = [Run(job, attempt_of(job, self._jobs_folder)) for job in jobs]
+        runs = [SupervisedAttempt(job, attempt_of(job, self._jobs_folder)) for job in jobs]
         for run in runs:
             self._add(run)
         for run in runs:
             self._submit(run)
 
-    def _submit(self, run: Run) -> None:
+    def _submit(self, run: SupervisedAttempt) -> None:
         try:
             bundle = self._bundles(run.job.component)
         except Exception as error:

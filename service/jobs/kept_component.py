@@ -12,6 +12,7 @@ from wrenchbook.fea.export.failure_record import keep
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import Bundle
+from wrenchbook.service.files.program import MARGIN_VARIABLE, limit_memory
 from wrenchbook.service.jobs.attempt import Spec
 from wrenchbook.service.jobs.solve_attempt import (
     Report,
@@ -19,14 +20,13 @@ from wrenchbook.service.jobs.solve_attempt import (
     require_same,
     solve_ready,
 )
-from wrenchbook.service.jobs.solver_memory import MARGIN_VARIABLE, limit_memory
 
 
 class KeptComponent:
     """A component with its mesh, order of elimination, first factor and linear response.
 
     What is kept is used for exactly the bundle it was made from: every attempt reads the bundle
-    anew, hashes its files, and compares. After an attempt that failed it is made anew, so that
+    again, hashes its files, and compares. After an attempt that failed it is built again, so that
     nothing a broken-off solve has touched is used again.
 
     Attributes
@@ -36,7 +36,7 @@ class KeptComponent:
     ready : Solver or None
         What is kept.
     spoiled : bool
-        Whether memory ran out: what is left of it is in pieces.
+        Whether memory ran out: its state is then undefined.
     """
 
     def __init__(self) -> None:
@@ -54,7 +54,7 @@ class KeptComponent:
         Parameters
         ----------
         folder : path
-            Where an outside solver's files and what is left of a failed solve stay.
+            Where the files of an outside solver and of a failed solve stay.
         memory : int, optional
             Estimated bytes of a solve, for as long as the component is not built.
 
@@ -66,7 +66,7 @@ class KeptComponent:
         bundle = read_bundle(Path(spec.bundle))
         require_same(spec, bundle.fingerprint)
         if bundle.deck is not None:
-            limit_memory(None)  # the outside solver would inherit it, and nobody knows its needs
+            limit_memory(None)  # the outside solver would inherit it, and its needs are unknown
             return solve_ready(bundle, spec, report, folder)
         try:
             self._limit(self.estimated or memory)
@@ -106,7 +106,7 @@ class KeptComponent:
 
 
 def _key_of(bundle: Bundle) -> tuple[str, str, bytes]:
-    # The fingerprint leaves out what changes no answer but may change a note, the load range say.
+    # The fingerprint leaves out what changes no answer but may change a note (the load range).
     text = (bundle.folder / FILE_NAME).read_bytes()
     return str(bundle.folder), bundle.fingerprint, hashlib.sha256(text).digest()
 

@@ -35,7 +35,7 @@ def settle(
     fields: FieldStore | None = None,
     errors: SolverErrors | None = None,
 ) -> None:
-    """Tell the ledger how a job's attempt ended; safe to repeat.
+    """Record in the ledger how a job's attempt ended; safe to repeat.
 
     Parameters
     ----------
@@ -46,11 +46,11 @@ def settle(
     folder : path
         The attempt's folder; no solver works in it any more.
     died : callable, optional
-        What to tell the ledger of a solver that left no outcome; `Ledger.release` by default.
+        Ledger call for a solver that left no outcome; `Ledger.release` by default.
     fields : FieldStore, optional
         Where the deformed surface goes that the solver left.
     errors : SolverErrors, optional
-        The same for what the solver told of its own error.
+        The same for the estimate of the solver's own error.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def _commit(ledger: Ledger, job: Job, folder: Path, outcome: dict[str, Any]) -> 
             job.attempt,
             displacement,
             compliance=compliance,
-            origin=f"job {job.id}",
+            origin=_origin(job, outcome),
             seconds=solver_seconds(folder),
         )
     except (ValueError, TypeError, KeyError) as error:
@@ -91,8 +91,14 @@ def _commit(ledger: Ledger, job: Job, folder: Path, outcome: dict[str, Any]) -> 
         tidy(folder)
 
 
+def _origin(job: Job, outcome: dict[str, Any]) -> str:
+    """Return the job of a row, with version and code digest of the program that solved it."""
+    program = outcome.get("program")
+    return f"job {job.id}, wrenchbook {program}" if isinstance(program, str) else f"job {job.id}"
+
+
 def notes_of(job: Job, folder: Path) -> list[str]:
-    """Return what the solver said about its answer in the attempt's folder; often nothing."""
+    """Return the solver's notes on its answer from the attempt's folder; often none."""
     notes = (_outcome(job, folder) or {}).get("notes")
     return [str(note) for note in notes] if isinstance(notes, list) else []
 

@@ -1,10 +1,8 @@
 """Solve the wrench of an attempt's folder.
 
-``python -m wrenchbook.service.jobs.solve_attempt FOLDER`` runs it.
-
-Every engine runs this, and it is where a component and the service meet. However the solve
-ends, ``result.json`` says so: ``done`` with the numbers, ``failed`` with kind, message and
-remedy, or ``cancelled``. Only a solver that was killed leaves none.
+Every solver runs this (`service.jobs.warm_solver`); it connects the finite elements and the
+service. ``result.json`` then has the end: ``done`` with the numbers, ``failed`` with kind, message
+and remedy, or ``cancelled``. Only a solver that was killed leaves none.
 
 ``WRENCHBOOK_SOLVE="package.module:function"`` names another solver than the embedded one: a
 function of a `Spec` and a progress callback that returns a mapping with at least
@@ -12,7 +10,6 @@ function of a `Spec` and a progress callback that returns a mapping with at leas
 and ``remedy`` is reported with them.
 """
 
-import argparse
 import contextlib
 import errno
 import functools
@@ -29,9 +26,8 @@ from pathlib import Path
 from typing import Any
 
 from wrenchbook.service.fields.record import leave
-from wrenchbook.service.files import lock as flock
+from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs.attempt import (
-    LOCK,
     PROGRESS,
     Progress,
     Spec,
@@ -41,9 +37,9 @@ from wrenchbook.service.jobs.attempt import (
 )
 
 SOLVE_VARIABLE = "WRENCHBOOK_SOLVE"
-DONE, FAILED, IN_USE, CANCELLED = 0, 1, 75, 143  # exit codes
+DONE, FAILED, CANCELLED = 0, 1, 143
 
-# An outcome waits so long for room on the disk: somebody has to notice first, and to make some.
+# An outcome waits so long for room on a full disk: until an operator notices and makes some.
 FULL_DISK_SECONDS = 3600.0
 _AGAIN_SECONDS = 1.0
 
@@ -61,11 +57,11 @@ class SolveRefusedError(Exception):
 
 
 class Cancelled(BaseException):
-    """Somebody asked the solver to end."""
+    """The solver received SIGTERM."""
 
 
 def main(folder: str | Path, solve: Solve | None = None) -> int:
-    """Solve the attempt in `folder`, write its result.json, return the exit code.
+    """Solve the attempt in `folder`, write its result.json, return DONE, FAILED or CANCELLED.
 
     Parameters
     ----------
@@ -79,7 +75,9 @@ def main(folder: str | Path, solve: Solve | None = None) -> int:
     try:
         with _hearing_sigterm():
             numbers = (solve or _chosen_solve(folder))(spec, _Reporter(folder))
-        _write_patiently(folder, spec, {"status": "done", **_checked(numbers)})
+        _write_patiently(
+            folder, spec, {"status": "done", **_checked(numbers), "program": solver_version()}
+        )
         return DONE
     except Cancelled:
         write_outcome(folder, spec, {"status": "cancelled"})
@@ -127,7 +125,7 @@ def require_same(spec: Spec, fingerprint: str) -> None:
 def solve_ready(
     ready: Any, spec: Spec, report: Report, folder: Path | None = None
 ) -> dict[str, Any]:
-    """Solve a bundle, or the solver made ready for it, and return what an outcome tells."""
+    """Solve a bundle, or the solver made ready for it, and return the numbers of the outcome."""
     from wrenchbook.fea.solve import solve
 
     keep = None if folder is None else functools.partial(_leave_fields, folder, spec)
@@ -136,17 +134,17 @@ def solve_ready(
         for note in solution.notes:
             print(note)
     numbers = ("displacement", "compliance", "strain_energy", "work", "seconds", "unknowns")
-    told = {name: getattr(solution, name) for name in (*numbers, "history", "notes")}
+    result = {name: getattr(solution, name) for name in (*numbers, "history", "notes")}
     if spec.estimate:
         report(1.0, "estimating the error of the mesh")
-        told["solver_error"] = _own_error(ready)
-    return told
+        result["solver_error"] = _own_error(ready)
+    return result
 
 
 def _own_error(ready: Any) -> dict[str, Any]:
     """Return what the solver's answers may be wrong by, or why that is not known.
 
-    An answer is worth having without it, so what goes wrong here is told and not raised.
+    An answer is worth having without it, so an error here is returned and not raised.
     """
     from wrenchbook.fea.accuracy.estimate import accuracy_or_why, unknown_of_deck
     from wrenchbook.fea.solve import Solver
@@ -158,12 +156,12 @@ def _own_error(ready: Any) -> dict[str, Any]:
 
 
 def begin(lock: int) -> None:
-    """Write into an attempt's lock, which is held, who holds it: a solver is at it from here on."""
+    """Write this process's id into an attempt's lock, which it has: the solver has begun."""
     os.pwrite(lock, str(os.getpid()).encode(), 0)
 
 
 def _leave_fields(folder: Path, spec: Spec, fields: Any) -> None:
-    """Leave surface and stresses beside the outcome; an answer is worth having without them."""
+    """Leave surface and stresses next to the outcome; an answer is worth having without them."""
     try:
         leave(folder, spec.wrench, fields)
     except (OSError, ValueError, MemoryError) as error:
@@ -250,7 +248,7 @@ def _named(error: Exception) -> dict[str, str]:
 
 
 def keep_sigterm_waiting() -> None:
-    """Let SIGTERM wait until `main` hears it; it then raises `Cancelled`."""
+    """Block SIGTERM until `main` unblocks it; it then raises `Cancelled`."""
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
     signal.signal(signal.SIGTERM, _raise_cancelled)
 
@@ -264,7 +262,7 @@ def _raise_cancelled(signum: int, frame: object) -> None:
 def _hearing_sigterm() -> Iterator[None]:
     """Let SIGTERM interrupt what is inside, if the command line has kept it waiting so far.
 
-    Outside it waits, so that it can neither come before anybody catches it nor tear the
+    Outside it is blocked, so that it can neither come before it is caught nor tear the
     writing of the outcome.
     """
     before = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
@@ -272,23 +270,3 @@ def _hearing_sigterm() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def command_line(arguments: Sequence[str] | None = None) -> int:
-    """Run as the program: hold the lock, end on SIGTERM."""
-    keep_sigterm_waiting()
-    parser = argparse.ArgumentParser(
-        prog="python -m wrenchbook.service.jobs.solve_attempt", description=__doc__
-    )
-    parser.add_argument("folder", type=Path)
-    folder = parser.parse_args(arguments).folder
-    lock = flock.take(folder / LOCK)
-    if lock is None:
-        print(f"a solver is at work in {folder} already", file=sys.stderr)
-        return IN_USE
-    begin(lock)
-    return main(folder)
-
-
-if __name__ == "__main__":
-    sys.exit(command_line())

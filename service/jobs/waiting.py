@@ -1,9 +1,16 @@
-"""Why a job waits, and how long it may."""
+"""Why a job waits and how long it may; callers that wait for jobs to end."""
 
+from __future__ import annotations
+
+import asyncio
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
-from wrenchbook.service.ledger import Job, Ledger
+from starlette.concurrency import run_in_threadpool
+
+from wrenchbook.service.ledger import Job, Ledger, LedgerUnavailableError
 
 
 @dataclass(frozen=True)
@@ -18,7 +25,7 @@ class Waiting:
     running : int
         Jobs that a solver works on now, wherever.
     slots : int
-        Solves at once of the server that was asked.
+        Solves at once of this server.
     solve_s : float or None
         What the newest solves of its component took on average, s; None if there is none.
     expected_s : float or None
@@ -55,7 +62,7 @@ def why_waiting(ledger: Ledger, job: Job, slots: int, trouble: str | None) -> Wa
     means = {one.component: one.seconds for one in ahead}
     for name in {one.component for one in taken} - means.keys():
         means[name] = ledger.solve_seconds(name)
-    # Of those that run, what is left: nothing of one that takes longer than the others did.
+    # Remaining time of those that run: 0 for one that takes longer than the mean.
     left = [
         max(0.0, mean - max(0.0, now - (now if one.is_queued else one.began or one.started or now)))
         if (mean := means[one.component]) is not None
@@ -96,3 +103,101 @@ def _reason(
     if running >= slots:
         return f"it is the next; all {slots} solvers are busy"
     return "it is the next and starts now"
+
+
+LOOK_S: Final = 0.25  # between looks for what other processes commit
+MOST: Final = 4096
+"""Callers that wait at once: each takes a connection and some 10 kB."""
+
+
+class TooManyPollsError(RuntimeError):
+    """As many wait for jobs as may; nothing was changed."""
+
+
+class _Waiter:
+    """A caller that waits until none of its jobs is open."""
+
+    def __init__(self, open_jobs: set[int]) -> None:
+        self.open_jobs = open_jobs
+        self.ended = asyncio.Event()
+
+
+class Polls:
+    """All callers that wait for jobs, on one event loop.
+
+    Parameters
+    ----------
+    ledger : Ledger
+        Where the jobs are.
+    """
+
+    def __init__(self, ledger: Ledger) -> None:
+        self._ledger = ledger
+        self._waiters: set[_Waiter] = set()
+        self._changed: asyncio.Event | None = None
+        self._looking: asyncio.Task[None] | None = None
+        self._stopping = False
+
+    async def wait_all(self, job_ids: Sequence[int], seconds: float) -> list[Job]:
+        """Return the jobs once all have ended, or as they are after ``seconds``.
+
+        Raises
+        ------
+        TooManyPollsError
+            If as many wait already as may.
+        UnknownJobError
+            If there is no such job.
+        """
+        jobs = await run_in_threadpool(self._read, job_ids)
+        waiter = _Waiter({job.id for job in jobs if not job.is_final})
+        if not waiter.open_jobs or seconds <= 0 or self._stopping:
+            return jobs
+        if len(self._waiters) >= MOST:
+            raise TooManyPollsError(
+                f"{MOST} callers wait for jobs already. Ask again in some seconds, or follow all "
+                "jobs at once with GET /v1/events"
+            )
+        self._waiters.add(waiter)
+        if self._looking is None or self._looking.done():
+            self._changed = asyncio.Event()
+            self._looking = asyncio.create_task(self._look())
+        try:
+            await asyncio.wait_for(waiter.ended.wait(), seconds)
+        except TimeoutError:
+            pass
+        finally:
+            self._waiters.discard(waiter)
+        return await run_in_threadpool(self._read, job_ids)
+
+    def notify(self) -> None:
+        """Look soon: something was committed. For the loop."""
+        if self._changed is not None:
+            self._changed.set()
+
+    def stop(self) -> None:
+        """Return from all waits with the jobs as they are: the server stops. For the loop."""
+        self._stopping = True
+        for waiter in self._waiters:
+            waiter.ended.set()
+
+    def _read(self, job_ids: Sequence[int]) -> list[Job]:
+        return [self._ledger.job(one) for one in job_ids]
+
+    async def _look(self) -> None:
+        """Look for jobs that have ended, for as long as a caller waits."""
+        changed = self._changed
+        assert changed is not None
+        while self._waiters:
+            changed.clear()
+            open_jobs = list(set[int]().union(*(one.open_jobs for one in self._waiters)))
+            try:
+                ended = await run_in_threadpool(self._ledger.ended, open_jobs)
+            except LedgerUnavailableError:
+                ended = set()  # each caller gets the error from its last read
+            for waiter in list(self._waiters):
+                if waiter.open_jobs <= ended:
+                    waiter.ended.set()
+            try:
+                await asyncio.wait_for(changed.wait(), LOOK_S)
+            except TimeoutError:
+                continue

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from wrenchbook.service.files.program import Growth, limit_memory
 from wrenchbook.service.jobs import solve_attempt
 from wrenchbook.service.jobs.solve_attempt import (
     CANCELLED,
@@ -26,7 +27,6 @@ from wrenchbook.service.jobs.solve_attempt import (
     begin,
     keep_sigterm_waiting,
 )
-from wrenchbook.service.jobs.solver_memory import Growth, limit_memory
 
 TAKEN, FREE, LEAVES = b"t", b"e", b"r"
 
@@ -37,7 +37,7 @@ _MOST_BYTES = 1 << 16  # of one attempt: a path and a number
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _Request:
     """An attempt as it comes: its folder, the estimate of its memory, its lock and its log."""
 
     folder: Path
@@ -67,10 +67,10 @@ class WarmSolver:
         """Solve until there is nothing to solve, or it is time to be renewed."""
         self._line.settimeout(IDLE_SECONDS)
         stays = True
-        while stays and (asked := self._next()) is not None:
-            stays = self._solve(asked)
+        while stays and (request := self._next()) is not None:
+            stays = self._solve(request)
 
-    def _next(self) -> _Asked | None:
+    def _next(self) -> _Request | None:
         """Wait for an attempt; None if there will be none."""
         try:
             text, files, _, _ = socket.recv_fds(self._line, _MOST_BYTES, 2)
@@ -81,27 +81,27 @@ class WarmSolver:
         for file in files:
             # Programs that the solver starts must not keep the lock when the solver is gone.
             os.set_inheritable(file, False)
-        asked = json.loads(text)
-        return _Asked(Path(asked["folder"]), asked["memory"], *files)
+        request = json.loads(text)
+        return _Request(Path(request["folder"]), request["memory"], *files)
 
-    def _solve(self, asked: _Asked) -> bool:
+    def _solve(self, request: _Request) -> bool:
         """Solve an attempt; return whether to stay for another one."""
-        _print_to(asked.log)
-        os.close(asked.log)
-        os.chdir(asked.folder)
+        _print_to(request.log)
+        os.close(request.log)
+        os.chdir(request.folder)
         _hear_nothing_old()
-        begin(asked.lock)
+        begin(request.lock)
         self._say(TAKEN)
         solve = None
         if not os.environ.get(SOLVE_VARIABLE):
             solve = functools.partial(
-                self._embedded().solve, folder=asked.folder, memory=asked.memory
+                self._embedded().solve, folder=request.folder, memory=request.memory
             )
-        code = solve_attempt.main(asked.folder, solve)
+        code = solve_attempt.main(request.folder, solve)
         self._lives -= 1
         stays = code != CANCELLED and self._lives > 0 and not self._worn()
         _leave()
-        os.close(asked.lock)
+        os.close(request.lock)
         return self._say(FREE if stays else LEAVES) and stays
 
     def _embedded(self):
@@ -118,7 +118,7 @@ class WarmSolver:
         return self._kept.spoiled or self._growth.is_leak(self._kept.ready, self._kept.estimated)
 
     def _say(self, word: bytes) -> bool:
-        """Tell the engine, if there is one still."""
+        """Notify the engine, if there is one still."""
         try:
             self._line.sendall(word)
         except OSError:

@@ -1,8 +1,9 @@
-"""An uploaded bundle: its zip is unpacked, read and checked in the sandbox."""
+"""Bundles that arrive: uploads, unpacked and checked in the sandbox, and copies."""
 
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -10,6 +11,7 @@ from typing import Any, BinaryIO, Final
 from wrenchbook.fea.bundle.read import BundleError, Problem
 from wrenchbook.service.files.redact import redact
 from wrenchbook.service.library.bundle_zip import MAX_BUNDLE_BYTES, one_problem
+from wrenchbook.service.library.component import Component
 from wrenchbook.service.sandbox import MIB, Limits, Sandbox, SandboxError, run
 
 # The largest mesh of a generator, two million cells, takes 3 GB; a solve of half of that is days.
@@ -42,13 +44,13 @@ def unpack(archive: BinaryIO, incoming: Path) -> tuple[Path, bool]:
         shutil.copyfileobj(archive, file, 1 << 20)
     where = {"target": str(target)}
     try:
-        (told,) = run("wrenchbook.service.library.bundle_zip:unpacked", kept, where, UNPACK)
+        (part,) = run("wrenchbook.service.library.bundle_zip:unpacked", kept, where, UNPACK)
     except SandboxError as error:
         raise one_problem("bundle", str(error)) from None
     kept.unlink()
-    if told.fields["problems"]:
-        raise BundleError([Problem(where, why) for where, why in told.fields["problems"]])
-    return target / told.fields["folder"], bool(told.fields["deck"])
+    if part.fields["problems"]:
+        raise BundleError([Problem(where, why) for where, why in part.fields["problems"]])
+    return target / part.fields["folder"], bool(part.fields["deck"])
 
 
 def check_mesh(folder: Path) -> dict[str, Any]:
@@ -85,3 +87,37 @@ def _why_not(error: SandboxError) -> str:
     if error.kind in ("time", "crash", "size"):
         return f"{error} A coarser mesh does."
     return _NO_REPORT.format(why=redact(f"{error.kind}: {error}")[:300])
+
+
+_TOP_LEVEL = re.compile(r"^\s*\[", re.MULTILINE)
+_LINE = {key: re.compile(rf"^[ \t]*{key}[ \t]*=.*$", re.MULTILINE) for key in ("name", "title")}
+
+
+def copy_bundle(component: Component, name: str, title: str | None, folder: Path) -> None:
+    """Copy a component's folder, with another name in its component.toml.
+
+    Nothing else changes, so that its fingerprint, and with it the meaning of its rows, stays.
+    """
+    shutil.copytree(component.folder, folder, symlinks=False, dirs_exist_ok=False)
+    file = folder / "component.toml"
+    text = file.read_text(encoding="utf-8")
+    begins = _TOP_LEVEL.search(text)
+    end = begins.start() if begins else len(text)
+    head = text[:end]
+    for key, value in (("name", name), ("title", title)):
+        if value is not None:
+            head = _with_line(head, key, value)
+    file.write_text(head + text[end:], encoding="utf-8")
+
+
+def _with_line(head: str, key: str, value: str) -> str:
+    line = f"{key} = {toml_text(value)}"
+    if _LINE[key].search(head):
+        return _LINE[key].sub(lambda _: line, head, count=1)
+    return f"{line}\n{head}"
+
+
+def toml_text(text: str) -> str:
+    """Return a TOML basic string."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'

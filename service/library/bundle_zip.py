@@ -49,8 +49,8 @@ def unpacked(archive: Path, target: str) -> Iterator[Part]:
         _refuse_links(folder)
         bundle = read_bundle(folder)
     except BundleError as error:
-        told = [[one.where, one.message] for one in error.problems[:MOST_PROBLEMS]]
-        yield Part({"problems": told})
+        problems = [[one.where, one.message] for one in error.problems[:MOST_PROBLEMS]]
+        yield Part({"problems": problems})
     else:
         inside = folder.relative_to(target).as_posix()
         yield Part({"problems": [], "folder": inside, "deck": bundle.deck is not None})
@@ -106,7 +106,7 @@ def extract(archive: Path, target: Path) -> Path:
 
 
 def _unpack(bundle: zipfile.ZipFile, target: Path) -> None:
-    """Write each member, counting what comes out of it: its head may say anything."""
+    """Write each member and count its bytes: the size in its header may be wrong."""
     left = MAX_BUNDLE_BYTES
     for info in bundle.infolist():
         path = target.joinpath(*Path(info.filename).parts)

@@ -1,4 +1,4 @@
-"""What people say about components: notes, and which are put away. One small file."""
+"""Notes on components, and which components are archived. One small file."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ from typing import Any
 
 from wrenchbook.service.files.durable import write_whole_bytes
 
-MOST_NOTES = 100_000  # characters
-
 
 @dataclass(frozen=True)
-class Card:
-    """What is said of one component.
+class CatalogueCard:
+    """The entry of one component.
 
     Attributes
     ----------
@@ -49,15 +47,15 @@ class Catalogue:
         self._path = path
         self._lock = threading.Lock()
         self._stamp: tuple[int, int] | None = None
-        self._cards: dict[str, Card] = {}
+        self._cards: dict[str, CatalogueCard] = {}
 
-    def __getitem__(self, name: str) -> Card:
+    def __getitem__(self, name: str) -> CatalogueCard:
         with self._lock:
             self._look()
-            return self._cards.get(name, Card())
+            return self._cards.get(name, CatalogueCard())
 
-    def change(self, name: str, **fields: Any) -> Card:
-        """Change what is said of a component, for good.
+    def change(self, name: str, **fields: Any) -> CatalogueCard:
+        """Change a component's entry, on disk for good.
 
         Raises
         ------
@@ -66,7 +64,7 @@ class Catalogue:
         """
         with self._lock:
             self._look()
-            card = replace(self._cards.get(name, Card()), **fields)
+            card = replace(self._cards.get(name, CatalogueCard()), **fields)
             cards = {**self._cards, name: card}
             content = json.dumps({name: asdict(one) for name, one in cards.items()})
             try:
@@ -81,7 +79,7 @@ class Catalogue:
             return card
 
     def _look(self) -> None:
-        """Read the file if it is another one than before; one that is broken says nothing."""
+        """Read the file if it has changed; a damaged one is ignored."""
         try:
             found = self._path.stat()
         except OSError:
@@ -92,6 +90,6 @@ class Catalogue:
         self._stamp = stamp
         try:
             read = json.loads(self._path.read_bytes())
-            self._cards = {str(name): Card(**fields) for name, fields in read.items()}
+            self._cards = {str(name): CatalogueCard(**fields) for name, fields in read.items()}
         except (OSError, ValueError, TypeError, AttributeError):
             return

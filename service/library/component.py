@@ -1,18 +1,22 @@
-"""A component as the service sees it, and what can be wrong with one."""
+"""A component as the service sees it: its data, the report of its check, and its errors."""
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.fea.bundle.read import FILE_NAME, Bundle
+from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, read_bundle
 from wrenchbook.fea.spec.schema import FREEDOMS
+from wrenchbook.service.contract import MOMENT_POINT
 from wrenchbook.surrogate.table.rows import LoadRange, Tolerance, acting
 
 FileStamp = tuple[tuple[int, int] | None, ...]
@@ -31,7 +35,7 @@ class Component:
     idle : tuple of int
         Which of the six loads act on a freedom of the interface that is locked.
     yield_strengths : mapping
-        By a material's region, Pa; of those whose bundle says it.
+        By a material's region, Pa; of those whose bundle has one.
     """
 
     name: str
@@ -60,7 +64,7 @@ class Component:
 
     @property
     def acting_range(self) -> LoadRange:
-        """The load range, N and N·m, with loads on locked freedoms held at 0.
+        """The load range, N and N·m, with loads on locked freedoms at 0.
 
         What is designed varies no other load: one wrench would count as several, and a first
         design, of which the queue drops the copies, would always have some to go.
@@ -81,13 +85,13 @@ def file_stamp(files: Iterable[Path]) -> FileStamp:
 
 def _stamp(path: Path) -> tuple[int, int] | None:
     try:
-        found = os.stat(path)  # noqa: PTH116 (half the time of Path.stat; asked for by each query)
+        found = os.stat(path)  # noqa: PTH116 (half the time of Path.stat; for each query)
     except OSError:
         return None
     return found.st_mtime_ns, found.st_size
 
 
-MOST_NAMES = 20  # that a refusal tells; those most like the one that was asked for, if more
+MOST_NAMES = 20  # in a refusal; those most like the requested one, if there are more
 
 
 class UnknownComponentError(KeyError):
@@ -124,7 +128,7 @@ class BrokenComponentError(UnknownComponentError):
     def __str__(self) -> str:
         return (
             f"The component {self.name!r} is in the library but cannot be used: {self.reason}. "
-            "Mend the files in its folder; it is then taken up by itself."
+            "Repair the files in its folder; the server then reads them by itself."
         )
 
 
@@ -159,3 +163,74 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
             if material.yield_strength is not None
         },
     )
+
+
+CHECK_FILE = "check.json"  # in a bundle: what its check found at the upload
+
+
+def interface_of(component: Component) -> dict[str, Any] | None:
+    """Return the interface of a component in SI; None if it has no finite-element setup.
+
+    Returns
+    -------
+    dict
+        ``section``, ``point`` (shape (3,), m; None for the section's area centre, until a check has
+        found it), ``axes`` (shape (3, 3), one axis a row), ``coupling``, ``locked`` and
+        ``moment``, in words.
+    """
+    return _interface(component.folder, component.fingerprint)
+
+
+def warnings_of(folder: Path) -> list[dict[str, str]]:
+    """Return what the check of a bundle warned of, each ``{"where", "message"}``."""
+    return _report(folder).get("warnings", [])
+
+
+def estimate_of(folder: Path) -> dict[str, Any]:
+    """Return what a solve takes by the check of a bundle (`fea.check.cost`); empty if unknown."""
+    found = _report(folder).get("estimate")
+    return found if isinstance(found, dict) else {}
+
+
+def solver_error_of(folder: Path, fingerprint: str) -> dict[str, Any] | None:
+    """Return what the check of a bundle estimated its solver to be wrong by, if of that set-up."""
+    report = _report(folder)
+    found = report.get("solver_error") if report.get("fingerprint") == fingerprint else None
+    return found if isinstance(found, dict) and found.get("mesh") is not None else None
+
+
+def vibration_of(folder: Path) -> dict[str, Any] | None:
+    """Return mass and first natural frequency as the check of a bundle found them.
+
+    By itself, without what it will carry: ``mass`` (kg), ``first_frequency`` (Hz), ``motion`` (six
+    numbers, m and rad). None where the bundle has no density or no check has been stored.
+    """
+    return _report(folder).get("vibration") or None
+
+
+@lru_cache(maxsize=256)
+def _interface(folder: Path, _fingerprint: str) -> dict[str, Any] | None:
+    """Read once for each fingerprint: reading a bundle hashes its mesh."""
+    interface = read_bundle(folder).interface
+    if interface is None:
+        return None
+    point = interface.point
+    return {
+        "section": interface.section,
+        "point": _report(folder).get("section", {}).get("point")
+        if point is None
+        else point.tolist(),
+        "axes": interface.axes.tolist(),
+        "coupling": interface.coupling,
+        "locked": list(interface.locked),
+        "moment": f"about {MOMENT_POINT}",
+    }
+
+
+def _report(folder: Path) -> dict[str, Any]:
+    """Return the stored report; an empty one where no check has been stored."""
+    try:
+        found = json.loads((folder / CHECK_FILE).read_text("utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}

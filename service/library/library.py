@@ -18,9 +18,10 @@ from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.bundle.tables import is_slug
 from wrenchbook.service.files.durable import sync_folder, sync_tree
-from wrenchbook.service.library.arrival import check_mesh, unpack
+from wrenchbook.service.library.arrival import check_mesh, copy_bundle, toml_text, unpack
 from wrenchbook.service.library.bundle_zip import one_problem
 from wrenchbook.service.library.component import (
+    CHECK_FILE,
     BrokenComponentError,
     Component,
     ComponentExistsError,
@@ -28,12 +29,10 @@ from wrenchbook.service.library.component import (
     UnknownComponentError,
     component_of,
 )
-from wrenchbook.service.library.copying import copy_bundle, toml_text
 
 log = logging.getLogger(__name__)
 
-LOOK_SECONDS = 1.0  # between looks at files that were edited while nobody asks for them
-CHECK_FILE = "check.json"  # beside component.toml: what the check found at the upload
+LOOK_SECONDS = 1.0  # between looks at files that were edited while no request reads them
 _DECKS_REFUSED = (
     "A deck names a command that the server's solvers run, and this server takes none from "
     "outside. Ask its operator to start it with: wrenchbook serve --allow-decks; or to put the "
@@ -67,7 +66,7 @@ class Library:
         Called with a component and the name of its copy before anything can see the copy; an
         OSError adds nothing.
 
-    A bundle that cannot be read is left out and told by `broken`; the others go on.
+    A bundle that cannot be read is left out and named by `broken`; the others go on.
     """
 
     def __init__(
@@ -86,7 +85,7 @@ class Library:
         self._version, self._next_look, self._own_stamp = 0, 0.0, 0
         self._components: dict[str, Component] = {}
         self._broken: dict[str, str] = {}
-        with contextlib.suppress(OSError):  # told when somebody adds a component
+        with contextlib.suppress(OSError):  # the upload of a component reports it
             own.mkdir(parents=True, exist_ok=True)
         for folder in _bundle_folders(shipped):
             self._try(folder, shipped=True)
@@ -100,7 +99,7 @@ class Library:
     def version(self) -> int:
         """Return a number that differs after a component was added, changed or broken.
 
-        Files that nobody else asks for are looked at once in `LOOK_SECONDS`, what other processes
+        Files that no request reads are looked at once in `LOOK_SECONDS`, what other processes
         have added at once.
         """
         self._take_up_new()
@@ -177,7 +176,7 @@ class Library:
         ----------
         archive : file
         decks : bool
-            Whether whoever sends it may add a deck, if anybody may.
+            Whether the sender may add a deck, if the server takes any.
 
         Raises
         ------
@@ -252,7 +251,7 @@ class Library:
 
     @contextlib.contextmanager
     def _incoming(self) -> Iterator[Path]:
-        """Make a folder beside the library, so that a bundle can be moved in by one rename."""
+        """Make a folder next to the library, so that a bundle can be moved in by one rename."""
         try:
             self._own.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(prefix=".incoming-", dir=self._own) as folder:
@@ -311,7 +310,7 @@ class Library:
         self._version += 1
 
     def _refuse_other_name(self, folder: Path, name: str) -> None:
-        """Refuse a folder that says it is another's component: it would answer in its place.
+        """Refuse a folder whose component.toml has another name: it would answer in its place.
 
         Raises
         ------

@@ -30,9 +30,8 @@ from wrenchbook.service.ops.checks import (
     move_aside,
 )
 from wrenchbook.service.ops.restore import in_use
-from wrenchbook.service.tables.changes import rows_for, without
 from wrenchbook.service.tables.files import TableFiles, new_row
-from wrenchbook.service.tables.other_setup import unsolved
+from wrenchbook.service.tables.rows import own_rows, table_rows, unsolved, without
 from wrenchbook.surrogate.table.hdf5 import TableFileError, read_table
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Rows
@@ -309,7 +308,7 @@ def _whole_table(ledger: Ledger, component: Component) -> tuple[Rows, int]:
     while True:
         row_changes = ledger.row_changes(component.name, after)
         rows, after = (
-            without(rows, row_changes) + rows_for(component, row_changes),
+            without(rows, row_changes.gone) + table_rows(own_rows(component, row_changes.rows)),
             row_changes.last_seq,
         )
         if row_changes.whole:

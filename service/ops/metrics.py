@@ -21,7 +21,7 @@ from prometheus_client.core import (
 )
 from prometheus_client.registry import Collector
 
-from wrenchbook.service.files.sources import code_digest
+from wrenchbook.service.files.program import code_digest
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.ledger.jobs import SOLVE_EDGES, Statistics
 from wrenchbook.service.library.library import Library

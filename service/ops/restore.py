@@ -66,7 +66,7 @@ def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Man
 def in_use(folder: Path) -> bool:
     """Return whether a server or a worker solves for a data directory now."""
     owners = (folder / "jobs" / "owners").glob("*.lock")
-    return any(lock.is_held(file) for file in (*owners, folder / SHARED / LOCK))
+    return any(lock.is_locked(file) for file in (*owners, folder / SHARED / LOCK))
 
 
 def _check_free(folder: Path, present: list[Path], *, overwrite: bool) -> None:

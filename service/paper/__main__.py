@@ -1,7 +1,7 @@
 """Reproduce the paper: ``python -m wrenchbook.service.paper FOLDER [--quick]``.
 
 Writes ``paper.html`` and ``paper.json`` into the folder, prints a table of what was found, and ends
-with status 1 if a band is missed. It runs in a process of its own, as every solve does, beside a
+with status 1 if a band is missed. It runs in a process of its own, as every solve does, next to a
 private server on an empty data directory.
 """
 
@@ -24,13 +24,13 @@ from threadpoolctl import threadpool_limits
 from wrenchbook.service.client import Client
 from wrenchbook.service.files.durable import write_whole_bytes
 from wrenchbook.service.paper.arm import arm
-from wrenchbook.service.paper.bar import bar
+from wrenchbook.service.paper.bar import tip_load
 from wrenchbook.service.paper.page import HEAD, as_page, lines_of
 from wrenchbook.service.paper.part import PAPER, QUICK, WHOLE, Effort, Heard
 from wrenchbook.service.paper.spring import spring
 from wrenchbook.service.workers.private import private_server
 
-PARTS = {"bar": bar, "spring": spring, "arm": arm}
+PARTS = {"bar": tip_load, "spring": spring, "arm": arm}
 SOLVERS = 2  # of the server, at once
 _COLOURS = {"pass": "green", "FAIL": "bold red"}
 
@@ -45,15 +45,15 @@ def run(client: Client, effort: Effort, heard: Heard) -> dict[str, Any]:
 
         parts[name] = part(client, effort, progress).as_body()
     verdicts = [one["verdict"] for part in parts.values() for one in part["findings"]]
-    held, missed = verdicts.count("pass"), verdicts.count("FAIL")
+    passed, missed = verdicts.count("pass"), verdicts.count("FAIL")
     seconds = time.monotonic() - began
     return {
         "source": PAPER,
         "made": datetime.now(UTC).isoformat(timespec="seconds"),
         "quick": effort is QUICK,
         "seconds": seconds,
-        "bands": {"held": held, "missed": missed, "reported": verdicts.count("reported")},
-        "summary": f"{held} bands held, {missed} missed; {seconds:.0f} s"
+        "bands": {"held": passed, "missed": missed, "reported": verdicts.count("reported")},
+        "summary": f"{passed} bands held, {missed} missed; {seconds:.0f} s"
         + ", the quick form" * (effort is QUICK),
         "parts": parts,
     }

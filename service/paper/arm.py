@@ -1,4 +1,4 @@
-"""Figure 10 of the paper: a robot on a plate, and its table beside direct finite elements."""
+"""Figure 10 of the paper: a robot on a plate, and its table against direct finite elements."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from wrenchbook.service.paper.part import (
     Effort,
     Heard,
     Mask,
-    Part,
+    PaperPart,
     Plot,
     Vector,
 )
-from wrenchbook.service.paper.scenes import Run, move_arm
+from wrenchbook.service.paper.scenes import LoopRun, move_arm
 
 METHODS = (None, "griddata")  # None: the table's own choice
 # Of each output's range over the trajectory, worst output, RMS: an engineer's one per cent.
 ERROR = 1e-2
-INSIDE = 0.9  # of the errors lie within the bars, which are 95 % ones
+INSIDE = 0.9  # of the errors lie within the error bars, which are 95 % ones
 SMALL = 0.1  # of the largest of its kind: an output that the straight influence may not resolve
 WIDER = 0.05  # of the span that each load had on the rigid plate
 SOLVE_S = 600.0
@@ -54,7 +54,7 @@ class Check:
         Median time of one answer, in this process and over HTTP, and of one solve, s.
     """
 
-    run: Run
+    run: LoopRun
     method: str
     chosen: NDArray[np.intp]
     answered: Vector
@@ -81,13 +81,13 @@ class Check:
 
     @property
     def inside(self) -> float:
-        """The part of all errors that lie within their bars, dimensionless."""
+        """The part of all errors that lie within their error bars, dimensionless."""
         return float(np.mean(self.error <= self.bars))
 
 
-def arm(client: Client, effort: Effort, heard: Heard) -> Part:
+def arm(client: Client, effort: Effort, heard: Heard) -> PaperPart:
     """Move a six-joint arm on two plates, and compare its tables with direct solves."""
-    part = Part(
+    part = PaperPart(
         "Robot on a plate (figure 10)",
         f"Six joints, 8 kg, {effort.arm_seconds:g} s past three postures, a wrench every 10 ms. "
         f"The first run is recorded on the rigid plate (LM_direct); at most {effort.arm_solves} of "
@@ -109,7 +109,9 @@ def arm(client: Client, effort: Effort, heard: Heard) -> Part:
     return part
 
 
-def _filled(client: Client, name: str, effort: Effort, heard: Heard) -> tuple[Run, dict[str, Any]]:
+def _filled(
+    client: Client, name: str, effort: Effort, heard: Heard
+) -> tuple[LoopRun, dict[str, Any]]:
     """Record the trajectory on the rigid component, and have the wrenches it met solved."""
     heard(0.0, "recording")
     recorded = move_arm(client, name, effort.arm_seconds, mode="record")
@@ -187,9 +189,9 @@ def _seconds_of(ask: Any, wrench: Vector, method: str | None) -> float:
 
 
 def _findings(name: str, checks: list[Check], limits: Vector) -> list[Finding]:
-    """Hold the default method to its bands; tell griddata's figures. Limits: (6,), m and rad."""
+    """Compare the default method with its bands; report griddata's. Limits: (6,), m and rad."""
     found = []
-    for check, held in zip(checks, (True, False), strict=True):
+    for check, is_band in zip(checks, (True, False), strict=True):
         worst = int(np.argmax(check.relative))
         label = f"arm on {name}, {check.method}"
         over = float((check.error / limits).max())
@@ -201,11 +203,11 @@ def _findings(name: str, checks: list[Check], limits: Vector) -> list[Finding]:
             ),
             ("largest error over tolerance", over, 1.0),
         ):
-            limit = most if held else None
+            limit = most if is_band else None
             words = f"{label}: {words}"
             found.append(Finding(words, "direct solves", 0.0, float(value), limit, "absolute"))
-        words = f"{label}: part of the errors inside their bars"
-        found.append(Finding(words, "95 % bars", INSIDE, check.inside, 0.0, "at least"))
+        words = f"{label}: part of the errors inside their error bars"
+        found.append(Finding(words, "95 % error bars", INSIDE, check.inside, 0.0, "at least"))
         words = f"{label}: a solve over an answer of the table, time"
         ratio = check.solve_s / check.answer_s
         found.append(Finding(words, "run time", 1.0, ratio))
@@ -217,7 +219,7 @@ def _numbers(checks: list[Check], limits: Vector) -> dict[str, Any]:
     return {
         "tolerance": limits.tolist(),
         "methods": {
-            asked or "default": {
+            requested or "default": {
                 "method": check.method,
                 "coverage": dict(
                     zip(("covered", "thin", "outside", "unknown"), check.run.coverage, strict=True)
@@ -236,17 +238,17 @@ def _numbers(checks: list[Check], limits: Vector) -> dict[str, Any]:
                 "answered": check.answered.tolist(),
                 "run": _trace(check.run),
             }
-            for asked, check in zip(METHODS, checks, strict=True)
+            for requested, check in zip(METHODS, checks, strict=True)
         },
     }
 
 
 def _is_small(span: Vector) -> Mask:
-    """Tell which outputs hardly move beside the largest of their kind; shape (6,), m and rad."""
+    """Return which outputs hardly move against the largest of their kind; (6,), m and rad."""
     return (span.reshape(2, 3) < SMALL * span.reshape(2, 3).max(axis=1)[:, None]).ravel()
 
 
-def _trace(run: Run) -> dict[str, Any]:
+def _trace(run: LoopRun) -> dict[str, Any]:
     """Return a run as JSON-able values: s; N and N·m; m and rad."""
     return {
         "time": run.times.tolist(),
@@ -255,7 +257,7 @@ def _trace(run: Run) -> dict[str, Any]:
     }
 
 
-def _wrench_plots(name: str, run: Run) -> list[Plot]:
+def _wrench_plots(name: str, run: LoopRun) -> list[Plot]:
     """Draw figure 10a: forces and moments of the recorded run."""
     drawn = []
     for kind, unit, places in (("forces", "N", range(3)), ("moments", "N·m", range(3, 6))):
@@ -267,7 +269,7 @@ def _wrench_plots(name: str, run: Run) -> list[Plot]:
 def _displacement_plots(name: str, checks: list[Check]) -> list[Plot]:
     """Draw figure 10b: displacements of the table's own method, and of direct solves.
 
-    Outputs that hardly move have a plot of their own, with griddata beside: there the methods part.
+    Outputs that hardly move have a plot of their own, with griddata's: there the methods differ.
     """
     small = _is_small(checks[0].span)
     groups = (

@@ -10,7 +10,16 @@ from wrenchbook.fea.validation.clamped import shipped
 from wrenchbook.fea.validation.finding import Finding
 from wrenchbook.service.client import Client
 from wrenchbook.service.client.rotation import rotation_matrix
-from wrenchbook.service.paper.part import PAPER, Curve, Effort, Heard, Part, Plot, Vector, apart
+from wrenchbook.service.paper.part import (
+    PAPER,
+    Curve,
+    Effort,
+    Heard,
+    PaperPart,
+    Plot,
+    Vector,
+    apart,
+)
 from wrenchbook.service.paper.scenes import press
 
 LEVERS = (0.0, 0.1)  # m: as in the figure, and with a moment at the tip as well
@@ -22,9 +31,9 @@ ROUNDS = 12  # of the lever that moves as the bar bends: each leaves some 1e-3 o
 _LEVELS: tuple[str, ...] = ("closed form", "finite elements", "MuJoCo and service")
 
 
-def bar(client: Client, effort: Effort, heard: Heard) -> Part:
-    """Load the bar, and compare deflection and turn of its tip on three levels."""
-    part = Part(
+def tip_load(client: Client, effort: Effort, heard: Heard) -> PaperPart:
+    """Load the bar, and compare deflection and rotation of its tip on three levels."""
+    part = PaperPart(
         "Bar with a load (figure 2)",
         "Steel bar, 1 m, 20 x 20 mm, clamped: u_z = F L^3/(3 E I) + M L^2/(2 E I), r_y = F "
         "L^2/(2 E I) + M L/(E I). With a lever the load's moment changes as the bar bends, and "
@@ -36,7 +45,7 @@ def bar(client: Client, effort: Effort, heard: Heard) -> Part:
     client.component("bar")  # which waits for the row
     for number, lever in enumerate(LEVERS):
         heard(number / len(LEVERS), f"bar, lever {lever:g} m")
-        loads = np.array(effort.bar_loads)
+        loads = np.array(effort.tip_loads)
         closed, solved = (coupled(one, loads, lever) for one in compliances)
         run = press(client, "bar", loads, lever)
         levels = dict(zip(_LEVELS, (closed, solved, run.displacements), strict=True))

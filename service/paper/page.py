@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 
 from wrenchbook.service.paper.part import OUTPUTS
 from wrenchbook.service.report.page import LAYOUT, STYLE, section_html
-from wrenchbook.service.report.text import Section
+from wrenchbook.service.report.text import ReportSection
 
 # Colours that remain apart for the colour-blind (Okabe and Ito 2008).
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
@@ -27,7 +27,7 @@ def as_page(body: dict[str, Any]) -> str:
     heading = "The coupling paper, reproduced"
     parts, first = [], True
     for part in body["parts"].values():
-        section = Section(part["title"], part["note"], HEAD, lines_of(part["findings"]))
+        section = ReportSection(part["title"], part["note"], HEAD, lines_of(part["findings"]))
         parts.append(section_html(section))
         for plot in part["plots"]:
             drawn = _figure(plot).to_html(full_html=False, include_plotlyjs=first)
@@ -58,7 +58,7 @@ def lines_of(findings: list[dict[str, Any]]) -> tuple[tuple[str, ...], ...]:
 
 
 def _band(finding: dict[str, Any]) -> str:
-    """Say what a finding's error may be."""
+    """Return a finding's tolerance in words."""
     tolerance, comparison = finding["tolerance"], finding["comparison"]
     if tolerance is None:
         return ""
@@ -88,19 +88,19 @@ def _figure(plot: dict[str, Any]) -> go.Figure:
     return figure.update_layout(**LAYOUT, showlegend=True)
 
 
-def _components(numbers: dict[str, Any]) -> list[Section]:
+def _components(numbers: dict[str, Any]) -> list[ReportSection]:
     """Return each component's errors, output by output, the small ones named."""
     found = []
     for name, one in numbers.items():
         if not isinstance(one, dict) or "methods" not in one:
             continue
         lines = []
-        for told in one["methods"].values():
+        for figures in one["methods"].values():
             for place, output in enumerate(OUTPUTS):
-                lines.append(_component_line(told, place, output))
+                lines.append(_component_line(figures, place, output))
         note = (
-            f"{one['rows']} rows for {one['wrenches']} wrenches. Ranges, errors and bars in m and "
-            "rad; small: below a tenth of the largest output of its kind."
+            f"{one['rows']} rows for {one['wrenches']} wrenches. Ranges, errors, error bars in m "
+            "and rad; small: below a tenth of the largest output of its kind."
         )
         head = (
             "method",
@@ -108,40 +108,40 @@ def _components(numbers: dict[str, Any]) -> list[Section]:
             "range",
             "RMS/range",
             "largest error",
-            "median bar",
+            "median error bar",
             "inside",
             "",
         )
-        found.append(Section(f"Error of each output on {name}", note, head, tuple(lines)))
+        found.append(ReportSection(f"Error of each output on {name}", note, head, tuple(lines)))
         found.append(_times(name, one))
     return found
 
 
-def _component_line(told: dict[str, Any], place: int, output: str) -> tuple[str, ...]:
+def _component_line(figures: dict[str, Any], place: int, output: str) -> tuple[str, ...]:
     return (
-        told["method"],
+        figures["method"],
         output,
-        f"{told['range'][place]:.2e}",
-        f"{told['rms_over_range'][place]:.1e}",
-        f"{told['largest_error'][place]:.1e}",
-        f"{told['median_bar'][place]:.1e}",
-        f"{told['inside_bars'][place]:.0%}",
-        "small" if output in told["small"] else "",
+        f"{figures['range'][place]:.2e}",
+        f"{figures['rms_over_range'][place]:.1e}",
+        f"{figures['largest_error'][place]:.1e}",
+        f"{figures['median_bar'][place]:.1e}",
+        f"{figures['inside_bars'][place]:.0%}",
+        "small" if output in figures["small"] else "",
     )
 
 
-def _times(name: str, one: dict[str, Any]) -> Section:
+def _times(name: str, one: dict[str, Any]) -> ReportSection:
     head = ("method", "covered", "one answer", "over HTTP", "one solve", "the whole loop")
     lines = tuple(
         (
-            told["method"],
-            f"{told['coverage']['covered']} of {sum(told['coverage'].values())}",
-            f"{1e6 * told['answer_s']:.0f} µs",
-            f"{1e6 * told['http_s']:.0f} µs",
-            f"{told['solve_s']:.2f} s",
-            f"{told['loop_s']:.2f} s",
+            figures["method"],
+            f"{figures['coverage']['covered']} of {sum(figures['coverage'].values())}",
+            f"{1e6 * figures['answer_s']:.0f} µs",
+            f"{1e6 * figures['http_s']:.0f} µs",
+            f"{figures['solve_s']:.2f} s",
+            f"{figures['loop_s']:.2f} s",
         )
-        for told in one["methods"].values()
+        for figures in one["methods"].values()
     )
     note = "Medians of wall time; other programs on the machine stretch them."
-    return Section(f"Run time on {name}", note, head, lines)
+    return ReportSection(f"Run time on {name}", note, head, lines)

@@ -29,7 +29,7 @@ class Effort:
     ----------
     spring_rows, spring_loads : tuple of float
         Axial loads, N, that are recorded and solved for the table, and that the loop is run at.
-    bar_loads : tuple of float
+    tip_loads : tuple of float
         N.
     arm_seconds : float
         Of the arm's trajectory, s.
@@ -43,7 +43,7 @@ class Effort:
 
     spring_rows: tuple[float, ...]
     spring_loads: tuple[float, ...]
-    bar_loads: tuple[float, ...]
+    tip_loads: tuple[float, ...]
     arm_seconds: float
     plates: tuple[str, ...]
     arm_solves: int
@@ -53,7 +53,7 @@ class Effort:
 WHOLE = Effort(
     spring_rows=tuple(float(load) for load in range(11)),
     spring_loads=tuple(0.5 * step for step in range(21)),
-    bar_loads=tuple(10.0 * step for step in range(11)),
+    tip_loads=tuple(10.0 * step for step in range(11)),
     arm_seconds=4.0,
     plates=("plate", "plate_thin"),
     arm_solves=10,
@@ -62,7 +62,7 @@ WHOLE = Effort(
 QUICK = Effort(
     spring_rows=(0.0, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0),
     spring_loads=(0.0, 0.5, 1.0, 1.5, 2.0, 4.0, 6.0, 8.0, 10.0),
-    bar_loads=(0.0, 50.0, 100.0),
+    tip_loads=(0.0, 50.0, 100.0),
     arm_seconds=1.0,
     plates=("plate_thin",),
     arm_solves=4,
@@ -96,7 +96,7 @@ class Plot:
 
 
 @dataclass
-class Part:
+class PaperPart:
     """One part of the reproduction.
 
     Attributes
@@ -130,12 +130,12 @@ class Part:
 
 
 def apart(found: Vector, expected: Vector) -> float:
-    """Return how far numbers are from what is expected, relative to each; where that is 0, 0.
+    """Return the largest relative error of numbers, dimensionless; those expected to be 0 apart.
 
     Parameters
     ----------
     found, expected : numpy.ndarray
-        Shape (n,), of one unit.
+        Shape (n,), of one unit such as m or rad.
     """
     known = expected != 0.0
     if not known.any():

@@ -20,7 +20,7 @@ ARM = (_INSTALLED if _INSTALLED.is_dir() else _CHECKOUT) / "arm.xml"
 
 BLOCK_WEIGHT = 0.01 * 9.81  # N, of a block of 10 g: it shows that the sign is right
 # Steps that a load stays: the pose follows the answer, and the lever moves with the pose; each
-# step multiplies what is left by some 1e-3.
+# step multiplies the remaining error by some 1e-3.
 HOLD = 8
 SYNC = 0.01  # s
 WAYPOINTS = np.array(
@@ -50,7 +50,7 @@ _BLOCK = """
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class LoopRun:
     """What a simulation met.
 
     Attributes
@@ -58,7 +58,7 @@ class Run:
     times : numpy.ndarray
         Shape (n,), s.
     wrenches : numpy.ndarray
-        Shape (n, 6), N and N·m, as the sensors told them.
+        Shape (n, 6), N and N·m, as read from the sensors.
     displacements : numpy.ndarray
         Shape (n, 6), m and rad, of the interface, as it stands in the simulation.
     covered : numpy.ndarray of bool
@@ -77,7 +77,7 @@ class Run:
     wall_s: float
 
 
-def press(source: Any, component: str, loads: Any, lever: float = 0.0, **options: Any) -> Run:
+def press(source: Any, component: str, loads: Any, lever: float = 0.0, **options: Any) -> LoopRun:
     """Press a component downwards, load by load, and read pose and sensors.
 
     Parameters
@@ -106,7 +106,7 @@ def press(source: Any, component: str, loads: Any, lever: float = 0.0, **options
     return trace.run(perf_counter() - began)
 
 
-def move_arm(source: Any, component: str, seconds: float, **options: Any) -> Run:
+def move_arm(source: Any, component: str, seconds: float, **options: Any) -> LoopRun:
     """Move the arm past its waypoints on a component; parameters as of `press`.
 
     Parameters
@@ -139,21 +139,21 @@ class _Trace:
 
     def look(self) -> None:
         """Note time, reading and pose."""
-        turn = np.empty(3)
-        engine.mju_quat2Vel(turn, self._data.mocap_quat[0], 1.0)  # rad: its rotation vector
+        rotation = np.empty(3)
+        engine.mju_quat2Vel(rotation, self._data.mocap_quat[0], 1.0)  # rad: its rotation vector
         moved = self._data.mocap_pos[0] - self._point
         wrench, answer = self._mount.wrench, self._mount.mount.last
         assert wrench is not None
         # Without an answer, while wrenches are recorded, there is nothing to be covered.
         self._covered.append(answer is not None and answer.covered)
-        self._lines.append(np.concatenate([[self._data.time], wrench, moved, turn]))
+        self._lines.append(np.concatenate([[self._data.time], wrench, moved, rotation]))
 
-    def run(self, wall_s: float) -> Run:
+    def run(self, wall_s: float) -> LoopRun:
         """Return all that was noted in a run of so many seconds."""
         lines, seen = np.array(self._lines), self._mount.mount.coverage
         counts = (seen.covered, seen.thin, seen.outside, seen.unknown)
         covered = np.array(self._covered)
-        return Run(lines[:, 0], lines[:, 1:7], lines[:, 7:], covered, counts, wall_s)
+        return LoopRun(lines[:, 0], lines[:, 1:7], lines[:, 7:], covered, counts, wall_s)
 
 
 def _between_waypoints(part: float) -> Vector:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from wrenchbook.fea.solve import Solver
@@ -19,33 +20,90 @@ from wrenchbook.service.paper.part import (
     Effort,
     Heard,
     Mask,
-    Part,
+    PaperPart,
     Plot,
     Vector,
     apart,
 )
-from wrenchbook.service.paper.regression import Line, line_through
 from wrenchbook.service.paper.scenes import press
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line by least squares, y = slope x + intercept.
+
+    Attributes
+    ----------
+    slope, intercept : float
+        In the units of y/x and y.
+    error : float
+        The slope's standard error: what scatter about the line, and bend, leave open.
+    points : int
+    """
+
+    slope: float
+    intercept: float
+    error: float
+    points: int
+
+
+def line_through(x: ArrayLike, y: ArrayLike) -> Line:
+    """Return the line through points by ordinary least squares, dimensionless or of any unit.
+
+    Parameters
+    ----------
+    x, y : array_like
+        Shape (n,), three points or more.
+
+    Returns
+    -------
+    Line
+        With error = sqrt(sum of squared residuals / (n - 2) / sum of (x - mean x)^2) (Draper and
+        Smith, Applied Regression Analysis, section 1.4).
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points, a number is not finite, or all x are the same.
+    """
+    across, up = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    if across.shape != up.shape or across.ndim != 1 or len(across) < 3:
+        raise ValueError("a line with a standard error needs three points (x, y) or more")
+    if not (np.isfinite(across).all() and np.isfinite(up).all()):
+        raise ValueError("the points of a line must be finite")
+    centred = across - across.mean()
+    spread = float(centred @ centred)
+    if spread == 0.0:
+        raise ValueError("all points of the line have the same x")
+    slope = float(centred @ (up - up.mean())) / spread
+    intercept = float(up.mean() - slope * across.mean())
+    residual = up - slope * across - intercept
+    scatter = float(residual @ residual) / (len(across) - 2)
+    return Line(slope, intercept, float(np.sqrt(scatter / spread)), len(across))
+
 
 # N/mm: what the paper found by finite elements, with its spread; its whole loop: 0.585 ± 0.003.
 BAND, BAND_WIDTH, PAPER_LOOP = 0.582, 0.001, 0.585
 FORMULA_13 = 0.59  # N/mm, as the paper rounds it
-SMALL_LOAD = 2.0  # N: the range that the band is held over; a spring softens as it is pressed
+SMALL_LOAD = 2.0  # N: the range of the band; a spring softens as it is pressed
 LOOP = 1e-6  # of the third level against the second
-ROD_FORCE, ROD_TURN = 5e-3, 1e-2  # of the solver against rod theory, as `validate spring` holds it
+ROD_FORCE, ROD_ROTATION = (
+    5e-3,
+    1e-2,
+)  # of the solver against rod theory, as `validate spring` holds it
 SOLVE_S = 300.0
 
 _LEVELS: tuple[str, ...] = ("closed form", "finite elements", "MuJoCo and service")
 
 
-def spring(client: Client, effort: Effort, heard: Heard) -> Part:
+def spring(client: Client, effort: Effort, heard: Heard) -> PaperPart:
     """Press the spring on three levels, and compare stiffness and turn."""
-    part = Part(
+    part = PaperPart(
         "Spring on three levels (section 6, figures 8, 11 and 12)",
         "Guided along its axis, free to turn about it. Level 1 is rod theory (Love, article 271), "
         "level 2 a nonlinear solve a load, level 3 MuJoCo on the service's table, whose rows are "
         "the loads that a first run recorded (LM_direct) and had solved (LM_start). The stiffness "
-        f"falls as the spring is pressed: the paper's band is held over 0 to {SMALL_LOAD:g} N.",
+        f"falls as the spring is pressed: the paper's band is for 0 to {SMALL_LOAD:g} N.",
     )
     component = shipped("spring")
     rod, solver = rod_of(component), Solver(component)
@@ -65,24 +123,30 @@ def spring(client: Client, effort: Effort, heard: Heard) -> Part:
     tangent = 1e-3 / float(solver.compliance[2, 2])
     rows = np.isin(effort.spring_loads, effort.spring_rows)
     part.findings = [*_stiffness(rod, fits, tangent), *_between(levels, run.covered)]
-    part.findings += [_direct(_pressed(stopped.displacements), solved[rows]), *_turn(loads, levels)]
+    part.findings.append(_direct(_pressed(stopped.displacements), solved[rows]))
+    part.findings += _rotation_findings(loads, levels)
     part.numbers = {
         "load_N": loads.tolist(),
         "row": rows.tolist(),
         "covered": run.covered.tolist(),
         "answers_not_covered": sum(run.coverage[1:]),
         "tangent_k_N_per_mm": {"closed form": 1e-3 * _tangent(rod), "finite elements": tangent},
-        "levels": {
-            name: {
-                "shortening_mm": moved[:, 0].tolist(),
-                "turn_deg": moved[:, 1].tolist(),
-                "k_N_per_mm": {span: asdict(line) for span, line in fits[name].items()},
-            }
-            for name, moved in levels.items()
-        },
+        "levels": _level_numbers(levels, fits),
     }
     part.plots = _plots(loads, levels, fits)
     return part
+
+
+def _level_numbers(levels: dict[str, Vector], fits: dict[str, dict[str, Line]]) -> dict[str, Any]:
+    """Return the curves, shape (n, 2), mm and degrees, and stiffness of each level for JSON."""
+    return {
+        name: {
+            "shortening_mm": moved[:, 0].tolist(),
+            "turn_deg": moved[:, 1].tolist(),
+            "k_N_per_mm": {span: asdict(line) for span, line in fits[name].items()},
+        }
+        for name, moved in levels.items()
+    }
 
 
 def _record(client: Client, effort: Effort) -> None:
@@ -123,7 +187,7 @@ def _fits(loads: Vector, shortening: Vector) -> dict[str, Line]:
 
 
 def _stiffness(rod: Rod, fits: dict[str, dict[str, Line]], tangent: float) -> list[Finding]:
-    """Set each level's stiffness, N/mm, beside the paper's."""
+    """Compare each level's stiffness, N/mm, with the paper's."""
     formula = rod.young / (2 * (1 + rod.poisson)) * rod.wire**4 / (8 * rod.turns * rod.mean**3)
     band = f"{PAPER}: {BAND} ± {BAND_WIDTH} by finite elements"
     found = [
@@ -142,8 +206,8 @@ def _stiffness(rod: Rod, fits: dict[str, dict[str, Line]], tangent: float) -> li
     for level, spans in fits.items():
         for span, line in spans.items():
             words = f"spring: k, {level}, {span}, N/mm (standard error {line.error:.1g})"
-            held = level != "closed form" and span != "0 to 10 N"
-            width = BAND_WIDTH if held else None
+            is_band = level != "closed form" and span != "0 to 10 N"
+            width = BAND_WIDTH if is_band else None
             found.append(Finding(words, band, BAND, line.slope, width, "absolute"))
     for span, line in fits[_LEVELS[2]].items():
         words = f"spring: k, MuJoCo and service over finite elements, {span}"
@@ -160,9 +224,9 @@ def _stiffness(rod: Rod, fits: dict[str, dict[str, Line]], tangent: float) -> li
 def _between(levels: dict[str, Vector], covered: Mask) -> list[Finding]:
     """Compare the third level with the second, shapes (n, 2), mm and degrees.
 
-    The turn is held to its largest value: the solves end at 1e-6 of the displacement, and what they
-    leave is the turn of small loads too. What it is of each turn is reported. An answer that is
-    not covered tells an estimate with its bar: the turn of those is reported, too.
+    The rotation is compared with its largest value: the solves end at 1e-6 of the displacement,
+    which is large against the rotation under small loads. The error of each rotation is reported.
+    So is the rotation of answers that are not covered: those are estimates with error bars.
     """
     _, solved, looped = levels.values()
     found = []
@@ -170,11 +234,11 @@ def _between(levels: dict[str, Vector], covered: Mask) -> list[Finding]:
         if not solved[chosen].any():
             continue
         shortening = apart(looped[chosen, 0], solved[chosen, 0])
-        turn = float(np.abs(looped[chosen, 1] - solved[chosen, 1]).max() / solved[:, 1].max())
+        rotation = float(np.abs(looped[chosen, 1] - solved[chosen, 1]).max() / solved[:, 1].max())
         own = apart(looped[chosen, 1], solved[chosen, 1])
         for quantity, off, most in (
             ("shortening, worst relative", shortening, LOOP),
-            ("turn, worst over the largest turn", turn, LOOP if chosen is covered else None),
+            ("turn, worst over the largest turn", rotation, LOOP if chosen is covered else None),
             ("turn, worst relative", own, None),
         ):
             name = f"spring: {quantity}, MuJoCo and service {words}"
@@ -189,7 +253,7 @@ def _direct(stopped: Vector, solved: Vector) -> Finding:
     return Finding(name, _LEVELS[1], 0.0, off, LOOP, "absolute")
 
 
-def _turn(loads: Vector, levels: dict[str, Vector]) -> list[Finding]:
+def _rotation_findings(loads: Vector, levels: dict[str, Vector]) -> list[Finding]:
     """Compare the turn under the largest load, N, with rod theory and the printed formula."""
     closed, solved, _ = levels.values()
     printed = float(np.interp(PRINTED_14[0][-1], *PRINTED_14))
@@ -200,7 +264,7 @@ def _turn(loads: Vector, levels: dict[str, Vector]) -> list[Finding]:
             "rod theory",
             closed[-1, 1],
             solved[-1, 1],
-            ROD_TURN,
+            ROD_ROTATION,
         ),
         Finding(
             "spring: turn at 17 mm by formula 14 as printed, degrees", "rod theory", by_rod, printed

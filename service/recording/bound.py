@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.service.recording.store import Envelope
+from wrenchbook.service.recording.store import EnvelopeState
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE
 from wrenchbook.surrogate.table.rows import Tolerance
@@ -40,9 +40,9 @@ class Bound:
     coverage : str
         The worst of the answers it is made of.
     negligible : bool or None
-        Whether it is within the tolerance; None if that cannot be told.
+        Whether it is within the tolerance; None if that is not known.
     reason : str
-        Why it cannot be told, or what it rests on.
+        Why it is not known, or its basis.
     """
 
     displacement: Floats
@@ -53,8 +53,8 @@ class Bound:
     reason: str
 
 
-def bound_of(table: ServedTable, envelope: Envelope, tolerance: Tolerance | None) -> Bound:
-    """Return how far a table says an envelope's wrenches move the component."""
+def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance | None) -> Bound:
+    """Return a bound of how far an envelope's wrenches move the component, by its table."""
     low, high = envelope.box
     unknown = np.full(6, np.nan)
     if np.isnan(low).any():
@@ -93,7 +93,7 @@ def _over_box(matrix: Floats, low: Floats, high: Floats) -> Floats:
 def _judged(
     most: Floats, coverage: int, kind: str, tolerance: Tolerance | None
 ) -> tuple[bool | None, str]:
-    """Tell whether the largest displacement is within the tolerance, and why that is not told."""
+    """Return whether the largest displacement is within the tolerance, and why it is unknown."""
     if tolerance is None:
         return None, "the component has no tolerance: ask with ?translation=...&rotation=..."
     allowed = np.repeat([tolerance.translation, tolerance.rotation], 3)

@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 
 from wrenchbook.service.ledger import Job, packed
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.ordering import NoSetupError
-from wrenchbook.service.recording.net import farthest_first, scaled_loads
 from wrenchbook.service.recording.store import RecordingStore
-from wrenchbook.service.tables.other_setup import unsolved
+from wrenchbook.service.recording.thinning import farthest_first, scaled_loads
+from wrenchbook.service.submission import NoSetupError
+from wrenchbook.service.tables.rows import unsolved
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.answer import COVERED
 
 Floats = NDArray[np.float64]
 
 OPEN = ("waiting", "running")
-UNIT_SOLVES = 6  # the most that tell a linear component
+UNIT_SOLVES = 6  # the most that a linear component needs
 
 
 @dataclass(frozen=True)
-class Started:
+class StartedSolves:
     """What was queued, and what of the rest.
 
     Attributes
@@ -48,11 +48,11 @@ class Started:
 
 def start_recording(
     workspace: Workspace, store: RecordingStore, name: str, budget: int, *, beyond_range: bool
-) -> Started:
+) -> StartedSolves:
     """Queue the solves of recorded wrenches that the table does not cover.
 
     The one farthest from all that is solved or queued comes first, so that a budget is spent where
-    it tells most. The recording stays as it is.
+    it gains most. The recording stays as it is.
 
     Raises
     ------
@@ -68,29 +68,28 @@ def start_recording(
     if component.linear:
         return _start_linear(workspace, component, wrenches, beyond_range)
     # First what is queued, then what is known: see `Workspace.fill`.
-    asked = workspace.orders.asked_wrenches(name)
+    pending = workspace.submission.pending_wrenches(name)
     table = workspace.tables.caught_up(name, CATCH_UP_S)
     known = table.rows.wrench
     inside, beyond = _within(component, wrenches, beyond_range)
-    rows = set(packed(known))
-    solved = np.array([key in rows for key in packed(inside)], dtype=bool)
+    solved = _are_rows(inside, known)
     covered = np.zeros(len(inside), dtype=bool)
     if len(inside):
         covered = (table.packed.batch(inside).coverage == COVERED) & ~solved
-    return _ordered(
+    return _submitted(
         workspace,
         component,
         inside[~solved & ~covered],
-        np.concatenate([known, asked]),
+        np.concatenate([known, pending]),
         budget,
-        Started([], int(solved.sum()), int(covered.sum()), beyond_range=beyond),
+        StartedSolves([], int(solved.sum()), int(covered.sum()), beyond_range=beyond),
         "recording",
     )
 
 
 def start_envelope(
     workspace: Workspace, store: RecordingStore, name: str, *, beyond_range: bool
-) -> Started:
+) -> StartedSolves:
     """Queue the solves of the wrenches that reached an envelope's extremes, covered or not.
 
     Raises as `start_recording` does.
@@ -104,13 +103,16 @@ def start_envelope(
     table = workspace.tables.caught_up(name, CATCH_UP_S)
     known = table.rows.wrench
     inside, beyond = _within(component, wrenches, beyond_range)
-    rows = set(packed(known))
-    solved = np.array([key in rows for key in packed(inside)], dtype=bool)
-    counted = Started([], int(solved.sum()), beyond_range=beyond)
-    return _ordered(workspace, component, inside[~solved], known, len(inside), counted, "envelope")
+    solved = _are_rows(inside, known)
+    counted = StartedSolves([], int(solved.sum()), beyond_range=beyond)
+    return _submitted(
+        workspace, component, inside[~solved], known, len(inside), counted, "envelope"
+    )
 
 
-def start_resolving(workspace: Workspace, name: str, budget: int, *, beyond_range: bool) -> Started:
+def start_resolving(
+    workspace: Workspace, name: str, budget: int, *, beyond_range: bool
+) -> StartedSolves:
     """Queue a solve for each wrench of rows of another setup that no row of the table has.
 
     Raises
@@ -122,18 +124,18 @@ def start_resolving(workspace: Workspace, name: str, budget: int, *, beyond_rang
     TableBehindError
         If the table does not hold all rows yet.
     """
-    component = workspace.orders.solvable(name)
+    component = workspace.submission.solvable(name)
     others = workspace.ledger.of_other_setups(name, component.fingerprint)
     wrenches = unsolved(component, others, np.empty((0, 6)))
     if not len(wrenches):
-        return Started([], reason=f"no row of {name!r} belongs to another setup")
+        return StartedSolves([], reason=f"no row of {name!r} belongs to another setup")
     if component.linear:
         return _start_linear(workspace, component, wrenches, beyond_range)
     known = workspace.tables.caught_up(name, CATCH_UP_S).rows.wrench
     left = unsolved(component, others, known)
     inside, beyond = _within(component, left, beyond_range)
-    counted = Started([], len(wrenches) - len(left), beyond_range=beyond)
-    return _ordered(workspace, component, inside, known, budget, counted, "resolve")
+    counted = StartedSolves([], len(wrenches) - len(left), beyond_range=beyond)
+    return _submitted(workspace, component, inside, known, budget, counted, "resolve")
 
 
 def _solvable(workspace: Workspace, name: str) -> Component:
@@ -141,7 +143,7 @@ def _solvable(workspace: Workspace, name: str) -> Component:
     if not component.has_fea:
         raise NoSetupError(
             f"{name!r} has rows loaded from outside and no finite-element setup, so nothing was "
-            "queued; what was gathered stays. GET it, measure or solve these wrenches elsewhere, "
+            "queued; the recorded wrenches stay. GET them, measure or solve them elsewhere, "
             f"and load the rows: POST /v1/components/{name}/table."
         )
     return component
@@ -155,62 +157,70 @@ def _within(component: Component, wrenches: Floats, beyond_range: bool) -> tuple
     return wrenches[holds], int((~holds).sum())
 
 
-def _ordered(
+def _are_rows(wrenches: Floats, known: Floats) -> NDArray[np.bool_]:
+    """Return which wrenches, shape (n, 6), are rows of the table, (k, 6), N and N·m: shape (n,)."""
+    rows = set(packed(known))
+    return np.array([key in rows for key in packed(wrenches)], dtype=bool)
+
+
+def _submitted(
     workspace: Workspace,
     component: Component,
-    wanted: Floats,
+    wrenches: Floats,
     known: Floats,
     budget: int,
-    counted: Started,
-    asked_by: str,
-) -> Started:
+    counted: StartedSolves,
+    purpose: str,
+) -> StartedSolves:
     """Accept the jobs of wrenches, shapes (n, 6), N and N·m; what is queued costs no budget."""
-    keys, ledger = packed(wanted), workspace.ledger
+    keys, ledger = packed(wrenches), workspace.ledger
     jobs = ledger.jobs_for(component.name, component.fingerprint, keys)
     status = [jobs[key].status if key in jobs else "" for key in keys]
     fresh = np.flatnonzero([one in ("", "cancelled", "done") for one in status])
     scale = component.load_range.scale
-    order = farthest_first(scaled_loads(wanted[fresh], scale), scaled_loads(known, scale), budget)
-    accepted = workspace.orders.fill(component.name, wanted[fresh[order]], asked_by=asked_by)
+    order = farthest_first(scaled_loads(wrenches[fresh], scale), scaled_loads(known, scale), budget)
+    accepted = workspace.submission.fill(component.name, wrenches[fresh[order]], asked_by=purpose)
     queued = [jobs[key] for key, one in zip(keys, status, strict=True) if one in OPEN]
     failed, left = status.count("failed"), len(fresh) - len(order)
-    return Started(
+    return StartedSolves(
         queued + [job for job in accepted if not job.is_final],
         counted.solved,
         counted.covered,
         failed,
         counted.beyond_range,
         left,
-        _reason(len(wanted), counted, failed, left),
+        _reason(len(wrenches), counted, failed, left),
     )
 
 
-def _reason(wanted: int, counted: Started, failed: int, left: int) -> str:
-    """Say what is not queued and what to do about it."""
-    told = []
+def _reason(count: int, counted: StartedSolves, failed: int, left: int) -> str:
+    """Return what is not queued and what to do about it."""
+    reasons = []
     if left:
-        told.append(f"{left} are left by the budget: start again once these are solved")
+        reasons.append(f"{left} are left by the budget: start again once these are solved")
     if failed:
-        told.append(f"{failed} have failed before: see GET /v1/jobs?status=failed and retry them")
+        reasons.append(
+            f"{failed} have failed before: see GET /v1/jobs?status=failed and retry them"
+        )
     if counted.beyond_range:
         beyond = f"{counted.beyond_range} are outside the load range"
-        told.append(f"{beyond}: start with beyond_range true to solve them all the same")
-    if not wanted and not told:
+        reasons.append(f"{beyond}: start with beyond_range true to solve them all the same")
+    if not count and not reasons:
         any_kept = counted.solved + counted.covered
-        told.append("the table covers all of them" if any_kept else "nothing was gathered yet")
-    return "; ".join(told)
+        reasons.append("the table covers all of them" if any_kept else "nothing was gathered yet")
+    return "; ".join(reasons)
 
 
 def _start_linear(
     workspace: Workspace, component: Component, wrenches: Floats, beyond_range: bool
-) -> Started:
-    """Queue what tells a linear component's compliance: it answers every wrench."""
+) -> StartedSolves:
+    """Queue the solves of a linear component's compliance: it answers every wrench."""
     if not len(wrenches):
-        return Started([], reason="nothing was gathered yet")
+        return StartedSolves([], reason="nothing was gathered yet")
     inside, beyond = _within(component, wrenches, beyond_range)
     if not workspace.tables.caught_up(component.name, CATCH_UP_S).needs_compliance:
         reason = "the component is linear and its compliance known: it answers every wrench"
-        return Started([], covered=len(inside), beyond_range=beyond, reason=reason)
+        return StartedSolves([], covered=len(inside), beyond_range=beyond, reason=reason)
     workspace.fill(component.name, UNIT_SOLVES, None)
     queued = workspace.ledger.open_jobs(component.name, component.fingerprint)
     reason = "the component is linear: its compliance, once solved, answers every wrench"
@@ -220,4 +230,4 @@ def _start_linear(
             "GET /v1/jobs?status=failed and retry them"
         )
     jobs = [workspace.ledger.job(one.id) for one in queued]
-    return Started(jobs, beyond_range=beyond, reason=reason)
+    return StartedSolves(jobs, beyond_range=beyond, reason=reason)

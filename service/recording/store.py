@@ -1,4 +1,4 @@
-"""Taking wrenches in: what a recording keeps, how an envelope widens."""
+"""Recorded wrenches: the subset that a recording keeps, and the extremes of an envelope."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from numpy.typing import NDArray
 
 from wrenchbook.service.ledger import Block, Kept, Kind, Tally, packed, unpacked
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.recording.net import MOST_OUTSIDE, Net, Taken, scaled_loads, take
+from wrenchbook.service.recording.thinning import MOST_OUTSIDE, Subset, Taken, scaled_loads, take
 from wrenchbook.service.workspace import Workspace
 
 Floats = NDArray[np.float64]
 
-NETS = 32  # recordings whose net is held in memory, some 2 MB each: those written to last
+MOST_SUBSETS = 32  # recordings whose subsets are in memory, some 2 MB each: those written to last
 
 
 @dataclass(frozen=True)
 class Took:
-    """What has become of a block.
+    """The result of adding a block.
 
     Attributes
     ----------
     tally : Tally
-        How the recording or the envelope stands now.
+        The counts of the recording or envelope now.
     known : bool
         Whether the block was in it already; then nothing has changed.
     outside : int
@@ -39,16 +39,16 @@ class Took:
 
 
 @dataclass(frozen=True)
-class Recording:
-    """A recording: how it stands, and the wrenches kept, shape (n, 6), N and N·m."""
+class RecordingState:
+    """A recording: its counts, and the wrenches kept, shape (n, 6), N and N·m."""
 
     tally: Tally
     wrenches: Floats
 
 
 @dataclass(frozen=True)
-class Envelope:
-    """An envelope: how it stands, and the wrenches that reached each extreme.
+class EnvelopeState:
+    """An envelope: its counts, and the wrenches that reached each extreme.
 
     Attributes
     ----------
@@ -69,27 +69,27 @@ class Envelope:
 
 
 @dataclass(frozen=True)
-class Nets:
+class Subsets:
     """The wrenches of a recording within the load range, and those outside."""
 
-    inside: Net
-    outside: Net
+    inside: Subset
+    outside: Subset
 
 
 class RecordingStore:
     """Recordings and envelopes of one workspace.
 
-    A recording's net is kept in memory as it was after its last block, with the ledger's number
-    of that state: another process's block is seen by another number, and the net is read anew.
+    The subset of a recording is in memory as it was after its last block, with the ledger's
+    revision number. A block of another process changes that number; the subset is then read again.
     """
 
     def __init__(self, workspace: Workspace) -> None:
         self._library, self._ledger = workspace.library, workspace.ledger
-        self._nets: dict[str, tuple[int, Nets]] = {}
+        self._subsets: dict[str, tuple[int, Subsets]] = {}
         self._lock = threading.Lock()
 
     def record(self, name: str, wrenches: Floats, block: Block | None) -> Took:
-        """Take wrenches, shape (n, 6), N and N·m, into a component's recording.
+        """Add wrenches, shape (n, 6), N and N·m, to a component's recording.
 
         Loads on locked freedoms are left out.
 
@@ -98,30 +98,30 @@ class RecordingStore:
         UnknownComponentError
             If there is no such component.
         BlockKeyError
-            If the block's key says nothing.
+            If the block's key is empty.
         """
         component = self._library[name]
         acting, scale = component.acting(wrenches), component.load_range.scale
         points, keys = scaled_loads(acting, scale), packed(acting)
         inside = component.load_range.holds(acting) if len(keys) else np.ones(0, dtype=bool)
         outside = int((~inside).sum())
-        nets: list[Nets] = []
+        subsets: list[Subsets] = []
 
         def choose(now: Tally, read: Callable[[], list[bytes]]) -> Kept:
-            there = self._nets_of(component, now, read)
+            there = self._subsets_of(component, now, read)
             within = _take(there.inside, points, keys, inside)
             beyond = _take(there.outside, points, keys, ~inside)
-            nets.append(Nets(within.net, beyond.net))
+            subsets.append(Subsets(within.subset, beyond.subset))
             after = replace(
                 now,
                 offered=now.offered + len(keys),
                 merged=now.merged + within.merged + beyond.merged,
                 thinned=now.thinned + within.thinned + beyond.thinned,
                 outside=now.outside + outside,
-                reach=within.net.reach,
-                within=within.net.within,
-                reach_outside=beyond.net.reach,
-                within_outside=beyond.net.within,
+                reach=within.subset.reach,
+                within=within.subset.within,
+                reach_outside=beyond.subset.reach,
+                within_outside=beyond.subset.within,
                 scale=_packed_scale(scale),
             )
             came = {key: place for place, key in reversed(list(enumerate(keys)))}
@@ -129,12 +129,12 @@ class RecordingStore:
             return Kept(after, added, within.dropped + beyond.dropped)
 
         tally, known = self._ledger.record(name, block, choose)
-        if nets:  # only now is it on the disk
-            self._hold(name, tally.revision, nets[-1])
+        if subsets:  # only now is it on the disk
+            self._keep(name, tally.revision, subsets[-1])
         return Took(tally, known, outside)
 
     def widen(self, name: str, wrenches: Floats, block: Block | None) -> Took:
-        """Take wrenches, shape (n, 6), N and N·m, into a component's envelope; as `record`."""
+        """Add wrenches, shape (n, 6), N and N·m, to a component's envelope; as `record`."""
         component = self._library[name]
         acting = component.acting(wrenches)
         outside, keys = _outside(component, acting), packed(acting)
@@ -145,39 +145,41 @@ class RecordingStore:
 
         return Took(*self._ledger.widen(name, block, choose), outside)
 
-    def recording(self, name: str) -> Recording:
+    def recording(self, name: str) -> RecordingState:
         """Return a component's recording; raises UnknownComponentError."""
         tally, keys = self._ledger.recording(self._library[name].name)
-        return Recording(tally, unpacked(keys))
+        return RecordingState(tally, unpacked(keys))
 
-    def envelope(self, name: str) -> Envelope:
+    def envelope(self, name: str) -> EnvelopeState:
         """Return a component's envelope; raises UnknownComponentError."""
         tally, there = self._ledger.envelope(self._library[name].name)
         loads = range(6) if there else ()
         lowest, highest = ([there[at + load] for load in loads] for at in (0, 6))
-        return Envelope(tally, unpacked(lowest), unpacked(highest))
+        return EnvelopeState(tally, unpacked(lowest), unpacked(highest))
 
     def clear(self, name: str, kind: Kind) -> Tally:
-        """Empty a component's recording or envelope, and return how it stood."""
+        """Empty a component's recording or envelope, and return its counts before."""
         return self._ledger.clear_recording(self._library[name].name, kind)
 
-    def _nets_of(self, component: Component, now: Tally, read: Callable[[], list[bytes]]) -> Nets:
-        """Return the nets of a recording as the ledger has it."""
-        scale, held = component.load_range.scale, self._nets.get(component.name)
+    def _subsets_of(
+        self, component: Component, now: Tally, read: Callable[[], list[bytes]]
+    ) -> Subsets:
+        """Return the subsets of a recording as the ledger has it."""
+        scale, kept = component.load_range.scale, self._subsets.get(component.name)
         same = now.scale is None or now.scale == _packed_scale(scale)
-        if held is not None and held[0] == now.revision and same:
-            return held[1]
+        if kept is not None and kept[0] == now.revision and same:
+            return kept[1]
         keys, stretched = read(), 1.0
         if now.scale is not None and not same:
-            # The load range was edited since: what is near is told in other measures.
+            # The load range was edited since: distances have another scale.
             stretched = max(1.0, float((unpacked([now.scale])[0] / scale).max()))
         wrenches = unpacked(keys)
         points, holds = scaled_loads(wrenches, scale), component.load_range.holds(wrenches)
         inside, outside = np.flatnonzero(holds), np.flatnonzero(~holds)
         own, others = ([keys[one] for one in places.tolist()] for places in (inside, outside))
-        return Nets(
-            Net(points[inside], own, now.reach, now.within * stretched),
-            Net(
+        return Subsets(
+            Subset(points[inside], own, now.reach, now.within * stretched),
+            Subset(
                 points[outside],
                 others,
                 now.reach_outside,
@@ -186,22 +188,22 @@ class RecordingStore:
             ),
         )
 
-    def _hold(self, name: str, revision: int, nets: Nets) -> None:
+    def _keep(self, name: str, revision: int, subsets: Subsets) -> None:
         with self._lock:
-            self._nets.pop(name, None)
-            self._nets[name] = revision, nets
-            while len(self._nets) > NETS:
-                del self._nets[next(iter(self._nets))]
+            self._subsets.pop(name, None)
+            self._subsets[name] = revision, subsets
+            while len(self._subsets) > MOST_SUBSETS:
+                del self._subsets[next(iter(self._subsets))]
 
 
-def _take(net: Net, points: Floats, keys: list[bytes], which: NDArray[np.bool_]) -> Taken:
-    """Take some of points, shape (n, 6), dimensionless, into a net."""
+def _take(subset: Subset, points: Floats, keys: list[bytes], which: NDArray[np.bool_]) -> Taken:
+    """Add some of points, shape (n, 6), dimensionless, to a subset."""
     places = np.flatnonzero(which)
-    return take(net, points[places], [keys[one] for one in places.tolist()])
+    return take(subset, points[places], [keys[one] for one in places.tolist()])
 
 
 def _wider(wrenches: Floats, keys: list[bytes], there: dict[int, bytes]) -> list[tuple[int, bytes]]:
-    """Return the extremes that wrenches, shape (n, 6), N and N·m, set anew, with their places."""
+    """Return the new extremes of wrenches, shape (n, 6), N and N·m, with their places."""
     if not keys:
         return []
     found = []

@@ -1,1 +1,1 @@
-"""Error against run time: a table's methods and sizes beside finite elements at three meshes."""
+"""Error against run time: a table's methods and sizes, and finite elements at three meshes."""

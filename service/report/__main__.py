@@ -25,7 +25,7 @@ ORDER, FAILURE = "order.json", "failure.json"
 
 
 def main(folder: Path) -> int:
-    """Make the report that ``order.json`` asks for; return the exit status."""
+    """Make the report of ``order.json``; return the exit status."""
     (folder / FAILURE).unlink(missing_ok=True)
     try:
         order = json.loads((folder / ORDER).read_bytes())

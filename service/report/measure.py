@@ -17,9 +17,9 @@ from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
-from wrenchbook.service.report.timing import answer_times
 from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, acting
 
@@ -42,8 +42,8 @@ def measure(
         Wrenches to compare.
     """
     linear = not bundle.analysis.nonlinear
-    held = bundle.interface.locked if bundle.interface else ()
-    locked = [place for place, name in enumerate(FREEDOMS) if name in held]
+    locked_names = bundle.interface.locked if bundle.interface else ()
+    locked = [place for place, name in enumerate(FREEDOMS) if name in locked_names]
     wrenches = acting(random_wrenches(load_range, count, seed), locked)
     levels = _solve_levels(bundle, wrenches, report)
     finest, own = levels[-1], next(level for level in levels if level["level"] == "own")
@@ -288,3 +288,26 @@ def _ratio(bars: Array, error: Array) -> float | None:
     """Return the median error bar over the median true error; None where the error is nothing."""
     true = float(np.median(error)) if len(error) else 0.0
     return float(np.median(bars)) / true if true > 0.0 else None
+
+
+TIMED_QUERIES, TIMED_SECONDS = 2000, 0.5
+
+
+def answer_times(table: PackedTable, method: str, wrenches: np.ndarray) -> tuple[float, float]:
+    """Return median and 99 % of the times of single answers, µs.
+
+    Parameters
+    ----------
+    wrenches : ndarray, shape (n, 6), N and N·m
+        Answered in order; the first once before, so that one-time work is not counted.
+    """
+    loads = wrenches.tolist()
+    table.answer(loads[0], None, method)
+    times: list[float] = []
+    deadline = time.perf_counter() + TIMED_SECONDS
+    while len(times) < TIMED_QUERIES and time.perf_counter() < deadline:
+        wrench = loads[len(times) % len(loads)]
+        started = time.perf_counter_ns()
+        table.answer(wrench, None, method)
+        times.append((time.perf_counter_ns() - started) / 1e3)
+    return float(np.median(times)), float(np.quantile(times, 0.99))

@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from wrenchbook.service.report.measure import mesh_error, name_of, seconds_of, worst
 from wrenchbook.service.report.text import (
     OUTPUTS,
-    Section,
+    ReportSection,
     advice_of,
     sections,
     summary_of,
@@ -59,7 +59,7 @@ def as_page(report: dict[str, Any]) -> str:
     )
 
 
-def section_html(section: Section) -> str:
+def section_html(section: ReportSection) -> str:
     """Lay out a section as HTML: heading, note, table."""
     head = _line("th", section.head) if section.head else ""
     body = "".join(_line("td", line) for line in section.lines)
@@ -74,7 +74,7 @@ def _line(tag: str, cells: tuple[str, ...]) -> str:
 
 
 def _look(name: str) -> dict[str, Any]:
-    """Return how the curve of a method is drawn, so that curves that cross can be told apart."""
+    """Return how the curve of a method is drawn, so that curves that cross stay apart."""
     colour, symbol, dash = _LOOKS[name]
     line = {"color": colour, "dash": dash, "width": 2}
     return {
@@ -153,5 +153,5 @@ def _calibration(report: dict[str, Any]) -> go.Figure:
                 marker={"color": _LOOKS[name][0]},
             )
     figure.add_hline(y=0.9, line={"dash": "dash", "color": "#57606a"})
-    figure.update_yaxes(title="share within the bar", tickformat=".0%", range=[0, 1.02])
+    figure.update_yaxes(title="share within the error bar", tickformat=".0%", range=[0, 1.02])
     return figure.update_layout(**LAYOUT, barmode="group")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from wrenchbook.service.files import lock
-from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.program import child_command
 from wrenchbook.service.jobs.attempt import write_whole
 from wrenchbook.service.library.component import Component
 
@@ -22,7 +22,7 @@ State = Literal["none", "running", "done", "failed"]
 
 @dataclass(frozen=True)
 class Making:
-    """How far a report is; ``message`` says why it failed."""
+    """Progress of a report; ``message`` is why it failed."""
 
     state: State
     fraction: float = 0.0
@@ -63,9 +63,9 @@ class Reports:
         folder = self._folder / component.name
         with self._lock:
             folder.mkdir(parents=True, exist_ok=True)
-            # Held by who makes it, whichever process of the server has started that.
-            held = None if self._is_alive(component.name) else lock.take(folder / _LOCK)
-            if held is None:
+            # Locked by the process that makes it, whichever process of the server started that.
+            descriptor = None if self._is_alive(component.name) else lock.take(folder / _LOCK)
+            if descriptor is None:
                 return
             order = {"bundle": str(component.folder), "table": str(table)}
             write_whole(folder / "order.json", {**order, "wrenches": wrenches, "seed": seed})
@@ -79,10 +79,10 @@ class Reports:
                         stdout=log,
                         stderr=subprocess.STDOUT,
                         env=environment,
-                        pass_fds=(held,),
+                        pass_fds=(descriptor,),
                     )
             finally:
-                os.close(held)
+                os.close(descriptor)
 
     def state(self, name: str) -> Making:
         """Return how far a component's report is."""
@@ -116,7 +116,7 @@ class Reports:
         making = self._making.get(name)
         if making is not None and making.poll() is None:
             return True
-        return lock.is_held(self._folder / name / _LOCK)
+        return lock.is_locked(self._folder / name / _LOCK)
 
 
 def _read(path: Path) -> dict[str, Any] | None:

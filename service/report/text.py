@@ -11,7 +11,7 @@ OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 
 
 @dataclass(frozen=True)
-class Section:
+class ReportSection:
     """A heading, what the figures below it are, and a table of them, which may be empty."""
 
     title: str
@@ -26,7 +26,7 @@ def title_of(report: dict[str, Any]) -> str:
 
 
 def summary_of(report: dict[str, Any]) -> str:
-    """Say what was compared with what."""
+    """Return what was compared with what."""
     wrenches = report["wrenches"]
     return (
         f"{wrenches['compared']} of {wrenches['asked']} random full wrenches (seed "
@@ -37,27 +37,29 @@ def summary_of(report: dict[str, Any]) -> str:
 
 
 def advice_of(report: dict[str, Any]) -> str:
-    """Say in one sentence what to do about the table."""
+    """Return advice on the table in one sentence."""
     table = default_entry(report)
     error, mesh, name = worst(table), mesh_error(report), report["component"]
-    told = f"the table ({name_of(table)}) errs by {100 * error:.2g} % of the range"
+    sentence = f"the table ({name_of(table)}) errs by {100 * error:.2g} % of the range"
     if mesh is not None and error <= mesh:
         return (
-            f"The mesh decides: {told}, its mesh by {100 * mesh:.2g} %, so that more rows change "
-            "nothing; if that is too much, refine the mesh."
+            f"The mesh decides: {sentence}, its mesh by {100 * mesh:.2g} %, so that more rows "
+            "change nothing; if that is too much, refine the mesh."
         )
     over = _over_tolerance(report, table)
     if over:
-        return f"More rows help: {told}, and {over} exceeds the tolerance; wrenchbook fill {name}."
-    beside = f", its mesh by {100 * mesh:.2g} %" if mesh is not None else ""
+        return (
+            f"More rows help: {sentence}, and {over} exceeds the tolerance; wrenchbook fill {name}."
+        )
+    mesh_part = f", its mesh by {100 * mesh:.2g} %" if mesh is not None else ""
     within = " and is within the tolerance, so that it needs no more rows" * bool(
         report["tolerance"]
     )
-    return f"The table decides: {told}{beside}{within}."
+    return f"The table decides: {sentence}{mesh_part}{within}."
 
 
 def default_entry(report: dict[str, Any]) -> dict[str, Any]:
-    """Return the figures of the whole table by the method that answers where none is asked for."""
+    """Return the figures of the whole table by its default method."""
     name, rows = report["default"]["method"], report["rows"]
     return next(e for e in report["tables"] if e["method"] == name and e["rows"] == rows)
 
@@ -73,7 +75,7 @@ def _over_tolerance(report: dict[str, Any], entry: dict[str, Any]) -> str:
     return ""
 
 
-def sections(report: dict[str, Any]) -> list[Section]:
+def sections(report: dict[str, Any]) -> list[ReportSection]:
     """Return a report's figures."""
     return [
         _default(report),
@@ -96,7 +98,7 @@ def as_markdown(report: dict[str, Any]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _meshes(report: dict[str, Any]) -> Section:
+def _meshes(report: dict[str, Any]) -> ReportSection:
     lines = tuple(
         (
             entry["level"] + (" (reference)" if entry is report["fea"][-1] else ""),
@@ -109,10 +111,10 @@ def _meshes(report: dict[str, Any]) -> Section:
         for entry in report["fea"]
     )
     head = ("mesh", "unknowns", "set-up, s", "solve p50, s", "p95, s", *OUTPUTS)
-    return Section("Finite elements", "Direct solves, one thread.", head, lines)
+    return ReportSection("Finite elements", "Direct solves, one thread.", head, lines)
 
 
-def _tables(report: dict[str, Any]) -> Section:
+def _tables(report: dict[str, Any]) -> ReportSection:
     lines = tuple(
         (
             entry["method"],
@@ -132,10 +134,10 @@ def _tables(report: dict[str, Any]) -> Section:
         "Errors against solves on the table's own mesh. Neither beaten in error nor in run time: "
         f"{'; '.join(report['pareto'])}."
     )
-    return Section("Tables", note, (*head, "covered"), lines)
+    return ReportSection("Tables", note, (*head, "covered"), lines)
 
 
-def _absolute(report: dict[str, Any]) -> Section:
+def _absolute(report: dict[str, Any]) -> ReportSection:
     whole = [entry for entry in report["tables"] if entry["rows"] == report["rows"]]
     measured = [(entry, entry["lookup_error"]) for entry in whole]
     measured += [(entry, entry["error"]) for entry in report["fea"][:-1]]
@@ -151,20 +153,20 @@ def _absolute(report: dict[str, Any]) -> Section:
         "range is below a thousandth of the largest of its kind counts as near zero: its relative "
         "error is taken over that floor."
     )
-    return Section("Absolute errors beside the tolerance", note, ("", *OUTPUTS), lines)
+    return ReportSection("Absolute errors against the tolerance", note, ("", *OUTPUTS), lines)
 
 
-def _bars(report: dict[str, Any]) -> Section:
+def _bars(report: dict[str, Any]) -> ReportSection:
     whole = [entry for entry in report["tables"] if entry["rows"] == report["rows"]]
     lines = tuple(
         (name_of(entry), *map(_inside, entry["inside_error_bar"], entry["bar_over_error"]))
         for entry in whole
     )
     note = (
-        "Share of true errors within the bar (against the table's own mesh), and the median bar "
-        "over the median error."
+        "Share of true errors within the error bar (against the table's own mesh), and the median "
+        "error bar over the median error."
     )
-    return Section("Error bars", note, ("method", *OUTPUTS), lines)
+    return ReportSection("Error bars", note, ("method", *OUTPUTS), lines)
 
 
 def _inside(share: float | None, ratio: float | None) -> str:
@@ -173,16 +175,16 @@ def _inside(share: float | None, ratio: float | None) -> str:
     return f"{share:.0%}" + (f", {ratio:.1f}x" if ratio is not None else "")
 
 
-def _default(report: dict[str, Any]) -> Section:
-    told = report["default"]
+def _default(report: dict[str, Any]) -> ReportSection:
+    default = report["default"]
     note = (
-        f"Where no method is asked for, {told['method']} answers: {told['reason']}. "
-        f"{told['full_wrench_rows']} rows load more than one axis."
+        f"Without a choice of method {default['method']} answers: {default['reason']}. "
+        f"{default['full_wrench_rows']} rows load more than one axis."
     )
-    errors = told["errors_left_out"]
+    errors = default["errors_left_out"]
     lines = tuple((name, f"{error:.2e}") for name, error in errors.items())
     head = ("at rows left out", "RMS error / range") if lines else ()
-    return Section("Which method answers, and why", note, head, lines)
+    return ReportSection("Which method answers, and why", note, head, lines)
 
 
 def _numbers(values: list[float | None]) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
-from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.program import child_command
 from wrenchbook.service.sandbox.parts import (
     Limits,
     Part,

@@ -4,7 +4,7 @@ An axis is one block: its three loads are the breakpoints, u and the three rotat
 (linear interpolation, end values clipped). The rotation of a wrench that loads several axes is the
 sum over the axes less the answers to each moment alone plus the one to no load, as the table's own
 composition (DESIGN, section 3). Resampling makes an error of its own; it is measured on wrenches
-between the grid's and stands in the file, beside the table's own bars.
+between the grid's and is in the file, next to the table's own error bars.
 """
 
 from __future__ import annotations
@@ -51,24 +51,26 @@ def write_breakpoints(table: ServedTable, name: str, path: Path) -> None:
     exact = table.packed.batch(wrenches)
     if not np.isfinite(exact.outputs).all():
         raise NoTableError(
-            f"the table of {name!r} does not tell all six outputs within its load range; add rows, "
+            f"the table of {name!r} lacks some of the six outputs within its load range; add rows, "
             "or export them as they are: csv, xlsx, parquet, hdf5, json"
         )
     known = [column[np.isfinite(column)] for column in exact.errors.T]
-    bar = np.array([np.median(column) if len(column) else np.nan for column in known])
+    table_error = np.array([np.median(column) if len(column) else np.nan for column in known])
     alone = _single(wrenches)
     for count in GRIDS:
         content = _resampled(table, low, high, count)
         single = _errors(table, content, alone)
-        if (single[1] <= 0.5 * bar).all() or count == GRIDS[-1]:
+        if (single[1] <= 0.5 * table_error).all() or count == GRIDS[-1]:
             break
     else:
         raise AssertionError("there is a last grid")
     whole = _errors(table, content, wrenches)
-    savemat(path, {**content, "about": _about(table, name, count, bar, single, whole)})
+    savemat(path, {**content, "about": _about(table, name, count, table_error, single, whole)})
 
 
-def _about(table: ServedTable, name: str, count: int, bar: Any, single: Any, whole: Any) -> dict:
+def _about(
+    table: ServedTable, name: str, count: int, table_error: Any, single: Any, whole: Any
+) -> dict:
     return {
         "component": name,
         "table_version": float(table.version),
@@ -78,7 +80,7 @@ def _about(table: ServedTable, name: str, count: int, bar: Any, single: Any, who
         "outputs": " ".join(OUTPUTS),
         "units": " ".join(OUTPUT_UNITS),
         "breakpoints_a_load": float(count),
-        "table_bar_median": bar,
+        "table_bar_median": table_error,
         "resampling_error_max": single[0],
         "resampling_error_rms": single[1],
         "composition_error_max": whole[0],

@@ -6,14 +6,14 @@ import threading
 from collections.abc import Callable
 
 LARGE = 3000  # rows: a table of more takes over a second to build
-SMALL_LANES = 2  # small builds at once beside a large one: all share one interpreter
+SMALL_LANES = 2  # small builds at once next to a large one: all share one interpreter
 
 
 class Builders:
     """Lanes that bring up whatever table has row_changes, each table in one lane at a time.
 
-    What is asked for while its table is being built is built once more, after that, however often
-    it was asked for. Large tables have one lane, since two at once would each take twice as long;
+    A table that is requested while it is being built is built once more, after that, however often
+    it was requested. Large tables have one lane, since two at once would each take twice as long;
     small ones pass them in the others.
 
     Parameters
@@ -75,7 +75,7 @@ class Builders:
                     self._changed.notify_all()
 
     def _next(self, takes_large: bool) -> str | None:
-        """Return the table asked for first that this kind of lane may take: a large one first."""
+        """Return the first requested table that this kind of lane may take: a large one first."""
         free = [name for name in self._waiting if name not in self._running]
         large = [name for name in free if self._waiting[name] > LARGE]
         small = [name for name in free if self._waiting[name] <= LARGE]

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from wrenchbook.service.files.durable import write_whole_bytes
-from wrenchbook.service.files.lock import is_held, take
+from wrenchbook.service.files.lock import is_locked, take
 
 FOLDER = "shared"  # in the data directory
 LOCK, _STATUS = "lock", "status.json"
@@ -59,7 +59,7 @@ class CoordinatorState:
 
     def is_taken(self) -> bool:
         """Return whether a process has the lock."""
-        return is_held(self._folder / LOCK)
+        return is_locked(self._folder / LOCK)
 
     def release(self) -> None:
         """Give the lock up and remove the folder."""

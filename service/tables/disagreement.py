@@ -1,4 +1,4 @@
-"""Measured rows beside solved ones: where a measurement lies outside what the solves say."""
+"""Measured rows against solved ones: measurements outside the error bars of the solves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import LOADS, OUTPUTS, LoadRange, Rows, Tolerance
 
 MOST_ROWS = 5000  # measured ones that are compared; more are thinned evenly
-MOST_TOLD = 500
+MOST_LISTED = 500
 FEA = "fea"
 
 
@@ -30,7 +30,7 @@ def disagreement(
     Parameters
     ----------
     rows : Rows
-        All of a component's rows_for rows.
+        All rows of a component's present setup, solved and measured.
     span : LoadRange, N and N·m
     tolerance : Tolerance or None, m and rad
     linear : bool
@@ -44,16 +44,16 @@ def disagreement(
     -------
     dict
         ``measured``, ``solved``, ``compared``, ``outside`` (rows with an output outside of both
-        bars, the solves' and the measurement's own), ``outputs`` (of each: how many outside, the
-        mean difference, m or rad, which tells an offset) and ``rows``, the worst first.
+        error bars, the solves' and its own), ``outputs`` (of each: how many outside, the
+        mean difference, m or rad, which shows an offset) and ``rows``, the worst first.
     """
     solved = rows.source == FEA
-    told: dict[str, Any] = {"measured": int((~solved).sum()), "solved": int(solved.sum())}
+    counts: dict[str, Any] = {"measured": int((~solved).sum()), "solved": int(solved.sum())}
     within = np.asarray(span.holds(rows.wrench)) & ~solved
-    told["beyond_range"] = told["measured"] - int(within.sum())
-    if not told["solved"] or not within.any():
-        reason = "there is no solved row" if not told["solved"] else "there is no measured row"
-        return told | {"compared": 0, "outside": 0, "outputs": {}, "rows": [], "reason": reason}
+    counts["beyond_range"] = counts["measured"] - int(within.sum())
+    if not counts["solved"] or not within.any():
+        reason = "there is no solved row" if not counts["solved"] else "there is no measured row"
+        return counts | {"compared": 0, "outside": 0, "outputs": {}, "rows": [], "reason": reason}
     of_solves = rows.take(solved)
     loads = np.abs(span.ends).max(axis=0)
     known = error or SolverError({"mesh": np.zeros((6, 6)).tolist(), "loads": loads.tolist()})
@@ -61,22 +61,22 @@ def disagreement(
     table = build(of_solves, span, solver_error=known, **how)
     places = np.flatnonzero(within)
     places = places[:: max(1, -(-len(places) // MOST_ROWS))]
-    return told | _compared(table, rows.take(places))
+    return counts | _compared(table, rows.take(places))
 
 
 def _compared(table: AnyTable, measured: Rows) -> dict[str, Any]:
     expected = packed_of(table).batch(measured.wrench)
     off = measured.displacement - expected.outputs
     own = np.where(np.isfinite(measured.uncertainty), measured.uncertainty, 0.0)
-    bar = np.hypot(expected.errors, own)  # two independent 95 % half widths
-    known = np.isfinite(off) & np.isfinite(bar) & (expected.coverage < 2)[:, None]
-    ratio = np.where(known, np.abs(off) / np.maximum(bar, np.finfo(float).tiny), 0.0)
+    bound = np.hypot(expected.errors, own)  # two independent 95 % half widths
+    known = np.isfinite(off) & np.isfinite(bound) & (expected.coverage < 2)[:, None]
+    ratio = np.where(known, np.abs(off) / np.maximum(bound, np.finfo(float).tiny), 0.0)
     outside = ratio > 1.0
-    told = [
-        _row(measured, expected.outputs, bar, ratio, at, output)
+    outliers = [
+        _row(measured, expected.outputs, bound, ratio, at, output)
         for at, output in np.argwhere(outside).tolist()
     ]
-    told.sort(key=lambda row: -row["ratio"])
+    outliers.sort(key=lambda row: -row["ratio"])
     return {
         "compared": int(known.any(axis=1).sum()),
         "outside": int(outside.any(axis=1).sum()),
@@ -89,12 +89,12 @@ def _compared(table: AnyTable, measured: Rows) -> dict[str, Any]:
             }
             for output, name in enumerate(OUTPUTS)
         },
-        "rows": told[:MOST_TOLD],
+        "rows": outliers[:MOST_LISTED],
     }
 
 
 def _row(
-    rows: Rows, expected: np.ndarray, bar: np.ndarray, ratio: np.ndarray, at: int, output: int
+    rows: Rows, expected: np.ndarray, bound: np.ndarray, ratio: np.ndarray, at: int, output: int
 ) -> dict[str, Any]:
     return {
         "row": int(rows.seq[at]),
@@ -102,7 +102,7 @@ def _row(
         "output": OUTPUTS[output],
         "measured": float(rows.displacement[at, output]),
         "expected": float(expected[at, output]),
-        "bar": float(bar[at, output]),
+        "bar": float(bound[at, output]),
         "ratio": float(ratio[at, output]),
     }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -26,12 +26,13 @@ from wrenchbook.service.tables.rows import (
     ExportRows,
     export_rows,
     joined_rows,
-    rows_for,
+    own_rows,
     table_meta,
 )
 from wrenchbook.surrogate.solver_error import SolverError
 
 ExportFormat = Literal["csv", "xlsx", "parquet", "hdf5", "json"]
+Pieces = Iterator[ExportRows]
 IN_SI = ("parquet", "hdf5", "json")
 ENDINGS: dict[str, str] = {
     "csv": "csv",
@@ -44,8 +45,8 @@ ENDINGS: dict[str, str] = {
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """How an export is to be.
+class ExportRequest:
+    """Format and options of an export.
 
     Attributes
     ----------
@@ -55,7 +56,7 @@ class Wanted:
     version : int or None
         Of the table; the newest if None.
     comments : bool
-        Whether a CSV begins with lines that say what it is, each after a ``#``.
+        Whether a CSV begins with comment lines (``#``) that describe it.
     """
 
     format: ExportFormat
@@ -67,7 +68,7 @@ class Wanted:
 def export_table(
     ledger: Ledger,
     component: Component,
-    wanted: Wanted,
+    request: ExportRequest,
     path: Path,
     error: SolverError | None = None,
 ) -> int:
@@ -76,7 +77,7 @@ def export_table(
     Parameters
     ----------
     error : SolverError, optional
-        What the rows' solver may be wrong by, m and rad: an HDF5 export tells it.
+        Error estimate of the rows' solver, m and rad: an HDF5 export has it.
 
     Raises
     ------
@@ -87,22 +88,24 @@ def export_table(
     SheetFullError
         If a sheet cannot hold it.
     """
-    check_units(wanted)
-    with ledger.table_at(component.name, wanted.version) as table:
+    check_units(request)
+    with ledger.table_at(component.name, request.version) as table:
         spans = ledger.import_spans(component.name)
-        pieces = (export_rows(rows_for(lot, component), spans) for lot in table.lots)
-        if wanted.format == "hdf5":
-            _hdf5(path, pieces, component, table, error)
+        pieces = (export_rows(own_rows(component, lot), spans) for lot in table.lots)
+        if request.format == "hdf5":
+            rows = joined_rows([export_rows([], []), *pieces])
+            meta = table_meta(component, table.version, error)
+            path.write_bytes(write_hdf5(rows, rows.seq, meta))
         else:
-            _WRITERS[wanted.format](path, pieces, component, table, wanted)
+            _WRITERS[request.format](path, pieces, component, table, request)
         return table.version
 
 
-def check_units(wanted: Wanted) -> None:
-    """Refuse units that mean nothing, and any but SI for a form that programs read."""
-    chosen = chosen_units(wanted.units)
-    if wanted.format in IN_SI and any(unit != of.si for of, (unit, _) in chosen.items()):
-        raise UnitError(f"{wanted.format} is always in SI; leave the units out, or take CSV")
+def check_units(request: ExportRequest) -> None:
+    """Refuse unknown units, and units other than SI for formats that programs read."""
+    chosen = chosen_units(request.units)
+    if request.format in IN_SI and any(unit != of.si for of, (unit, _) in chosen.items()):
+        raise UnitError(f"{request.format} is always in SI; leave the units out, or take CSV")
 
 
 def _about(component: Component, table: TableAt) -> dict[str, str]:
@@ -117,61 +120,33 @@ def _about(component: Component, table: TableAt) -> dict[str, str]:
 
 def _layout(table: TableAt, units: Mapping[str, str]) -> Layout:
     uncertainty, compliance, note, fingerprint = table.known
-    said = {"source": True, "note": note, "fingerprint": fingerprint}
-    texts = [name for name, known in said.items() if known]
+    present = {"source": True, "note": note, "fingerprint": fingerprint}
+    texts = [name for name, known in present.items() if known]
     return layout(uncertainty, compliance, texts, units, origin=True)
 
 
-Writer = Callable[[Path, Iterator[ExportRows], Component, TableAt, Wanted], None]
-
-
 def _csv(
-    path: Path, pieces: Iterator[ExportRows], component: Component, table: TableAt, wanted: Wanted
+    path: Path, pieces: Pieces, component: Component, table: TableAt, request: ExportRequest
 ) -> None:
-    about = _about(component, table).items() if wanted.comments else ()
+    about = _about(component, table).items() if request.comments else ()
     comments = [f"{word}: {meaning}" for word, meaning in about]
     with path.open("w", encoding="utf-8", newline="") as file:
-        file.writelines(csv_text(pieces, _layout(table, wanted.units), comments))
+        file.writelines(csv_text(pieces, _layout(table, request.units), comments))
 
 
 def _json(
-    path: Path, pieces: Iterator[ExportRows], component: Component, table: TableAt, _: Wanted
+    path: Path, pieces: Pieces, component: Component, table: TableAt, _: ExportRequest
 ) -> None:
-    about = {
-        "component": component.name,
-        "table_version": table.version,
-        "contract": CONTRACT_WORDS,
-    }
+    about = {"component": component.name, "table_version": table.version}
     with path.open("w", encoding="utf-8") as file:
-        file.writelines(json_text(pieces, about))
+        file.writelines(json_text(pieces, about | {"contract": CONTRACT_WORDS}))
 
 
-def _xlsx(
-    path: Path, pieces: Iterator[ExportRows], component: Component, table: TableAt, wanted: Wanted
+def _columns(
+    path: Path, pieces: Pieces, component: Component, table: TableAt, request: ExportRequest
 ) -> None:
-    write_xlsx(path, pieces, _layout(table, wanted.units), _about(component, table))
+    write = write_xlsx if request.format == "xlsx" else write_parquet
+    write(path, pieces, _layout(table, request.units), _about(component, table))
 
 
-def _parquet(
-    path: Path, pieces: Iterator[ExportRows], component: Component, table: TableAt, _: Wanted
-) -> None:
-    write_parquet(path, pieces, _layout(table, {}), _about(component, table))
-
-
-def _hdf5(
-    path: Path,
-    pieces: Iterator[ExportRows],
-    component: Component,
-    table: TableAt,
-    error: SolverError | None,
-) -> None:
-    rows = joined_rows([export_rows([], []), *pieces])
-    path.write_bytes(write_hdf5(rows, rows.seq, table_meta(component, table.version, error)))
-
-
-_WRITERS: dict[str, Writer] = {
-    "csv": _csv,
-    "json": _json,
-    "xlsx": _xlsx,
-    "parquet": _parquet,
-}
+_WRITERS = {"csv": _csv, "json": _json, "xlsx": _columns, "parquet": _columns}

@@ -1,4 +1,4 @@
-"""Table files beside the ledger: a quicker way to read what the ledger says, and a second copy."""
+"""HDF5 tables: a faster way to read the ledger's rows, and a second copy of them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from wrenchbook.service.contract import CONTRACT
-from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, NewRow, RowChanges, RowEdit
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, NewRow, RowEdit
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.changes import rows_for
+from wrenchbook.service.tables.rows import own_rows, table_rows
 from wrenchbook.surrogate.table.hdf5 import TableFileError, read_meta, read_table, write_table
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Rows, joined
@@ -22,10 +22,10 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 ROW_BYTES = 450  # of a row in a file, about
-_DOUBT = (
-    "the ledger is another one than its table file was written beside, and the file does not tell "
-    "which rows were withdrawn: those may be in the table again. Look through its rows, or put "
-    "back the newer ledger"
+_UNKNOWN_WITHDRAWALS = (
+    "the ledger is not the one that its table file was written from, and the file does not list "
+    "withdrawn rows: those may be in the table again. Look through its rows, or restore the newer "
+    "ledger"
 )
 
 
@@ -37,13 +37,13 @@ class TableFiles:
     folder : path
         Made if there is none.
     ledger : Ledger
-        What it says holds; a file that says something else is written anew.
+        The record of rows; a file that differs from it is written again.
     """
 
     def __init__(self, folder: Path, ledger: Ledger) -> None:
         self._folder = folder
         self._ledger = ledger
-        self.doubts: dict[str, str] = {}
+        self.caveats: dict[str, str] = {}
         """What is not known of a component's table, by its name, and what to do about it."""
 
     def size(self, name: str) -> int:
@@ -65,7 +65,7 @@ class TableFiles:
         return self._sound(component, read_table)
 
     def saved(self, component: Component, version: int, digest: str) -> int | None:
-        """Return up to which seq a component's file has its rows; 0 without a rows_for file.
+        """Return up to which seq a component's file has its rows; 0 without a usable file.
 
         None if it has rows that the ledger lacks: `load` puts these back.
 
@@ -102,9 +102,7 @@ class TableFiles:
             if (meta.last_seq, meta.fingerprint) == (version, component.fingerprint):
                 return rows
         with self._ledger.table_at(component.name, version) as table:
-            parts = [
-                rows_for(component, RowChanges(lot, frozenset(), version)) for lot in table.lots
-            ]
+            parts = [table_rows(own_rows(component, lot)) for lot in table.lots]
             return joined([Rows.empty(), *parts])
 
     def _sound(
@@ -135,13 +133,13 @@ class TableFiles:
         """Return the rows of a component's file and the seq they go up to.
 
         No rows, and 0, if they are not exactly what the ledger has up to there. Rows that the
-        ledger has lost, being a new one or an older copy, are put back into it first, and so are
-        withdrawals; where the file does not tell those, `doubts` does.
+        ledger has lost, being a new one or an older copy, are restored in it first, and so are
+        withdrawals; `caveats` names the tables whose file does not have those.
 
         Raises
         ------
         LedgerUnavailableError
-            If the ledger cannot be asked, or cannot take what it has lost.
+            If the ledger cannot be read, or cannot take the rows it has lost.
         """
         found = self.read(component)
         if found is None:
@@ -183,7 +181,7 @@ class TableFiles:
                 "edits": tuple((key.hex(), gone, when) for key, gone, when in edits),
             }
         except LedgerUnavailableError:
-            return {}  # the file may be all there is left of the rows: they are put back from it
+            return {}  # the file may be the last copy of the rows: they are restored from it
 
     def _put_back(self, name: str, rows: Rows, meta: TableMeta) -> None:
         """Insert a file's rows and repeat its edits; the ledger knows what it has by content."""
@@ -200,12 +198,12 @@ class TableFiles:
             # Files of 0.1 have neither edits nor a digest of their ledger.
             if not inserted and newest >= meta.last_seq and self._numbers_are_of_ledger(rows):
                 return
-            self.doubts[name] = _DOUBT
-            log.warning("%s: %s", name, _DOUBT)
+            self.caveats[name] = _UNKNOWN_WITHDRAWALS
+            log.warning("%s: %s", name, _UNKNOWN_WITHDRAWALS)
             return
         edits = [RowEdit(bytes.fromhex(key), gone, when) for key, gone, when in meta.edits]
         if changed := self._ledger.replay(name, edits):
-            log.warning("%s: %d rows were withdrawn or restored as its file says", name, changed)
+            log.warning("%s: %d rows were withdrawn or restored as in its file", name, changed)
 
     def _numbers_are_of_ledger(self, rows: Rows) -> bool:
         """Return whether the ledger has the rows of a file under the same numbers."""

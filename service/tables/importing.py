@@ -1,20 +1,21 @@
-"""Table files into the ledger: read in the sandbox, all rows or none, and every row told of."""
+"""Rows into the ledger: of table files, read in the sandbox, and of another component."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from wrenchbook.service.formats import Options, ReadResult, read_untrusted
-from wrenchbook.service.ledger import About, Ledger
+from wrenchbook.service.ledger import About, Ledger, PackedRow, packed_columns
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.rows import packed_pieces
+from wrenchbook.service.tables.rows import export_rows, own_rows, packed_pieces
 
 
 @dataclass(frozen=True)
-class Wish:
+class ImportRequest:
     """What is to become of a file's rows.
 
     Attributes
@@ -24,7 +25,7 @@ class Wish:
     partial : bool
         Load the good rows though others have mistakes.
     preview : int
-        How many of the first good rows are told.
+        Number of the first good rows in the reply.
     """
 
     dry_run: bool = False
@@ -37,16 +38,16 @@ def import_files(
     component: Component,
     files: Sequence[Path],
     options: Options,
-    wish: Wish,
+    request: ImportRequest,
     about: About,
 ) -> dict[str, Any]:
     """Read a file, or two logs, and load its rows unless something is wrong.
 
     `files` are one table, or the log of the loads and that of the displacements; load range and
-    fingerprint are the component's, whatever `options` say.
+    fingerprint are the component's; those of `options` are ignored.
 
     Returns the members of a reply: ``inserted``, ``existing``, ``errors``, ``rows`` and so on;
-    rows were loaded if ``loaded`` says so.
+    ``loaded`` is whether rows were loaded.
 
     Raises
     ------
@@ -54,11 +55,11 @@ def import_files(
         If it could not be read or written now; nothing was loaded.
     """
     own = replace(options, load_range=component.load_range, fingerprint=component.fingerprint)
-    read = read_untrusted(files, own, wish.preview)
+    read = read_untrusted(files, own, request.preview)
     report = dict(read.report)
-    refused = report.pop("whole") or bool(report["errors"] and not wish.partial)
+    refused = report.pop("whole") or bool(report["errors"] and not request.partial)
     inserted, existing, number = 0, 0, None
-    if not refused and wish.dry_run:
+    if not refused and request.dry_run:
         inserted, existing = _counted(ledger, component, read)
     elif not refused:
         packed = packed_pieces(component, read.pieces())
@@ -69,12 +70,12 @@ def import_files(
     return {
         "inserted": inserted,
         "existing": existing,
-        "dry_run": wish.dry_run,
-        "partial": wish.partial,
+        "dry_run": request.dry_run,
+        "partial": request.partial,
         "import": number,
-        "loaded": not refused and not wish.dry_run,
+        "loaded": not refused and not request.dry_run,
         **report,
-        "rows": {**rows, "loaded": 0 if refused or wish.dry_run else good},
+        "rows": {**rows, "loaded": 0 if refused or request.dry_run else good},
     }
 
 
@@ -85,3 +86,23 @@ def _counted(ledger: Ledger, component: Component, read: ReadResult) -> tuple[in
         keys += [row[-2] for row in block if isinstance(row[-2], bytes)]
     known = ledger.known_rows(keys)
     return len(keys) - known, known
+
+
+def copy_rows(ledger: Ledger, source: Component, target: Component, about: About) -> int:
+    """Copy the rows of a component's present setup; return their number.
+
+    Raises
+    ------
+    ImportRunningError, LedgerUnavailableError
+        If they cannot be written now; none is copied then.
+    """
+    with ledger.table_at(source.name) as table:
+
+        def blocks() -> Iterator[list[PackedRow]]:
+            for lot in table.lots:
+                rows = export_rows(own_rows(source, lot), ())
+                columns = rows.wrench, rows.displacement, rows.uncertainty, rows.compliance
+                texts = rows.source, rows.fingerprint, rows.note
+                yield packed_columns(target.name, columns, texts, time.time())
+
+        return ledger.import_rows(target.name, blocks(), about)[0]

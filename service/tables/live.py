@@ -12,19 +12,21 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from wrenchbook.service.files.cores import usable_cores
+from wrenchbook.service.files.program import give_back, usable_cores
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
-from wrenchbook.service.tables.behind import TableBehindError
 from wrenchbook.service.tables.builders import LARGE, Builders
-from wrenchbook.service.tables.changes import rows_for, without
-from wrenchbook.service.tables.files import TableFiles
-from wrenchbook.service.tables.making import empty_table, make, packed_bytes
-from wrenchbook.service.tables.memory import give_back
-from wrenchbook.service.tables.other_setup import count_others
-from wrenchbook.service.tables.packed_files import PackedFiles, origin_of
-from wrenchbook.service.tables.served import TABLE_MEMORY, ServedTable, drop_built
+from wrenchbook.service.tables.current import START_S, SWITCH_S, CurrentTables
+from wrenchbook.service.tables.packed_files import origin_of
+from wrenchbook.service.tables.rows import count_others, own_rows, table_rows, without
+from wrenchbook.service.tables.served import (
+    TABLE_MEMORY,
+    ServedTable,
+    drop_built,
+    make,
+    packed_bytes,
+)
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.build import AnyTable
 from wrenchbook.surrogate.kernel.binding import PackedTable
@@ -36,32 +38,17 @@ log = logging.getLogger(__name__)
 POLL_S = 0.02
 SAVE_AFTER_QUIET_S = 1.0
 TROUBLE_S = 1.0  # before trying again what failed
-START_S = 30.0  # how long a start waits for small tables; what takes longer answers 503 till then
-# How long a thread that computes may keep the interpreter from one that answers: about what an
-# answer takes; Python's own 5 ms are felt by each call during a build.
-SWITCH_S = 0.0005
 
 
-class Tables:
+class Tables(CurrentTables):
     """Tables by component name, following the ledger.
 
     A request takes the table there is (`surrogate`, a dictionary look-up). A start maps the packed
     files of the last one that are what it would build, and builds the others. One thread watches
     the ledger for rows committed, withdrawn or restored by this or any other process on the
-    machine, `Builders` build the next version of a table beside all others, write its packed file
+    machine, `Builders` build the next version of a table in threads, write its packed file
     and swap it in, and a third writes a table's HDF5 file once it has been quiet for a second. What
-    goes wrong with one component is told by `faults` and stays its own.
-
-    Parameters
-    ----------
-    ledger, library:
-        Where rows come from and which components there are.
-    folder:
-        Folder of the HDF5 tables, one ``<name>.h5`` each.
-    errors:
-        What is known of the solver's own error.
-    memory:
-        MB of rows and numpy tables that stay in memory.
+    goes wrong with one component is in `faults`; the others go on. Parameters as `CurrentTables`.
     """
 
     def __init__(
@@ -72,21 +59,16 @@ class Tables:
         errors: SolverErrors | None = None,
         memory: float = TABLE_MEMORY,
     ) -> None:
-        self._errors, self._memory = errors, memory
-        self._ledger, self._library = ledger, library
-        self._files, self._packed = TableFiles(folder, ledger), PackedFiles(folder)
-        self._tables: dict[str, ServedTable] = {}
+        super().__init__(ledger, library, folder, errors, memory)
         self._seen: dict[str, int] = {}
-        self._asked: dict[str, tuple[int, Component]] = {}
+        self._requested: dict[str, tuple[int, Component]] = {}
         self._built_for: dict[str, Component] = {}
         self._unsaved: dict[str, float] = {}
         self._faults: dict[str, str] = {}
         self._unwritten: dict[str, str] = {}
         self._unpacked: set[str] = set()
         self._failures = 0
-        self._grown = threading.Condition()
         self._wake = threading.Event()
-        self._stopping = threading.Event()
         self._builders = Builders(lambda name: self._guarded(name, self._bring_up, self._faults))
         self._threads = [
             threading.Thread(target=self._follow, name="tables-follow", daemon=True),
@@ -125,30 +107,9 @@ class Tables:
                 thread.join()
         self._save(quiet_s=0.0)
 
-    def surrogate(self, name: str) -> ServedTable:
-        """Return the newest table of a component.
-
-        Raises
-        ------
-        UnknownComponentError
-            If the library has no such component.
-        TableBehindError
-            If it has rows and is built for the first time since the start.
-        """
-        found = self._tables.get(name)
-        return found if found is not None else self._first(name)
-
     def faults(self) -> dict[str, str]:
-        """Return why a component's table is not what the ledger says, by its name."""
-        return {**self._files.doubts, **self._unwritten, **self._faults}
-
-    def present(self) -> dict[str, ServedTable]:
-        """Return the tables that answer now, by component."""
-        return self._tables.copy()
-
-    def written(self, name: str) -> float | None:
-        """Return when a component's file was written, seconds since the epoch; None without."""
-        return self._files.written(name)
+        """Return why a component's table differs from the ledger, by its name."""
+        return {**self._files.caveats, **self._unwritten, **self._faults}
 
     def building(self) -> list[str]:
         """Return the components that have no table yet since the start: they answer 503."""
@@ -166,8 +127,8 @@ class Tables:
         goal, before = self._ledger.last_seq(name), self._failures
         if self._holds(name, goal):
             return True
-        if name in self._faults:  # tried once more, now that somebody waits for it
-            self._asked.pop(name, None)
+        if name in self._faults:  # tried once more, now that a caller waits for it
+            self._requested.pop(name, None)
         self._look(name, goal)
 
         def settled() -> bool:
@@ -178,52 +139,22 @@ class Tables:
             self._grown.wait_for(settled, timeout)
             return self._holds(name, goal)
 
-    def caught_up(self, name: str, timeout: float) -> ServedTable:
-        """Return a table that holds all rows committed when this is called.
-
-        Raises
-        ------
-        TableBehindError
-            If it is not there after `timeout` seconds.
-        """
-        if self.catch_up(name, timeout):
-            return self.surrogate(name)
-        raise TableBehindError.late(name, self._faults.get(name), timeout)
-
     def _holds(self, name: str, goal: int) -> bool:
-        """Tell whether a table is of the component as it is now and has all rows up to goal."""
+        """Return whether a table is of the component as it is now and has all rows up to goal."""
         present = self._built_for.get(name) is self._library[name]
         return self._seen.get(name, 0) >= goal and present
 
-    def _first(self, name: str) -> ServedTable:
-        """Make the empty table of a component without rows that was added after the start."""
-        component = self._library[name]
-        if self._size(name):
-            self._look(name)
-            raise TableBehindError.unbuilt(name, self._faults.get(name))
-        with self._grown:
-            found = self._tables.setdefault(name, empty_table(component, self._errors))
-        self._look(name)
-        return found
-
-    def _size(self, name: str) -> int:
-        """Return about how many rows a table will have."""
-        try:
-            return self._ledger.count_rows(name) or self._files.size(name)
-        except LedgerUnavailableError:
-            return self._files.size(name)
-
     def _look(self, name: str, goal: int | None = None) -> None:
-        """Have a table built if the ledger has what nobody has asked to be built."""
+        """Request a build if the ledger has changes that no build was requested for."""
         goal = self._ledger.last_seq(name) if goal is None else goal
         component = self._library[name]
         with self._grown:
-            asked_goal, asked_for = self._asked.get(name, (None, None))
-            if asked_goal == goal and asked_for is component:
+            requested_goal, requested_for = self._requested.get(name, (None, None))
+            if requested_goal == goal and requested_for is component:
                 return
             if self._seen.get(name) == goal and self._built_for.get(name) is component:
                 return
-            self._asked[name] = goal, component
+            self._requested[name] = goal, component
         known = self._tables.get(name)
         self._builders.ask(name, known.row_count if known is not None else self._size(name))
 
@@ -239,7 +170,7 @@ class Tables:
                         self._look(name)
                     seen = now
             except LedgerUnavailableError:
-                seen = None  # the ledger itself tells of it
+                seen = None  # the ledger reports it
                 self._stopping.wait(TROUBLE_S)
             except Exception:
                 log.exception("following the ledger failed; trying again")
@@ -262,7 +193,7 @@ class Tables:
             with self._grown:
                 faults[name] = why
                 self._failures += 1
-                self._asked.pop(name, None)  # the next change of the ledger tries again
+                self._requested.pop(name, None)  # the next change of the ledger tries again
                 self._grown.notify_all()
 
     def _bring_up(self, name: str) -> None:
@@ -294,19 +225,19 @@ class Tables:
             self._grown.notify_all()
 
     def _followed(self, component: Component, rows: Rows, after: int) -> tuple[Rows, int]:
-        """Return rows with all that the ledger says of them after a seq, and up to which seq."""
+        """Return rows with the ledger's changes after a seq, and up to which seq."""
         fresh = [rows]  # joined at the end: a table of a million rows comes in fifty parts
         while True:
             row_changes = self._ledger.row_changes(component.name, after)
             if row_changes.gone:
-                fresh = [without(joined(fresh), row_changes)]
-            fresh.append(rows_for(component, row_changes))
+                fresh = [without(joined(fresh), row_changes.gone)]
+            fresh.append(table_rows(own_rows(component, row_changes.rows)))
             after = row_changes.last_seq
             if row_changes.whole:
                 return joined(fresh), after
 
     def _unchecked(self, component: Component) -> tuple[Rows, int]:
-        """Return what a component's file holds, for as long as the ledger cannot be asked."""
+        """Return the rows of a component's file, for as long as the ledger cannot be read."""
         found = self._files.read(component)
         if found is None or found[1].fingerprint != component.fingerprint:
             return Rows.empty(), 0

@@ -13,20 +13,20 @@ from pathlib import Path
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
-from wrenchbook.service.tables.behind import TableBehindError
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
-from wrenchbook.service.tables.files import TableFiles
-from wrenchbook.service.tables.live import START_S, SWITCH_S
-from wrenchbook.service.tables.making import empty_table
-from wrenchbook.service.tables.other_setup import count_others
+from wrenchbook.service.tables.current import START_S, SWITCH_S, CurrentTables
 from wrenchbook.service.tables.packed_files import (
     PackedFile,
-    PackedFiles,
     is_of,
     origin_of,
     setup_of,
 )
-from wrenchbook.service.tables.served import TABLE_MEMORY, ServedTable, drop_built
+from wrenchbook.service.tables.rows import count_others
+from wrenchbook.service.tables.served import (
+    TABLE_MEMORY,
+    ServedTable,
+    drop_built,
+)
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.format import PackedTableError
@@ -39,7 +39,7 @@ LOOK_S = 0.02  # between looks at the folder: microseconds each
 SETTLED_S = 0.1
 
 
-class MappedTables:
+class MappedTables(CurrentTables):
     """Tables by component name, mapped from the files that the building process writes.
 
     It has the calls of `Tables`. One thread maps each new version and then swaps it in; without a
@@ -64,16 +64,12 @@ class MappedTables:
         errors: SolverErrors | None = None,
         memory: float = TABLE_MEMORY,
     ) -> None:
-        self._errors, self._memory = errors, memory
-        self._ledger, self._library, self._state = ledger, library, state
-        self._files, self._packed = TableFiles(folder, ledger), PackedFiles(folder)
-        self._tables: dict[str, ServedTable] = {}
+        super().__init__(ledger, library, folder, errors, memory)
+        self._state = state
         self._mapped: dict[str, tuple[PackedFile, Component]] = {}
         self._refused: dict[Path, tuple[PackedFile, Component]] = {}
         self._unread: dict[str, str] = {}
         self._status = Status()
-        self._grown = threading.Condition()
-        self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._follow, name="tables-follow", daemon=True)
 
     def start(self) -> None:
@@ -90,21 +86,8 @@ class MappedTables:
         if self._thread.is_alive():
             self._thread.join()
 
-    def surrogate(self, name: str) -> ServedTable:
-        """Return the newest table of a component.
-
-        Raises
-        ------
-        UnknownComponentError
-            If the library has no such component.
-        TableBehindError
-            If it has rows, and no process has built it yet.
-        """
-        found = self._tables.get(name)
-        return found if found is not None else self._first(name)
-
     def faults(self) -> dict[str, str]:
-        """Return why a component's table is not what the ledger says, by its name."""
+        """Return why a component's table differs from the ledger, by its name."""
         return {**self._status.faults, **self._unread}
 
     def trouble(self) -> str | None:
@@ -112,14 +95,6 @@ class MappedTables:
         if not self._state.is_taken():
             return "the process that runs them has ended; it is started again"
         return self._status.trouble
-
-    def present(self) -> dict[str, ServedTable]:
-        """Return the tables that answer now, by component."""
-        return self._tables.copy()
-
-    def written(self, name: str) -> float | None:
-        """Return when a component's file was written, seconds since the epoch; None without."""
-        return self._files.written(name)
 
     def building(self) -> list[str]:
         """Return the components that have no table yet: they answer 503 if they have rows."""
@@ -143,38 +118,19 @@ class MappedTables:
             self._grown.wait_for(settled, timeout)
             return self._holds(component, goal)
 
-    def caught_up(self, name: str, timeout: float) -> ServedTable:
-        """Return a table that holds all rows committed when this is called.
-
-        Raises
-        ------
-        TableBehindError
-            If it is not there after `timeout` seconds.
-        """
-        if self.catch_up(name, timeout):
-            return self.surrogate(name)
-        ended = "; the process that builds tables has ended and is started again"
-        more = "" if self._state.is_taken() else ended
-        raise TableBehindError.late(name, self.faults().get(name), timeout, more)
-
     def _holds(self, component: Component, goal: int) -> bool:
-        """Tell whether a table is of the component as it is now and has all rows up to goal."""
+        """Return whether a table is of the component as it is now and has all rows up to goal."""
         table = self._tables.get(component.name)
         if table is None or table.version < goal:
             return False
         return table.packed.words["provenance"]["origin"].get("setup") == setup_of(component)
 
-    def _first(self, name: str) -> ServedTable:
-        """Make the empty table of a component without rows that was added a moment ago."""
-        component = self._library[name]
-        try:
-            rows = self._ledger.count_rows(name)
-        except LedgerUnavailableError:
-            rows = self._files.size(name)
-        if rows:
-            raise TableBehindError.unbuilt(name, self.faults().get(name))
-        with self._grown:
-            return self._tables.setdefault(name, empty_table(component))
+    def _late(self) -> str:
+        ended = "; the process that builds tables has ended and is started again"
+        return "" if self._state.is_taken() else ended
+
+    def _look(self, name: str) -> None:
+        """Do nothing: the builder looks at the ledger itself."""
 
     def _follow(self) -> None:
         seen, changed = None, 0.0
@@ -187,13 +143,13 @@ class MappedTables:
                     seen, changed = now, time.monotonic()
                 elif time.monotonic() - changed > SETTLED_S:
                     continue
-                self._look(now[-1])
+                self._map_new(now[-1])
             except Exception:
                 log.exception("looking for new tables failed; trying again")
                 seen = None
                 self._stopping.wait(1.0)
 
-    def _look(self, status: Status) -> None:
+    def _map_new(self, status: Status) -> None:
         for name, files in self._packed.found().items():
             if name in self._library:
                 component = self._library[name]

@@ -1,4 +1,4 @@
-"""The packed tables of a data directory: ``NAME-VERSION.wbt`` beside the HDF5 tables.
+"""The packed tables of a data directory: ``NAME-VERSION.wbt`` next to the HDF5 tables.
 
 They are derived: a file that is missing, damaged or of anything else than its `origin_of` is
 written again. The process that builds tables writes them, all processes of a server map them.
@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from wrenchbook.service.files.durable import write_whole_bytes
-from wrenchbook.service.files.sources import code_digest
+from wrenchbook.service.files.program import code_digest
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.solver_errors import SolverErrors
@@ -83,7 +83,7 @@ class PackedFiles:
         return found if is_of(found, name, origin) and "ledger" in origin else None
 
     def remove(self, name: str, but: Path | None = None) -> None:
-        """Remove a component's files but one; mapped ones live on in whoever maps them."""
+        """Remove a component's files but one; processes that have mapped one keep it."""
         for found, path in self._files():
             if found == name and path != but:
                 with suppress(OSError):  # another process has removed it, or it is in use
@@ -133,7 +133,7 @@ class PackedFiles:
 
 
 def is_of(packed: PackedTable, name: str, origin: dict[str, str]) -> bool:
-    """Return whether a packed table is of a component and of what `origin_of` says."""
+    """Return whether a packed table is of a component and of this `origin_of`."""
     about = packed.words.get("provenance", {})
     built = about.get("origin") or {"setup": None}
     return about.get("component") == name and built.items() <= origin.items()
@@ -147,8 +147,8 @@ def origin_of(
     Without ``ledger`` if the ledger cannot be read: then no file is known to be of these rows.
     """
     error = errors.read(component.name, component.fingerprint) if errors is not None else None
-    told = json.dumps(error and error.values, sort_keys=True)
-    origin = {"setup": setup_of(component), "solver_error": _short(told), "program": _program()}
+    text = json.dumps(error and error.values, sort_keys=True)
+    origin = {"setup": setup_of(component), "solver_error": _short(text), "program": _program()}
     with suppress(LedgerUnavailableError):
         origin["ledger"] = ledger.digest(component.name, version)
     return origin
@@ -157,14 +157,14 @@ def origin_of(
 def setup_of(component: Component) -> str:
     """Return a mark of all but rows that a component's table is built from."""
     bounds, tolerance = component.load_range, component.tolerance
-    told = (
+    values = (
         component.fingerprint,
         component.linear,
         bounds.low.tobytes(),
         bounds.high.tobytes(),
         tolerance and (tolerance.translation, tolerance.rotation),
     )
-    return _short(repr(told))
+    return _short(repr(values))
 
 
 def _program() -> str:

@@ -1,4 +1,4 @@
-"""Tables as they were at an earlier version, built when somebody asks them."""
+"""Tables as they were at an earlier version, built on request."""
 
 from __future__ import annotations
 
@@ -7,19 +7,18 @@ from collections import OrderedDict
 
 from anyio import CapacityLimiter
 
-from wrenchbook.service.ledger import Ledger, RowChanges
+from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
-from wrenchbook.service.tables.changes import rows_for
 from wrenchbook.service.tables.live import Tables
-from wrenchbook.service.tables.making import in_memory, make, packed_bytes
 from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.service.tables.packed_files import origin_of
-from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.rows import own_rows, table_rows
+from wrenchbook.service.tables.served import ServedTable, in_memory, make, packed_bytes
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.table.rows import Rows, joined
 
-# A study asks one version, or compares a few.
+# A study reads one version, or compares a few.
 MOST_TABLES = 4
 # Rows of an earlier version, and of all that are kept: as many take some ten seconds to build and
 # some 100 MB; the newest table alone is worth more.
@@ -35,7 +34,7 @@ class PastDamagedError(Exception):
 
 
 class PastTables:
-    """Tables of earlier versions; the last few asked are kept.
+    """Tables of earlier versions; those used last are kept.
 
     A table is a function of its rows alone, so that an earlier version answers with the digits
     that it answered with then.
@@ -52,7 +51,7 @@ class PastTables:
     Attributes
     ----------
     turns : CapacityLimiter
-        For event loops: who waits for its turn to build holds none of the threads that answer.
+        For event loops: a request that waits to build takes none of the threads that answer.
     """
 
     def __init__(
@@ -63,7 +62,7 @@ class PastTables:
         self._lock = threading.Lock()
         self.turns = CapacityLimiter(1)
 
-    def held(self, name: str, version: int) -> ServedTable | None:
+    def cached(self, name: str, version: int) -> ServedTable | None:
         """Return a version's table if it is there already; it takes microseconds.
 
         Raises
@@ -94,7 +93,7 @@ class PastTables:
         """
         component = self._library[name]
         with self._lock:
-            found = self.held(name, version)
+            found = self.cached(name, version)
             if found is None:
                 found = self._built(component, version)
                 self._keep((name, version), component, found)
@@ -111,7 +110,7 @@ class PastTables:
                         "too many to be built for a question. Export it with table_version, import "
                         "it into a component of its own, and ask that"
                     )
-                pieces.append(rows_for(component, RowChanges(lot, frozenset(), version)))
+                pieces.append(table_rows(own_rows(component, lot)))
         self._check_whole(component.name, version)
         origin = origin_of(self._ledger, component, version, self._errors)
         table = make(component, joined(pieces), version, errors=self._errors)

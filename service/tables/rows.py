@@ -1,10 +1,14 @@
-"""Rows between table files and the ledger: what an import inserts, what an export holds."""
+"""Rows of the ledger as tables, imports and exports take them, and rows of another setup.
+
+A component whose files change has another fingerprint. Its earlier solves stay in the ledger; no
+table has them until the files are restored, or `resolve` solves their wrenches again.
+"""
 
 from __future__ import annotations
 
 import time
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 
@@ -12,10 +16,20 @@ import numpy as np
 
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.formats import ParsedTable
-from wrenchbook.service.ledger import Import, LedgerRow, PackedRow, packed_columns
+from wrenchbook.service.ledger import (
+    Import,
+    Ledger,
+    LedgerRow,
+    PackedRow,
+    packed,
+    packed_columns,
+    unpacked,
+)
 from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import Floats, Rows
 
 MEASURED = "measured"
 CONTRACT_WORDS = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
@@ -23,7 +37,7 @@ CONTRACT_WORDS = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.it
 
 @dataclass(frozen=True)
 class ExportRows:
-    """A component's rows_for rows as table files hold them.
+    """The rows of a component's present setup as table files hold them.
 
     Attributes
     ----------
@@ -36,7 +50,7 @@ class ExportRows:
         NaN where not known.
     source, note, fingerprint : list of str
     when, who : list of str
-        When each came, UTC, and who sent it; who is empty for a solve.
+        When each came, UTC, and its sender; ``who`` is empty for a solve.
     """
 
     seq: list[int]
@@ -81,8 +95,11 @@ def joined_rows(pieces: Sequence[ExportRows]) -> ExportRows:
     return ExportRows(**columns)
 
 
-def rows_for(rows: Sequence[LedgerRow], component: Component) -> list[LedgerRow]:
-    """Return those of a component's rows that are of its present setup, or measured."""
+def own_rows(component: Component, rows: Iterable[LedgerRow]) -> list[LedgerRow]:
+    """Return the rows of a component's present setup and measured ones.
+
+    Solves of another setup are never mixed in.
+    """
     return [row for row in rows if row.fingerprint in ("", component.fingerprint)]
 
 
@@ -92,7 +109,7 @@ def iso_time(seconds: float) -> str:
 
 
 def table_meta(component: Component, version: int, error: SolverError | None = None) -> TableMeta:
-    """Return what an HDF5 export says about its rows, and what their solver may be wrong by."""
+    """Return the metadata of an HDF5 export: contract, range, and the solver's own error."""
     return TableMeta(
         component=component.name,
         last_seq=version,
@@ -120,3 +137,83 @@ def packed_pieces(component: Component, pieces: Iterator[ParsedTable]) -> Iterat
 def _who(seq: int, firsts: list[int], spans: Sequence[tuple[int, int, Import]]) -> str:
     at = bisect_right(firsts, seq) - 1
     return spans[at][2].who if at >= 0 and seq <= spans[at][1] else ""
+
+
+def without(rows: Rows, removed: Iterable[int]) -> Rows:
+    """Return rows without those of some numbers."""
+    return rows.take(~np.isin(rows.seq, list(removed)))
+
+
+def table_rows(rows: Iterable[LedgerRow]) -> Rows:
+    """Return rows of the ledger as those of a table."""
+    return Rows.from_records(
+        {
+            "seq": row.seq,
+            "wrench": row.wrench,
+            "displacement": row.displacement,
+            "compliance": row.compliance,
+            "uncertainty": row.uncertainty,
+            "source": row.source,
+            "fingerprint": row.fingerprint,
+        }
+        for row in rows
+    )
+
+
+def count_others(ledger: Ledger, component: Component, table: ServedTable) -> None:
+    """Note at a table how many rows of other setups the ledger has.
+
+    Raises
+    ------
+    LedgerUnavailableError
+        If the ledger cannot be read.
+    """
+    found = ledger.of_other_setups(component.name, component.fingerprint)
+    table.other_rows = sum(found.values())
+    settled = not component.has_fea or (table.linear and not table.needs_compliance)
+    if found and not settled:
+        table.other_wrenches = len(unsolved(component, found, table.rows.wrench))
+
+
+def unsolved(component: Component, others: Iterable[bytes], known: Floats) -> Floats:
+    """Return the distinct wrenches of rows of other setups that no row of the table has.
+
+    Parameters
+    ----------
+    others : iterable of bytes
+        Packed wrenches of the rows of other setups.
+    known : ndarray, shape (n, 6), N and N·m
+        The wrenches of the table's rows.
+
+    Returns
+    -------
+    ndarray, shape (k, 6), N and N·m
+        In their order, loads on locked freedoms zero.
+    """
+    distinct = dict.fromkeys(packed(component.acting(unpacked(others))))
+    if not distinct:
+        return np.empty((0, 6))
+    has = set(packed(component.acting(known)))
+    return unpacked(wrench for wrench in distinct if wrench not in has)
+
+
+def others_in_words(name: str, table: ServedTable) -> str:
+    """Return how many rows belong to another setup and what to do; empty if nothing is to do."""
+    if not table.other_wrenches:
+        return ""
+    return (
+        f"{table.other_rows} rows belong to another setup of {name!r} and are not in its table: "
+        f"POST /v1/components/{name}/table/resolve, or wrenchbook resolve {name}, solves their "
+        f"{table.other_wrenches} wrenches again"
+    )
+
+
+def warning_of(component: Component, table: ServedTable) -> str:
+    """Return `others_in_words`; also of a component that nothing can be solved for."""
+    if component.has_fea or not table.other_rows:
+        return others_in_words(component.name, table)
+    return (
+        f"{table.other_rows} rows belong to another setup of {component.name!r} and are not in its "
+        "table: it has no finite-element setup now. Put its files back, or export the rows and "
+        "load them as measured ones, without a fingerprint"
+    )

@@ -1,23 +1,50 @@
-"""One version of a component's table as the server answers from it."""
+"""One version of a component's table: built from rows, packed, and answered from."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
+from wrenchbook.service.contract import CONTRACT
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.build import AnyTable, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kriging import Hyperparameters
+from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.compliance import ComplianceFit
 from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, Tolerance
 
+
+class TableBehindError(Exception):
+    """The table does not hold yet all rows that the ledger has; ask again."""
+
+    @classmethod
+    def late(cls, name: str, why: str | None, seconds: float, more: str = "") -> TableBehindError:
+        """Return the error of a table that lacks the newest rows after so long."""
+        why = why or f"its newest rows are not in it after {seconds:g} s"
+        return cls(
+            f"the table of {name!r} is older than the ledger: {why}{more}. No solve was "
+            "queued; ask again in a while"
+        )
+
+    @classmethod
+    def unbuilt(cls, name: str, why: str | None) -> TableBehindError:
+        """Return the error of a table with rows that was never built since the start."""
+        why = why or "it is being built for the first time since the start"
+        return cls(
+            f"the table of {name!r} has rows and cannot answer yet: {why}. No solve was queued; "
+            "ask again in a while"
+        )
+
+
 ROW = "row"  # the method of an answer by one row
 ROW_DETAIL = "the displacement that a row of the table has at this wrench"
-_WHOLE = 4  # the place in the solver's flags that says whether error bars have all their parts
+_WHOLE = 4  # the place in the solver's flags of whether error bars have all their parts
 # MB of rows and numpy tables that a process keeps. The packed tables answer; numpy tables serve
 # fills, plans and the build of the next version.
 TABLE_MEMORY = 700
@@ -115,10 +142,12 @@ class ServedTable:
     @property
     def fit(self) -> ComplianceFit:
         """The compliance of the outputs that the fewest rows hold."""
-        matrix, bar, known = (
+        matrix, half_width, known = (
             self.packed.arrays[f"g0/fit/{name}"] for name in ("matrix", "bar", "known")
         )
-        return ComplianceFit(matrix, known.astype(bool), bar, self.summary["compliance"]["origin"])
+        return ComplianceFit(
+            matrix, known.astype(bool), half_width, self.summary["compliance"]["origin"]
+        )
 
     @property
     def steepest(self) -> Floats:
@@ -165,3 +194,77 @@ def drop_built(tables: Iterable[ServedTable], most: float) -> None:
                 table.built = table._rows = None
             else:
                 kept += size
+
+
+def make(
+    component: Component,
+    rows: Rows,
+    version: int,
+    before: AnyTable | None = None,
+    errors: SolverErrors | None = None,
+) -> AnyTable:
+    """Build the surrogate; its version is the number of the ledger's newest change in it.
+
+    It is a function of the rows alone, whatever `before` is: with the same rows, a
+    simulator that has downloaded them or this server after a restart, has the same digits. What
+    has not changed since the version before is not made again. What `errors` knows of the solver
+    is part of it.
+    """
+    own = errors if component.has_fea else None
+    return build(
+        rows,
+        component.load_range,
+        tolerance=component.tolerance,
+        linear=component.linear,
+        version=version,
+        before=before,
+        solver_error=own and own.read(component.name, component.fingerprint),
+        locked=component.idle,
+    )
+
+
+def row_table(
+    component: Component, row: Rows, error: SolverError | None, near: ServedTable
+) -> ServedTable:
+    """Return a table of one row, which answers its wrench until the component's table holds it.
+
+    Parameters
+    ----------
+    row : Rows
+        Of one row.
+    error : SolverError or None
+        What the solver of the row may be wrong by.
+    near : ServedTable
+        The component's newest: a row without a tangent takes the steepest slopes of its rows.
+    """
+    built = build(
+        row,
+        component.load_range,
+        tolerance=component.tolerance,
+        linear=False,  # the row answers, and no compliance through it
+        version=max(near.version, int(row.seq[0])),
+        solver_error=error,
+        locked=component.idle,
+    )
+    for _, group in built.groups:
+        group.exact.steepest = np.fmax(group.exact.steepest, near.steepest)
+    return in_memory(built, packed_bytes(built, component.name, component.fingerprint))
+
+
+def packed_bytes(
+    table: AnyTable, name: str, fingerprint: str, origin: Mapping[str, str] | None = None
+) -> bytes:
+    """Return the packed file of a component's table; `origin` is that of `packed_files`."""
+    pieces = pack(table, component=name, fingerprint=fingerprint, contract=CONTRACT, origin=origin)
+    return b"".join(pieces)
+
+
+def in_memory(table: AnyTable, content: bytes) -> ServedTable:
+    """Return a table that answers from its packed bytes, without a file."""
+    return ServedTable(PackedTable.from_bytes(content), built=table)
+
+
+def empty_table(component: Component, errors: SolverErrors | None = None) -> ServedTable:
+    """Return the table of a component without rows."""
+    table = make(component, Rows.empty(), 0, errors=errors)
+    return in_memory(table, packed_bytes(table, component.name, component.fingerprint))

@@ -1,8 +1,8 @@
 """What the solver of each set-up may be wrong by, in a folder: ``<component>/<fingerprint>.json``.
 
 It is estimated with the first solve of a set-up, by the solver's process, and belongs to all rows
-of it. A file that is missing or damaged costs the bars that share of theirs, which is told, and the
-next solve makes it anew.
+of it. Without a readable file error bars lack the discretisation error, replies name that, and the
+next solve estimates it again.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class SolverErrors:
     def claim(self, component: str, fingerprint: str) -> bool:
         """Return whether a solve that starts now shall estimate; one at a time in this process.
 
-        It shall too where an older version's estimate lacks what rows tell the growth of bars by.
+        So it shall where an older version's estimate lacks the growth of the error with the load.
         """
         key = component, fingerprint
         with self._lock:
@@ -49,12 +49,12 @@ class SolverErrors:
             self._claimed.add(key)
             return True
 
-    def settle(self, component: str, fingerprint: str, told: Mapping[str, Any] | None) -> None:
-        """Keep what a solve that has ended told, or let the next one estimate; never raises."""
+    def settle(self, component: str, fingerprint: str, estimate: Mapping[str, Any] | None) -> None:
+        """Keep the estimate of an ended solve, or let the next one estimate; never raises."""
         try:
-            if told is not None:
-                SolverError(told)
-                self._write(component, fingerprint, told)
+            if estimate is not None:
+                SolverError(estimate)
+                self._write(component, fingerprint, estimate)
         except (OSError, ValueError, TypeError) as error:
             _log.warning("%s: the solver's error was not kept: %s", component, error)
         finally:
@@ -87,10 +87,10 @@ class SolverErrors:
             _log.warning("%s: the solver's error cannot be read: %s", component, error)
             return None
 
-    def _write(self, component: str, fingerprint: str, told: Mapping[str, Any]) -> None:
+    def _write(self, component: str, fingerprint: str, estimate: Mapping[str, Any]) -> None:
         path = self._path(component, fingerprint)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole_bytes(path, json.dumps(dict(told), allow_nan=False).encode())
+        write_whole_bytes(path, json.dumps(dict(estimate), allow_nan=False).encode())
 
     def _path(self, component: str, fingerprint: str) -> Path:
         return self._folder / component / f"{fingerprint}.json"

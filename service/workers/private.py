@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final, TextIO
 
 from wrenchbook.service.client import Client
-from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.program import child_command
 from wrenchbook.service.keys.needed import OWN_KEY
 
 START_S: Final = 60.0

@@ -19,7 +19,7 @@ import orjson
 import pytest
 
 from wrenchbook.service.client import Client
-from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.program import child_command
 from wrenchbook.service.formats import write_hdf5
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange, Rows

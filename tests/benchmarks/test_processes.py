@@ -33,7 +33,7 @@ from tests.benchmarks.test_live import (
     told,
 )
 from wrenchbook.service.client import Client
-from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.program import child_command
 
 ROUNDS, REQUESTS, CONNECTIONS, PROCESSES = 15, 4000, 16, 2
 ASKED = {"force": [120.0, -80.0, -700.0], "moment": [15.0, 25.0, 4.0]}

@@ -12,7 +12,7 @@ import time
 
 import pytest
 
-from wrenchbook.service.files.cores import usable_cores
+from wrenchbook.service.files.program import usable_cores
 from wrenchbook.service.jobs.dispatcher import Dispatcher
 from wrenchbook.service.jobs.engines.local import LocalEngine
 from wrenchbook.service.ledger import Ledger

@@ -21,7 +21,7 @@ import pytest
 
 from tests.benchmarks.test_live import SPAN, made_up
 from wrenchbook.service.client import Client
-from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.program import child_command
 from wrenchbook.service.ledger import Ledger, NewRow
 from wrenchbook.service.library.library import Library
 

@@ -16,7 +16,7 @@ from wrenchbook.fea.accuracy.estimate import accuracy_of
 from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.recovery.surface import surface_of
 from wrenchbook.fea.solve import Solver
-from wrenchbook.service.fields.solver_share import error_parts, following
+from wrenchbook.service.fields.shape import error_parts, vertex_modes
 from wrenchbook.surrogate.solver_error import SolverError
 
 RATIO = 6.0  # of one part; of all together 5
@@ -44,7 +44,7 @@ class Part:
             at(one.linear.fields) for at, one in zip(self.fields, self.solvers, strict=True)
         )
         lacking = fine + 0.5 * (fine - middle) - own
-        follows = following(own, self.solvers[0].compliance)
+        follows = vertex_modes(own, self.solvers[0].compliance)
         bars = np.array([self.bars(follows, wrench) for wrench in self.wrenches])
         moved = np.einsum("nij,wj->wni", own, self.wrenches)
         interface = self.wrenches @ self.solvers[0].compliance.T
@@ -62,7 +62,7 @@ class Part:
             solved = [one.solve(wrench) for one in self.solvers]
             own, middle, fine = (at(one.nodes) for at, one in zip(self.fields, solved, strict=True))
             lacking = fine + 0.5 * (fine - middle) - own
-            follows = following(solved[0].tangents[self.nodes], solved[0].compliance)
+            follows = vertex_modes(solved[0].tangents[self.nodes], solved[0].compliance)
             found.append((self.bars(follows, wrench), lengths(lacking), lengths(own)))
         return (np.array(one) for one in zip(*found, strict=True))
 

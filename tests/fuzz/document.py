@@ -28,7 +28,7 @@ from schemathesis.generation import GenerationMode
 
 from tests.service.live import add_table, as_rows, clean_wrenches, full_wrenches, moved
 from wrenchbook.service.client import Client
-from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.program import child_command
 
 MEMORY = 2 << 30
 NAMED = (

@@ -6,24 +6,25 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from wrenchbook.service.formats import Layout, ParsedTable, csv_text, json_text, layout
+from wrenchbook.service.formats.binary_table import read_hdf5 as hdf5_file
 from wrenchbook.service.formats.csv_table import read_csv as csv_file
-from wrenchbook.service.formats.hdf5_table import read_hdf5 as hdf5_file
 from wrenchbook.service.formats.json_table import read_json as json_file
-from wrenchbook.service.formats.options import Options, ReadReport, RowMistake
-from wrenchbook.service.formats.table_rows import joined
+from wrenchbook.service.formats.options import FileMistake, Options, ReadReport
+from wrenchbook.surrogate.table.rows import unknown_column
 
 
 @dataclass(frozen=True)
 class ReadTable(ParsedTable):
     """The good rows of a file, none if a mistake is about the whole file, and all mistakes."""
 
-    errors: tuple[RowMistake, ...] = ()
+    errors: tuple[FileMistake, ...] = ()
 
 
 def read_table(pieces: list[ParsedTable], report: ReadReport) -> ReadTable:
@@ -61,3 +62,25 @@ def write_csv(table: Any, units: Mapping[str, str] | None = None) -> str:
 
 def write_json(table: Any, about: Mapping[str, Any] | None = None) -> str:
     return "".join(json_text([table], about or {}))
+
+
+def joined(pieces: list[ParsedTable]) -> ParsedTable:
+    """Return the rows of the pieces of a file, in this order."""
+    times = [piece.time for piece in pieces if piece.time is not None]
+    return ParsedTable(
+        wrench=np.concatenate([np.empty((0, 6)), *(piece.wrench for piece in pieces)]),
+        displacement=np.concatenate([np.empty((0, 6)), *(piece.displacement for piece in pieces)]),
+        uncertainty=_concatenated([piece.uncertainty for piece in pieces], 6),
+        compliance=_concatenated([piece.compliance for piece in pieces], 6, 6),
+        source=tuple(chain.from_iterable(piece.source for piece in pieces)),
+        note=tuple(chain.from_iterable(piece.note for piece in pieces)),
+        fingerprint=tuple(chain.from_iterable(piece.fingerprint for piece in pieces)),
+        row=np.concatenate([np.empty(0, dtype=np.int64), *(piece.row for piece in pieces)]),
+        time=np.concatenate(times) if times else None,
+    )
+
+
+def _concatenated(columns: list[np.ndarray], *shape: int) -> np.ndarray:
+    if any(any(column.strides) for column in columns):
+        return np.concatenate(columns)
+    return unknown_column(sum(map(len, columns)), *shape)

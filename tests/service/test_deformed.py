@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.service.surfaces import keep, sheet, solved, solver, wrenches, write_bundle
-from wrenchbook.service.fields.deformed import DeformedShapes, NoFieldsError, TooFarError
+from wrenchbook.service.fields.deformed import DeformedSurfaces, NoFieldsError, TooFarError
 from wrenchbook.service.fields.store import FieldStore, key_of
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
@@ -31,7 +31,7 @@ def store(tmp_path):
 
 @pytest.fixture
 def shapes(store):
-    found = DeformedShapes(store)
+    found = DeformedSurfaces(store)
     yield found
     found.close()
 

@@ -142,7 +142,7 @@ def test_a_dispatcher_of_another_engine_never_takes_an_attempt_over(bench):
 
 
 def test_an_attempt_whose_engine_nobody_serves_any_more_waits_again(bench, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.jobs.recovery.ABANDONED_SECONDS", 0.3)
+    monkeypatch.setattr("wrenchbook.service.jobs.lease.ABANDONED_SECONDS", 0.3)
     first, _ = bench.start("far", seconds=None)
     job = bench.accept()
     bench.until(job, status="running")

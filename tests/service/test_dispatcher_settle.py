@@ -32,6 +32,18 @@ def test_an_answer_becomes_a_row(ledger, tmp_path):
     assert ledger.row(done.row).displacement == (1e-6,) * 6
 
 
+@pytest.mark.parametrize(
+    ("program", "origin"),
+    [("0.2.0+0123456789ab", "job 1, wrenchbook 0.2.0+0123456789ab"), (None, "job 1")],
+)
+def test_a_solved_row_names_the_code_that_solved_it_where_its_outcome_does(
+    ledger, tmp_path, program, origin
+):
+    outcome = {"status": "done", "displacement": [1e-6] * 6}
+    done = ended(ledger, tmp_path / "a", outcome | ({"program": program} if program else {}))
+    assert ledger.row(done.row).origin == origin
+
+
 def test_settling_twice_makes_one_row(ledger, tmp_path):
     job = ledger.claim("me")
     prepare(tmp_path / "a", spec_of(job))

@@ -15,9 +15,8 @@ from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, NewRow
 from wrenchbook.service.library.component import BrokenComponentError
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import live
-from wrenchbook.service.tables.behind import TableBehindError
 from wrenchbook.service.tables.live import Tables
-from wrenchbook.service.tables.served import drop_built
+from wrenchbook.service.tables.served import TableBehindError, drop_built
 from wrenchbook.surrogate.table.hdf5 import read_table, write_table
 
 RANGE = [[-10.0, 10.0]] * 3

@@ -18,8 +18,7 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.mesh.io.abaqus import MeshFileError, read_inp
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.service.library import arrival, bundle_zip
-from wrenchbook.service.library.arrival import check_mesh, unpack
-from wrenchbook.service.library.copying import toml_text
+from wrenchbook.service.library.arrival import check_mesh, toml_text, unpack
 
 BAR = (SHIPPED / "bar" / "component.toml").read_text().replace('"bar"', '"beam"', 1)
 

@@ -205,7 +205,7 @@ def test_the_demand_map_has_what_was_asked_in_vain_and_nothing_else(http):
 
 def test_the_demand_map_outlives_the_server(http, tmp_path):
     asked(http, [440, 0, 0])
-    http.app.state.workspace.demand.save()
+    http.app.state.workspace.query_counts.save()
     with TestClient(create_app(Settings(tmp_path / "workspace", solvers=0))) as again:
         assert again.get("/v1/components/rig/demand").json()["asked"] == 1
 

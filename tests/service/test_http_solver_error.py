@@ -16,7 +16,7 @@ from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome
 from wrenchbook.service.library.component import LibraryUnavailableError
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables import solver_errors
-from wrenchbook.service.tables.making import in_memory
+from wrenchbook.service.tables.served import in_memory
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.build import build

@@ -19,9 +19,9 @@ from wrenchbook.service.http import body as bodies
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.batch import batch_parts
 from wrenchbook.service.http.problems import ProblemError
-from wrenchbook.service.jobs import polls
-from wrenchbook.service.jobs.attempt_zip import zipped
-from wrenchbook.service.jobs.polls import Polls, TooManyPollsError
+from wrenchbook.service.jobs import waiting as polls
+from wrenchbook.service.jobs.attempt import zipped
+from wrenchbook.service.jobs.waiting import Polls, TooManyPollsError
 from wrenchbook.service.workspace import Settings
 
 RIG = "/v1/components/rig"
@@ -281,12 +281,11 @@ def test_two_thousand_polls_take_one_look_and_no_thread_each(monkeypatch):
         ledger.looks = 0
         started = time.monotonic()
         ledger.over = set(range(2000))
-        waiting.tell()
+        waiting.notify()
         found = await asyncio.gather(*tasks)
         assert all(jobs[0].is_final for jobs in found)
         assert ledger.looks <= 2 + (time.monotonic() - started) / polls.LOOK_S
         assert not waiting._waiters
-        assert not waiting._wanted
 
     asyncio.run(run())
 
@@ -298,7 +297,7 @@ def test_who_waits_is_answered_when_the_time_is_up_or_the_server_stops():
         assert not job.is_final
         task = asyncio.create_task(waiting.wait_all([1, 2], 60))
         await entered(waiting, 1)
-        waiting.let_go()
+        waiting.stop()
         assert len(await task) == 2
 
     asyncio.run(run())
@@ -313,7 +312,7 @@ def test_no_more_wait_than_may(monkeypatch):
         await entered(waiting, 1)
         with pytest.raises(TooManyPollsError):
             await waiting.wait_all([2], 60)
-        waiting.let_go()
+        waiting.stop()
         await task
 
     asyncio.run(run())

@@ -8,9 +8,9 @@ import pytest
 from wrenchbook.service.ledger import Ledger, NewRow
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import builders, live
-from wrenchbook.service.tables.behind import TableBehindError
 from wrenchbook.service.tables.builders import Builders
 from wrenchbook.service.tables.live import Tables
+from wrenchbook.service.tables.served import TableBehindError
 
 RANGE = [[-10.0, 10.0]] * 3
 

@@ -8,10 +8,10 @@ import pytest
 from wrenchbook.service.ledger import Ledger, NewRow
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import live
-from wrenchbook.service.tables.behind import TableBehindError
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
 from wrenchbook.service.tables.live import Tables
 from wrenchbook.service.tables.mapped import MappedTables
+from wrenchbook.service.tables.served import TableBehindError
 
 RANGE = [[-10.0, 10.0]] * 3
 

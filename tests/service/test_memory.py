@@ -9,7 +9,7 @@ import pytest
 # In a process of its own: how many heaps there may be is set once, for all of its threads.
 PROGRAM = """
 import resource, threading
-from wrenchbook.service.tables.memory import keep_few_heaps
+from wrenchbook.service.files.program import keep_few_heaps
 keep_few_heaps()
 resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
 end = threading.Event()

@@ -70,7 +70,7 @@ class RecordingAgainstReference(RuleBasedStateMachine):
         self.ledger = Ledger(self.folder / "ledger.sqlite")
         workspace = SimpleNamespace(library=Library(), ledger=self.ledger)
         self.gathering = RecordingStore(workspace)
-        self.other = RecordingStore(workspace)  # another process, with nets of its own
+        self.other = RecordingStore(workspace)  # another process, with subsets of its own
 
     def teardown(self):
         self.ledger.close()

@@ -10,9 +10,9 @@ from contextlib import contextmanager
 
 import psutil
 import pytest
-from tests.service.until import until
 
-from wrenchbook.service.files.child import child_command
+from tests.until import until
+from wrenchbook.service.files.program import child_command
 
 LIMIT_S = 60.0
 BODY = json.dumps({"force": [0, 0, -10], "moment": [0, 0, 0], "on_thin": "estimate"})

@@ -2,10 +2,10 @@
 
 import pytest
 from starlette.testclient import TestClient
-from tests.service.until import until
 from typer.testing import CliRunner
 
 from tests.service.live import as_rows, clean_wrenches, moved
+from tests.until import until
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.workspace import Settings

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wrenchbook.service.tables.making import in_memory, make, packed_bytes, row_table
-from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.served import ServedTable, in_memory, make, packed_bytes, row_table
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, joined
 

@@ -10,10 +10,10 @@ from tests.fea.components import component
 from tests.service.surfaces import keep, sheet, solved, solver, wrenches, write_bundle
 from wrenchbook.fea.accuracy.estimate import accuracy_of
 from wrenchbook.fea.solve import Solver
-from wrenchbook.service.fields.deformed import DeformedShapes
-from wrenchbook.service.fields.solver_share import LOCAL, NOT_FOLLOWED, error_parts, following
+from wrenchbook.service.fields.deformed import DeformedSurfaces
+from wrenchbook.service.fields.shape import LOCAL, NOT_FOLLOWED, error_parts, vertex_modes
 from wrenchbook.service.fields.store import FieldStore
-from wrenchbook.service.fields.vtu import write_vtu
+from wrenchbook.service.fields.surface_files import write_vtu
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
@@ -50,13 +50,13 @@ def parts(solver_error=None, points=POINTS, follows=None):
 
 def test_a_rigid_body_follows_its_interface_as_one():
     own = compliance()
-    np.testing.assert_allclose(following(rigid(POINTS) @ own, own), rigid(POINTS), atol=1e-9)
+    np.testing.assert_allclose(vertex_modes(rigid(POINTS) @ own, own), rigid(POINTS), atol=1e-9)
 
 
 def test_a_locked_freedom_moves_nothing():
     own = compliance()
     own[2], own[:, 2] = 0.0, 0.0
-    found = following(rigid(POINTS) @ own, own)
+    found = vertex_modes(rigid(POINTS) @ own, own)
     np.testing.assert_allclose(found[:, :, 2], 0.0, atol=1e-9)
     kept = [0, 1, 3, 4, 5]
     np.testing.assert_allclose(found[:, :, kept], rigid(POINTS)[:, :, kept], atol=1e-9)
@@ -105,7 +105,7 @@ def test_a_mesh_that_nothing_tells_of_is_said_to_be_unknown(error, words):
 
 
 def test_a_surface_that_nothing_ties_to_its_interface_says_so():
-    assert following(rigid(POINTS), np.full((6, 6), np.nan)) is None
+    assert vertex_modes(rigid(POINTS), np.full((6, 6), np.nan)) is None
     found = error_parts(np.ones(3), None, told(), WRENCH)
     assert found.largest() == {"table": 1.0, "mesh": None, "mesh_basis": NOT_FOLLOWED}
 
@@ -116,7 +116,7 @@ def test_the_bars_of_a_bent_block_hold_what_twice_the_cells_change():
     mesh = SolverError(accuracy_of(coarse))
     places = coarse.component.mesh.points
     same = np.linalg.norm(places[:, None] - fine.component.mesh.points, axis=2).argmin(axis=1)
-    follows = following(coarse.linear.fields, coarse.compliance)
+    follows = vertex_modes(coarse.linear.fields, coarse.compliance)
     held, ratios = [], []
     for wrench in np.vstack([np.eye(6), np.random.default_rng(4).uniform(-1, 1, (10, 6))]):
         error = np.linalg.norm((fine.linear.fields[same] - coarse.linear.fields) @ wrench, axis=1)
@@ -140,7 +140,7 @@ def plate(tmp_path_factory):
     store = FieldStore(tmp_path_factory.mktemp("kept") / "fields")
     for wrench, one in zip(rows.wrench, fields, strict=True):
         keep(store, own, wrench, one)
-    shapes = DeformedShapes(store)
+    shapes = DeformedSurfaces(store)
     yield own, rows, SolverError(accuracy_of(solver(folder))), shapes
     shapes.close()
 
@@ -195,7 +195,7 @@ def test_a_linear_surface_has_its_meshs_and_its_linearitys_share(tmp_path):
     fields, rows = solved(folder, asked)
     store = FieldStore(tmp_path / "fields")
     keep(store, own, asked[0], fields[0])
-    shapes = DeformedShapes(store)
+    shapes = DeformedSurfaces(store)
     mesh = SolverError(accuracy_of(solver(folder)))
     found = shapes.answer(own, rows, asked[1], solver=mesh)
     assert list(found.parts.shares) == ["table", "mesh", "linearity"]

@@ -6,10 +6,9 @@ import meshio
 import numpy as np
 import pytest
 
-from wrenchbook.service.fields.gltf import write_gltf
-from wrenchbook.service.fields.record import Geometry
-from wrenchbook.service.fields.shape import Deformed, Stress
-from wrenchbook.service.fields.vtu import write_vtu
+from wrenchbook.service.fields.record import SurfaceGeometry
+from wrenchbook.service.fields.shape import Deformed, LargestStress
+from wrenchbook.service.fields.surface_files import write_gltf, write_vtu
 
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]) / 3
 TRIANGLES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], dtype=np.int32)
@@ -17,8 +16,8 @@ MOVED = 1e-4 * np.array([[0, 0, 0], [1, 2, 3], [-1, 0, 2], [0.5, 0, 0]])
 
 
 def shape(error=True, stress=True):
-    geometry = Geometry(VERTICES, TRIANGLES, 4, np.zeros((0, 3)), np.zeros(0), ("all",), "d")
-    told = Stress(1e6, None, (0.0, 0.0, 0.1), "all", 2e6, None) if stress else None
+    geometry = SurfaceGeometry(VERTICES, TRIANGLES, 4, np.zeros((0, 3)), np.zeros(0), ("all",), "d")
+    told = LargestStress(1e6, None, (0.0, 0.0, 0.1), "all", 2e6, None) if stress else None
     bars = 1e-6 * np.arange(1.0, 5.0) if error else None
     return Deformed("plate", (0.0, 0, -1, 0, 0, 0), geometry, MOVED, bars, told, "rows")
 

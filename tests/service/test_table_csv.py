@@ -12,7 +12,7 @@ import pytest
 from tests.service import table_files
 from tests.service.table_files import ReadTable
 from wrenchbook.service.formats.column_names import COMPLIANCE
-from wrenchbook.service.formats.options import RowMistake
+from wrenchbook.service.formats.options import FileMistake
 from wrenchbook.surrogate.table.rows import LoadRange
 
 SI = (
@@ -24,7 +24,7 @@ read_csv = partial(table_files.read_csv, missing_loads="zero")
 LBF = 4.4482216152605  # N, exact: 0.45359237 kg x 9.80665 m/s^2
 
 
-def only_error(table: ReadTable) -> RowMistake:
+def only_error(table: ReadTable) -> FileMistake:
     assert len(table.errors) == 1, table.errors
     assert len(table) == 0
     return table.errors[0]

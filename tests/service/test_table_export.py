@@ -3,7 +3,7 @@
 from wrenchbook.service.ledger import Ledger, NewRow
 from wrenchbook.service.ledger.tables import MOST_CHANGES
 from wrenchbook.service.library.library import Library
-from wrenchbook.service.tables.exporting import Wanted, export_table
+from wrenchbook.service.tables.exporting import ExportRequest, export_table
 
 RANGE = [[-10.0, 10.0]] * 3
 
@@ -17,7 +17,7 @@ def test_an_export_holds_all_rows_of_a_table_larger_than_one_part_of_the_news(tm
         "rig", "", (NewRow((load / count, 0, 0, 0, 0, 0), (load,) * 6) for load in range(count))
     )
     path = tmp_path / "rig.csv"
-    version = export_table(ledger, library["rig"], Wanted("csv", {}), path)
+    version = export_table(ledger, library["rig"], ExportRequest("csv", {}), path)
     assert len(path.read_text().splitlines()) == 1 + count
     assert version == ledger.last_seq("rig")
     ledger.close()

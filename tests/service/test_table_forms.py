@@ -26,14 +26,14 @@ from tests.service.table_files import (
 )
 from tests.service.test_table_roundtrip import any_units, same, tables, texts
 from wrenchbook.service.formats import Options, csv_table, options, write_hdf5, xlsx_table
+from wrenchbook.service.formats.binary_table import write_parquet
 from wrenchbook.service.formats.cells import guard_formula, unguard_formula
 from wrenchbook.service.formats.options import ReadReport
-from wrenchbook.service.formats.parquet_table import write_parquet
 from wrenchbook.service.formats.table_file import ContentError, read_table_file, unpack
 from wrenchbook.service.formats.xlsx_table import (
     ZipBoundsError,
+    entry_sizes,
     escape,
-    member_sizes,
     unescape,
     write_xlsx,
 )
@@ -181,7 +181,7 @@ def test_a_zip_bomb_is_measured_before_anybody_unpacks_it(tmp_path):
     path = tmp_path / "bomb.xlsx"
     path.write_bytes(zipped(a=bytes(32 << 20)))
     with pytest.raises(ZipBoundsError, match="unpacks to more than 1 MiB"):
-        member_sizes(path, 1 << 20)
+        entry_sizes(path, 1 << 20)
 
 
 def test_a_zip_that_lies_about_its_sizes_is_refused(tmp_path):
@@ -191,7 +191,7 @@ def test_a_zip_that_lies_about_its_sizes_is_refused(tmp_path):
     path = tmp_path / "lying.xlsx"
     path.write_bytes(bytes(content))
     with pytest.raises(ZipBoundsError):
-        member_sizes(path, 1 << 20)
+        entry_sizes(path, 1 << 20)
 
 
 def sheet_xml(rows: str) -> bytes:

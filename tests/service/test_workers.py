@@ -19,7 +19,7 @@ from tests.service.live import FULL, add_table, as_rows, clean_wrenches, moved
 from tests.until import until
 from wrenchbook.service.cli.jobs import follow_jobs
 from wrenchbook.service.client import Client, ProblemError
-from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.program import child_command
 from wrenchbook.service.keys import Keyring
 from wrenchbook.service.ledger import Ledger
 

@@ -24,10 +24,9 @@ from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.scenes import need_from
 from wrenchbook.service.http.schemas import Queued
 from wrenchbook.service.library.bundle_zip import MAX_BUNDLE_BYTES
-from wrenchbook.service.library.catalogue import Card
-from wrenchbook.service.library.checked import interface_of, vibration_of, warnings_of
-from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.other_setup import warning_of
+from wrenchbook.service.library.catalogue import CatalogueCard
+from wrenchbook.service.library.component import Component, interface_of, vibration_of, warnings_of
+from wrenchbook.service.tables.rows import warning_of
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
@@ -79,7 +78,7 @@ def list_components(
     }
 
 
-def _is_about(component: Component, card: Card, search: str) -> bool:
+def _is_about(component: Component, card: CatalogueCard, search: str) -> bool:
     """Return whether name, title or notes of a component have all words of a search."""
     text = f"{component.name} {component.title} {card.notes}".casefold()
     return all(word in text for word in search.casefold().split())

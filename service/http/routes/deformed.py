@@ -10,13 +10,13 @@ import numpy as np
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
-from wrenchbook.service.fields import gltf, vtu
+from wrenchbook.service.fields import surface_files
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.http.openapi import BYTES, answers, refused
 from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
-from wrenchbook.service.library.checked import interface_of
+from wrenchbook.service.library.component import interface_of
 from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(
@@ -35,7 +35,7 @@ _MOMENT = Query(allow_inf_nan=False, description="N·m, about the undeformed int
     responses=answers(
         dict[str, Any],
         "the surface; flagged outside the load range, or with too few rows",
-        content={gltf.MEDIA_TYPE: BYTES, vtu.MEDIA_TYPE: BYTES},
+        content={surface_files.GLTF_MEDIA_TYPE: BYTES, surface_files.VTU_MEDIA_TYPE: BYTES},
     ),
 )
 async def deformed(
@@ -82,9 +82,9 @@ def _reply(workspace: Workspace, name: str, loads: Any, form: str) -> Response:
     if form == "json":
         return json_reply(_body(workspace, shape))
     write, kind, ending = (
-        (gltf.write_gltf, gltf.MEDIA_TYPE, "glb")
+        (surface_files.write_gltf, surface_files.GLTF_MEDIA_TYPE, "glb")
         if form == "gltf"
-        else (vtu.write_vtu, vtu.MEDIA_TYPE, "vtu")
+        else (surface_files.write_vtu, surface_files.VTU_MEDIA_TYPE, "vtu")
     )
     headers = {
         "Content-Disposition": f'attachment; filename="{name}.{ending}"',

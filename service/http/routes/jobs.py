@@ -19,8 +19,7 @@ from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.http.routes import Opened
-from wrenchbook.service.jobs.attempt import LOG
-from wrenchbook.service.jobs.attempt_zip import pieces_of, zipped
+from wrenchbook.service.jobs.attempt import LOG, pieces_of, zipped
 from wrenchbook.service.ledger import Job, LedgerRow, Status, UnknownJobError
 from wrenchbook.service.workspace import Workspace
 

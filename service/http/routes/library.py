@@ -21,8 +21,8 @@ from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import import_body
 from wrenchbook.service.http.table_schemas import Card, Demand, Disagreement, Imports
 from wrenchbook.service.ledger import About
-from wrenchbook.service.tables.copying import copy_rows
 from wrenchbook.service.tables.disagreement import disagreement
+from wrenchbook.service.tables.importing import copy_rows
 from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import Workspace
 
@@ -114,12 +114,14 @@ def disagree(name: str, workspace: Opened) -> Response:
 @router.get("/demand", summary="Queries that were not covered", response_model=Demand)
 def demand(name: str, workspace: Opened) -> Response:
     component = workspace.library[name]
-    return json_reply({"component": name, **workspace.demand.map_of(name, component.load_range)})
+    return json_reply(
+        {"component": name, **workspace.query_counts.map_of(name, component.load_range)}
+    )
 
 
 @router.delete("/demand", summary="Begin the demand map anew")
 def forget_demand(name: str, workspace: Opened) -> dict[str, Any]:
-    workspace.demand.forget(workspace.library[name].name)
+    workspace.query_counts.forget(workspace.library[name].name)
     return {"component": name, "asked": 0}
 
 

@@ -32,12 +32,12 @@ from wrenchbook.service.ledger import Block, Tally, block_of, packed
 from wrenchbook.service.ledger.recordings import MERGE
 from wrenchbook.service.recording.bound import bound_of
 from wrenchbook.service.recording.start import (
-    Started,
+    StartedSolves,
     start_envelope,
     start_recording,
     start_resolving,
 )
-from wrenchbook.service.recording.store import Envelope, RecordingStore, Took
+from wrenchbook.service.recording.store import EnvelopeState, RecordingStore, Took
 from wrenchbook.service.workspace import Workspace
 
 Floats = NDArray[np.float64]
@@ -163,7 +163,7 @@ async def start_of_envelope(name: str, request: Request) -> Response:
     openapi_extra=takes(StartBody),
 )
 async def resolve(name: str, request: Request) -> Response:
-    def start(workspace: Workspace, _: RecordingStore, name: str, **order: Any) -> Started:
+    def start(workspace: Workspace, _: RecordingStore, name: str, **order: Any) -> StartedSolves:
         return start_resolving(workspace, name, **order)
 
     return await _started(name, request, StartBody, start)
@@ -227,13 +227,13 @@ def _thinning(tally: Tally) -> str:
     return f"{tally.thinned} wrenches were thinned out: {near}"
 
 
-def _box(envelope: Envelope) -> dict[str, Any]:
+def _box(envelope: EnvelopeState) -> dict[str, Any]:
     low, high = envelope.box
     return {"count": envelope.tally.offered, "min": low, "max": high}
 
 
 async def _started(
-    name: str, request: Request, kind: type[Body], start: Callable[..., Started]
+    name: str, request: Request, kind: type[Body], start: Callable[..., StartedSolves]
 ) -> Response:
     """Queue solves by the options in the body."""
     order: Body = read_body(kind, await read_limited(request.receive))

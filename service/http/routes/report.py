@@ -12,7 +12,7 @@ from wrenchbook.service.http.openapi import JSON, TEXT, answers, refused
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
-from wrenchbook.service.ordering import NoSetupError
+from wrenchbook.service.submission import NoSetupError
 from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(

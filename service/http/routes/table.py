@@ -34,7 +34,7 @@ from wrenchbook.service.tables.breakpoints import NoTableError, write_breakpoint
 from wrenchbook.service.tables.exporting import (
     ENDINGS,
     ExportFormat,
-    Wanted,
+    ExportRequest,
     check_units,
     export_table,
 )
@@ -171,7 +171,7 @@ def _export(
     if format_ == "mat":
         table = _table(workspace, name, table_version)
         return _file(component, format_, lambda path: _write_mat(table, name, path))
-    wanted = Wanted(format_, *how)
+    wanted = ExportRequest(format_, *how)
     try:
         check_units(wanted)
     except UnitError as error:

@@ -30,7 +30,7 @@ from wrenchbook.service.http.parsing import known_method, parsed_json
 from wrenchbook.service.http.problems import ProblemError, problem_of
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.library.component import UnknownComponentError
-from wrenchbook.service.tables.behind import TableBehindError
+from wrenchbook.service.tables.served import TableBehindError
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.rows import OUTPUTS, Tolerance
 

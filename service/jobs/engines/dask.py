@@ -64,7 +64,7 @@ class DaskEngine:
         self._begin(attempt)
 
     def attach(self, attempt: Attempt) -> None:
-        """Submit the attempt under the key it has: what is left of it on the cluster goes on."""
+        """Submit the attempt under its key: a task of that key on the cluster goes on."""
         if (attempt.folder / OUTCOME).exists():
             return
         with contextlib.suppress(OSError, ValueError, TypeError, KeyError):

@@ -10,8 +10,9 @@ from typing import Any
 
 from distributed import Client, Future
 
+from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs.engines import on_worker
-from wrenchbook.service.jobs.engines.on_worker import TOPIC, program_version
+from wrenchbook.service.jobs.engines.on_worker import TOPIC
 
 _log = logging.getLogger(__name__)
 # They log each lost connection with a traceback; `Cluster` logs it in one line.
@@ -36,7 +37,7 @@ MEMORY, CORES = "wrenchbook_memory", "wrenchbook_cores"
 class WorkerState:
     """One worker, as scheduler and `on_worker.look` describe it.
 
-    ``unfit`` says why it gets no tasks, ``tasks`` are the attempts found on its machine.
+    ``unfit`` is why it gets no tasks, ``tasks`` are the attempts found on its machine.
     """
 
     address: str
@@ -161,7 +162,7 @@ class Cluster:
         """Return a fit worker on whose machine an attempt was found; None if on none."""
         return next((worker.address for worker in self.fit if task in worker.tasks), None)
 
-    def doubt(self, address: str, why: str) -> None:
+    def suspend(self, address: str, why: str) -> None:
         """Send a worker no tasks until the next look at it."""
         if worker := self.workers.get(address):
             worker.unfit, worker.looked = f"{address}: {why}", time.monotonic()
@@ -287,6 +288,6 @@ def _unfit(answer: Any) -> str | None:
         return f"it lacks this program ({answer}): install wrenchbook[cluster,server] there"
     if not isinstance(answer, dict):
         return f"it does not answer as it should ({answer!r})"
-    if answer["version"] != program_version():
-        return f"it has wrenchbook {answer['version']}, this server has {program_version()}"
+    if answer["version"] != solver_version():
+        return f"it has wrenchbook {answer['version']}, this server has {solver_version()}"
     return answer["trouble"]

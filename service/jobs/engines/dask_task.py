@@ -24,7 +24,7 @@ from wrenchbook.service.jobs.engines import on_worker
 from wrenchbook.service.jobs.engines.dask_cluster import Cluster, Place
 from wrenchbook.service.jobs.engines.engine import Attempt, State
 from wrenchbook.service.jobs.engines.on_worker import Payload
-from wrenchbook.service.jobs.engines.payload import (
+from wrenchbook.service.jobs.engines.worker_files import (
     BUNDLE_BYTES,
     BadPayloadError,
     digest,
@@ -51,7 +51,7 @@ def key_of(task: str) -> str:
     return f"wrenchbook-{task}"
 
 
-class Bundle(NamedTuple):
+class SentBundle(NamedTuple):
     """A component's files on the cluster: their digest, their future, how the folder was then."""
 
     digest: str
@@ -63,17 +63,17 @@ class Bundles:
     """Components' files as tasks: each is sent once, and workers fetch it from each other."""
 
     def __init__(self) -> None:
-        self._bundles: dict[Path, Bundle] = {}
+        self._bundles: dict[Path, SentBundle] = {}
         self._sending = asyncio.Lock()
 
-    async def send(self, client: Client, folder: Path) -> Bundle:
-        """Return a component's files on the cluster, sent anew if they have changed."""
+    async def send(self, client: Client, folder: Path) -> SentBundle:
+        """Return a component's files on the cluster, sent again if they have changed."""
         async with self._sending:
             seen = await asyncio.to_thread(_look_at, folder)
             bundle = self._bundles.pop(folder, None)
             good = bundle and bundle.future.status in ("pending", "finished")
             if bundle is None or not good or bundle.seen != seen:
-                bundle = Bundle(*await self._submit(client, folder), seen)
+                bundle = SentBundle(*await self._submit(client, folder), seen)
             self._bundles[folder] = bundle  # the one used last stands last
             for old in list(self._bundles)[:-BUNDLES]:
                 del self._bundles[old]
@@ -174,7 +174,7 @@ class DaskTask:
         if payload is None:
             return None
         if why := payload["unfit"]:
-            self._cluster.doubt(payload["worker"], why)
+            self._cluster.suspend(payload["worker"], why)
             return None
         self._worker = payload["worker"]
         await self._store(payload)
@@ -194,7 +194,7 @@ class DaskTask:
         known = self._cluster.worker_with(self.attempt.task)
         return Place((known,), place.resources) if known else place
 
-    def _submit(self, client: Client, place: Place, bundle: Bundle) -> Future:
+    def _submit(self, client: Client, place: Place, bundle: SentBundle) -> Future:
         attempt = self.attempt
         future: Future = client.submit(
             operator.call,
@@ -257,7 +257,7 @@ class DaskTask:
             os.utime(lock, (now, now - seconds))
 
     def set(self, state: State) -> None:
-        """Set the state and tell the engine if it is another one."""
+        """Set the state and notify the engine if it has changed."""
         if state != self.state:
             self.state = state
             self._on_change(self.attempt.task)

@@ -1,8 +1,8 @@
 """The interface between dispatcher and engines. Engines only execute; the ledger decides.
 
-An engine runs attempts: `service.jobs.solve_attempt` on a folder with a spec.json. The attempt's
-own folder is on the dispatcher's machine and need not be visible where the solver runs; in the end
-it holds ``result.json`` (see `service.jobs.attempt`) and the log.
+An engine runs attempts: a solver (`service.jobs.solve_attempt`) works on a folder with a spec.json.
+The attempt's own folder is on the dispatcher's machine and need not be visible where the solver
+runs; in the end it holds ``result.json`` (see `service.jobs.attempt`) and the log.
 
 An engine that ends an attempt itself, at its deadline for example, writes the ``result.json`` in
 the solver's stead, with kind, message and remedy, once the solver is dead. The cause of a solver's

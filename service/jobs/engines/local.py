@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from wrenchbook.service.files import lock as flock
-from wrenchbook.service.files.cores import usable_cores
+from wrenchbook.service.files.program import usable_cores
 from wrenchbook.service.jobs.attempt import (
     LOCK,
     LOG,
@@ -94,14 +94,14 @@ class LocalEngine:
             os.close(lock)
 
     def attach(self, attempt: Attempt) -> None:
-        """Need nothing: lock and files say all there is to know."""
+        """Do nothing: lock and files hold the whole state."""
 
     def poll(self, attempt: Attempt) -> State:
         """Return the attempt's state; see `Engine.poll`."""
         folder = attempt.folder
         if (folder / OUTCOME).exists():
             return "finished"
-        if flock.is_held(folder / LOCK):
+        if flock.is_locked(folder / LOCK):
             self._end_if_due(attempt)
             return "running" if solver_began(folder) else "submitted"
         # The solver may have ended well between the two looks.
@@ -125,7 +125,7 @@ class LocalEngine:
         self._overdue.discard(attempt.folder)
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Tell of solvers that ended; see `Engine.listen`."""
+        """Report solvers that ended; see `Engine.listen`."""
         self._listeners = (*self._listeners, listener)
 
         def stop() -> None:
@@ -151,17 +151,17 @@ class LocalEngine:
             if folder not in self._began:
                 self._began[folder] = now - (solver_seconds(folder) or 0.0)
             if now - self._began[folder] > attempt.deadline:
-                # Not asked: what it would answer, "cancelled", is tried again.
+                # Not SIGTERM: its outcome, "cancelled", would be tried again.
                 self._overdue.add(folder)
                 self._signal(attempt, signal.SIGKILL)
 
     def _signal(self, attempt: Attempt, number: int) -> None:
-        # Before it began, nobody is there yet who could hear: `poll` repeats it.
+        # Before it began there is no process to signal: `poll` repeats it.
         if not solver_began(attempt.folder) or self._pool.signal(attempt, number):
             return
-        # Another server's solver. Only while the lock is held is the pid in it surely the solver's.
+        # Another server's solver. Only while the file is locked is its pid surely the solver's.
         pid = _holder(attempt.folder / LOCK)
-        if pid is not None and flock.is_held(attempt.folder / LOCK):
+        if pid is not None and flock.is_locked(attempt.folder / LOCK):
             signal_group(pid, number)
 
 

@@ -12,22 +12,24 @@ import shutil
 import threading
 import time
 from dataclasses import asdict, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TypedDict
 
 from distributed import Reschedule, Status, Worker, get_worker
 
 from wrenchbook.service.files import lock as flock
-from wrenchbook.service.files.sources import code_digest
+from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs.attempt import LOCK, OUTCOME, prepare, read_progress, solver_seconds
-from wrenchbook.service.jobs.engines import worker_folder as folders
+from wrenchbook.service.jobs.engines import worker_files as folders
 from wrenchbook.service.jobs.engines.engine import ALIVE, Attempt
 from wrenchbook.service.jobs.engines.local import LocalEngine
-from wrenchbook.service.jobs.engines.payload import BadPayloadError, Files, artifacts, place
-from wrenchbook.service.jobs.engines.worker_folder import (
+from wrenchbook.service.jobs.engines.worker_files import (
+    BadPayloadError,
+    Files,
     WorkerFolderError,
+    artifacts,
     attempt_folder,
+    place,
     worker_folder,
 )
 
@@ -49,7 +51,7 @@ _engines_lock = threading.Lock()
 class Payload(TypedDict):
     """The result of a task.
 
-    ``unfit`` says why the worker could not run the attempt. Otherwise ``files`` are the artifacts
+    ``unfit`` is why the worker could not run the attempt. Otherwise ``files`` are the artifacts
     (without result.json if the solver died) and ``seconds`` is how long the solver ran.
     """
 
@@ -59,25 +61,12 @@ class Payload(TypedDict):
     seconds: float
 
 
-def program_version() -> str:
-    """Return version and code digest of what a worker runs; workers of others get no tasks."""
-    return f"{wrenchbook_version()} (code {code_digest('fea', 'service/jobs')})"
-
-
-def wrenchbook_version() -> str:
-    """Return the version of the installed distribution, `unknown` in a bare checkout."""
-    try:
-        return version("wrenchbook")
-    except PackageNotFoundError:
-        return "unknown"
-
-
 def look(dask_worker: Worker) -> dict[str, Any]:
     """Return version, trouble and attempts (running or ended) of this worker's machine."""
     folder = worker_folder()
     folders.start_sweeping(folder, _solvers(dask_worker.state.nthreads))
     tasks = sorted(path.name for path in (folder / "attempts").iterdir())
-    return {"version": program_version(), "tasks": tasks, "trouble": folders.trouble(folder)}
+    return {"version": solver_version(), "tasks": tasks, "trouble": folders.trouble(folder)}
 
 
 def run_task(sent: bytes, digest: str, files: Files) -> Payload:
@@ -110,7 +99,7 @@ def _bundle(bundles: Path, name: str, files: Files) -> Path:
 
 def _run(worker: Worker, attempt: Attempt) -> Payload:
     folder, spec = attempt.folder, attempt.spec
-    if not (folder / OUTCOME).exists() and not flock.is_held(folder / LOCK):
+    if not (folder / OUTCOME).exists() and not flock.is_locked(folder / LOCK):
         shutil.rmtree(folder, ignore_errors=True)  # of a solver that died with its worker
         prepare(folder, spec)
         _solvers().submit(attempt)

@@ -1,7 +1,7 @@
 """Solvers that live from one attempt to the next, as processes of this machine.
 
 A solver is started with one end of a socket pair. Over it come, for each attempt, its folder and
-two open files: the attempt's lock, held, and its log. It answers with one letter when it is at it
+two open files: the attempt's lock, taken, and its log. It answers with one letter when it is at it
 and one when it has ended; when the socket is closed, as it is when the server dies, it ends itself
 after the attempt it is at (`service.jobs.warm_solver`).
 """
@@ -16,11 +16,11 @@ import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from wrenchbook.service.files.child import child_command
+from wrenchbook.service.files.program import child_command
 from wrenchbook.service.jobs.attempt import LOG, OUTCOME
 from wrenchbook.service.jobs.engines.engine import Attempt
 
-# A solver that waits for work says at once that it took some. One that does not is stopped or
+# A solver that waits for work confirms an attempt at once. One that does not is stopped or
 # damaged, and another one is started in its place.
 TAKEN_SECONDS = 5.0
 ENDING_SECONDS = 2.0  # between an attempt's result.json and its solver's word that it is free
@@ -28,7 +28,7 @@ ENDING_SECONDS = 2.0  # between an attempt's result.json and its solver's word t
 Ended = Callable[[Attempt], None]
 
 
-class Solver:
+class SolverProcess:
     """A solver process, and the attempt that it is at."""
 
     def __init__(self, process: subprocess.Popen[bytes], line: socket.socket) -> None:
@@ -42,12 +42,12 @@ class Solver:
         self.gone = threading.Event()
 
     def hand(self, attempt: Attempt, lock: int, log: int) -> None:
-        """Send an attempt with its lock and its log; raises OSError if nobody is there."""
+        """Send an attempt with its lock and its log; raises OSError if the solver is gone."""
         self.has_taken = False
         self.answered.clear()
         self.component = component_of(attempt)
-        asked = {"folder": str(attempt.folder.absolute()), "memory": attempt.memory}
-        socket.send_fds(self.line, [json.dumps(asked).encode() + b"\n"], [lock, log])
+        request = {"folder": str(attempt.folder.absolute()), "memory": attempt.memory}
+        socket.send_fds(self.line, [json.dumps(request).encode() + b"\n"], [lock, log])
 
     def signal(self, number: int) -> None:
         """Send a signal to the solver and what it started."""
@@ -67,7 +67,7 @@ class SolverPool:
     ----------
     slots : int
     ended : callable
-        Told of attempts that their solvers have left, well or dead; from threads of the pool's own.
+        Called with attempts that their solvers have left, well or dead; from the pool's threads.
     options : sequence of str
         Of `service.jobs.warm_solver`.
     """
@@ -76,7 +76,7 @@ class SolverPool:
         self._slots = slots
         self._ended = ended
         self._options = options
-        self._solvers: list[Solver] = []  # those longest without work first
+        self._solvers: list[SolverProcess] = []  # those longest without work first
         self._processes: set[int] = set()
         self._changed = threading.Condition()
 
@@ -86,7 +86,7 @@ class SolverPool:
         Raises
         ------
         OSError
-            If no process can be started; nobody is at the attempt then.
+            If no process can be started; no solver is at the attempt then.
         """
         while (solver := self._reserve(attempt, environment)) is not None:
             with contextlib.suppress(OSError):
@@ -94,7 +94,7 @@ class SolverPool:
                 solver.answered.wait(TAKEN_SECONDS)
                 if solver.has_taken:
                     return
-            # Nobody may begin late what another one is at.
+            # It must not begin late what another solver is at.
             with self._changed:
                 solver.attempt = None
                 self._drop(solver)
@@ -103,7 +103,7 @@ class SolverPool:
         self._start(attempt, lock, log, environment)
 
     def signal(self, attempt: Attempt, number: int) -> bool:
-        """Send a signal to the solver that is at an attempt; tell whether there is one here."""
+        """Send a signal to the solver that is at an attempt; return whether there is one here."""
         with self._changed:
             for solver in self._solvers:
                 if solver.attempt is not None and solver.attempt.folder == attempt.folder:
@@ -124,7 +124,7 @@ class SolverPool:
                 solver.dismiss()
             self._solvers.clear()
 
-    def _reserve(self, attempt: Attempt, environment: Mapping[str, str]) -> Solver | None:
+    def _reserve(self, attempt: Attempt, environment: Mapping[str, str]) -> SolverProcess | None:
         with self._changed:
             if not self._changed.wait_for(lambda: not self._ending(), ENDING_SECONDS):
                 for solver in self._ending():
@@ -134,8 +134,8 @@ class SolverPool:
             for solver in [one for one in idle if one.environment != environment]:
                 idle.remove(solver)
                 self._drop(solver)
-            wanted = component_of(attempt)
-            ready = [solver for solver in idle if solver.component == wanted]
+            component = component_of(attempt)
+            ready = [solver for solver in idle if solver.component == component]
             # Another component's solver keeps what it has while there is room for one more.
             if not ready and len(self._solvers) >= self._slots:
                 ready = idle
@@ -144,7 +144,7 @@ class SolverPool:
             ready[0].attempt = attempt
             return ready[0]
 
-    def _ending(self) -> list[Solver]:
+    def _ending(self) -> list[SolverProcess]:
         """Return those that will wait for work in a moment, their outcome being there.
 
         None if a solver waits already.
@@ -174,17 +174,17 @@ class SolverPool:
             except BaseException:
                 ours.close()
                 raise
-        solver = Solver(process, ours)
+        solver = SolverProcess(process, ours)
         solver.environment, solver.attempt = environment, attempt
         with self._changed:
             self._solvers.append(solver)
             self._processes.add(process.pid)
-        # Sent before anybody listens: a solver that cannot begin leaves the lock as it dies.
+        # Sent before the solver listens: one that cannot begin leaves the lock as it dies.
         with contextlib.suppress(OSError):
             solver.hand(attempt, lock, log)
         threading.Thread(target=self._watch, args=(solver,), daemon=True).start()
 
-    def _watch(self, solver: Solver) -> None:
+    def _watch(self, solver: SolverProcess) -> None:
         """Follow one solver until it has ended, and reap it."""
         with solver.line, contextlib.suppress(OSError):
             while word := solver.line.recv(1):
@@ -196,7 +196,7 @@ class SolverPool:
         solver.process.wait()
         self._bury(solver)
 
-    def _free(self, solver: Solver, *, stays: bool) -> None:
+    def _free(self, solver: SolverProcess, *, stays: bool) -> None:
         with self._changed:
             over, solver.attempt = solver.attempt, None
             if stays and solver in self._solvers and len(self._solvers) <= self._slots:
@@ -208,12 +208,12 @@ class SolverPool:
         if over is not None:
             self._ended(over)
 
-    def _drop(self, solver: Solver) -> None:
+    def _drop(self, solver: SolverProcess) -> None:
         if solver in self._solvers:
             self._solvers.remove(solver)
         solver.dismiss()
 
-    def _bury(self, solver: Solver) -> None:
+    def _bury(self, solver: SolverProcess) -> None:
         code = solver.process.returncode
         with self._changed:
             over, solver.attempt = solver.attempt, None

@@ -138,11 +138,11 @@ def kill(program):
 
 def kill_solver(lock):
     """Kill the solver that holds a lock; return whether there was one."""
-    from wrenchbook.service.files.lock import is_held
+    from wrenchbook.service.files.lock import is_locked
 
     try:
         pid = int(lock.read_text())
-        if is_held(lock):
+        if is_locked(lock):
             os.kill(pid, signal.SIGKILL)
             return True
     except (OSError, ValueError):

@@ -11,7 +11,7 @@ import pytest
 
 from tests.service.engines.cluster import SOURCES, TESTS, Cluster
 from tests.until import until
-from wrenchbook.service.files.lock import is_held
+from wrenchbook.service.files.lock import is_locked
 from wrenchbook.service.jobs.attempt import LOCK, Spec, prepare, read_outcome
 from wrenchbook.service.jobs.engines.dask import DaskEngine
 from wrenchbook.service.jobs.engines.engine import ALIVE, Attempt
@@ -80,7 +80,7 @@ class Bench:
     def pid(self, attempt):
         """The solver's pid as long as it lives; None otherwise."""
         lock = self.solver_folder(attempt) / LOCK
-        if not lock.exists() or not is_held(lock):
+        if not lock.exists() or not is_locked(lock):
             return None
         text = lock.read_text()
         return int(text) if text.isdigit() else None
@@ -91,7 +91,7 @@ class Bench:
 
     def is_supervised(self, attempt):
         """Whether a Dask worker is at the attempt."""
-        return is_held(self._attempts.with_name("supervised") / attempt.task)
+        return is_locked(self._attempts.with_name("supervised") / attempt.task)
 
     def kill_solver(self, attempt):
         os.kill(until(lambda: self.pid(attempt)), signal.SIGKILL)
@@ -100,7 +100,7 @@ class Bench:
         for engine in self._engines:
             engine.close()
         for lock in self.folder.glob("jobs/*/*/lock"):
-            if lock.read_text().isdigit() and is_held(lock):
+            if lock.read_text().isdigit() and is_locked(lock):
                 os.kill(int(lock.read_text()), signal.SIGKILL)
 
 

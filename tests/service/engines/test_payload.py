@@ -11,10 +11,16 @@ from hypothesis import strategies as st
 
 from tests.until import until
 from wrenchbook.service.jobs.attempt import Spec, prepare, write_outcome
-from wrenchbook.service.jobs.engines import on_worker, worker_folder
+from wrenchbook.service.jobs.engines import on_worker, worker_files
 from wrenchbook.service.jobs.engines.engine import Attempt
 from wrenchbook.service.jobs.engines.local import LocalEngine
-from wrenchbook.service.jobs.engines.payload import BadPayloadError, digest, pack, place, unpack
+from wrenchbook.service.jobs.engines.worker_files import (
+    BadPayloadError,
+    digest,
+    pack,
+    place,
+    unpack,
+)
 
 SPEC = Spec(1, 1, "quick", "", "f1", (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
 
@@ -28,9 +34,9 @@ class Worker:
 
 @pytest.fixture
 def on_a_worker(tmp_path, monkeypatch):
-    monkeypatch.setenv(worker_folder.FOLDER_VARIABLE, str(tmp_path / "worker"))
+    monkeypatch.setenv(worker_files.FOLDER_VARIABLE, str(tmp_path / "worker"))
     monkeypatch.setattr(on_worker, "get_worker", Worker)
-    return worker_folder.worker_folder()
+    return worker_files.worker_folder()
 
 
 BUNDLE = {"a": b"1"}
@@ -83,7 +89,7 @@ def test_a_worker_that_gets_a_damaged_bundle_says_so_and_keeps_none(on_a_worker)
 
 
 def test_a_worker_whose_disk_is_full_takes_no_order(on_a_worker, monkeypatch):
-    monkeypatch.setattr(worker_folder, "FREE_BYTES", 1 << 62)
+    monkeypatch.setattr(worker_files, "FREE_BYTES", 1 << 62)
     assert "MB left" in run()["unfit"]
 
 
@@ -93,7 +99,7 @@ def test_a_disk_that_fills_while_a_bundle_comes_is_told_and_nothing_is_left(
     def full(*arguments, **named):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("wrenchbook.service.jobs.engines.payload.write_whole_bytes", full)
+    monkeypatch.setattr("wrenchbook.service.jobs.engines.worker_files.write_whole_bytes", full)
     with pytest.raises(OSError, match="No space left"):
         place({"a": b"1"}, digest({"a": b"1"}), on_a_worker / "bundles")
     assert list((on_a_worker / "bundles").iterdir()) == []
@@ -121,32 +127,32 @@ def test_a_solver_that_nobody_minds_is_ended_after_a_while(on_a_worker, monkeypa
     engine = LocalEngine(1)
     attempt = Attempt("t-1-1", folder, SPEC)
     engine.submit(attempt)
-    seen = worker_folder.sweep(on_a_worker, engine, {})
+    seen = worker_files.sweep(on_a_worker, engine, {})
     assert list(seen) == ["t-1-1"]
-    with worker_folder.supervised(folder):
-        assert worker_folder.sweep(on_a_worker, engine, seen) == {}  # somebody minds it
-    worker_folder.sweep(
-        on_a_worker, engine, {"t-1-1": time.monotonic() - worker_folder.ORPHAN_SECONDS}
+    with worker_files.supervised(folder):
+        assert worker_files.sweep(on_a_worker, engine, seen) == {}  # somebody minds it
+    worker_files.sweep(
+        on_a_worker, engine, {"t-1-1": time.monotonic() - worker_files.ORPHAN_SECONDS}
     )
     until(lambda: engine.poll(attempt) != "running")
 
 
 def test_attempts_are_kept_for_a_while_and_not_for_ever(on_a_worker, monkeypatch):
-    monkeypatch.setattr(worker_folder, "ATTEMPTS", 2)
+    monkeypatch.setattr(worker_files, "ATTEMPTS", 2)
     for number in range(5):
         folder = on_a_worker / "attempts" / f"t-{number}-1"
         prepare(folder, SPEC)
         os.utime(folder, (number, time.time() - 10 + number))
-    worker_folder.sweep(on_a_worker, LocalEngine(1), {})
+    worker_files.sweep(on_a_worker, LocalEngine(1), {})
     kept = sorted(path.name for path in (on_a_worker / "attempts").iterdir())
     assert kept == ["t-3-1", "t-4-1"]
 
 
 def test_bundles_in_use_are_kept_when_old_ones_go(tmp_path, monkeypatch):
-    monkeypatch.setattr(worker_folder, "BUNDLES", 1)
+    monkeypatch.setattr(worker_files, "BUNDLES", 1)
     for number in range(3):
         bundle = place({"a": bytes([number])}, digest({"a": bytes([number])}), tmp_path)
-        old = time.time() - (worker_folder.BUNDLE_SECONDS + 100 - number if number < 2 else 0)
+        old = time.time() - (worker_files.BUNDLE_SECONDS + 100 - number if number < 2 else 0)
         os.utime(bundle, (old, old))
-    worker_folder.drop_old_bundles(tmp_path)
+    worker_files.drop_old_bundles(tmp_path)
     assert [pack(path) for path in tmp_path.iterdir()] == [{"a": b"\x02"}]

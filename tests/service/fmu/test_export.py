@@ -13,13 +13,13 @@ from typer import BadParameter
 from tests.service.fmu.made import LOADS, OUTPUTS, Opened, need_compiler, packed, solved
 from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, served, tangents
 from wrenchbook.service.cli.main import app
-from wrenchbook.service.fmu.description import identifier_of
 from wrenchbook.service.fmu.export import (
     FLAGS,
     CompilerError,
     Fmu,
     NotExportableError,
     find_compiler,
+    identifier_of,
     make_fmu,
 )
 from wrenchbook.surrogate.answer import UnknownMethodError

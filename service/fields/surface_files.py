@@ -1,13 +1,10 @@
-"""A deformed surface as binary glTF 2.0: the undeformed mesh, and a morph target that moves it.
-
-The mesh is in the interface frame, in metres; its node turns z up to y up, which is glTF's. Numbers
-are float32, so right to 1e-7. Weight 1 of the morph target shows the part as it is, 0 undeformed,
-100 a hundred times exaggerated.
-"""
+"""A deformed surface as a file: binary glTF 2.0, and VTU for ParaView."""
 
 from __future__ import annotations
 
+import base64
 import json
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -15,11 +12,11 @@ from numpy.typing import NDArray
 
 from wrenchbook.service.fields.shape import Deformed
 
-MEDIA_TYPE = "model/gltf-binary"
+GLTF_MEDIA_TYPE = "model/gltf-binary"
 
 _FLOAT, _UNSIGNED = 5126, 5125  # componentType
 _VERTICES, _INDICES = 34962, 34963  # target of a bufferView
-_TURN = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # quaternion: minus a quarter turn about x
+_Z_UP_TO_Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # quaternion: minus a quarter turn about x
 _JSON, _BINARY = b"JSON", b"BIN\x00"
 _MATERIAL = {
     "doubleSided": True,
@@ -65,7 +62,11 @@ class _Buffer:
 
 
 def write_gltf(shape: Deformed) -> bytes:
-    """Return the .glb file of a deformed surface.
+    """Return the .glb file of a deformed surface: the undeformed mesh, and a morph target.
+
+    The mesh is in the interface frame, in metres; its node rotates z up to y up, which is glTF's.
+    Numbers are float32, so right to 1e-7. Weight 1 of the morph target shows the deformed part, 0
+    the undeformed one, 100 a hundredfold exaggeration.
 
     The error of each vertex, m, is the attribute ``_ERROR``, if it is known; the wrench, the
     coverage, the largest of each share of those errors, ``within_tolerance`` and the largest stress
@@ -94,7 +95,7 @@ def write_gltf(shape: Deformed) -> bytes:
         "asset": {"version": "2.0", "generator": "wrenchbook"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": shape.component, "mesh": 0, "rotation": _TURN}],
+        "nodes": [{"name": shape.component, "mesh": 0, "rotation": _Z_UP_TO_Y_UP}],
         "meshes": [mesh],
         "materials": [_MATERIAL],
         "accessors": buffer.accessors,
@@ -125,3 +126,54 @@ def _glb(document: dict[str, Any], content: bytes) -> bytes:
 def _chunk(kind: bytes, content: bytes, filler: bytes) -> bytes:
     content += filler * (-len(content) % 4)
     return len(content).to_bytes(4, "little") + kind + content
+
+
+VTU_MEDIA_TYPE = "application/vnd.vtk.unstructuredgrid+xml"
+
+_TRIANGLE = 5
+_TYPES = {"<f8": "Float64", "<i8": "Int64", "|u1": "UInt8"}
+
+
+def write_vtu(shape: Deformed) -> bytes:
+    """Return the .vtu file: undeformed triangles, in metres, with displacement and error.
+
+    Numbers are float64, as they are. Next to ``error`` are the parts it is the sum of, as
+    ``error_table``, ``error_mesh`` and ``error_linearity``; one that is not known is left out.
+    """
+    return "\n".join(_lines(shape)).encode()
+
+
+def _lines(shape: Deformed) -> Iterator[str]:
+    geometry = shape.geometry
+    triangles = geometry.triangles.astype("<i8")
+    count = len(triangles)
+    yield '<?xml version="1.0"?>'
+    yield (
+        '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" '
+        'header_type="UInt64">'
+    )
+    yield "<UnstructuredGrid>"
+    yield f'<Piece NumberOfPoints="{len(geometry.vertices)}" NumberOfCells="{count}">'
+    yield '<PointData Vectors="displacement">'
+    yield _array("displacement", shape.displacement.astype("<f8"))
+    if shape.error is not None:
+        yield _array("error", shape.error.astype("<f8"))
+    for cause, share in (shape.parts.shares if shape.parts else {}).items():
+        if share is not None:
+            yield _array(f"error_{cause}", share.astype("<f8"))
+    yield "</PointData>"
+    yield "<Points>" + _array("Points", geometry.vertices.astype("<f8")) + "</Points>"
+    yield "<Cells>"
+    yield _array("connectivity", triangles.ravel())
+    yield _array("offsets", np.arange(3, 3 * count + 1, 3, dtype="<i8"))
+    yield _array("types", np.full(count, _TRIANGLE, dtype="|u1"))
+    yield "</Cells></Piece></UnstructuredGrid></VTKFile>"
+
+
+def _array(name: str, values: NDArray[Any]) -> str:
+    whole = np.ascontiguousarray(values)
+    content = whole.nbytes.to_bytes(8, "little") + whole.tobytes()
+    columns = f' NumberOfComponents="{whole.shape[1]}"' if whole.ndim == 2 else ""
+    text = base64.b64encode(content).decode("ascii")
+    kind = _TYPES[whole.dtype.str]
+    return f'<DataArray type="{kind}" Name="{name}"{columns} format="binary">{text}</DataArray>'

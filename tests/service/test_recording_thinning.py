@@ -8,8 +8,8 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial import KDTree
 
 from wrenchbook.service.ledger import packed
-from wrenchbook.service.recording import net as net_module
-from wrenchbook.service.recording.net import Net, farthest_first, scaled_loads, spaced, take
+from wrenchbook.service.recording import thinning
+from wrenchbook.service.recording.thinning import Subset, farthest_first, scaled_loads, spaced, take
 
 ONE = np.ones(6)
 
@@ -20,58 +20,58 @@ def points_of(count, seed=1):
 
 def taken(blocks):
     """Take blocks in turn; return the net and what became of the wrenches in all."""
-    net, merged, thinned = Net(most=50), 0, 0
+    subset, merged, thinned = Subset(most=50), 0, 0
     for block in blocks:
-        step = take(net, scaled_loads(block, ONE), packed(block))
-        assert len(step.net.keys) == len(net.keys) + len(step.added) - len(step.dropped)
-        net, merged, thinned = step.net, merged + step.merged, thinned + step.thinned
-    return net, merged, thinned
+        step = take(subset, scaled_loads(block, ONE), packed(block))
+        assert len(step.subset.keys) == len(subset.keys) + len(step.added) - len(step.dropped)
+        subset, merged, thinned = step.subset, merged + step.merged, thinned + step.thinned
+    return subset, merged, thinned
 
 
 @pytest.fixture
 def small(monkeypatch):
-    monkeypatch.setattr(net_module, "CHUNK", 16)
+    monkeypatch.setattr(thinning, "CHUNK", 16)
 
 
 def test_wrenches_within_a_millionth_of_the_range_are_one(small):
     block = np.zeros((3, 6))
     block[1, 2], block[2, 2] = 0.9e-6, 1.1e-6
-    net, merged, thinned = taken([block])
-    assert (len(net.keys), merged, thinned) == (2, 1, 0)
-    assert net.keys == packed(block[[0, 2]])
+    subset, merged, thinned = taken([block])
+    assert (len(subset.keys), merged, thinned) == (2, 1, 0)
+    assert subset.keys == packed(block[[0, 2]])
 
 
 def test_below_the_bound_every_wrench_is_kept_in_its_order(small):
     block = points_of(50)
-    net, merged, thinned = taken([block[:20], block[20:]])
-    assert (net.keys, merged, thinned) == (packed(block), 0, 0)
+    subset, merged, thinned = taken([block[:20], block[20:]])
+    assert (subset.keys, merged, thinned) == (packed(block), 0, 0)
 
 
 @pytest.mark.parametrize("size", [1, 7, 16, 300])
 def test_beyond_the_bound_all_are_counted_and_none_is_far_from_one_kept(small, size):
     block = points_of(300)
-    net, merged, thinned = taken([block[at : at + size] for at in range(0, 300, size)])
-    assert len(net.keys) <= 50
-    assert len(net.keys) + merged + thinned == 300
+    subset, merged, thinned = taken([block[at : at + size] for at in range(0, 300, size)])
+    assert len(subset.keys) <= 50
+    assert len(subset.keys) + merged + thinned == 300
     assert merged == 0
-    apart = KDTree(net.points).query(block, p=np.inf)[0]
-    assert apart.max() <= net.within + 1e-12
-    assert np.isfinite(net.within)
+    apart = KDTree(subset.points).query(block, p=np.inf)[0]
+    assert apart.max() <= subset.within + 1e-12
+    assert np.isfinite(subset.within)
 
 
 def test_what_is_kept_lies_farther_apart_than_the_reach(small):
-    net, _, _ = taken([points_of(300)])
-    nearest = KDTree(net.points).query(net.points, k=2, p=np.inf)[0][:, 1]
-    assert net.reach > 1e-6
-    assert nearest.min() > net.reach
+    subset, _, _ = taken([points_of(300)])
+    nearest = KDTree(subset.points).query(subset.points, k=2, p=np.inf)[0][:, 1]
+    assert subset.reach > 1e-6
+    assert nearest.min() > subset.reach
 
 
 def test_thinning_leaves_a_recording_as_evenly_spread_as_a_choice_of_the_farthest(small):
     """Its covering is at most four times that of the greedy choice of as many (2-approximate)."""
     block = points_of(400)
-    net, _, _ = taken([block])
-    greedy = block[farthest_first(block, np.empty((0, 6)), len(net.keys))]
-    cover = KDTree(net.points).query(block, p=np.inf)[0].max()
+    subset, _, _ = taken([block])
+    greedy = block[farthest_first(block, np.empty((0, 6)), len(subset.keys))]
+    cover = KDTree(subset.points).query(block, p=np.inf)[0].max()
     best = KDTree(greedy).query(block, p=np.inf)[0].max()
     assert cover <= 4 * best
 
@@ -79,18 +79,18 @@ def test_thinning_leaves_a_recording_as_evenly_spread_as_a_choice_of_the_farthes
 def test_blows_of_any_strength_are_thinned_to_what_differs_by_a_share_of_itself(small):
     """In plain numbers the strongest alone would say what is far."""
     blows = [np.abs(points_of(40, seed)) * 10.0**seed for seed in range(1, 9)]
-    net, _, _ = taken(blows)
-    sizes = np.abs(net.points).max(axis=1)
-    assert net.reach < 5
+    subset, _, _ = taken(blows)
+    sizes = np.abs(subset.points).max(axis=1)
+    assert subset.reach < 5
     assert sizes.min() < 5
     assert sizes.max() > 15
 
 
 def test_a_wrench_of_any_size_is_taken(small):
     block = np.array([[1e308] * 6, [-1e308] * 6, [5e-324] * 6, [0.0] * 6])
-    net = take(Net(), scaled_loads(block, np.full(6, 1e-6)), packed(block)).net
-    assert len(net.keys) == 3
-    assert np.isfinite(net.points).all()
+    subset = take(Subset(), scaled_loads(block, np.full(6, 1e-6)), packed(block)).subset
+    assert len(subset.keys) == 3
+    assert np.isfinite(subset.points).all()
 
 
 @settings(max_examples=60)

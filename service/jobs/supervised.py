@@ -1,14 +1,14 @@
-"""What an engine is told of an attempt, and what it needs of a machine by its bundle's check."""
+"""An attempt that a dispatcher supervises, and what its engine needs to know of it."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from wrenchbook.service.jobs.attempt import attempt_folder
+from wrenchbook.service.jobs.attempt import attempt_folder, solver_began
 from wrenchbook.service.jobs.engines.engine import Attempt
 from wrenchbook.service.jobs.record_outcome import spec_of
 from wrenchbook.service.ledger import Job
-from wrenchbook.service.library.checked import estimate_of
+from wrenchbook.service.library.component import estimate_of
 
 # Times the estimated seconds: a load may take 4 times the iterations of a usual one, the estimate
 # is right to a factor of two, and a machine may be slower or busier by as much again and more.
@@ -37,7 +37,7 @@ def completed(
 ) -> Attempt:
     """Add where the component lies and what a solve of it needs, with a deadline of one's own.
 
-    With `estimate` the solve also tells what the solver's own answers may be wrong by.
+    With `estimate` the solve also estimates the solver's own error.
     """
     needs = needs_of(bundle)
     seconds = needs.deadline if deadline is None else deadline
@@ -52,3 +52,53 @@ def needs_of(bundle: Path) -> Needs:
     if not isinstance(memory, int) or not isinstance(seconds, int | float):
         return Needs(None, UNKNOWN_DEADLINE)
     return Needs(memory, max(LEAST_DEADLINE, DEADLINE_MARGIN * seconds))
+
+
+@dataclass
+class SupervisedAttempt:
+    """An attempt this dispatcher looks after.
+
+    Attributes
+    ----------
+    taken : bool
+        Whether an engine has taken it.
+    witnessed : bool
+        Whether its solver has lived in this dispatcher's time.
+    adopted : bool
+        Whether another dispatcher started it.
+    leaving : bool
+        Whether its answer is not needed any more.
+    began : bool
+        Whether a solver was seen at it.
+    died : float or None
+        When it was first seen dead, monotonic seconds.
+    """
+
+    job: Job
+    attempt: Attempt
+    taken: bool = False
+    witnessed: bool = True
+    adopted: bool = False
+    leaving: bool = False
+    began: bool = False
+    died: float | None = None
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Job and attempt."""
+        return self.job.id, self.job.attempt
+
+    @property
+    def folder(self) -> Path:
+        """The attempt's folder."""
+        return self.attempt.folder
+
+    @property
+    def is_pressing(self) -> bool:
+        """Whether to poll it often: its end may come without an event, or something is due soon."""
+        return self.adopted or self.leaving or self.died is not None
+
+    @property
+    def counts(self) -> bool:
+        """Whether a solver that left nothing has died by itself, for all that is known."""
+        return self.witnessed and (self.began or solver_began(self.folder))

@@ -1,8 +1,8 @@
 """Farthest-point thinning of a stream of wrenches, in bounded memory and little time.
 
-The wrenches kept are a net: no two are as near as its reach, and each one met is near one kept.
-When there are too many the reach grows and some go (the doubling algorithm: Charikar, Chekuri,
-Feder and Motwani 1997), so a wrench is looked at once, and never again once another stands for it.
+It keeps a subset of the wrenches: no two are within `reach` of each other, and every wrench lies
+within `within` of a kept one. When the subset is full, `reach` grows and some are dropped (the
+doubling algorithm: Charikar, Chekuri, Feder and Motwani 1997), so each wrench is examined once.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
 
 MOST = 10_000  # wrenches of a recording within the load range
-MOST_OUTSIDE = 1_000  # beyond it: blows, of which a sketch is enough, take no place from the others
+MOST_OUTSIDE = 1_000  # beyond the range: impacts, counted apart from the others
 # Thinning goes down to this share, so that it happens once in 2,000 new wrenches, not with each.
 TARGET = 0.8
-CHUNK = 2_048  # wrenches looked at in one go: each is a tree of its own and one more of the net
+CHUNK = 2_048  # wrenches at once: each chunk takes a tree of its own and one of the subset
 LARGEST = 1e300  # scaled loads beyond this count as this: all differences stay finite numbers
 _EDGE = 1 + 1e-12  # KDTree's bound is exclusive; a wrench at just the reach counts as near
 
 
 @dataclass(frozen=True)
-class Net:
-    """Points no two of which are within reach of each other.
+class Subset:
+    """Points of which no two are within reach of each other.
 
     Attributes
     ----------
@@ -52,9 +52,9 @@ class Net:
 
 @dataclass(frozen=True)
 class Taken:
-    """What a block has done to a net: the net after it, and what is new, gone, and stood for."""
+    """The subset after a block, keys added and dropped, counts of merged and thinned."""
 
-    net: Net
+    subset: Subset
     added: list[bytes]
     dropped: list[bytes]
     merged: int
@@ -75,20 +75,20 @@ def scaled_loads(wrenches: Floats, scale: Floats) -> Floats:
     return points
 
 
-def take(net: Net, points: Floats, keys: list[bytes]) -> Taken:
-    """Take points, shape (n, 6), dimensionless, into a net in their order."""
-    before, merged, thinned = net, 0, 0
+def take(subset: Subset, points: Floats, keys: list[bytes]) -> Taken:
+    """Add points, shape (n, 6), dimensionless, to a subset in their order."""
+    before, merged, thinned = subset, 0, 0
     for start in range(0, len(points), CHUNK):
         part = slice(start, start + CHUNK)
-        net, same, near = _take_part(net, points[part], keys[part])
+        subset, same, near = _take_part(subset, points[part], keys[part])
         merged, thinned = merged + same, thinned + near
-        if len(net.keys) > net.most:
-            fewer = _coarser(net)
-            thinned += len(net.keys) - len(fewer.keys)
-            net = fewer
-    kept, had = set(net.keys), set(before.keys)
-    added = [key for key in net.keys if key not in had]
-    return Taken(net, added, [key for key in before.keys if key not in kept], merged, thinned)
+        if len(subset.keys) > subset.most:
+            fewer = _coarser(subset)
+            thinned += len(subset.keys) - len(fewer.keys)
+            subset = fewer
+    kept, had = set(subset.keys), set(before.keys)
+    added = [key for key in subset.keys if key not in had]
+    return Taken(subset, added, [key for key in before.keys if key not in kept], merged, thinned)
 
 
 def spaced(points: Floats, reach: float) -> NDArray[np.bool_]:
@@ -128,45 +128,48 @@ def farthest_first(points: Floats, known: Floats, most: int) -> list[int]:
     return chosen
 
 
-def _take_part(net: Net, points: Floats, keys: list[bytes]) -> tuple[Net, int, int]:
-    """Return the net with some points, how many are merged, how many another stands for."""
+def _take_part(subset: Subset, points: Floats, keys: list[bytes]) -> tuple[Subset, int, int]:
+    """Return the subset with some points, how many are merged and how many are thinned."""
     apart = np.full(len(points), np.inf)
-    if net.keys:
-        bound = net.reach * _EDGE
-        apart = _tree(net.points).query(points, p=np.inf, distance_upper_bound=bound)[0]
+    if subset.keys:
+        bound = subset.reach * _EDGE
+        apart = _tree(subset.points).query(points, p=np.inf, distance_upper_bound=bound)[0]
     fresh = np.flatnonzero(np.isinf(apart))
     same = int((apart <= MERGE * _EDGE).sum())
     different = fresh[spaced(points[fresh], MERGE)]
     chosen = different
-    if net.reach > MERGE:
-        chosen = different[spaced(points[different], net.reach)]
+    if subset.reach > MERGE:
+        chosen = different[spaced(points[different], subset.reach)]
     merged = same + len(fresh) - len(different)
     thinned = len(points) - merged - len(chosen)
-    within = max(net.within, net.reach if thinned else MERGE if merged else 0.0)
-    after = np.concatenate([net.points, points[chosen]])
+    within = max(subset.within, subset.reach if thinned else MERGE if merged else 0.0)
+    after = np.concatenate([subset.points, points[chosen]])
     return (
         replace(
-            net, points=after, keys=net.keys + [keys[one] for one in chosen.tolist()], within=within
+            subset,
+            points=after,
+            keys=subset.keys + [keys[one] for one in chosen.tolist()],
+            within=within,
         ),
         merged,
         thinned,
     )
 
 
-def _coarser(net: Net) -> Net:
-    """Return a net of a larger reach with at most `TARGET` of the most points."""
-    points, keys, reach, within = net.points, net.keys, net.reach, net.within
-    while len(keys) > TARGET * net.most:
+def _coarser(subset: Subset) -> Subset:
+    """Return a subset of a larger reach with at most `TARGET` of the most points."""
+    points, keys, reach, within = subset.points, subset.keys, subset.reach, subset.within
+    while len(keys) > TARGET * subset.most:
         nearest = _tree(points).query(points, k=2, p=np.inf)[0][:, 1]
-        # What three of ten points have another within: most of these go, few others.
+        # Three of ten points have a neighbour within this reach: most of these are dropped.
         reach = max(1.1 * reach, float(np.quantile(nearest, 0.3)))
         keep = spaced(points, reach)
         if not keep.all():
             points, within = points[keep], within + reach
             keys = [key for key, kept in zip(keys, keep.tolist(), strict=True) if kept]
-    return Net(points, keys, reach, within, net.most)
+    return Subset(points, keys, reach, within, subset.most)
 
 
 def _tree(points: Floats) -> KDTree:
-    """Return a tree that is quick to make: it is asked for a few thousand points, once."""
+    """Return a tree that is quick to build: each is queried once, for a few thousand points."""
     return KDTree(points, balanced_tree=False, compact_nodes=False)

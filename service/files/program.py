@@ -1,10 +1,95 @@
-"""What a solver may take of the machine's memory, and when it has grown too large."""
+"""The running program: its command line, the digest of its code, cores and memory."""
 
+from __future__ import annotations
+
+import ctypes
+import hashlib
 import math
 import os
 import resource
 import sys
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+
+def child_command(module: str, *arguments: str) -> list[str]:
+    """Return the command line that runs a module of wrenchbook in a process of its own.
+
+    The child runs the wrenchbook that its parent runs, whatever the current folder or PYTHONPATH
+    hold: it is started by the path of the file.
+
+    Parameters
+    ----------
+    module : str
+        What ``python -m`` would be given, such as ``wrenchbook.fea.check``.
+    arguments : str
+        Its arguments.
+    """
+    start = sys.modules["wrenchbook"].__file__
+    return [sys.executable, "-P", str(start), "-m", module, *arguments]
+
+
+def usable_cores() -> int:
+    """Return the number of cores this program may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+_ROOT = Path(__file__).resolve().parents[2]
+
+
+def solver_version() -> str:
+    """Return version and code digest of the solver, such as ``0.2.0+1f3a5b7c9d0e``.
+
+    The version is ``unknown`` in a checkout that is not installed.
+    """
+    try:
+        number = version("wrenchbook")
+    except PackageNotFoundError:
+        number = "unknown"
+    return f"{number}+{code_digest('fea', 'service/jobs')[:12]}"
+
+
+@cache
+def code_digest(*folders: str) -> str:
+    """Return a digest, 16 hexadecimal digits, of the Python files below some folders.
+
+    Parameters
+    ----------
+    folders
+        Such as ``surrogate`` or ``service/jobs``.
+    """
+    found = hashlib.sha256()
+    for folder in folders:
+        for path in sorted((_ROOT / folder).rglob("*.py")):
+            found.update(path.relative_to(_ROOT).as_posix().encode() + b"\0" + path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+_ARENA_MAX = -8  # M_ARENA_MAX of glibc's malloc.h
+# Each thread has a heap of its own otherwise, of 64 MiB of address space: the forty of a server
+# take 1.3 GB, 0.4 GB with few, and where addresses are limited no thread could be started.
+MOST_HEAPS = 4
+
+
+def give_back() -> None:
+    """Return freed memory to the system where the C library can (glibc); else do nothing.
+
+    What reading a large file has used is scattered over the threads' heaps, and stays this
+    process' own until then: 60 MB after a CSV of 100,000 rows.
+    """
+    with suppress(OSError, AttributeError):  # another C library
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def keep_few_heaps() -> None:
+    """Let the threads that start from now on share heaps where the C library can (glibc)."""
+    with suppress(OSError, AttributeError):  # another C library
+        ctypes.CDLL(None).mallopt(_ARENA_MAX, MOST_HEAPS)
+
 
 MARGIN_VARIABLE = "WRENCHBOOK_MEMORY_MARGIN"
 

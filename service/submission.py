@@ -72,7 +72,7 @@ class _Open:
         return np.where(place < len(self.ids), place, -1)
 
 
-class Orders:
+class Submission:
     """Turn wrenches into jobs of the ledger.
 
     Parameters
@@ -157,7 +157,7 @@ class Orders:
         component = self.solvable(name)
         return self._place(component, component.acting(wrenches), 0.0)
 
-    def asked_wrenches(self, name: str) -> Floats:
+    def pending_wrenches(self, name: str) -> Floats:
         """Return the wrenches of a component's open and failed jobs, shape (n, 6), N and N·m.
 
         A failed one is not solved again by asking.

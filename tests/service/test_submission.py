@@ -7,7 +7,7 @@ import pytest
 
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
-from wrenchbook.service.ordering import GRAINS, Orders, spread
+from wrenchbook.service.submission import GRAINS, Submission, spread
 
 NAME = "plate_thin"
 
@@ -17,33 +17,33 @@ def opened(tmp_path):
     """Open the same data directory twice, as two processes would."""
     ledgers = [Ledger(tmp_path / "ledger.sqlite") for _ in range(2)]
     library = Library(tmp_path / "components")
-    yield [Orders(ledger, library, queue_limit=10) for ledger in ledgers]
+    yield [Submission(ledger, library, queue_limit=10) for ledger in ledgers]
     for ledger in ledgers:
         ledger.close()
 
 
-def wrenches(orders, count, seed):
-    scale = orders.solvable(NAME).load_range.scale
+def wrenches(submission, count, seed):
+    scale = submission.solvable(NAME).load_range.scale
     return scale * np.random.default_rng(seed).uniform(-1, 1, (count, 6))
 
 
 def test_the_limit_holds_when_many_threads_of_two_processes_queue_at_once(opened):
     def ask(turn):
-        orders = opened[turn % 2]
-        return [orders.queue(NAME, one[None])[0] for one in wrenches(orders, 20, turn)]
+        submission = opened[turn % 2]
+        return [submission.queue(NAME, one[None])[0] for one in wrenches(submission, 20, turn)]
 
     with ThreadPoolExecutor(8) as pool:
         placed = [one for found in pool.map(ask, range(8)) for one in found]
-    assert len(opened[0].asked_wrenches(NAME)) == 10
+    assert len(opened[0].pending_wrenches(NAME)) == 10
     assert {one.job.id for one in placed if one.job} == set(range(1, 11))
     assert any(one.job is None for one in placed)
 
 
 def test_wrenches_that_round_to_the_same_are_one_job_and_its_own(opened):
-    orders = opened[0]
-    scale = orders.solvable(NAME).load_range.scale
+    submission = opened[0]
+    scale = submission.solvable(NAME).load_range.scale
     wrench = 0.25 * scale
-    first, second = orders.queue(NAME, np.array([wrench, wrench + 0.4 / GRAINS * scale]))
+    first, second = submission.queue(NAME, np.array([wrench, wrench + 0.4 / GRAINS * scale]))
     assert first.own
     assert second.own
     assert first.job == second.job
@@ -56,23 +56,23 @@ def test_a_decimal_wrench_is_solved_as_it_was_written(opened):
 
 
 def test_a_done_job_is_found_again_even_at_the_limit(opened):
-    orders, ledger = opened[0], opened[0]._ledger
-    wrench = wrenches(orders, 1, 7)
-    job = orders.queue(NAME, wrench)[0].job
+    submission, ledger = opened[0], opened[0]._ledger
+    wrench = wrenches(submission, 1, 7)
+    job = submission.queue(NAME, wrench)[0].job
     claimed = ledger.claim("test")
     assert claimed.id == job.id
     ledger.commit(job.id, claimed.attempt, [0.0] * 6)
-    orders.queue(NAME, wrenches(orders, 50, 8))
-    placed = orders.queue(NAME, wrench)[0]
+    submission.queue(NAME, wrenches(submission, 50, 8))
+    placed = submission.queue(NAME, wrench)[0]
     assert (placed.job.id, placed.job.status, placed.own) == (job.id, "done", True)
 
 
 def test_a_cancelled_job_is_not_joined_but_asked_for_anew(opened):
-    orders, ledger = opened[0], opened[0]._ledger
-    wrench = wrenches(orders, 1, 9)
-    job = orders.queue(NAME, wrench)[0].job
+    submission, ledger = opened[0], opened[0]._ledger
+    wrench = wrenches(submission, 1, 9)
+    job = submission.queue(NAME, wrench)[0].job
     ledger.cancel(job.id)
-    again = orders.queue(NAME, wrench)[0].job
+    again = submission.queue(NAME, wrench)[0].job
     assert (again.id, again.status, again.asked_by) == (job.id, "waiting", "query")
 
 
@@ -91,9 +91,12 @@ def test_picked_points_are_apart_and_near_every_point(reach, count):
 
 
 def test_a_loop_on_a_linear_component_queues_one_solve_not_sixty_four(opened):
-    orders = opened[0]
-    span = orders.solvable("bar").load_range.scale
+    submission = opened[0]
+    span = submission.solvable("bar").load_range.scale
     some = span * np.random.default_rng(3).uniform(-1, 1, (40, 6))
-    placed = [*orders.queue("bar", some[:20]), *(orders.queue("bar", one[None])[0] for one in some)]
+    placed = [
+        *submission.queue("bar", some[:20]),
+        *(submission.queue("bar", one[None])[0] for one in some),
+    ]
     assert {one.job.id for one in placed} == {1}
     assert [one.own for one in placed[:20]] == [True] + 19 * [False]
