@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ServerTimeout
+from ..errors import InvalidArgument, ServerTimeout
 from ..replies import Displacement
 from ..wrenches import tolerance_body
 from .errors import DisplacementUnknown
@@ -46,7 +46,7 @@ class TableSource:
     ) -> None:
         name = getattr(table, "name", component)
         if name != component:
-            raise ValueError(f"the table is of component {name!r}, not of {component!r}")
+            raise InvalidArgument(f"the table is of component {name!r}, not of {component!r}")
         self._table, self._asked, self._method = table, tolerance, method
         own = getattr(table, "tolerance", None)
         self.tolerance = tolerance or (None if own is None else tolerance_body(own))
