@@ -56,6 +56,11 @@ class Client(Calls, Connection):
     key : str, optional
         A key of the server; the variable WRENCHBOOK_KEY if not given.
 
+    Attributes
+    ----------
+    retry_s : float
+        Those 10 s; 0 for no second attempt.
+
     Examples
     --------
     >>> with Client() as client:                                # doctest: +SKIP

@@ -34,6 +34,11 @@ class Transport:
     key : str, optional
         A key of the server; the variable WRENCHBOOK_KEY if not given.
 
+    Attributes
+    ----------
+    retry_s : float
+        Seconds for which a server that refuses, or is busy, is tried again: 10; 0 for not at all.
+
     Raises
     ------
     InvalidArgument
@@ -47,7 +52,7 @@ class Transport:
         if parts.scheme not in ("http", "https") or not parts.hostname:
             raise InvalidArgument(f"{url!r} is no address of a server; write http://127.0.0.1:8000")
         self.url = f"{parts.scheme}://{parts.netloc}{parts.path.rstrip('/')}"
-        self.timeout = timeout
+        self.timeout, self.retry_s = timeout, RETRY_S
         self._key = _checked_key(os.environ.get("WRENCHBOOK_KEY") if key is None else key)
         self._path = parts.path.rstrip("/")
         self._https = parts.scheme == "https"
@@ -164,7 +169,7 @@ class Transport:
             pause = error.retry_after if error.status == 503 and request.repeatable else None
         else:
             pause = min(BACKOFF_S[0] * 2**attempt, BACKOFF_S[1]) if error.refused else None
-        limit = min(self.timeout, RETRY_S)
+        limit = min(self.timeout, self.retry_s)
         if pause is None or time.monotonic() - began + pause > limit:
             raise error
         return pause
