@@ -13,7 +13,7 @@ from email.message import Message
 from functools import cached_property
 from typing import Any, NamedTuple
 
-_ENOUGH = 65_536  # bytes asked for at once: all but large batches come in one piece
+_ENOUGH = 65_536  # bytes of one read: all but large batches come in one piece
 _BLANK_LINE = b"\r\n\r\n"
 _LENGTH = b"\r\ncontent-length:"
 # Fields that say what has to be done with a connection or a body: http.client knows how.

@@ -1,4 +1,4 @@
-"""Checks of wrenches before they are sent: what is wrong is said here, by name."""
+"""Checks of wrenches before they are sent: errors name the number that is wrong."""
 
 from __future__ import annotations
 

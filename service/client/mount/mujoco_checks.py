@@ -128,7 +128,7 @@ def floating(model: Any, division: Division, gravcomp: str | None) -> Any:
     Raises
     ------
     SensorError
-        If a body is compensated and it is not said what that stands for.
+        If a body is compensated and `gravcomp` is not given.
     ValueError
         If it is none of its words, or cannot be taken off with this integrator.
     """

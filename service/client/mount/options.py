@@ -1,4 +1,4 @@
-"""What a mount is told, checked where a slip is likely."""
+"""Options of a mount, checked where a slip is likely."""
 
 from __future__ import annotations
 
