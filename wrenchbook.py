@@ -5,6 +5,29 @@
 ...     answer = client.displacement("plate", [0, 0, -800], [0, 40, 0])
 ...     R, p = answer.apply(R0, p0)
 
+Client, AsyncClient
+    A client of a server; blocking, for any number of threads, or for asyncio.
+Displacement, Displacements
+    The answer to one wrench, the answers to many.
+Table
+    A downloaded or opened table, which answers in this process in microseconds.
+Mount, MujocoMount, Settled
+    The joint between a rigid-body simulation and a component; in MuJoCo; where it is at rest.
+conventions
+    Wrenches and poses of ROS, Drake, MuJoCo and PyBullet.
+Scene, ComponentPlan
+    What a simulation needs of its components, and what is left out.
+Job, Round, Event
+    A queued solve, a round of filling a table, an event of the server.
+Recorder, Recording, Envelope, Started
+    Wrenches of a loop, sent without waiting; the recorded ones; extremes; queued solves.
+DeformedShape, Stress
+    A deformed surface, and its largest von Mises stress.
+WrenchbookError
+    The base of all errors: InvalidArgument, MissingPackage, ProblemError, RecorderError,
+    SceneError, ServerTimeout, ServerUnreachable, TableError, MountError (SensorError,
+    DisplacementUnknown, CouplingDiverged). MountWarning is the one warning.
+
 Each public name is loaded when it is first used, so that a simulator pays for what it uses. The
 packages next to this file are ``wrenchbook.fea``, ``wrenchbook.surrogate`` and
 ``wrenchbook.service``, in a checkout as in a wheel, where this file is ``wrenchbook/__init__.py``.
@@ -25,21 +48,40 @@ if TYPE_CHECKING:
     from .service.client import (
         Client,
         ComponentPlan,
+        DeformedShape,
         Displacement,
         Displacements,
+        Envelope,
+        Event,
+        InvalidArgument,
         Job,
+        MissingPackage,
         ProblemError,
         Recorder,
         RecorderError,
+        Recording,
         Round,
         Scene,
         SceneError,
         ServerTimeout,
         ServerUnreachable,
+        Started,
+        Stress,
         Table,
+        TableError,
+        WrenchbookError,
         conventions,
     )
-    from .service.client.mount import CouplingDiverged, Mount, MountError, MountWarning
+    from .service.client.async_client import AsyncClient
+    from .service.client.mount import (
+        CouplingDiverged,
+        DisplacementUnknown,
+        Mount,
+        MountError,
+        MountWarning,
+        SensorError,
+        Settled,
+    )
     from .service.client.mount.mujoco_mount import MujocoMount
 
 __path__ = [str(Path(__file__).resolve().parent)]  # one module that is also a package
@@ -48,12 +90,19 @@ if __name__ in ("__main__", "__mp_main__"):  # run by its path: the packages nex
 __version__ = "0.3.0"
 
 _HOME = {
+    "AsyncClient": "service.client.async_client",
     "Client": "service.client",
     "ComponentPlan": "service.client",
     "CouplingDiverged": "service.client.mount",
+    "DeformedShape": "service.client",
     "Displacement": "service.client",
+    "DisplacementUnknown": "service.client.mount",
     "Displacements": "service.client",
+    "Envelope": "service.client",
+    "Event": "service.client",
+    "InvalidArgument": "service.client",
     "Job": "service.client",
+    "MissingPackage": "service.client",
     "Mount": "service.client.mount",
     "MountError": "service.client.mount",
     "MountWarning": "service.client.mount",
@@ -61,21 +110,35 @@ _HOME = {
     "ProblemError": "service.client",
     "Recorder": "service.client",
     "RecorderError": "service.client",
+    "Recording": "service.client",
     "Round": "service.client",
     "Scene": "service.client",
     "SceneError": "service.client",
+    "SensorError": "service.client.mount",
     "ServerTimeout": "service.client",
     "ServerUnreachable": "service.client",
+    "Settled": "service.client.mount",
+    "Started": "service.client",
+    "Stress": "service.client",
     "Table": "service.client",
+    "TableError": "service.client",
+    "WrenchbookError": "service.client",
     "conventions": "service.client.conventions",
 }
 __all__ = [
+    "AsyncClient",
     "Client",
     "ComponentPlan",
     "CouplingDiverged",
+    "DeformedShape",
     "Displacement",
+    "DisplacementUnknown",
     "Displacements",
+    "Envelope",
+    "Event",
+    "InvalidArgument",
     "Job",
+    "MissingPackage",
     "Mount",
     "MountError",
     "MountWarning",
@@ -83,18 +146,25 @@ __all__ = [
     "ProblemError",
     "Recorder",
     "RecorderError",
+    "Recording",
     "Round",
     "Scene",
     "SceneError",
+    "SensorError",
     "ServerTimeout",
     "ServerUnreachable",
+    "Settled",
+    "Started",
+    "Stress",
     "Table",
+    "TableError",
+    "WrenchbookError",
     "conventions",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is first asked for (PEP 562)."""
+    """Load a public name at its first use (PEP 562)."""
     if name not in _HOME:
         raise AttributeError(f"module 'wrenchbook' has no {name!r}; it has {', '.join(__all__)}")
     home = importlib.import_module(f"wrenchbook.{_HOME[name]}")

@@ -41,7 +41,7 @@ def test_a_name_is_loaded_when_it_is_first_used_and_not_before():
 
 
 def test_a_name_that_is_not_there_is_answered_with_those_that_are():
-    with pytest.raises(AttributeError, match=r"has no 'client_'; it has Client, ComponentPlan"):
+    with pytest.raises(AttributeError, match=r"has no 'client_'; it has AsyncClient, Client"):
         _ = wrenchbook.client_  # pyright: ignore[reportAttributeAccessIssue]
 
 

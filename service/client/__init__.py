@@ -1,26 +1,48 @@
 """What a simulator imports, as `wrenchbook`: numpy and the standard library only.
 
+`AsyncClient` is in `async_client`, apart, since asyncio takes longer to load than all the rest.
+
 >>> from wrenchbook import Client
 >>> with Client("http://127.0.0.1:8000") as client:            # doctest: +SKIP
 ...     answer = client.displacement("plate", [0, 0, -800], [0, 40, 0])
 ...     R, p = answer.apply(R0, p0)
 """
 
-from .deformed import DeformedShape, DeformedShapes, Stress
-from .errors import ProblemError, ServerTimeout, ServerUnreachable
-from .event_calls import Event, EventCalls
-from .job import Job, Round
-from .job_calls import JobCalls
-from .library import Library
-from .questions import Questions
-from .recording import Recorder, RecorderError
-from .recording_calls import Envelope, Recording, RecordingCalls, Started
+from .connection import Connection
+from .deformed import DeformedShape, Stress, SurfaceCalls
+from .displacement import DisplacementCalls
+from .errors import (
+    InvalidArgument,
+    MissingPackage,
+    ProblemError,
+    ServerTimeout,
+    ServerUnreachable,
+    TableError,
+    WrenchbookError,
+)
+from .events import Event, EventCalls
+from .job import Job, JobCalls, Round
+from .library import LibraryCalls
+from .recorder import Recorder, RecorderError
+from .recording import Envelope, Recording, RecordingCalls, Started
 from .replies import Displacement, Displacements
 from .scene import ComponentPlan, Scene, SceneError
-from .table import Downloads, Table
+from .table import DownloadCalls, Table
 
 
-class Client(Questions, DeformedShapes, JobCalls, Library, Downloads, RecordingCalls, EventCalls):
+class Calls(
+    DisplacementCalls,
+    SurfaceCalls,
+    JobCalls,
+    LibraryCalls,
+    DownloadCalls,
+    RecordingCalls,
+    EventCalls,
+):
+    """The calls of both clients."""
+
+
+class Client(Calls, Connection):
     """A client of one server, for any number of threads.
 
     Parameters
@@ -28,10 +50,16 @@ class Client(Questions, DeformedShapes, JobCalls, Library, Downloads, RecordingC
     url : str
         Address of the server.
     timeout : float
-        Seconds without an answer before `ServerTimeout`; the time a call asks the server to wait
-        is added to it.
+        Seconds without an answer before `ServerTimeout`; the time that a call lets the server wait
+        is added. A server that refuses the connection, as while it restarts, is tried again for as
+        long, but 10 s at most.
     key : str, optional
-        What the server was told to let in; the variable WRENCHBOOK_KEY if not given.
+        A key of the server; the variable WRENCHBOOK_KEY if not given.
+
+    Attributes
+    ----------
+    retry_s : float
+        Those 10 s; 0 for no second attempt.
 
     Examples
     --------
@@ -49,7 +77,9 @@ __all__ = [
     "Displacements",
     "Envelope",
     "Event",
+    "InvalidArgument",
     "Job",
+    "MissingPackage",
     "ProblemError",
     "Recorder",
     "RecorderError",
@@ -62,4 +92,6 @@ __all__ = [
     "Started",
     "Stress",
     "Table",
+    "TableError",
+    "WrenchbookError",
 ]

@@ -21,6 +21,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .errors import InvalidArgument
 from .rotation import quaternion
 from .wrenches import one_wrench
 
@@ -55,7 +56,7 @@ def moved(
     if rotation is not None:
         axes = np.asarray(rotation, dtype=float)
         if axes.shape != (3, 3) or not np.allclose(axes @ axes.T, np.eye(3), atol=1e-6):
-            raise ValueError("rotation must be an orthogonal matrix of shape (3, 3)")
+            raise InvalidArgument("rotation must be an orthogonal matrix of shape (3, 3)")
         force, moment = axes @ force, axes @ moment
     if point is not None:
         moment = moment + np.cross(np.asarray(point, dtype=float), force)
@@ -208,7 +209,7 @@ def quaternion_xyzw(rotation: ArrayLike) -> Vector:
 def _on(component: Side, parent_to_child: Vector) -> Vector:
     """Turn what the parent does to the child into what acts on the component, and back."""
     if component not in ("parent", "child"):
-        raise ValueError(f"component must be 'parent' or 'child', not {component!r}")
+        raise InvalidArgument(f"component must be 'parent' or 'child', not {component!r}")
     # Adding zero turns the -0.0 of an unloaded direction into 0.0.
     return (-parent_to_child if component == "parent" else parent_to_child) + 0.0
 
@@ -222,5 +223,7 @@ def _member(whole: Any, name: str, default: Any = _REQUIRED) -> Any:
         whole.get(name, default) if isinstance(whole, Mapping) else getattr(whole, name, default)
     )
     if found is _REQUIRED:
-        raise ValueError(f"the message has no {name!r}; a wrench has force and torque with x, y, z")
+        raise InvalidArgument(
+            f"the message has no {name!r}; a wrench has force and torque with x, y, z"
+        )
     return found

@@ -11,14 +11,12 @@ from urllib.parse import urlencode
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .connection import Connection
-from .questions import component_path
-from .wrenches import one_wrench
+from .errors import InvalidArgument
+from .request import Call, Request, component_path, sync_and_async
+from .wrenches import NAMES, one_wrench
 
 FORMATS = {".glb": "gltf", ".vtu": "vtu", ".json": "json"}
-"""What each ending of a file asks for."""
-
-_LOADS = ("fx", "fy", "fz", "mx", "my", "mz")
+"""The format of each file ending."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +26,8 @@ class Stress:
     Attributes
     ----------
     largest, error : float, Pa
-        And its 95 % error bar, of the table alone: without what the mesh is off. None where nothing
-        tells it.
+        And its 95 % error bar, of the table alone: without what the mesh is off. None where it is
+        not known.
     at : ndarray, shape (3,), m
         Where, undeformed, in the interface frame from the interface point.
     region : str
@@ -60,7 +58,7 @@ class DeformedShape:
         Vertices, anticlockwise seen from outside.
     displacement : ndarray, shape (v, 3), m
     error : ndarray, shape (v,), m
-        95 % error bar of each vertex's displacement; None where nothing tells it. What the
+        95 % error bar of each vertex's displacement; None where it is not known. What the
         solver's own mesh is off is in it if ``error_parts["mesh"]`` is not None.
     stress : Stress
         None where it is not known.
@@ -102,7 +100,7 @@ class DeformedShape:
 
     @classmethod
     def of(cls, raw: Mapping[str, Any]) -> DeformedShape:
-        """Return the shape that a reply tells."""
+        """Return the shape of a reply."""
         error, stress = raw["error"], raw["stress"]
         return cls(
             vertices=np.array(raw["vertices"], dtype=float).reshape(-1, 3),
@@ -130,18 +128,19 @@ def deformed_format(file: str | Path) -> str:
     suffix = Path(file).suffix
     if suffix.lower() not in FORMATS:
         named = f"the ending {suffix}" if suffix else "no ending"
-        raise ValueError(
+        raise InvalidArgument(
             f"{file} has {named}, which is no form of a surface; there are {', '.join(FORMATS)}"
         )
     return FORMATS[suffix.lower()]
 
 
-class DeformedShapes(Connection):
-    """Ask for deformed surfaces."""
+class SurfaceCalls:
+    """Deformed surfaces, as arrays and as files."""
 
+    @sync_and_async
     def deformed(
         self, name: str, force: ArrayLike, moment: ArrayLike | None = None
-    ) -> DeformedShape:
+    ) -> Call[DeformedShape]:
         """Return a component's deformed surface under one wrench.
 
         Parameters
@@ -160,24 +159,25 @@ class DeformedShapes(Connection):
             If there is no such component (404); if no row of it has a surface, or the wrench is
             far beyond the load range (409): the message says what to do.
         """
-        return DeformedShape.of(self.call("GET", _path(name, force, moment, "json")).json())
+        return DeformedShape.of((yield Request("GET", _path(name, force, moment, "json"))).json())
 
+    @sync_and_async
     def deformed_file(
         self,
         name: str,
         force: ArrayLike,
         moment: ArrayLike | None = None,
         format: str = "gltf",  # noqa: A002 (the contract's word)
-    ) -> bytes:
+    ) -> Call[bytes]:
         """Return the same as the content of a file: ``gltf`` (.glb), ``vtu`` or ``json``.
 
         Parameters are those of `deformed`: force and moment of shape (3,), N and N·m. Lengths in
         the file are m.
         """
-        return self.call("GET", _path(name, force, moment, format)).content
+        return (yield Request("GET", _path(name, force, moment, format))).content
 
 
 def _path(name: str, force: ArrayLike, moment: ArrayLike | None, form: str) -> str:
-    loads = np.asarray(one_wrench(force, moment), dtype=float).reshape(6)
-    asked = {load: repr(value) for load, value in zip(_LOADS, loads.tolist(), strict=True)}
-    return f"{component_path(name, 'deformed')}?{urlencode({**asked, 'format': form})}"
+    loads = one_wrench(force, moment).tolist()
+    query = {load: repr(value) for load, value in zip(NAMES, loads, strict=True)}
+    return f"{component_path(name, 'deformed')}?{urlencode({**query, 'format': form})}"

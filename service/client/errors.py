@@ -7,7 +7,23 @@ from typing import Any
 _SHOWN = 5
 
 
-class ProblemError(Exception):
+class WrenchbookError(Exception):
+    """The base of all errors that `Client`, `AsyncClient`, `Table` and `Mount` raise themselves."""
+
+
+class InvalidArgument(WrenchbookError, ValueError):  # noqa: N818 (as below)
+    """An argument is not valid; nothing was sent, and the text says what is valid."""
+
+
+class TableError(WrenchbookError, ValueError, RuntimeError):
+    """A packed table cannot be opened, or the compiled code that answers from it is not there."""
+
+
+class MissingPackage(WrenchbookError, ImportError):  # noqa: N818 (as below)
+    """A call needs a package that is not installed; the text says how to install it."""
+
+
+class ProblemError(WrenchbookError):
     """The server refused a call; the text says what to do.
 
     Parameters
@@ -20,7 +36,14 @@ class ProblemError(Exception):
         The mistakes one by one: ``{loc, msg}`` of a body, ``{row, field, message}`` of a table.
     body : dict, optional
         The whole ``application/problem+json`` answer, with members such as ``job``.
+
+    Attributes
+    ----------
+    retry_after : float or None
+        Seconds after which the server may take the request, where it tells.
     """
+
+    retry_after: float | None = None
 
     def __init__(
         self,
@@ -47,12 +70,14 @@ class ProblemError(Exception):
         return "\n".join(lines)
 
 
-class ServerUnreachable(ConnectionError):  # noqa: N818 (a state of the world, and the public name)
+class ServerUnreachable(WrenchbookError, ConnectionError):  # noqa: N818 (a state of the world, and a public name)
     """Nothing answers at the address; the text says how to start a server."""
 
+    refused = False  # whether the connection was refused: the server has not seen the request
 
-class ServerTimeout(TimeoutError):  # noqa: N818 (as above)
-    """The server, or a job, took longer than the caller would wait."""
+
+class ServerTimeout(WrenchbookError, TimeoutError):  # noqa: N818 (as above)
+    """The server, or a job, took longer than the timeout."""
 
 
 def _line(error: dict[str, Any]) -> str:

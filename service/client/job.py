@@ -1,16 +1,32 @@
-"""Solves in the server's queue, as its replies describe them."""
+"""Solves in the server's queue: their state, and the calls that follow, cancel and order them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import ServerTimeout
+from .request import (
+    Call,
+    Item,
+    Items,
+    Pause,
+    component_path,
+    json_request,
+    sync_and_async,
+    sync_and_async_iterator,
+)
+from .wrenches import options
+
 Vector = NDArray[np.float64]
 ENDED = ("done", "failed", "cancelled")
+LONGEST_POLL_S = 20.0
+ROUND = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +66,7 @@ class Job:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more will happen to it unless it is retried."""
+        """Whether it is done, failed or cancelled."""
         return self.status in ENDED
 
     @property
@@ -85,7 +101,7 @@ class Round:
     Parameters
     ----------
     jobs : tuple of Job
-        The solves queued; none when the table is as thick as asked.
+        The solves queued; none when the table meets the tolerance.
     stage : str
         ``first``, ``refine`` or ``met``.
     reason : str
@@ -108,3 +124,216 @@ def joined(first: Any, second: Any) -> Vector | None:
     if first is None or second is None:
         return None
     return np.concatenate([first, second])
+
+
+class JobCalls:
+    """Follow, cancel and retry jobs; fill tables."""
+
+    @sync_and_async
+    def job(self, job: Job | int, wait_s: float | None = None) -> Call[Job]:
+        """Return a job as it is now, or, with `wait_s`, once it has ended or the time is up.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such job (404).
+        """
+        return (yield from _job(job, wait_s))
+
+    @sync_and_async
+    def wait(self, job: Job | int, timeout: float = 600.0) -> Call[Job]:
+        """Wait until a job has ended, and return it: look at its `Job.status`.
+
+        Parameters
+        ----------
+        job : Job or int
+            The job, or its number.
+        timeout : float
+            Seconds to wait at most.
+
+        Raises
+        ------
+        ServerTimeout
+            If it has not ended by then; it goes on in the server.
+        """
+        return (yield from _ended(job, timeout))
+
+    @sync_and_async
+    def jobs(
+        self,
+        component: str | None = None,
+        status: str | None = None,
+        limit: int | None = None,
+        after: int | None = None,
+    ) -> Call[list[Job]]:
+        """Return the jobs, newest first, of one component or status if given.
+
+        Parameters
+        ----------
+        component, status : str, optional
+            Only these.
+        limit : int, optional
+            At most so many; 1000 if not given.
+        after : int, optional
+            Those after this job's number: the last one of the page before.
+        """
+        query = {"component": component, "status": status, "limit": limit, "after": after}
+        reply = yield json_request("GET", "/v1/jobs", query=query)
+        return [Job.read(one) for one in reply.json()["jobs"]]
+
+    @sync_and_async
+    def cancel(self, job: Job | int) -> Call[Job]:
+        """Cancel a job that has not ended, and return it."""
+        return Job.read((yield json_request("DELETE", _path(job), repeatable=False)).json())
+
+    @sync_and_async
+    def cancel_jobs(self, component: str | None = None, status: str = "waiting") -> Call[int]:
+        """Cancel all jobs of a status that has not ended, of one component if given.
+
+        Parameters
+        ----------
+        component : str, optional
+            Only this component's.
+        status : {"waiting", "running"}
+            Jobs that run are not cancelled if not given.
+
+        Returns
+        -------
+        int
+            How many were cancelled.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such component (404), or jobs of that status have ended (422).
+        """
+        query = {"component": component, "status": status}
+        reply = yield json_request("DELETE", "/v1/jobs", query=query, repeatable=False)
+        return reply.json()["cancelled"]
+
+    @sync_and_async
+    def retry(self, job: Job | int) -> Call[Job]:
+        """Queue a failed or cancelled job again, and return it."""
+        reply = yield json_request("POST", f"{_path(job)}/retry", {}, repeatable=False)
+        return Job.read(reply.json())
+
+    @sync_and_async
+    def fill(
+        self,
+        name: str,
+        tolerance: Any = None,
+        budget: int | None = None,
+        *,
+        range: Mapping[str, Any] | None = None,  # noqa: A002 (the contract's word)
+        outputs: Sequence[str] | None = None,
+    ) -> Call[Round]:
+        """Queue one round of the solves that lower a table's error most.
+
+        Parameters
+        ----------
+        name : str
+            The component.
+        tolerance : mapping or pair, optional
+            ``{"translation": m, "rotation": rad}`` to reach; the component's own otherwise.
+        budget : int, optional
+            Solves to queue at most.
+        range : mapping, optional
+            ``{"force": [[low, high], ...], "moment": [...]}``, three of each, N and N·m: the part
+            of the load range that the table is needed for; all of it otherwise.
+        outputs : sequence of str, optional
+            Which of ux uy uz rx ry rz are needed; all otherwise.
+
+        Raises
+        ------
+        ProblemError
+            If the component is a table only and cannot be solved (409), or `range` is not within
+            its load range (422).
+        """
+        return (yield from _fill(name, tolerance, budget, range, outputs))
+
+    @sync_and_async_iterator
+    def fill_until(
+        self,
+        name: str,
+        tolerance: Any = None,
+        budget: int = 100,
+        *,
+        round_size: int = ROUND,
+        timeout: float = 3600.0,
+        range: Mapping[str, Any] | None = None,  # noqa: A002 (the contract's word)
+        outputs: Sequence[str] | None = None,
+    ) -> Items[Round]:
+        """Fill a table round by round, each designed on what the one before has found.
+
+        Parameters
+        ----------
+        name, tolerance, range, outputs
+            As in `fill`.
+        budget : int
+            Solves to spend at most, over all rounds.
+        round_size : int
+            Solves of one round at most.
+        timeout : float
+            Seconds to wait for the jobs of one round.
+
+        Yields
+        ------
+        Round
+            Each round once its jobs have ended; the last one may be without jobs, with the reason.
+            It ends when the tolerance is met, the budget is spent, or no job of a round was done.
+
+        Raises
+        ------
+        ServerTimeout
+            If a round does not end in time; its jobs go on in the server.
+        """
+        while budget > 0:
+            count = min(round_size, budget)
+            queued = yield from _fill(name, tolerance, count, range, outputs)
+            deadline, ended = time.monotonic() + timeout, ()
+            for job in queued.jobs:
+                ended += ((yield from _ended(job, deadline - time.monotonic())),)
+            yield Item(Round(ended, queued.stage, queued.reason))
+            budget -= len(ended)
+            if not any(job.status == "done" for job in ended):
+                return
+
+
+def _path(job: Job | int) -> str:
+    return f"/v1/jobs/{job.id if isinstance(job, Job) else int(job)}"
+
+
+def _job(job: Job | int, wait_s: float | None) -> Call[Job]:
+    query = {"wait_s": wait_s} if wait_s else None
+    return Job.read((yield json_request("GET", _path(job), query=query, wait_s=wait_s)).json())
+
+
+def _ended(job: Job | int, timeout: float) -> Call[Job]:
+    """Return a job once it has ended."""
+    deadline = time.monotonic() + timeout
+    while True:
+        began = time.monotonic()
+        now = yield from _job(job, max(0.0, min(deadline - began, LONGEST_POLL_S)))
+        if now.ended:
+            return now
+        if time.monotonic() >= deadline:
+            raise ServerTimeout(
+                f"job {now.id} is still {now.status} after {timeout:g} s; it goes on in the server"
+            )
+        # Some servers answer at once instead of waiting: 20 requests a second at most.
+        if time.monotonic() - began < 0.05:
+            yield Pause(0.05)
+
+
+def _fill(
+    name: str,
+    tolerance: Any,
+    budget: int | None,
+    range_: Mapping[str, Any] | None,
+    outputs: Sequence[str] | None,
+) -> Call[Round]:
+    """Queue one round of solves."""
+    part = {"range": dict(range_) if range_ else None, "outputs": outputs and list(outputs)}
+    body = options(tolerance=tolerance, budget=budget, **part)
+    path = component_path(name, "fill")
+    return Round.read((yield json_request("POST", path, body, repeatable=False)).json())

@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from .connection import Connection
-from .errors import ProblemError, ServerTimeout, ServerUnreachable
-from .questions import component_path
+from .errors import InvalidArgument, ProblemError, ServerTimeout, ServerUnreachable
+from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
 
 _FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "mat", "packed")
 _TEXTS = ("csv", "json")
@@ -26,12 +25,12 @@ _ENDINGS = {
     ".mat": "mat",
     ".wbt": "packed",
 }
-# What is read is told by its content; these are only refused where nothing else could be meant.
+# The content decides how a file is read; these endings are of other kinds of file.
 _NOT_READ = frozenset({".mat", ".fmu", ".wbt", ".pdf", ".xls"})
 
 
 def table_format(file: str | Path) -> str:
-    """Return the form of a table file to be written, by its ending.
+    """Return the format of a table file to be written, by its ending.
 
     Raises
     ------
@@ -41,7 +40,7 @@ def table_format(file: str | Path) -> str:
     suffix = Path(file).suffix
     if suffix.lower() not in _ENDINGS:
         named = f"the ending {suffix}" if suffix else "no ending"
-        raise ValueError(
+        raise InvalidArgument(
             f"{file} has {named}, which is no form of a table; there are {', '.join(_ENDINGS)}"
         )
     return _ENDINGS[suffix.lower()]
@@ -57,31 +56,34 @@ def check_readable(file: str | Path) -> None:
     """
     suffix = Path(file).suffix.lower()
     if suffix in _NOT_READ:
-        raise ValueError(
+        raise InvalidArgument(
             f"{file} ends in {suffix}, which is not read; a table is CSV, XLSX, Parquet, JSON or "
             "the HDF5 of an export, each gzipped if you like"
         )
 
 
-class Library(Connection):
-    """List and add components; carry tables in and out."""
+class LibraryCalls:
+    """Components, and their tables as files."""
 
-    def components(self) -> list[dict[str, Any]]:
+    @sync_and_async
+    def components(self) -> Call[list[dict[str, Any]]]:
         """Return the library: per component its name, title, range, rows, table version."""
-        return self.call_json("GET", "/v1/components")["components"]
+        return (yield Request("GET", "/v1/components")).json()["components"]
 
-    def component(self, name: str) -> dict[str, Any]:
-        """Return all there is to say about one component, with its wrench contract.
+    @sync_and_async
+    def component(self, name: str) -> Call[dict[str, Any]]:
+        """Return a component: its wrench contract, load range, rows and coverage.
 
         Raises
         ------
         ProblemError
             If there is no such component (404).
         """
-        return self.call_json("GET", component_path(name))
+        return (yield Request("GET", component_path(name))).json()
 
-    def compliance(self, name: str) -> dict[str, Any]:
-        """Return a component's 6x6 compliance and what physics says about its rows.
+    @sync_and_async
+    def compliance(self, name: str) -> Call[dict[str, Any]]:
+        """Return a component's 6x6 compliance and checks of its rows against physics.
 
         Returns
         -------
@@ -95,9 +97,10 @@ class Library(Connection):
         ProblemError
             If there is no such component (404).
         """
-        return self.call_json("GET", component_path(name, "compliance"))
+        return (yield Request("GET", component_path(name, "compliance"))).json()
 
-    def add_component(self, component: str | Path | Mapping[str, Any]) -> dict[str, Any]:
+    @sync_and_async
+    def add_component(self, component: str | Path | Mapping[str, Any]) -> Call[dict[str, Any]]:
         """Add a component.
 
         Parameters
@@ -120,12 +123,14 @@ class Library(Connection):
         """
         path = "/v1/components"
         if isinstance(component, Mapping):
-            return self.call_json("POST", path, dict(component), repeatable=False)
+            request = json_request("POST", path, dict(component), repeatable=False)
+            return (yield request).json()
         bundle = Path(component)
         archive = _zipped(bundle) if bundle.is_dir() else bundle.read_bytes()
         kind, content = _form({"bundle": (f"{bundle.stem}.zip", archive)})
-        return self.call("POST", path, content, kind=kind, repeatable=False).json()
+        return (yield Request("POST", path, content, kind, repeatable=False)).json()
 
+    @sync_and_async
     def import_table(
         self,
         name: str,
@@ -135,20 +140,20 @@ class Library(Connection):
         decimal: str | None = None,
         *,
         displacements: str | Path | None = None,
-        **said: Any,
-    ) -> dict[str, Any]:
+        **columns: Any,
+    ) -> Call[dict[str, Any]]:
         """Load a table from outside: all its rows, or none; with ``partial=True`` the good ones.
 
         Parameters
         ----------
         table : path, str or bytes
             A file's path, or its content; a text of one line that is no JSON is a path. CSV, XLSX,
-            Parquet, HDF5 or JSON, each gzipped or not: the content tells.
+            Parquet, HDF5 or JSON, each gzipped or not: the content decides.
         dry_run : bool
             Only check: mistakes come back in ``errors`` instead of as a ProblemError.
         displacements : path, optional
             A second log, joined by time; `table` is then the log of the loads.
-        **said
+        **columns
             ``mapping`` (``{"Load cell": "fz [N]"}``), ``ignore``, ``ignore_extra``, ``partial``,
             ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``, ``time_offset_s`` (s).
 
@@ -161,22 +166,23 @@ class Library(Connection):
             If it is a file that is not read; if rows have mistakes (422), which ``errors`` names.
         """
         content, filename = _table_file(table)
-        kind = "application/octet-stream"
+        kind = BINARY
         if displacements is not None:
             logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
             kind, content = _form(logs)
-        query = _import_query(format, dry_run, decimal, filename, said)
+        query = _import_query(format, dry_run, decimal, filename, columns)
         path = component_path(name, "table")
         # A million rows take a minute, and another import before them as long.
-        return self.call("POST", path, content, kind=kind, query=query, wait_s=300.0).json()
+        return (yield Request("POST", path, content, kind, query, wait_s=300.0)).json()
 
+    @sync_and_async
     def export_table(
         self,
         name: str,
         format: str = "csv",  # noqa: A002 (the contract's word)
         units: Mapping[str, str] | None = None,
         table_version: int | None = None,
-    ) -> Any:
+    ) -> Call[Any]:
         """Return a component's table.
 
         Parameters
@@ -200,10 +206,11 @@ class Library(Connection):
         """
         chosen = _known(format)
         query = {"format": chosen, "table_version": table_version, **(units or {})}
-        content = self.call("GET", component_path(name, "table"), query=query).content
+        content = (yield Request("GET", component_path(name, "table"), query=query)).content
         return content.decode() if chosen in _TEXTS else content
 
-    def invalidate_row(self, name: str, row: int) -> None:
+    @sync_and_async
+    def invalidate_row(self, name: str, row: int) -> Call[None]:
         """Take a row out of a component's table; it stays in the ledger, see `restore_row`.
 
         Parameters
@@ -218,13 +225,15 @@ class Library(Connection):
         ProblemError
             If there is no such component or row (404).
         """
-        self.call("DELETE", component_path(name, f"table/{int(row)}"))
+        yield Request("DELETE", component_path(name, f"table/{int(row)}"))
 
-    def restore_row(self, name: str, row: int) -> None:
+    @sync_and_async
+    def restore_row(self, name: str, row: int) -> Call[None]:
         """Take a row back into a component's table; parameters and errors as `invalidate_row`."""
-        self.call("POST", component_path(name, f"table/{int(row)}/restore"))
+        yield Request("POST", component_path(name, f"table/{int(row)}/restore"))
 
-    def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> dict[str, Any]:
+    @sync_and_async
+    def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> Call[dict[str, Any]]:
         """Start making a report of error against run time; it takes minutes.
 
         Parameters
@@ -244,13 +253,16 @@ class Library(Connection):
         """
         query = {"wrenches": wrenches, "seed": seed}
         path = component_path(name, "report")
-        return self.call_json("POST", path, query=query, repeatable=False)
+        return (yield Request("POST", path, query=query, repeatable=False)).json()
 
-    def report_state(self, name: str) -> dict[str, Any]:
+    @sync_and_async
+    def report_state(self, name: str) -> Call[dict[str, Any]]:
         """Return ``state`` (none, running, done, failed), ``fraction`` and ``message``."""
-        return self.call_json("GET", component_path(name, "report"), query={"format": "state"})
+        query = {"format": "state"}
+        return (yield Request("GET", component_path(name, "report"), query=query)).json()
 
-    def report(self, name: str, format: str = "json") -> bytes:  # noqa: A002 (the contract's word)
+    @sync_and_async
+    def report(self, name: str, format: str = "json") -> Call[bytes]:  # noqa: A002 (the contract's word)
         """Return the latest report as ``json``, ``md`` or ``html``.
 
         Raises
@@ -258,9 +270,11 @@ class Library(Connection):
         ProblemError
             If there is none yet (404).
         """
-        return self.call("GET", component_path(name, "report"), query={"format": format}).content
+        query = {"format": format}
+        return (yield Request("GET", component_path(name, "report"), query=query)).content
 
-    def health(self) -> dict[str, Any]:
+    @sync_and_async
+    def health(self) -> Call[dict[str, Any]]:
         """Return the server's readiness: ``status`` and, if it is not ready, its ``faults``.
 
         Raises
@@ -269,26 +283,27 @@ class Library(Connection):
             If nothing answers.
         """
         try:
-            return self.call_json("GET", "/health/ready")
+            return (yield Request("GET", "/health/ready", retry=False)).json()
         except ProblemError as error:
             if error.status == 503 and error.body:
                 return error.body
             raise
 
-    def is_ready(self) -> bool:
-        """Tell whether a server answers and is ready to."""
+    @sync_and_async
+    def is_ready(self) -> Call[bool]:
+        """Return whether a server answers and is ready."""
         try:
-            self.call("GET", "/health/ready")
+            yield Request("GET", "/health/ready", retry=False)
         except (ServerUnreachable, ServerTimeout, ProblemError):
             return False
         return True
 
 
 def _import_query(
-    format_: str | None, dry_run: bool, decimal: str | None, filename: str, said: dict[str, Any]
+    format_: str | None, dry_run: bool, decimal: str | None, filename: str, columns: dict[str, Any]
 ) -> dict[str, Any]:
     """Return the query of an import."""
-    mapping, ignore = said.pop("mapping", None), said.pop("ignore", ())
+    mapping, ignore = columns.pop("mapping", None), columns.pop("ignore", ())
     return {
         "format": None if format_ is None else _known(format_),
         "dry_run": dry_run or None,
@@ -296,7 +311,7 @@ def _import_query(
         "mapping": json.dumps(dict(mapping)) if mapping else None,
         "ignore": list(ignore) or None,
         "filename": filename or None,
-        **said,
+        **columns,
     }
 
 
@@ -318,7 +333,7 @@ def _named_file(file: str | Path) -> tuple[str, bytes]:
 
 def _known(format_: str) -> str:
     if format_ not in _FORMATS:
-        raise ValueError(f"{format_!r} is no form of a table; there are {', '.join(_FORMATS)}")
+        raise InvalidArgument(f"{format_!r} is no form of a table; there are {', '.join(_FORMATS)}")
     return format_
 
 

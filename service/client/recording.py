@@ -1,292 +1,278 @@
-"""RecordingStore wrenches in a loop, without waiting for the server."""
+"""Recordings (LM_direct) and envelopes (LM_max): what a loop has met, and its solves (LM_start)."""
 
 from __future__ import annotations
 
-import atexit
-import http.client
 import secrets
-import sys
-import threading
-from typing import Any, Self
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import ProblemError, ServerTimeout
-from .recording_calls import KINDS, MOST_BLOCK, Kind, RecordingCalls, Started
-from .spill import Blocks
-from .wrenches import one_wrench
+from .job import Job
+from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
+from .wrenches import many_wrenches, options, tolerance_body
 
-BLOCK = 256
-FLUSH_S = 1.0  # a block that is not full is sent after this long: a slow loop is recorded too
-BACKOFF_S = (0.1, 5.0)  # between attempts while the server is away: doubled from, up to
-AT_EXIT_S = 5.0  # how long the end of the program waits for what is not sent
-_AGAIN = (408, 425, 429)  # statuses besides 5xx after which the same block may be taken
+Kind = Literal["recording", "envelope"]
+KINDS: tuple[Kind, ...] = ("recording", "envelope")
+MOST_BLOCK = 10_000  # wrenches the server takes in one call
 
-
-class RecorderError(RuntimeError):
-    """Wrenches could not be recorded; the text says why, and what became of them."""
+Vector = NDArray[np.float64]
 
 
-class Recorder:
-    """Take a loop's wrenches and bring them to the server in blocks, each once.
-
-    `add` only appends; a thread of the recorder's own sends. While the server is away blocks wait:
-    100,000 wrenches in memory (4.8 MB), then a temporary file that grows to 20 million (1 GB) until
-    it has been read; only beyond that `add` raises. A block is sent under the same key until the
-    server says that it is on its disk, so it is there once, whatever was killed in between.
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What the server has recorded of a component.
 
     Parameters
     ----------
-    client : Client
-        Of the server that records.
-    component : str
-    kind : {"recording", "envelope"}
-        LM_direct: every wrench is saved; LM_max: the extremes are.
-    block : int
-        Wrenches of a block, 1 to 10,000.
-
-    Attributes
-    ----------
-    recorded : int
-        Wrenches that the server has acknowledged.
-    reply : dict
-        The server's last reply to a block: how the recording stands.
-
-    Raises
-    ------
-    ValueError
-        If `kind` or `block` is none of these.
-
-    Examples
-    --------
-    >>> with Recorder(client, "plate") as recorder:            # doctest: +SKIP
-    ...     for _ in range(60_000):
-    ...         recorder.add(wrench)
-    ...     recorder.start()
+    wrenches : numpy.ndarray
+        Shape (n, 6), N and N·m: those kept, in the order they came.
+    total, merged, thinned, outside : int
+        Wrenches taken in since it was cleared; of them those within 1e-6 of the load range of one
+        kept, those thinned out beyond 10,000, and those outside the load range.
+    within : float
+        Every wrench taken in differs from one kept by at most this share of the load range.
     """
 
-    def __init__(
-        self, client: RecordingCalls, component: str, kind: Kind = "recording", block: int = BLOCK
-    ) -> None:
-        if kind not in KINDS:
-            raise ValueError(f"kind must be one of {', '.join(KINDS)}, not {kind!r}")
-        if not 1 <= block <= MOST_BLOCK:
-            raise ValueError(f"block must be 1 to {MOST_BLOCK} wrenches, not {block}")
-        self.component, self.recorded = component, 0
-        self.kind: Kind = kind
-        self.reply: dict[str, Any] = {}
-        self._client, self._size = client, block
-        self._key, self._sequence = secrets.token_hex(16), 0
-        self._changed = threading.Condition()
-        self._blocks = Blocks(block)
-        self._trouble: Exception | None = None
-        self._failed, self._closing = False, False
-        self._hurry = False  # somebody waits in `flush`: the pause between attempts ends
-        self._thread = threading.Thread(target=self._send_all, name="recorder", daemon=True)
-        self._thread.start()
-        atexit.register(self._at_exit)
+    wrenches: Vector
+    total: int
+    merged: int
+    thinned: int
+    outside: int
+    within: float
+    raw: dict[str, Any] = field(default_factory=dict, repr=False)
 
-    def __enter__(self) -> Self:
-        return self
+    @classmethod
+    def read(cls, body: Mapping[str, Any]) -> Self:
+        """Make one from the server's reply."""
+        return cls(
+            _block(body["wrenches"]),
+            body["total"],
+            body["merged"],
+            body["thinned"],
+            body["outside"],
+            body["within"],
+            dict(body),
+        )
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self.close()
-            return
-        try:
-            self.close()
-        except RecorderError as error:  # the loop's own error is the one to be seen
-            print(f"wrenchbook: {error}", file=sys.stderr)
+    def __len__(self) -> int:
+        return len(self.wrenches)
 
-    @property
-    def pending(self) -> int:
-        """Wrenches that the server has not acknowledged."""
-        with self._changed:
-            return self._blocks.count
 
-    @property
-    def spilled(self) -> int:
-        """Those of them that wait in the temporary file."""
-        with self._changed:
-            return self._blocks.spilled
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """The extremes of each load, and how far they can move the component.
 
-    @property
-    def trouble(self) -> str | None:
-        """Why nothing can be sent at present; None if it can."""
-        return None if self._trouble is None else str(self._trouble)
+    Parameters
+    ----------
+    min, max : numpy.ndarray
+        Shape (6,), N and N·m; NaN before the first wrench.
+    count : int
+        Wrenches taken in since it was cleared.
+    at_min, at_max : numpy.ndarray
+        Shape (6, 6), N and N·m: line i is the whole wrench at the least, the largest load i.
+    displacement_bound : numpy.ndarray
+        Shape (6,), m and rad; NaN where nothing is known.
+    negligible : bool or None
+        Whether that is within the tolerance; None if it is not known, see `reason`.
+    bound : str
+        ``bound``, ``estimate`` or ``unknown``: what `displacement_bound` is.
+    reason : str
+        Why it is not known, or what it rests on.
+    """
 
-    def add(self, wrench: ArrayLike) -> None:
-        """Take one wrench, shape (6,), N and N·m; the server is not waited for.
+    min: Vector
+    max: Vector
+    count: int
+    at_min: Vector
+    at_max: Vector
+    displacement_bound: Vector
+    negligible: bool | None
+    bound: str
+    reason: str
+    raw: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def read(cls, body: Mapping[str, Any]) -> Self:
+        """Make one from the server's reply."""
+        return cls(
+            np.array(body["min"], dtype=float),
+            np.array(body["max"], dtype=float),
+            body["count"],
+            _block(body["at_min"]),
+            _block(body["at_max"]),
+            np.array(body["displacement_bound"], dtype=float),
+            body["negligible"],
+            body["bound"]["kind"],
+            body["reason"],
+            dict(body),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Started:
+    """What a start has queued, and what of the rest.
+
+    Parameters
+    ----------
+    jobs : tuple of Job
+        Those that wait or run for these wrenches.
+    solved, covered, failed, beyond_range, left : int
+        Wrenches that a row of the table has, that the table covers, whose solve has failed before,
+        that lie outside the load range, and that the budget leaves.
+    reason : str
+        Why not all, or why none; empty if all are queued.
+    """
+
+    jobs: tuple[Job, ...]
+    solved: int
+    covered: int
+    failed: int
+    beyond_range: int
+    left: int
+    reason: str
+
+    @classmethod
+    def read(cls, body: Mapping[str, Any]) -> Self:
+        """Make one from the server's reply."""
+        jobs = tuple(Job.read(job) for job in body["jobs"])
+        names = ("solved", "covered", "failed", "beyond_range", "left", "reason")
+        return cls(jobs, *(body[name] for name in names))
+
+
+class RecordingCalls:
+    """Save wrenches for later, track extremes, and have them solved.
+
+    A loop of 1 kHz uses a `Recorder`, which never waits for the server.
+    """
+
+    @sync_and_async
+    def record(self, name: str, wrenches: ArrayLike) -> Call[dict[str, Any]]:
+        """LM_direct: save wrenches, shape (n, 6), N and N·m, in a component's recording.
+
+        Returns
+        -------
+        dict
+            ``recorded``, and how the recording stands: ``total``, ``kept``, ``merged``,
+            ``thinned``, ``outside`` and ``reason``.
 
         Raises
         ------
         ValueError
-            If it is not six finite numbers; it was not taken.
-        RecorderError
-            If the server refuses what is recorded, if there is no more room, or after `close`.
-        """
-        if np.shape(wrench) != (6,):
-            shape = np.shape(wrench)
-            raise ValueError(f"a wrench is six numbers, force then moment; this has shape {shape}")
-        packed = one_wrench(wrench).astype("<f8").tobytes()
-        with self._changed:
-            self._check()
-            try:
-                whole = self._blocks.add(packed)
-            except OSError as error:
-                raise RecorderError(
-                    f"the wrench was not taken: {error}. {self._blocks.count} wrenches wait for "
-                    f"the server ({self._trouble or 'it is slow'}); see `unsent`"
-                ) from error
-            if whole:
-                self._changed.notify_all()
-
-    def unsent(self) -> NDArray[np.float64]:
-        """Return the wrenches not acknowledged, shape (n, 6), N and N·m, to be kept elsewhere."""
-        with self._changed:
-            return np.frombuffer(self._blocks.all(), dtype="<f8").reshape(-1, 6).astype(float)
-
-    def flush(self, timeout_s: float = 30.0) -> None:
-        """Wait until all that was added is on the server's disk.
-
-        Raises
-        ------
-        ServerTimeout
-            If it is not after `timeout_s`; it stays here, and is sent as soon as it can be.
-        RecorderError
-            If the server refuses it.
-        """
-        with self._changed:
-            self._seal()
-            last, self._hurry = self._blocks.last, True
-            self._changed.notify_all()
-            self._changed.wait_for(lambda: self._failed or self._sequence > last, timeout_s)
-            if self._sequence > last:
-                return
-            self._check_failed()
-            raise ServerTimeout(
-                f"{self._blocks.count} wrenches are not recorded after {timeout_s:g} s: "
-                f"{self._trouble or 'the server is slow'}. They are kept here and sent as soon as "
-                "it answers"
-            )
-
-    def start(
-        self, timeout_s: float = 30.0, *, budget: int | None = None, beyond_range: bool = False
-    ) -> Started:
-        """LM_start: `flush`, then queue the solves of what is recorded.
-
-        Raises
-        ------
-        ServerTimeout, RecorderError
-            As `flush`; then nothing was queued.
+            If a number is not finite or a shape is wrong; nothing was sent.
         ProblemError
-            If the component cannot be solved (409).
+            If there is no such component (404).
+        ServerUnreachable, ServerTimeout
+            See `Connection.call`; `recording` then has what was recorded.
         """
-        self.flush(timeout_s)
-        if self.kind == "envelope":
-            return self._client.start_envelope(self.component, beyond_range=beyond_range)
-        return self._client.start_recording(self.component, budget, beyond_range=beyond_range)
+        return (yield from _send_blocks(name, "recording", wrenches))
 
-    def close(self, timeout_s: float = 10.0) -> None:
-        """Send what is left and end.
+    @sync_and_async
+    def recording(self, name: str) -> Call[Recording]:
+        """Return what is recorded of a component; raises ProblemError (404)."""
+        return Recording.read((yield json_request("GET", component_path(name, "recording"))).json())
+
+    @sync_and_async
+    def clear_recording(self, name: str) -> Call[int]:
+        """Forget a component's recording, and return how many wrenches it had taken in."""
+        return (yield json_request("DELETE", component_path(name, "recording"))).json()["cleared"]
+
+    @sync_and_async
+    def start_recording(
+        self, name: str, budget: int | None = None, *, beyond_range: bool = False
+    ) -> Call[Started]:
+        """LM_start: queue the solves of recorded wrenches that the table does not cover.
+
+        Parameters
+        ----------
+        name : str
+            The component.
+        budget : int, optional
+            New solves to queue at most, those farthest from what is known first; all otherwise.
+        beyond_range : bool
+            Whether wrenches outside the load range are solved as well.
 
         Raises
         ------
-        RecorderError
-            If not all could be sent in time; `unsent` has the rest.
+        ProblemError
+            If the component is a table only and cannot be solved (409).
         """
-        atexit.unregister(self._at_exit)
-        if self._closing:
-            return
-        why: Exception | None = None
-        try:
-            self.flush(timeout_s)
-        except (ServerTimeout, RecorderError) as error:
-            why = error
-        with self._changed:
-            self._closing = True
-            self._changed.notify_all()
-        self._thread.join(timeout_s)
-        if self.pending:
-            raise RecorderError(
-                f"{self.pending} wrenches of {self.component!r} were not recorded: {why}. "
-                "`unsent` returns them; record them once the server answers"
-            ) from why
-        with self._changed:
-            self._blocks.close()
+        body = options(budget=budget, beyond_range=beyond_range or None)
+        return (yield from _start(name, "recording/start", body))
 
-    def _send_all(self) -> None:
-        wait, longest = BACKOFF_S
-        while (block := self._next()) is not None:
-            try:
-                reply = self._client.send_block(
-                    self.component, self.kind, block, self._key, self._sequence
-                )
-            except Exception as error:
-                self._note(error)
-                with self._changed:
-                    if self._failed:
-                        return
-                    self._changed.wait_for(lambda: self._closing or self._hurry, wait)
-                    self._hurry = False
-                    if self._closing:
-                        return
-                wait = min(2 * wait, longest)
-            else:
-                wait = BACKOFF_S[0]
-                with self._changed:
-                    self._blocks.drop_first()
-                    self.recorded += len(block) // 48
-                    self._sequence += 1
-                    self.reply, self._trouble = reply, None
-                    self._changed.notify_all()
+    @sync_and_async
+    def widen_envelope(self, name: str, wrenches: ArrayLike) -> Call[dict[str, Any]]:
+        """LM_max: widen a component's envelope by wrenches, shape (n, 6), N and N·m.
 
-    def _next(self) -> bytes | None:
-        """Wait for a block, and return it; None at the end."""
-        with self._changed:
-            while True:
-                block = self._blocks.first()
-                if block is not None:
-                    return block
-                if self._closing:
-                    return None
-                self._changed.wait(FLUSH_S)
-                self._blocks.seal_older_than(FLUSH_S)
+        Returns
+        -------
+        dict
+            ``recorded``, ``count``, ``min`` and ``max``. Errors are those of `record`.
+        """
+        return (yield from _send_blocks(name, "envelope", wrenches))
 
-    def _note(self, error: Exception) -> None:
-        """Keep what went wrong, and tell whether the block can be taken later."""
-        # Sending a block once more is safe, so what may be over the next time is tried again.
-        again = isinstance(error, OSError | http.client.HTTPException | ValueError)
-        if isinstance(error, ProblemError):
-            again = error.status >= 500 or error.status in _AGAIN
-        with self._changed:
-            self._trouble, self._failed = error, not again
-            self._changed.notify_all()
+    @sync_and_async
+    def envelope(self, name: str, tolerance: Any = None) -> Call[Envelope]:
+        """Return a component's envelope; with `tolerance` (m, rad) in the place of its own."""
+        query = None if tolerance is None else tolerance_body(tolerance)
+        reply = yield json_request("GET", component_path(name, "envelope"), query=query)
+        return Envelope.read(reply.json())
 
-    def _seal(self) -> None:
-        try:
-            self._blocks.seal()
-        except OSError as error:
-            raise RecorderError(f"the last wrenches still wait for room: {error}") from error
+    @sync_and_async
+    def clear_envelope(self, name: str) -> Call[int]:
+        """Forget a component's envelope, and return how many wrenches it had taken in."""
+        return (yield json_request("DELETE", component_path(name, "envelope"))).json()["cleared"]
 
-    def _check(self) -> None:
-        if self._closing:
-            raise RecorderError("the recorder is closed; make another one")
-        self._check_failed()
+    @sync_and_async
+    def start_envelope(self, name: str, *, beyond_range: bool = False) -> Call[Started]:
+        """Queue the solves of the wrenches at a component's extremes; as `start_recording`."""
+        body = options(beyond_range=beyond_range or None)
+        return (yield from _start(name, "envelope/start", body))
 
-    def _check_failed(self) -> None:
-        if self._failed:
-            raise RecorderError(
-                f"the server refuses what is recorded of {self.component!r}: {self._trouble}. "
-                f"{self._blocks.count} wrenches were not taken; `unsent` returns them"
-            ) from self._trouble
+    @sync_and_async
+    def resolve(
+        self, name: str, budget: int | None = None, *, beyond_range: bool = False
+    ) -> Call[Started]:
+        """Queue a solve for each wrench that only rows of another setup of a component have.
 
-    def _at_exit(self) -> None:
-        """Send what a program leaves that has not closed its recorder, or say what is lost."""
-        if not self.pending:
-            return
-        try:
-            self.close(AT_EXIT_S)
-        except RecorderError as error:
-            print(f"wrenchbook: {error}", file=sys.stderr)
+        A component whose files change is another setup: its earlier rows leave the table
+        (``another_setup`` of `component`). Parameters and errors are those of `start_recording`.
+        """
+        body = options(budget=budget, beyond_range=beyond_range or None)
+        return (yield from _start(name, "table/resolve", body))
+
+    @sync_and_async
+    def send_block(
+        self, name: str, kind: Kind, wrenches: bytes, client: str, sequence: int
+    ) -> Call[dict[str, Any]]:
+        """Send a block of packed wrenches, little-endian float64 (n, 6), under its key.
+
+        However often it is sent, it is taken in once. A refused connection is not tried again.
+        """
+        return (yield _block_request(name, kind, wrenches, client, sequence)).json()
+
+
+def _block_request(
+    name: str, kind: Kind, wrenches: bytes, client: str, sequence: int, *, retry: bool = False
+) -> Request:
+    query = {"client": client, "sequence": sequence}
+    return Request("POST", component_path(name, kind), wrenches, BINARY, query, retry=retry)
+
+
+def _send_blocks(name: str, kind: Kind, wrenches: ArrayLike) -> Call[dict[str, Any]]:
+    """Send wrenches, shape (n, 6), N and N·m, in as many blocks as it takes."""
+    block, client, reply = many_wrenches(wrenches), secrets.token_hex(16), {}
+    for sequence, start in enumerate(range(0, max(len(block), 1), MOST_BLOCK)):
+        part = np.ascontiguousarray(block[start : start + MOST_BLOCK], dtype="<f8").tobytes()
+        reply = (yield _block_request(name, kind, part, client, sequence, retry=True)).json()
+    return reply | {"recorded": len(block)}
+
+
+def _start(name: str, call: str, body: dict[str, Any]) -> Call[Started]:
+    return Started.read((yield json_request("POST", component_path(name, call), body)).json())
+
+
+def _block(rows: Any) -> Vector:
+    return np.array(rows, dtype=float).reshape(-1, 6)

@@ -1,4 +1,4 @@
-"""What the server answers, as a simulator likes to have it: frozen, with numpy arrays, in SI."""
+"""Answers of the server and of tables: frozen, with numpy arrays, in SI."""
 
 from __future__ import annotations
 
@@ -9,8 +9,18 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .connection import Reply
+from .errors import InvalidArgument
 from .job import Job, joined
+from .notebook import (
+    DISPLACEMENT_COLUMNS,
+    ERROR_COLUMNS,
+    SHOWN,
+    WRENCH_COLUMNS,
+    html_table,
+    named_columns,
+    require_pandas,
+)
+from .response import Response
 from .rotation import rotation_matrix
 
 Vector = NDArray[np.float64]
@@ -27,11 +37,11 @@ class Displacement:
     Parameters
     ----------
     component : str
-        Who was asked.
+        Its name.
     wrench : numpy.ndarray
-        Shape (6,), N and N·m, as asked.
+        Shape (6,), N and N·m, of the request.
     translation, rotation : numpy.ndarray or None
-        Shape (3,), m; rotation vector, shape (3,), rad. None when nothing can be said yet.
+        Shape (3,), m; rotation vector, shape (3,), rad. None while it is not known.
     error_translation, error_rotation : numpy.ndarray or None
         Estimated 95 % error bars, shape (3,), m and rad.
     coverage : str
@@ -50,10 +60,10 @@ class Displacement:
     reason : str
         Why it is not covered, or has no job; may be empty.
     within_tolerance : bool or None
-        Whether the whole bar is within the tolerance. A covered answer that is not has a solver
-        whose own error, of its mesh say, is larger; no row lowers that. None if that is unknown.
+        Whether the whole error bar is within the tolerance. A covered answer that is not has a
+        solver whose own error, of its mesh say, is larger; no row lowers that. None if unknown.
     derivative : numpy.ndarray or None
-        du/dw, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), a line an output, if it was asked for
+        du/dw, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), a line an output, if it was requested
         and is known; NaN where an output is not.
     raw : dict
         The reply as it came; with ``detail`` it has ``axes``.
@@ -102,12 +112,12 @@ class Displacement:
 
     @property
     def covered(self) -> bool:
-        """Whether the table is thick enough here, or a solve of this wrench has answered."""
+        """Whether the table covers this wrench, or a solve of it has answered."""
         return self.coverage == "covered"
 
     @property
     def vector(self) -> Vector | None:
-        """Translation then rotation, shape (6,), m and rad; None when nothing can be said."""
+        """Translation then rotation, shape (6,), m and rad; None while it is not known."""
         return joined(self.translation, self.rotation)
 
     @property
@@ -152,17 +162,36 @@ class Displacement:
             If nothing is known yet, or a shape is wrong.
         """
         if self.translation is None or self.rotation is None:
-            hope = f"wait for job {self.job.id}" if self.job else self.reason or "no job is queued"
-            raise ValueError(
-                f"the displacement of {self.component} under this wrench is not known ({hope})"
+            remedy = (
+                f"wait for job {self.job.id}" if self.job else self.reason or "no job is queued"
+            )
+            raise InvalidArgument(
+                f"the displacement of {self.component} under this wrench is not known ({remedy})"
             )
         orientation, point = np.asarray(R0, dtype=float), np.asarray(p0, dtype=float)
         if orientation.shape != (3, 3) or point.shape != (3,):
-            raise ValueError(
+            raise InvalidArgument(
                 f"R0 must have shape (3, 3) and p0 (3,), not {orientation.shape} and {point.shape}"
             )
-        turned = orientation @ rotation_matrix(self.rotation)
-        return turned, point + orientation @ self.translation
+        rotated = orientation @ rotation_matrix(self.rotation)
+        return rotated, point + orientation @ self.translation
+
+    def _repr_html_(self) -> str:
+        unknown = np.full(6, np.nan)
+        moved, errors = self.vector, self.error_vector
+        columns = (
+            WRENCH_COLUMNS,
+            self.wrench.tolist(),
+            DISPLACEMENT_COLUMNS,
+            (unknown if moved is None else moved).tolist(),
+            (unknown if errors is None else errors).tolist(),
+        )
+        caption = f"{self.component}: {self.coverage}"
+        return html_table(
+            f"{caption}. {self.reason}" if self.reason else caption,
+            ("load", "wrench", "output", "displacement", "error bar, 95 %"),
+            zip(*columns, strict=True),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,11 +201,11 @@ class Displacements:
     Parameters
     ----------
     component : str
-        Who was asked.
+        Its name.
     wrenches : numpy.ndarray
-        Shape (n, 6), N and N·m, as asked.
+        Shape (n, 6), N and N·m, of the request.
     displacements, errors : numpy.ndarray
-        Shape (n, 6), m and rad; NaN where nothing can be said.
+        Shape (n, 6), m and rad; NaN where it is not known.
     coverage : numpy.ndarray
         Shape (n,), of ``covered``, ``thin``, ``outside``.
     jobs : dict of int to Job
@@ -192,9 +221,9 @@ class Displacements:
     method : str or None
         How the table answered.
     within_tolerance : numpy.ndarray of bool or None
-        Shape (n,): where the whole bar is known and within the tolerance; None without a tolerance.
+        Shape (n,): where the whole error bar is known and within the tolerance; None without one.
     derivatives : numpy.ndarray or None
-        du/dw, shape (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), a line an output, if asked for; NaN
+        du/dw, shape (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), a line an output, if requested; NaN
         where it is not known.
     """
 
@@ -233,7 +262,7 @@ class Displacements:
         )
 
     @classmethod
-    def read_binary(cls, component: str, wrenches: Vector, reply: Reply) -> Self:
+    def read_binary(cls, component: str, wrenches: Vector, reply: Response) -> Self:
         """Make one from the binary reply to `wrenches`, shape (n, 6), N and N·m.
 
         The reply is float64, shape (n, 13): displacement and error bars, m and rad, then coverage
@@ -256,7 +285,7 @@ class Displacements:
             table_version=None if version is None else int(version),
             elapsed_us=None if elapsed is None else float(elapsed),
             method=reply.headers.get("Wrenchbook-Method"),
-            within_tolerance=_held(block[:, 6:12], reply.headers.get("Wrenchbook-Tolerance")),
+            within_tolerance=_within(block[:, 6:12], reply.headers.get("Wrenchbook-Tolerance")),
             derivatives=rest.reshape(count, 6, 6) if len(rest) else None,
             raw={"jobs_queued": int(jobs or 0)},
         )
@@ -264,9 +293,36 @@ class Displacements:
     def __len__(self) -> int:
         return len(self.wrenches)
 
+    def to_pandas(self) -> Any:
+        """Return a pandas DataFrame, a line a wrench; pandas must be installed.
+
+        Columns are the loads (``fx [N]``), the displacement (``ux [m]``, ``rx [rad]``), its error
+        bars (``error ux [m]``) and ``coverage``.
+
+        Raises
+        ------
+        MissingPackage
+            If pandas is not installed.
+        """
+        return require_pandas().DataFrame(self._columns())
+
+    def _columns(self) -> dict[str, Any]:
+        return {
+            **named_columns(WRENCH_COLUMNS, self.wrenches),
+            **named_columns(DISPLACEMENT_COLUMNS, self.displacements),
+            **named_columns(ERROR_COLUMNS, self.errors),
+            "coverage": self.coverage,
+        }
+
+    def _repr_html_(self) -> str:
+        columns = self._columns()
+        rows = zip(*(column[:SHOWN].tolist() for column in columns.values()), strict=True)
+        more = f", the first {SHOWN} of {len(self)}" if len(self) > SHOWN else ""
+        return html_table(f"{self.component}: {len(self)} answers{more}", list(columns), rows)
+
     @property
     def covered(self) -> NDArray[np.bool_]:
-        """Where the table is thick enough: shape (n,), dimensionless."""
+        """Where the table covers the wrench: shape (n,), dimensionless."""
         return self.coverage == "covered"
 
 
@@ -279,23 +335,23 @@ def _array(values: Any) -> Vector | None:
     return array
 
 
-def judged(told: Any) -> NDArray[np.bool_] | None:
-    """Return where it was told that bars are within the tolerance; None where nothing was."""
-    return None if told is None else np.array([one is True for one in told], dtype=bool)
+def judged(flags: Any) -> NDArray[np.bool_] | None:
+    """Return where error bars are within the tolerance, shape (n,), dimensionless, or None."""
+    return None if flags is None else np.array([one is True for one in flags], dtype=bool)
 
 
-def _held(bars: Vector, tolerance: str | None) -> NDArray[np.bool_] | None:
-    """Return the same of bars (n, 6), m and rad, held against "translation, rotation"."""
+def _within(bars: Vector, tolerance: str | None) -> NDArray[np.bool_] | None:
+    """Return the same of error bars (n, 6), m and rad, and "translation, rotation", m and rad."""
     if tolerance is None:
         return None
     return bars_within(bars, np.repeat([float(one) for one in tolerance.split(",")], 3))
 
 
 def bars_within(bars: Vector, allowed: ArrayLike) -> NDArray[np.bool_]:
-    """Return where error bars (n, 6), m and rad, are known and within what is allowed (6,)."""
+    """Return where error bars (n, 6), m and rad, are known and within the allowed ones (6,)."""
     unknown = np.isnan(bars)
-    held = np.all(unknown | (bars <= np.asarray(allowed, dtype=float)), axis=1)
-    return np.logical_and(held, ~np.all(unknown, axis=1))
+    within = np.all(unknown | (bars <= np.asarray(allowed, dtype=float)), axis=1)
+    return np.logical_and(within, ~np.all(unknown, axis=1))
 
 
 def _tangents(found: Any) -> Vector | None:

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Coroutine, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, overload
 
 import numpy as np
 
-from .connection import Connection
+from .errors import InvalidArgument
 from .replies import Vector
+from .request import AsyncRunner, BlockingRunner, Call, json_request
 from .wrenches import tolerance_body
 
 OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 _FIELDS = ("force", "moment", "outputs", "tolerance")
 
 
-class SceneError(ValueError):
-    """A scene that says what it needs in a way that cannot be; the text names where."""
+class SceneError(InvalidArgument):
+    """A scene is not valid; the text names the place and what is valid there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ class ComponentPlan:
     axes : mapping
         Per axis that is composed its ``inputs`` and its ``dimensions``.
     displacement_bound : ndarray, shape (6,), m and rad
-        NaN where nothing tells it.
+        NaN where it is not known.
     compliance : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None
         With ``linear``, where it is known.
     solves : mapping
@@ -95,7 +96,7 @@ class Scene:
     Raises
     ------
     SceneError
-        If it is none of these; nothing is asked of a server.
+        If it is none of these; no server is called.
 
     Examples
     --------
@@ -109,7 +110,7 @@ class Scene:
     def __init__(self, components: Mapping[str, Mapping[str, Any]]) -> None:
         if not isinstance(components, Mapping) or not components:
             raise SceneError("a scene has at least one component: {'plate': {'force': [...], ...}}")
-        self.components = {str(name): _checked(name, wanted) for name, wanted in components.items()}
+        self.components = {str(name): _checked(name, need) for name, need in components.items()}
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
@@ -124,10 +125,10 @@ class Scene:
         """
         try:
             with Path(path).open("rb") as file:
-                told = tomllib.load(file)
-            if unknown := told.keys() - {"components", "title"}:
+                body = tomllib.load(file)
+            if unknown := body.keys() - {"components", "title"}:
                 raise SceneError(f"unknown: {', '.join(sorted(unknown))}; it has components, title")
-            return cls(told.get("components", {}))
+            return cls(body.get("components", {}))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError, SceneError) as error:
             raise SceneError(f"{path}: {error}") from error
 
@@ -164,8 +165,14 @@ class Scene:
             raise SceneError(f"the scene has no component {name!r}; it has {', '.join(self)}")
         return self.components[name]
 
-    def plan(self, client: Connection) -> dict[str, ComponentPlan]:
+    @overload
+    def plan(self, client: BlockingRunner) -> dict[str, ComponentPlan]: ...
+    @overload
+    def plan(self, client: AsyncRunner) -> Coroutine[Any, Any, dict[str, ComponentPlan]]: ...
+    def plan(self, client: Any) -> Any:
         """Return what the scene needs of each component, and what that saves.
+
+        The call of an `AsyncClient` is awaited.
 
         Raises
         ------
@@ -174,33 +181,37 @@ class Scene:
         ServerUnreachable, ServerTimeout
             See `Connection.call`.
         """
-        reply = client.call_json("POST", "/v1/scenes/plan", {"components": self.components})
-        return {name: ComponentPlan.read(name, one) for name, one in reply["components"].items()}
+        return client.run(self._plan())
+
+    def _plan(self) -> Call[dict[str, ComponentPlan]]:
+        reply = yield json_request("POST", "/v1/scenes/plan", {"components": self.components})
+        plans = reply.json()["components"]
+        return {name: ComponentPlan.read(name, one) for name, one in plans.items()}
 
     def query(self, name: str) -> str:
         """Return one component's need as a query parameter."""
         return json.dumps(self.component(name), sort_keys=True)
 
 
-def _checked(name: str, wanted: Any) -> dict[str, Any]:
+def _checked(name: str, need: Any) -> dict[str, Any]:
     """Return one component's need as the wire has it."""
-    if not isinstance(wanted, Mapping):
-        raise SceneError(f"components.{name}: a table of {', '.join(_FIELDS)}, not {wanted!r}")
-    if unknown := wanted.keys() - set(_FIELDS):
+    if not isinstance(need, Mapping):
+        raise SceneError(f"components.{name}: a table of {', '.join(_FIELDS)}, not {need!r}")
+    if unknown := need.keys() - set(_FIELDS):
         raise SceneError(
             f"components.{name}: unknown {', '.join(sorted(unknown))}; it has {', '.join(_FIELDS)}"
         )
-    told: dict[str, Any] = {
-        word: _spans(f"components.{name}.{word}", wanted.get(word)) for word in ("force", "moment")
+    body: dict[str, Any] = {
+        word: _spans(f"components.{name}.{word}", need.get(word)) for word in ("force", "moment")
     }
-    if (outputs := wanted.get("outputs")) is not None:
-        told["outputs"] = _outputs(f"components.{name}.outputs", outputs)
-    if wanted.get("tolerance") is not None:
+    if (outputs := need.get("outputs")) is not None:
+        body["outputs"] = _outputs(f"components.{name}.outputs", outputs)
+    if need.get("tolerance") is not None:
         try:
-            told["tolerance"] = tolerance_body(wanted["tolerance"])
+            body["tolerance"] = tolerance_body(need["tolerance"])
         except ValueError as error:
             raise SceneError(f"components.{name}.tolerance: {error}") from None
-    return told
+    return body
 
 
 def _outputs(where: str, outputs: Any) -> list[str]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
+import itertools
 import os
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from time import perf_counter_ns
 from typing import Any, Self
@@ -11,8 +14,14 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .connection import Connection
-from .local import fetched_table, room
+from .errors import InvalidArgument, TableError
+from .notebook import (
+    DISPLACEMENT_COLUMNS,
+    WRENCH_COLUMNS,
+    html_table,
+    named_columns,
+    require_pandas,
+)
 from .replies import (
     COVERAGE,
     EXACT,
@@ -22,8 +31,10 @@ from .replies import (
     Vector,
     bars_within,
 )
+from .request import BlockingRunner, Call, Request, component_path, sync_and_async
 from .scene import ComponentPlan, Scene
-from .wrenches import many_wrenches, one_wrench, tolerance_body
+from .transport import Transport
+from .wrenches import NAMES, many_wrenches, one_wrench, tolerance_body
 
 
 class Table:
@@ -42,19 +53,19 @@ class Table:
         The table, of `surrogate.kernel.binding`.
     name : str, optional
         The component; the one that the table names if not given.
-    client : Connection, optional
+    client : Client, optional
         Where `refresh` gets newer versions.
     etag : str, optional
         The server's name of this version.
     scene : Scene, optional
-        The scene that it is cut to.
+        The scene whose wrenches it answers.
     """
 
     def __init__(
         self,
         packed: Any,
         name: str | None = None,
-        client: Connection | None = None,
+        client: BlockingRunner | None = None,
         etag: str | None = None,
         scene: Scene | None = None,
     ) -> None:
@@ -70,21 +81,11 @@ class Table:
 
         Raises
         ------
-        PackedTableError
+        TableError
             If it cannot be opened, is no packed table, is damaged, or has another format; a
             ValueError.
         """
-        return cls(room("kernel.binding").PackedTable.open(path))
-
-    @classmethod
-    def fetch(cls, client: Connection, name: str, scene: Scene | None = None) -> Self:
-        """Return a component's table from a server; errors are those of `Client.download`."""
-        opened = room("kernel.binding").PackedTable.from_bytes  # may fail: before the download
-        call, query = _call(name, scene)
-        fetched = fetched_table(client, name, call, query, None)
-        assert fetched is not None
-        content, etag = fetched
-        return cls(opened(content), name, client, etag, scene)
+        return cls(_opened("open", path))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the table to a file that `open` opens; it is complete or not there.
@@ -94,7 +95,7 @@ class Table:
         OSError
             If it cannot be written.
         """
-        room("packed.format").write_file(Path(path), [self._packed.content])
+        _surrogate("packed.format").write_file(Path(path), [self._packed.content])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return read-only views of the table's arrays by name; none is copied.
@@ -112,7 +113,7 @@ class Table:
 
     @property
     def method(self) -> str:
-        """The method that answers where none is asked for."""
+        """The method that answers if none is given."""
         return self._packed.words["summary"]["method"]
 
     @property
@@ -150,14 +151,17 @@ class Table:
             If a number is not finite, a shape is wrong, or there is no such method.
         """
         wrench, limit = one_wrench(force, moment), _six(tolerance)
-        asked, packed = _without_negative_zeros(wrench), self._packed
+        loads, packed = _without_negative_zeros(wrench), self._packed
         started = perf_counter_ns()
-        found = packed.answer(asked, limit, method)
+        try:
+            found = packed.answer(loads, limit, method)
+        except ValueError as error:
+            raise InvalidArgument(str(error)) from error
         elapsed_us = (perf_counter_ns() - started) / 1e3
         body = _reply(packed, found)
         body["elapsed_us"] = elapsed_us
         if derivatives:
-            slope = packed.derivative(asked, limit, method)
+            slope = packed.derivative(loads, limit, method)
             body["derivative"] = None if np.isnan(slope).all() else slope
         return Displacement.read(self.name, wrench, body)
 
@@ -178,9 +182,12 @@ class Table:
             Shapes (n, 6), m and rad; with `derivatives` also `Displacements.derivatives`.
         """
         block, limit, packed = many_wrenches(wrenches), _six(tolerance), self._packed
-        asked = block + 0.0
+        loads = block + 0.0  # no negative zeros, as the server reads them
         started = perf_counter_ns()
-        found = packed.batch(asked, limit, method)
+        try:
+            found = packed.batch(loads, limit, method)
+        except ValueError as error:
+            raise InvalidArgument(str(error)) from error
         elapsed_us = (perf_counter_ns() - started) / 1e3
         # Errors without the solver's share cannot be compared with a tolerance.
         whole = packed.arrays["solver/flags"][_ALL_PARTS]
@@ -197,7 +204,7 @@ class Table:
             elapsed_us=elapsed_us,
             method=packed.answers_by(method),
             within_tolerance=None if allowed is None else bars_within(found.errors, allowed),
-            derivatives=packed.derivatives(asked, limit, method) if derivatives else None,
+            derivatives=packed.derivatives(loads, limit, method) if derivatives else None,
         )
 
     def stiffness(self, force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
@@ -213,11 +220,11 @@ class Table:
         """
         slope = self._packed.derivative(_without_negative_zeros(one_wrench(force, moment)))
         if np.isnan(slope).any():
-            raise ValueError(f"the derivative of {self.name} under this wrench is not known")
+            raise InvalidArgument(f"the derivative of {self.name} under this wrench is not known")
         try:
             return np.linalg.inv(slope)
         except np.linalg.LinAlgError:
-            raise ValueError(
+            raise InvalidArgument(
                 f"the derivative of {self.name} under this wrench has no inverse: a load moves "
                 "nothing, as on a locked freedom"
             ) from None
@@ -257,16 +264,19 @@ class Table:
         ValueError
             If the table was opened from a file.
         ProblemError, ServerUnreachable, ServerTimeout
-            As in `Connection.call`; the table is then as it was.
+            As in `Client.call`; the table is then as it was.
         """
         if self._client is None:
-            raise ValueError(f"{self!r} is of a file: download the newest version from a server")
+            raise InvalidArgument(
+                f"{self!r} is of a file: download the newest version from a server"
+            )
         with self._fetching:
-            fetched = fetched_table(self._client, self.name, self._call, self._query, self._now[1])
+            fetch = _fetch(self.name, self._call, self._query, self._now[1])
+            fetched = self._client.run(fetch)
             if fetched is None:
                 return False
             content, etag = fetched
-            self._now = room("kernel.binding").PackedTable.from_bytes(content), etag
+            self._now = _opened("from_bytes", content), etag
             return True
 
     def close(self) -> None:
@@ -282,8 +292,43 @@ class Table:
         rows, size = self._packed.words["provenance"]["rows"], self._packed.size
         return (
             f"<Table {self.name!r}, version {self.version}: {rows} rows, method {self.method}, "
-            f"{size / 1e6:.3g} MB>"
+            f"range {self._range()}, {size / 1e6:.3g} MB>"
         )
+
+    def _range(self) -> str:
+        """Return the load range in words, N and N·m."""
+        low, high = self._packed.arrays["space/range"]
+        spans = [
+            f"{name} {a:g} to {b:g}" for name, a, b in zip(NAMES, low, high, strict=True) if a or b
+        ]
+        return f"{', '.join(spans)} (N, N·m)"
+
+    def _repr_html_(self) -> str:
+        low, high = self._packed.arrays["space/range"]
+        rows = self._packed.words["provenance"]["rows"]
+        return html_table(
+            f"{self.name}, table version {self.version}: {rows} rows, method {self.method}",
+            ["", *WRENCH_COLUMNS],
+            [["lowest", *low.tolist()], ["highest", *high.tolist()]],
+        )
+
+    def to_pandas(self) -> Any:
+        """Return the rows of the table as a pandas DataFrame, a line a row.
+
+        Columns are the loads (``fx [N]``), the displacement (``ux [m]``, NaN where a row has none)
+        and ``group``, the number of the group of outputs. pandas must be installed.
+
+        Raises
+        ------
+        MissingPackage
+            If pandas is not installed.
+        """
+        pandas, frames = require_pandas(), []
+        for group, (wrenches, moved) in enumerate(_row_groups(self._packed.arrays)):
+            columns = named_columns(WRENCH_COLUMNS, wrenches)
+            columns |= named_columns(DISPLACEMENT_COLUMNS, moved)
+            frames.append(pandas.DataFrame({"group": group, **columns}))
+        return pandas.concat(frames, ignore_index=True) if frames else pandas.DataFrame()
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled."""
@@ -293,11 +338,12 @@ class Table:
         vars(self).update(state, _fetching=threading.Lock())
 
 
-class Downloads(Connection):
-    """Carry a component's table into this process."""
+class DownloadCalls(Transport):
+    """Tables for this process."""
 
-    def download(self, name: str, scene: Scene | None = None) -> Table:
-        """Return a component's table, which answers in this process.
+    @sync_and_async
+    def download(self, name: str, scene: Scene | None = None) -> Call[Table]:
+        """Return a component's table, which answers in this process; its calls all block.
 
         Parameters
         ----------
@@ -308,18 +354,21 @@ class Downloads(Connection):
 
         Raises
         ------
-        KernelBuildError
-            If the compiled code is not there and there is no C compiler.
-        PackedTableError
-            If the server's table has another format: install the server's version.
+        TableError
+            If the compiled code is not there and there is no C compiler; if the server's table has
+            another format: install the server's version.
         ProblemError
             If there is no such component (404), or the scene goes beyond its load range (422).
         SceneError
             If the scene has no such component.
         ServerUnreachable, ServerTimeout
-            See `Connection.call`.
+            See `Client.call`.
         """
-        return Table.fetch(self, name, scene)
+        _binding()  # an error comes before the download
+        fetched = yield from _fetch(name, *_call(name, scene), None)
+        assert fetched is not None
+        content, etag = fetched
+        return Table(_opened("from_bytes", content), name, self.blocking(), etag, scene)
 
 
 _ALL_PARTS = 4  # of the array solver/flags: whether all parts of the error are known
@@ -370,3 +419,45 @@ def _call(name: str, scene: Scene | None) -> tuple[str, dict[str, str]]:
     if scene is None:
         return "table", {"format": "packed"}
     return "scene", {"wanted": scene.query(name)}
+
+
+def _row_groups(arrays: dict[str, Any]) -> Iterator[tuple[Vector, Vector]]:
+    """Yield wrenches and displacements, (r, 6) each, N and N·m, m and rad, of each group."""
+    for number in itertools.count():
+        if f"g{number}/row/wrench" not in arrays:
+            return
+        yield arrays[f"g{number}/row/wrench"], arrays[f"g{number}/row/moved"]
+
+
+def _binding() -> Any:
+    """Return the class of packed tables, with its compiled code."""
+    try:
+        return _surrogate("kernel.binding").PackedTable
+    except (ValueError, RuntimeError) as error:
+        raise TableError(str(error)) from error
+
+
+def _opened(constructor: str, source: Any) -> Any:
+    """Return a packed table by one of the constructors of its class."""
+    try:
+        return getattr(_binding(), constructor)(source)
+    except (ValueError, RuntimeError) as error:
+        raise TableError(str(error)) from error
+
+
+def _surrogate(module: str) -> Any:
+    """Return a module of the surrogate package; it needs numpy alone."""
+    return importlib.import_module(f"wrenchbook.surrogate.{module}")
+
+
+def _fetch(
+    name: str, call: str, query: dict[str, str], etag: str | None
+) -> Call[tuple[bytes, str | None] | None]:
+    """Return a component's table file and its ETag; None if the server's is that of `etag`."""
+    headers = {"If-None-Match": etag} if etag else None
+    reply = yield Request("GET", component_path(name, call), query=query, headers=headers)
+    found = reply.headers.get("ETag")
+    # Some proxies answer from their cache with 200 where nothing is new.
+    if reply.status == 304 or (etag is not None and found == etag):
+        return None
+    return reply.content, found

@@ -1,4 +1,4 @@
-"""Checks of wrenches before they are sent: what is wrong is said here, by name."""
+"""Checks of wrenches before they are sent: errors name the number that is wrong."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Any, Literal, TypeGuard, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from .errors import InvalidArgument
 
 NAMES = ("fx", "fy", "fz", "mx", "my", "mz")
 OnThin = Literal["queue", "wait", "estimate", "reject"]
@@ -42,7 +44,7 @@ def one_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
         second = np.zeros(3) if moment is None else _numbers(moment, "moment")
         for name, part in (("force", first), ("moment", second)):
             if part.shape != (3,):
-                raise ValueError(
+                raise InvalidArgument(
                     f"{name} must be three numbers, it has shape {part.shape}; a whole wrench of "
                     "six goes in as the force alone"
                 )
@@ -63,7 +65,7 @@ def many_wrenches(wrenches: ArrayLike) -> Vector:
     if block.size == 0 and block.ndim <= 2:
         return np.empty((0, 6))
     if block.ndim != 2 or block.shape[1] != 6:
-        raise ValueError(f"wrenches must have shape (n, 6), not {block.shape}")
+        raise InvalidArgument(f"wrenches must have shape (n, 6), not {block.shape}")
     _require_finite(block, "wrench {}: ")
     return block
 
@@ -78,7 +80,7 @@ def options(**given: Any) -> dict[str, Any]:
     """
     on_thin = given.get("on_thin")
     if on_thin is not None and on_thin not in ON_THIN:
-        raise ValueError(f"on_thin must be one of {', '.join(ON_THIN)}, not {on_thin!r}")
+        raise InvalidArgument(f"on_thin must be one of {', '.join(ON_THIN)}, not {on_thin!r}")
     if given.get("tolerance") is not None:
         given["tolerance"] = tolerance_body(given["tolerance"])
     return {name: value for name, value in given.items() if value is not None}
@@ -106,11 +108,11 @@ def tolerance_body(tolerance: Any) -> dict[str, float]:
             pair = tuple(tolerance)
         translation, rotation = (float(part) for part in pair)
     except (KeyError, TypeError, ValueError, AttributeError):
-        raise ValueError(
+        raise InvalidArgument(
             f"a tolerance is {{'translation': m, 'rotation': rad}}, not {tolerance!r}"
         ) from None
     if not (0.0 < translation < np.inf and 0.0 < rotation < np.inf):
-        raise ValueError(f"a tolerance is positive and finite, not {tolerance!r}")
+        raise InvalidArgument(f"a tolerance is positive and finite, not {tolerance!r}")
     return {"translation": translation, "rotation": rotation}
 
 
@@ -123,11 +125,13 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
     try:
         block = np.asarray(values)
     except ValueError:
-        raise ValueError(f"{name} must be a regular array of numbers") from None
+        raise InvalidArgument(f"{name} must be a regular array of numbers") from None
     if block.dtype.kind not in "fiu" and block.size:
-        raise ValueError(f"{name} must be numbers, not {block.dtype}")
+        raise InvalidArgument(f"{name} must be numbers, not {block.dtype}")
     if "numpy.ma" in sys.modules and np.ma.is_masked(values):  # np.ma takes 8 ms to load
-        raise ValueError(f"{name} must be numbers; some are masked, which means that there is none")
+        raise InvalidArgument(
+            f"{name} must be numbers; some are masked, which means that there is none"
+        )
     return block.astype(float)
 
 
@@ -136,4 +140,6 @@ def _require_finite(block: Vector, where: str) -> None:
     if not finite.all():
         bad = np.argwhere(~finite)
         row, column = bad[0].tolist()
-        raise ValueError(f"{where.format(row)}{NAMES[column]} is {block[row, column]}, not finite")
+        raise InvalidArgument(
+            f"{where.format(row)}{NAMES[column]} is {block[row, column]}, not finite"
+        )

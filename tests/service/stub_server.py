@@ -37,6 +37,7 @@ class Answer:
     close: bool = False
     delay: float = 0.0
     drop: bool = False  # close the connection instead of answering
+    headers: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -91,6 +92,8 @@ def running_stub() -> Iterator[Stub]:
             self.send_response(answer.status)
             self.send_header("Content-Type", answer.kind)
             self.send_header("Content-Length", str(len(content)))
+            for name, value in answer.headers.items():
+                self.send_header(name, value)
             self.end_headers()
             self.wfile.write(content)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import threading
 import time
@@ -11,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from tests.service.stub_server import Answer, Stub, running_stub
-from wrenchbook.service.client import Client, ServerTimeout, ServerUnreachable
+from wrenchbook.service.client import Client, ProblemError, ServerTimeout, ServerUnreachable
 
 DONE = {"id": 1, "status": "done"}
 
@@ -76,6 +77,70 @@ def test_nothing_listening_says_how_to_start_a_server():
     with pytest.raises(ServerUnreachable, match=rf"no answer from {address} .*wrenchbook serve"):
         client.components()
     assert not client.is_ready()
+
+
+def test_a_server_that_is_restarting_is_waited_for(monkeypatch: pytest.MonkeyPatch):
+    """The port refuses connections until the third pause between two attempts."""
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        pauses: list[float] = []
+
+        def begin_to_listen(seconds: float) -> None:
+            pauses.append(seconds)
+            if len(pauses) == 3:
+                bound.listen()
+                threading.Thread(target=answer_once, args=(bound,)).start()
+
+        monkeypatch.setattr("wrenchbook.service.client.connection._pause", begin_to_listen)
+        with Client(f"http://127.0.0.1:{bound.getsockname()[1]}", timeout=5.0) as client:
+            assert client.retry(1).ended
+    assert pauses == [0.1, 0.2, 0.4]
+
+
+def answer_once(bound: socket.socket) -> None:
+    """Answer one request with a job that is done."""
+    other, _ = bound.accept()
+    with other:
+        other.recv(65_536)
+        other.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 27\r\n\r\n" + json.dumps(DONE).encode())
+
+
+@pytest.fixture
+def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The pauses between attempts, which take no time."""
+    found: list[float] = []
+    monkeypatch.setattr("wrenchbook.service.client.connection._pause", found.append)
+    return found
+
+
+BUSY = Answer({}, status=503, headers={"Retry-After": "2"})
+
+
+def test_a_busy_server_is_called_again_when_it_says(stub: Stub, client: Client, pauses):
+    stub.answers(BUSY, Answer(DONE))
+    assert client.job(1).ended
+    assert pauses == [2.0]
+
+
+def test_a_call_that_must_not_be_repeated_is_sent_to_a_busy_server_once(
+    stub: Stub, client: Client, pauses
+):
+    stub.answers(BUSY, Answer(DONE))
+    with pytest.raises(ProblemError, match="503"):
+        client.retry(1)
+    assert (len(stub.seen), pauses) == (1, [])
+
+
+def test_a_busy_server_is_not_waited_for_beyond_the_timeout(stub: Stub, pauses):
+    stub.answers(BUSY)
+    with Client(stub.url, timeout=1.0) as client, pytest.raises(ProblemError, match="503"):
+        client.job(1)
+    assert (len(stub.seen), pauses) == (1, [])
+
+
+def test_the_representation_of_a_client_shows_its_address_and_no_key():
+    shown = repr(Client("127.0.0.1:8000", key="secret"))
+    assert shown == "Client('http://127.0.0.1:8000', timeout=30, key=...)"
 
 
 def test_a_slow_answer_is_a_timeout_and_not_sent_again(stub: Stub):

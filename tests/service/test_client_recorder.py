@@ -16,9 +16,8 @@ from wrenchbook.service.client import (
     Recorder,
     RecorderError,
     ServerTimeout,
-    spill,
 )
-from wrenchbook.service.client.spill import Blocks
+from wrenchbook.service.client import recorder as recorder_module
 
 ROOT = Path(__file__).parents[2]
 WRENCH = [1.0, 2, 3, 4, 5, 6]
@@ -166,65 +165,16 @@ def test_a_start_that_cannot_be_is_the_servers_problem(server, recorder):
         recorder.start()
 
 
-# -- the queue of blocks ----------------------------------------------------------------------
-
-
-@pytest.fixture
-def little_memory(monkeypatch):
-    monkeypatch.setattr(spill, "MOST_HELD", 20)
-    monkeypatch.setattr(spill, "MOST_SPILLED", 60)
-    monkeypatch.setattr(spill, "READ_BACK", 2)
-
-
-@pytest.fixture
-def blocks(little_memory):
-    made = Blocks(4)
-    yield made
-    made.close()
-
-
-def packed(number):
-    return np.full(6, float(number), dtype="<f8").tobytes()
-
-
-def drained(blocks):
-    """Read all blocks as a sender does; return their wrenches' numbers."""
-    found = []
-    while (block := blocks.first()) is not None:
-        found += np.frombuffer(block, "<f8").reshape(-1, 6)[:, 0].tolist()
-        blocks.drop_first()
-    return found
-
-
-def test_beyond_its_memory_blocks_wait_in_a_file_and_come_back_in_order(blocks):
-    for number in range(50):
-        blocks.add(packed(number))
-    assert (blocks.count, blocks.spilled) == (50, 28)
-    held = np.frombuffer(blocks.all(), "<f8").reshape(-1, 6)[:, 0]
-    assert held.tolist() == list(range(50))
-    assert drained(blocks) == list(range(48))
-    blocks.seal()
-    assert drained(blocks) == [48, 49]
-    assert (blocks.count, blocks.spilled) == (0, 0)
-
-
-def test_a_file_that_was_read_is_begun_anew(blocks):
-    for turn in range(5):
-        for number in range(72):
-            blocks.add(packed(number))
-        assert drained(blocks) == list(range(72)), turn
-
-
-def test_a_full_file_refuses_the_wrench_that_has_no_place_and_keeps_all_others(blocks):
-    for number in range(20 + 60 + 3):
-        blocks.add(packed(number))
-    for _ in range(2):
-        with pytest.raises(OSError, match="temporary file has its 60"):
-            blocks.add(packed(83))
-    assert blocks.count == 20 + 60 + 3
-    assert drained(blocks) == list(range(80))
-    blocks.add(packed(83))
-    assert drained(blocks) == [80, 81, 82, 83]
+def test_a_full_memory_refuses_the_wrench_and_keeps_all_others(monkeypatch):
+    monkeypatch.setattr(recorder_module, "MOST_PENDING", 10)
+    recorder = Recorder(Client("http://127.0.0.1:9"), "plate", block=4)
+    for _ in range(10):
+        recorder.add(WRENCH)
+    with pytest.raises(RecorderError, match="not taken: 10 wrenches wait for the server"):
+        recorder.add(WRENCH)
+    assert recorder.unsent().tolist() == [WRENCH] * 10
+    with pytest.raises(RecorderError):
+        recorder.close(0.2)
 
 
 FORGETFUL = """

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import pickle
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -282,5 +284,24 @@ def test_a_table_shows_its_name_version_rows_and_method(client: Client) -> None:
     table = client.download("solved")
     assert repr(table) == (
         f"<Table 'solved', version {table.version}: 40 rows, method kriging, "
+        "range fx -100 to 100, fy -100 to 100, fz -100 to 100, "
+        "mx -10 to 10, my -10 to 10, mz -10 to 10 (N, N·m), "
         f"{len(client.export_table('solved', 'packed')) / 1e6:.3g} MB>"
     )
+
+
+def test_a_table_is_an_html_table_of_its_range_in_a_notebook(client: Client) -> None:
+    shown = client.download("solved")._repr_html_()
+    assert "solved, table version" in shown
+    assert "<th>mz [N*m]</th>" in shown
+    assert "<td>lowest</td><td>-100</td>" in shown
+
+
+def test_the_rows_of_a_table_become_pandas_columns_with_units(client: Client, monkeypatch) -> None:
+    pandas = SimpleNamespace(DataFrame=dict, concat=lambda frames, **_: frames)
+    monkeypatch.setitem(sys.modules, "pandas", pandas)
+    (rows,) = client.download("solved").to_pandas()
+    assert list(rows)[:2] == ["group", "fx [N]"]
+    assert list(rows)[-1] == "rz [rad]"
+    order = np.lexsort(np.array([rows["fx [N]"]]))
+    np.testing.assert_allclose(rows["fx [N]"][order], np.sort(full_wrenches(40)[:, 0]), atol=1e-3)

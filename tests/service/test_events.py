@@ -9,11 +9,16 @@ import pytest
 
 from tests.service.live import add_rows, add_table, as_rows, clean_wrenches, moved, served
 from wrenchbook.service.client import ProblemError, ServerUnreachable
-from wrenchbook.service.client.event_calls import read_events
+from wrenchbook.service.client.events import EventParser
 from wrenchbook.service.events import feed as feed_module
 from wrenchbook.service.events.feed import Feed, TooManyListenersError
 
 ROWS = as_rows(clean_wrenches(), moved(clean_wrenches()))
+
+
+def read_events(lines):
+    parser = EventParser()
+    return [event for line in lines if (event := parser.feed(line)) is not None]
 
 
 def heard(listener):

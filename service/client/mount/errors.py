@@ -1,20 +1,26 @@
-"""What can go wrong between a simulation and a mount; each text says what to do."""
+"""Errors of a mount; each text says what to do."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ..errors import WrenchbookError
 
-class MountError(RuntimeError):
+
+class MountError(WrenchbookError, RuntimeError):
     """A mount cannot go on; nothing of it has moved."""
 
 
 class SensorError(MountError):
-    """What the simulation reads cannot be the wrench on the component."""
+    """The reading of the simulation cannot be the wrench on the component."""
+
+
+class SourceError(MountError, TypeError):
+    """The source of a mount is neither a table nor a client that the mode can use."""
 
 
 class DisplacementUnknown(MountError):  # noqa: N818 (a state of the table, and a public name)
-    """The component's table cannot answer, or does not hold an output that the pose needs."""
+    """The component's table cannot answer, or lacks an output that the pose needs."""
 
 
 class CouplingDiverged(MountError):  # noqa: N818 (the public name)
@@ -39,4 +45,4 @@ class CouplingDiverged(MountError):  # noqa: N818 (the public name)
 
 
 class MountWarning(UserWarning):
-    """The loop goes on, with numbers that may be wrong; said once a mount and kind."""
+    """The loop goes on, with numbers that may be wrong; issued once a mount and kind."""

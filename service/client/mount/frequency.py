@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..questions import component_path
+from ..errors import InvalidArgument
 from . import options
 from .errors import MountWarning
 
@@ -51,7 +51,9 @@ def mass_matrix(carried: float | ArrayLike) -> Vector:
     given = np.asarray(carried, dtype=float)
     matrix = np.diag([float(given)] * 3 + [0.0] * 3) if given.ndim == 0 else given
     if matrix.shape != (6, 6) or not np.isfinite(matrix).all() or (np.diag(matrix) < 0.0).any():
-        raise ValueError("carried is a mass, kg, or a mass matrix, shape (6, 6), none negative")
+        raise InvalidArgument(
+            "carried is a mass, kg, or a mass matrix, shape (6, 6), none negative"
+        )
     return matrix
 
 
@@ -69,12 +71,12 @@ def warn_if_ringing(
     ValueError
         See `options.warn_of_ringing`; or if `carried`, kg or shape (6, 6), is of no use.
     """
-    asks = frequency is None and ramp_time is not None and hasattr(source, "call_json")
+    asks = frequency is None and ramp_time is not None and hasattr(source, "compliance")
     if asks:
         frequency = known_frequency(source, component, carried)
         ramp_time = None if frequency is None else ramp_time
     elif carried is not None:
-        raise ValueError("carried= needs a Client, ramp_time= and no natural_frequency=")
+        raise InvalidArgument("carried= needs a Client, ramp_time= and no natural_frequency=")
     options.warn_of_ringing(component, frequency, ramp_time)
 
 
@@ -109,8 +111,7 @@ def known_frequency(client: Any, component: str, carried: float | ArrayLike | No
 
 def _compliance(client: Any, component: str) -> Vector | None:
     """Return the table's fitted compliance, shape (6, 6), m/N to rad/(N·m); None if unknown."""
-    told = client.call_json("GET", component_path(component, "compliance"))["matrix"]
-    matrix = np.array(told, dtype=float)
+    matrix = np.array(client.compliance(component)["matrix"], dtype=float)
     return matrix if np.isfinite(matrix).all() else None
 
 

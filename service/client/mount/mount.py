@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..recording import Recorder
-from ..recording_calls import Started
+from ..errors import InvalidArgument
+from ..recorder import Recorder
+from ..recording import Started
 from ..replies import Displacement
 from ..rotation import rotation_matrix
-from ..wrenches import ON_THIN, tolerance_body
+from ..wrenches import ON_THIN, OnThin, tolerance_body
 from . import options, reading
 from .errors import DisplacementUnknown
 from .frequency import warn_if_ringing
@@ -97,7 +98,7 @@ class Mount:
         tolerance: Any = None,
         relaxation: str | float = "aitken",
         *,
-        on_thin: str = "queue",
+        on_thin: OnThin = "queue",
         method: str | None = None,
         stiffness: ArrayLike | None = None,
         unmeasured: str = "refuse",
@@ -274,7 +275,9 @@ class Mount:
             If the mode saves nothing.
         """
         if self.recorder is None:
-            raise ValueError(f"mode {self.mode!r} saves no wrenches; use 'record' or 'envelope'")
+            raise InvalidArgument(
+                f"mode {self.mode!r} saves no wrenches; use 'record' or 'envelope'"
+            )
         return self.recorder.start(**options)
 
     def close(self) -> None:
@@ -299,9 +302,11 @@ class Mount:
         """Return a static loop of a scene with this component."""
         source = self._source
         if source is None:
-            raise ValueError(f"mode {self.mode!r} lets nothing move; settle by 'table' or 'solve'")
+            raise InvalidArgument(
+                f"mode {self.mode!r} lets nothing move; settle by 'table' or 'solve'"
+            )
         if not (accuracy > 0.0 and most >= 1):
-            raise ValueError("accuracy must be over 0, in tolerances, and most at least 1")
+            raise InvalidArgument("accuracy must be over 0, in tolerances, and most at least 1")
 
         def read(displacement: Vector) -> Vector:
             return _reading_of(scene(*self._pose(displacement)))
@@ -328,7 +333,7 @@ class Mount:
             factor = self._relaxation.follow(self._scale.measure(residual), driven=True)
             return self.displacement + factor * residual
         if self._stiffness is None or answer.derivative is None:
-            raise ValueError(
+            raise InvalidArgument(
                 "relaxation='newton' needs the scene's stiffness= in step, and a derivative of the "
                 "answer: give it, settle() instead, or step with relaxation='aitken'"
             )

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import InvalidArgument
 from .errors import MountWarning, SensorError
 from .reading import require_weight
 
@@ -127,12 +128,12 @@ def floating(model: Any, division: Division, gravcomp: str | None) -> Any:
     Raises
     ------
     SensorError
-        If a body is compensated and it is not said what that stands for.
+        If a body is compensated and `gravcomp` is not given.
     ValueError
         If it is none of its words, or cannot be taken off with this integrator.
     """
     if gravcomp is not None and gravcomp not in GRAVCOMP:
-        raise ValueError(f"gravcomp must be 'motors' or 'float', not {gravcomp!r}")
+        raise InvalidArgument(f"gravcomp must be 'motors' or 'float', not {gravcomp!r}")
     taken = np.where(_hangs_on(model, division.mounted), model.body_gravcomp * model.body_mass, 0.0)
     if not taken.any() or gravcomp == "motors":
         return None
@@ -144,7 +145,7 @@ def floating(model: Any, division: Division, gravcomp: str | None) -> Any:
             "gravcomp='float' (something outside carries it, the mount does not)"
         )
     if model.opt.integrator == engine.mjtIntegrator.mjINT_RK4:
-        raise ValueError(
+        raise InvalidArgument(
             "gravcomp='float' needs the positions that the sensors saw, which RK4 overwrites: use "
             "another integrator"
         )

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..errors import InvalidArgument
 from .errors import SensorError
 from .mount import Mount
 from .mujoco_checks import Division, engine, find_division, floating, require_weighed
@@ -90,7 +91,7 @@ class MujocoMount:
     ) -> None:
         step = float(model.opt.timestep)
         if sync is not None and not sync >= 0.999 * step:
-            raise ValueError(f"sync, {sync:g} s, must not be shorter than a step, {step:g} s")
+            raise InvalidArgument(f"sync, {sync:g} s, must not be shorter than a step, {step:g} s")
         self._model, self._data, self._sync = model, data, sync or 0.0
         cut = find_division(model, mocap, force, torque)
         self._look_at(cut)

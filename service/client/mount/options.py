@@ -1,4 +1,4 @@
-"""What a mount is told, checked where a slip is likely."""
+"""Options of a mount, checked where a slip is likely."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import MountWarning
+from ..errors import InvalidArgument
+from .errors import MountWarning, SourceError
 
 Vector = NDArray[np.float64]
 
@@ -30,7 +31,7 @@ def require_word(name: str, given: Any, words: tuple[str, ...]) -> None:
         If so; the text lists them.
     """
     if given not in words:
-        raise ValueError(f"{name} must be one of {', '.join(words)}, not {given!r}")
+        raise InvalidArgument(f"{name} must be one of {', '.join(words)}, not {given!r}")
 
 
 def fixed_factor(relaxation: str | float) -> float | None:
@@ -46,7 +47,7 @@ def fixed_factor(relaxation: str | float) -> float | None:
         return None if relaxation == "aitken" else 1.0
     if not isinstance(relaxation, Real) or not 0.0 < relaxation <= 1.0:
         words = ", ".join(RELAXATIONS)
-        raise ValueError(
+        raise InvalidArgument(
             f"relaxation must be one of {words}, or a fixed factor over 0 and at most 1, not "
             f"{relaxation!r}"
         )
@@ -65,7 +66,7 @@ def square(stiffness: ArrayLike | None) -> Vector | None:
         return None
     matrix = np.array(stiffness, dtype=float)
     if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
-        raise ValueError(f"stiffness must be finite, of shape (6, 6), not {matrix.shape}")
+        raise InvalidArgument(f"stiffness must be finite, of shape (6, 6), not {matrix.shape}")
     return matrix
 
 
@@ -75,12 +76,14 @@ def require_server(source: Any, mode: str) -> Any:
     Raises
     ------
     TypeError
-        If it is none, and the mode needs one.
+        If it is none, and the mode needs one; a SourceError.
     """
+    if hasattr(source, "__aenter__"):
+        raise SourceError("a mount's steps block: give a Client in the place of the AsyncClient")
     if hasattr(source, "displacement") and hasattr(source, "solve"):
         return source
     what = "a Client" if mode != "table" else "a Client, or a Table from client.download(...)"
-    raise TypeError(f"mode {mode!r} asks {what}, not {type(source).__name__}")
+    raise SourceError(f"mode {mode!r} asks {what}, not {type(source).__name__}")
 
 
 def warn_of_ringing(component: str, frequency: float | None, ramp_time: float | None) -> None:
@@ -102,12 +105,12 @@ def warn_of_ringing(component: str, frequency: float | None, ramp_time: float | 
     if frequency is None and ramp_time is None:
         return
     if frequency is None or ramp_time is None:
-        raise ValueError(
+        raise InvalidArgument(
             "natural_frequency, Hz, and ramp_time, s, are given together; ramp_time alone where "
             "the source is a Client, whose server tells the frequency"
         )
     if not (frequency > 0.0 and ramp_time > 0.0):
-        raise ValueError("natural_frequency and ramp_time must be over 0")
+        raise InvalidArgument("natural_frequency and ramp_time must be over 0")
     periods = frequency * ramp_time
     if periods < QUASI_STATIC:
         warnings.warn(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..errors import InvalidArgument
 from ..wrenches import one_wrench
 from .errors import SensorError
 
@@ -48,14 +49,14 @@ def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
     """
     axes, point = np.array(R0, dtype=float), np.array(p0, dtype=float)
     if axes.shape != (3, 3) or point.shape != (3,):
-        raise ValueError(
+        raise InvalidArgument(
             f"R0 must have shape (3, 3) and p0 (3,), not {axes.shape} and {point.shape}"
         )
     if not (np.isfinite(axes).all() and np.isfinite(point).all()):
-        raise ValueError("R0 and p0 must be finite")
+        raise InvalidArgument("R0 and p0 must be finite")
     # 1e-6 rad is a pose in single precision; the displacement is exact to the square of it.
     if not np.allclose(axes.T @ axes, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0.0:
-        raise ValueError(
+        raise InvalidArgument(
             "R0 must be a rotation: the undeformed interface frame's axes as columns, orthogonal "
             "and right-handed"
         )

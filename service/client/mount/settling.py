@@ -38,7 +38,7 @@ class Settled:
     answer : Displacement
         The component's last answer, with its error bars and coverage.
     residuals : tuple of float
-        How far pose and answer were apart, in tolerances, each time the component was asked.
+        How far pose and answer were apart, in tolerances, answer by answer.
     spectral_radius : float or None
         G of compliance times the scene's stiffness, where Newton has seen both.
     """
@@ -53,12 +53,12 @@ class Settled:
 
     @property
     def iterations(self) -> int:
-        """How often the component was asked."""
+        """The number of answers of the component."""
         return len(self.residuals)
 
 
 @dataclass
-class State:
+class Iteration:
     """One iteration: where it stands and how far off it is.
 
     Attributes
@@ -106,13 +106,13 @@ class Loop:
     most: int
     residuals: list[float] = field(default_factory=list)
 
-    def evaluate(self, displacement: Vector) -> State:
+    def evaluate(self, displacement: Vector) -> Iteration:
         """Set a displacement, shape (6,), m and rad, read the scene, and ask.
 
         Raises
         ------
         CouplingDiverged
-            If the component has been asked as often as it may be.
+            If the component has given the most answers allowed.
         """
         if len(self.residuals) >= self.most:
             raise CouplingDiverged(
@@ -123,13 +123,13 @@ class Loop:
         wrench = self.read(displacement)
         answer, answered = self.ask(wrench)
         self.scale.see(answered)
-        state = State(displacement, wrench, answer, answered)
+        state = Iteration(displacement, wrench, answer, answered)
         state.size = float(np.abs(self.scale.measure(state.residual)).max())
         self.residuals.append(state.size)
         return state
 
 
-def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> State:
+def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> Iteration:
     """Settle by following the answers, from a displacement, shape (6,), m and rad.
 
     Raises
@@ -159,7 +159,9 @@ def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> State:
     return state
 
 
-def by_newton(loop: Loop, start: Vector, stiffness: Vector | None) -> tuple[State, float | None]:
+def by_newton(
+    loop: Loop, start: Vector, stiffness: Vector | None
+) -> tuple[Iteration, float | None]:
     """Settle by Newton, from a displacement, shape (6,), m and rad; return also G.
 
     The residual U(W(u)) - u has the slope C K - I: C the answer's derivative, K the scene's dw/du,
@@ -194,7 +196,7 @@ def by_newton(loop: Loop, start: Vector, stiffness: Vector | None) -> tuple[Stat
     return state, radius
 
 
-def _nearer(loop: Loop, state: State, step: Vector, radius: float) -> State:
+def _nearer(loop: Loop, state: Iteration, step: Vector, radius: float) -> Iteration:
     """Go a Newton step, shape (6,), m and rad, or the part of it that leads nearer."""
     fraction = 1.0
     for _ in range(HALVINGS):
@@ -211,7 +213,7 @@ def _nearer(loop: Loop, state: State, step: Vector, radius: float) -> State:
     )
 
 
-def _differences(loop: Loop, state: State) -> Vector:
+def _differences(loop: Loop, state: Iteration) -> Vector:
     """Return the scene's stiffness dw/du, shape (6, 6), N/m to N·m/rad, by small moves of it."""
     sizes = np.where(loop.scale.tolerance > 0.0, STEP * loop.scale.tolerance, 1e-9)
     slope = np.empty((6, 6))

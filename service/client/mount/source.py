@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ServerTimeout
+from ..errors import InvalidArgument, ServerTimeout
 from ..replies import Displacement
 from ..wrenches import tolerance_body
 from .errors import DisplacementUnknown
@@ -19,7 +19,7 @@ Vector = NDArray[np.float64]
 Tolerance = dict[str, float]
 
 OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
-LONGEST_HOLD_S = 20.0  # a call held longer is cut by proxies
+LONGEST_CALL_S = 20.0  # proxies end calls that take longer
 
 
 class Source(Protocol):
@@ -46,7 +46,7 @@ class TableSource:
     ) -> None:
         name = getattr(table, "name", component)
         if name != component:
-            raise ValueError(f"the table is of component {name!r}, not of {component!r}")
+            raise InvalidArgument(f"the table is of component {name!r}, not of {component!r}")
         self._table, self._asked, self._method = table, tolerance, method
         own = getattr(table, "tolerance", None)
         self.tolerance = tolerance or (None if own is None else tolerance_body(own))
@@ -69,12 +69,12 @@ class ServerSource:
         method: str | None,
         on_thin: str,
     ) -> None:
-        told = client.component(component)
+        facts = client.component(component)
         # A measured table is never solved: to queue would be refused in the middle of the loop.
-        self._on_thin = on_thin if told.get("has_fea", True) else "estimate"
+        self._on_thin = on_thin if facts.get("has_fea", True) else "estimate"
         self._client, self._component = client, component
         self._asked, self._method = tolerance, method
-        self.tolerance = tolerance or told.get("tolerance")
+        self.tolerance = tolerance or facts.get("tolerance")
 
     def ask(self, wrench: Vector, *, derivatives: bool) -> Displacement:
         """Return the answer to a wrench, shape (6,), N and N·m."""
@@ -119,7 +119,7 @@ class SolveSource:
             answer = self._client.solve(
                 self._component,
                 wrench,
-                wait_s=min(left, LONGEST_HOLD_S),
+                wait_s=min(left, LONGEST_CALL_S),
                 beyond_range=self._beyond,
             )
             if answer.covered:
@@ -134,10 +134,10 @@ class SolveSource:
 
     def _with_derivative(self, solved: Displacement, wrench: Vector) -> Displacement:
         """Return the answer of the solve's row, which brings its tangent with it."""
-        told = self._client.displacement(
+        from_row = self._client.displacement(
             self._component, wrench, on_thin="estimate", derivatives=True
         )
-        return told if told.covered else solved
+        return from_row if from_row.covered else solved
 
 
 def table_source(

@@ -14,7 +14,7 @@ def told(frequency):
     facts = {"has_fea": True, "tolerance": TOLERANCE, "vibration": {"first_frequency": frequency}}
     return client_with(
         component=lambda _: facts,
-        call_json=lambda *_: {"matrix": bar_compliance().tolist()},
+        compliance=lambda _: {"matrix": bar_compliance().tolist()},
     )
 
 

@@ -1,4 +1,4 @@
-"""Reading an answer from a socket: an ordinary one at a glance, any other by http.client.
+"""Responses, and how one is read from a socket: an ordinary one at a glance, others by http.client.
 
 http.client reads each header field into an e-mail message, which takes longer than the server does.
 """
@@ -7,20 +7,21 @@ from __future__ import annotations
 
 import http.client
 import io
+import json
 import socket
 from email.message import Message
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-_ENOUGH = 65_536  # bytes asked for at once: all but large batches come in one piece
+_ENOUGH = 65_536  # bytes of one read: all but large batches come in one piece
 _BLANK_LINE = b"\r\n\r\n"
 _LENGTH = b"\r\ncontent-length:"
 # Fields that say what has to be done with a connection or a body: http.client knows how.
 _UNUSUAL = (b"\r\nconnection:", b"\r\ntransfer-encoding:", b"\r\ncontent-encoding:")
 
 
-class Received:
-    """An answer as it was received.
+class Response:
+    """A response as it was received.
 
     Attributes
     ----------
@@ -44,18 +45,24 @@ class Received:
 
     @cached_property
     def headers(self) -> Message:
-        """The header fields, read when they are asked for."""
+        """The header fields, parsed at their first use."""
         _, _, lines = self.head.partition(b"\r\n")
         return http.client.parse_headers(io.BytesIO(lines + _BLANK_LINE))
 
+    def json(self) -> Any:
+        """Return the body as JSON."""
+        return json.loads(self.content)
 
-class _Glance(NamedTuple):
+
+class Glance(NamedTuple):
+    """Status, end of the head and length of the body, bytes, of an ordinary success."""
+
     status: int
     end: int
     length: int
 
 
-def receive(sock: socket.socket, method: str) -> Received:
+def receive(sock: socket.socket, method: str) -> Response:
     """Read the answer to a request that has been sent.
 
     Raises
@@ -66,16 +73,16 @@ def receive(sock: socket.socket, method: str) -> Received:
     came = sock.recv(_ENOUGH)
     if not came:
         raise http.client.RemoteDisconnected("the server closed the connection without an answer")
-    seen = _glance(came)
+    seen = glance(came)
     if seen is None or len(came) > seen.end + seen.length:
         return _by_http_client(came, sock, method)
     content = came[seen.end :]
     if len(content) < seen.length:
         content = _rest(sock, content, seen.length)
-    return Received(seen.status, content, came[: seen.end - len(_BLANK_LINE)])
+    return Response(seen.status, content, came[: seen.end - len(_BLANK_LINE)])
 
 
-def _glance(came: bytes) -> _Glance | None:
+def glance(came: bytes) -> Glance | None:
     """Return an ordinary success with a length, or None for whatever else this is."""
     end = came.find(_BLANK_LINE)
     if end < 0 or not came.startswith((b"HTTP/1.1 200 ", b"HTTP/1.1 201 ", b"HTTP/1.1 202 ")):
@@ -87,7 +94,7 @@ def _glance(came: bytes) -> _Glance | None:
     digits = after.partition(b"\r\n")[0].strip()
     if not digits.isdigit():
         return None
-    return _Glance(int(before[9:12]), end + len(_BLANK_LINE), int(digits))
+    return Glance(int(before[9:12]), end + len(_BLANK_LINE), int(digits))
 
 
 def _rest(sock: socket.socket, content: bytes, length: int) -> bytes:
@@ -101,13 +108,13 @@ def _rest(sock: socket.socket, content: bytes, length: int) -> bytes:
     return b"".join(pieces)
 
 
-def _by_http_client(came: bytes, sock: socket.socket, method: str) -> Received:
+def _by_http_client(came: bytes, sock: socket.socket, method: str) -> Response:
     """Read an answer of which a part has come."""
     response = http.client.HTTPResponse(_Replay(came, sock), method=method)  # pyright: ignore
     try:
         response.begin()
         content = response.read()
-        found = Received(
+        found = Response(
             response.status, content, reason=response.reason, will_close=response.will_close
         )
         found.headers = response.headers

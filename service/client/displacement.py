@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from typing import Any
-from urllib.parse import quote
 
 from numpy.typing import ArrayLike
 
-from .connection import Connection
 from .replies import Displacement, Displacements
+from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
 from .wrenches import OnThin, Vector, many_wrenches, one_wrench, options
 
-BINARY_FROM = 1000  # wrenches from which a batch goes as float64 unless told
+BINARY_FROM = 1000  # wrenches from which a batch is sent as float64, if not given
 
 
-def component_path(name: str, call: str = "") -> str:
-    """Return the path of a component's call, or of the component itself."""
-    return f"/v1/components/{quote(name, safe='')}" + (f"/{call}" if call else "")
-
-
-class Questions(Connection):
-    """Ask for displacements.
+class DisplacementCalls:
+    """Displacements under one wrench, under many, and from a finite-element solve.
 
     What the calls have in common:
 
@@ -30,8 +24,8 @@ class Questions(Connection):
         Shape (3,), N, and shape (3,), N·m, acting ON the component about its interface point, in
         the undeformed interface frame; or the whole wrench as the force alone, shape (6,).
     on_thin : {"queue", "wait", "estimate", "reject"}
-        Where the table is too thin: queue a solve and answer with the best guess; wait for that
-        solve; only guess; refuse.
+        Where the table is too thin: queue a solve and answer with the best estimate; wait for
+        that solve; only estimate; refuse.
     wait_s : float, optional
         With ``wait``: seconds to wait for the solve; the server's default is 30.
     tolerance : mapping or pair, optional
@@ -44,10 +38,11 @@ class Questions(Connection):
         Whether a wrench outside the component's load range may be solved. If not, ``queue`` answers
         it flagged and without a job, and ``wait`` and `solve` refuse it.
     table_version : int, optional
-        Ask the table as it was at that version (an answer's `table_version`), for the same digits
-        again; nothing is queued then, and ``wait`` is refused.
+        Answer from the table as it was at that version (an answer's `table_version`), with the same
+        digits; nothing is queued then, and ``wait`` is refused.
     """
 
+    @sync_and_async
     def displacement(
         self,
         name: str,
@@ -62,10 +57,10 @@ class Questions(Connection):
         derivatives: bool = False,
         beyond_range: bool = False,
         table_version: int | None = None,
-    ) -> Displacement:
+    ) -> Call[Displacement]:
         """Return the displacement of a component's interface under one wrench, N and N·m.
 
-        Parameters are those of `Questions`; `detail`: ``raw["axes"]`` tells each axis' rows.
+        Parameters are those of `DisplacementCalls`; `detail`: ``raw["axes"]`` has each axis' rows.
 
         Returns
         -------
@@ -83,7 +78,7 @@ class Questions(Connection):
             See `Connection.call`.
         """
         wrench = one_wrench(force, moment)
-        asked = options(
+        chosen = options(
             on_thin=on_thin,
             wait_s=wait_s,
             tolerance=tolerance,
@@ -92,8 +87,9 @@ class Questions(Connection):
             derivatives=derivatives or None,
             beyond_range=beyond_range or None,
         )
-        return self._ask(name, "displacement", wrench, asked, table_version)
+        return (yield from _one(name, "displacement", wrench, chosen, table_version))
 
+    @sync_and_async
     def displacements(
         self,
         name: str,
@@ -107,11 +103,11 @@ class Questions(Connection):
         beyond_range: bool = False,
         table_version: int | None = None,
         binary: bool | None = None,
-    ) -> Displacements:
+    ) -> Call[Displacements]:
         """Return the displacements under many wrenches, shape (n, 6), N and N·m, in one call.
 
-        Parameters are those of `Questions`, errors those of `displacement`; with ``wait`` one
-        `wait_s` is for all.
+        Parameters are those of `DisplacementCalls`, errors those of `displacement`; with
+        ``wait`` one `wait_s` is for all.
 
         Parameters
         ----------
@@ -120,7 +116,7 @@ class Questions(Connection):
             1000 wrenches on if not given. The answers then do not list the jobs they queued.
         """
         block = many_wrenches(wrenches)
-        asked = options(
+        chosen = options(
             on_thin=on_thin,
             wait_s=wait_s,
             tolerance=tolerance,
@@ -129,13 +125,15 @@ class Questions(Connection):
             beyond_range=beyond_range or None,
         )
         if len(block) >= BINARY_FROM if binary is None else binary:
-            return self._ask_binary(name, block, asked, table_version)
-        body = {"wrenches": block.tolist()} | asked
+            request = _binary_batch(name, block, chosen, table_version)
+            return Displacements.read_binary(name, block, (yield request))
+        body = {"wrenches": block.tolist()} | chosen
         path = component_path(name, "displacements")
         query = {"table_version": table_version}
-        reply = self.call_json("POST", path, body, wait_s=_held(asked), query=query)
-        return Displacements.read(name, block, reply)
+        reply = yield json_request("POST", path, body, wait_s=_server_wait(chosen), query=query)
+        return Displacements.read(name, block, reply.json())
 
+    @sync_and_async
     def solve(
         self,
         name: str,
@@ -144,10 +142,10 @@ class Questions(Connection):
         *,
         wait_s: float | None = None,
         beyond_range: bool = False,
-    ) -> Displacement:
+    ) -> Call[Displacement]:
         """Solve one wrench, N and N·m, with finite elements, whatever the table says.
 
-        Parameters are those of `Questions`.
+        Parameters are those of `DisplacementCalls`.
 
         Parameters
         ----------
@@ -166,45 +164,40 @@ class Questions(Connection):
             As in `displacement`.
         """
         wrench = one_wrench(force, moment)
-        asked = options(wait_s=wait_s, beyond_range=beyond_range or None)
-        return self._ask(name, "solve", wrench, asked)
-
-    def _ask(
-        self,
-        name: str,
-        call: str,
-        wrench: Vector,
-        asked: dict[str, Any],
-        table_version: int | None = None,
-    ) -> Displacement:
-        """Ask about one wrench."""
-        body = {"force": wrench[:3].tolist(), "moment": wrench[3:].tolist()} | asked
-        path, query = component_path(name, call), {"table_version": table_version}
-        reply = self.call_json("POST", path, body, wait_s=_held(asked), query=query)
-        return Displacement.read(name, wrench, reply)
-
-    def _ask_binary(
-        self, name: str, block: Vector, asked: dict[str, Any], table_version: int | None
-    ) -> Displacements:
-        """Ask a batch in its binary form."""
-        tolerance = asked.pop("tolerance", {})
-        reply = self.call(
-            "POST",
-            component_path(name, "displacements"),
-            block.astype("<f8").tobytes(),
-            kind="application/octet-stream",
-            query=asked | tolerance | {"table_version": table_version},
-            wait_s=_held(asked),
-        )
-        return Displacements.read_binary(name, block, reply)
+        chosen = options(wait_s=wait_s, beyond_range=beyond_range or None)
+        return (yield from _one(name, "solve", wrench, chosen))
 
 
-def _held(asked: dict[str, Any]) -> float:
-    """Return how long the server may hold the answer back, s.
+def _one(
+    name: str, call: str, wrench: Vector, chosen: dict[str, Any], table_version: int | None = None
+) -> Call[Displacement]:
+    """Send one wrench, shape (6,), N and N·m."""
+    body = {"force": wrench[:3].tolist(), "moment": wrench[3:].tolist()} | chosen
+    path, query = component_path(name, call), {"table_version": table_version}
+    reply = yield json_request("POST", path, body, wait_s=_server_wait(chosen), query=query)
+    return Displacement.read(name, wrench, reply.json())
 
-    A question with ``on_thin`` is held back only with ``wait``, 30 s unless it says otherwise; an
-    order to solve says how long.
+
+def _binary_batch(
+    name: str, block: Vector, chosen: dict[str, Any], table_version: int | None
+) -> Request:
+    """Return the request of a batch, shape (n, 6), N and N·m, in its binary form."""
+    tolerance = chosen.pop("tolerance", {})
+    return Request(
+        "POST",
+        component_path(name, "displacements"),
+        block.astype("<f8").tobytes(),
+        BINARY,
+        chosen | tolerance | {"table_version": table_version},
+        wait_s=_server_wait(chosen),
+    )
+
+
+def _server_wait(chosen: dict[str, Any]) -> float:
+    """Return how long the server may wait before it answers, s.
+
+    With ``on_thin`` it waits only with ``wait``, 30 s if not given; `solve` gives the time.
     """
-    if "on_thin" not in asked:
-        return asked.get("wait_s", 0.0)
-    return asked.get("wait_s", 30.0) if asked["on_thin"] == "wait" else 0.0
+    if "on_thin" not in chosen:
+        return chosen.get("wait_s", 0.0)
+    return chosen.get("wait_s", 30.0) if chosen["on_thin"] == "wait" else 0.0

@@ -1,0 +1,141 @@
+"""Events of the server: jobs that change, new versions of tables."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from .errors import ProblemError, ServerUnreachable
+from .request import Item, Items, Listen, NextLine, Pause, sync_and_async_iterator
+
+SILENCE_S = 45.0  # three heartbeats: a connection without one is dead
+AGAIN_S = (0.2, 5.0)  # between attempts while the server is away: doubled from, up to
+
+
+@dataclass(frozen=True)
+class Event:
+    """One event.
+
+    Parameters
+    ----------
+    kind : str
+        ``hello``, ``job``, ``jobs``, ``table``, ``missed`` or ``dropped``.
+    body : dict
+        Of ``job`` its id, status, component and, while it runs, progress; of ``table`` its
+        component and table_version; of ``missed`` and ``dropped`` the reason.
+    id : str
+        To go on after it, with ``client.events(after=...)``.
+    """
+
+    kind: str
+    body: dict[str, Any]
+    id: str = ""
+
+
+class EventCalls:
+    """Events of the server."""
+
+    @sync_and_async_iterator
+    def events(
+        self,
+        component: str | None = None,
+        *,
+        after: str | None = None,
+        timeout_s: float | None = None,
+    ) -> Items[Event]:
+        """Iterate over the events of one component, or of all; heartbeats are no events.
+
+        While the server is away it is tried again and again. The iteration then goes on after the
+        last event; where the server no longer has what came in between, an event is ``missed``.
+
+        Parameters
+        ----------
+        component : str, optional
+            Only events about this one.
+        after : str, optional
+            The id of an earlier event.
+        timeout_s : float, optional
+            The iteration ends after so long without an event; never if not given.
+
+        Yields
+        ------
+        Event
+
+        Raises
+        ------
+        ProblemError
+            If there is no such component (404), or too many listen (503).
+        ServerUnreachable
+            If nothing answers at the first attempt.
+        """
+        yield from _events(component, after, timeout_s)
+
+
+def _events(component: str | None, after: str | None, timeout_s: float | None) -> Items[Event]:
+    """Yield the events of one connection after another."""
+    last, wait, first = after, AGAIN_S[0], True
+    newest = time.monotonic()  # when the last event came
+    while True:
+        left = _left(timeout_s, newest)
+        if left <= 0:
+            return
+        try:
+            stream = yield _listen(component, last, left)
+            try:
+                parser = EventParser()
+                while line := (yield NextLine(stream)):
+                    event = parser.feed(line)
+                    if event is not None:
+                        last, wait = event.id or last, AGAIN_S[0]
+                        yield Item(event)
+                        newest = time.monotonic()
+                    elif _left(timeout_s, newest) <= 0:
+                        return
+            finally:
+                stream.close()
+        except ProblemError as error:
+            if first or error.status < 500:
+                raise
+        except (ServerUnreachable, http.client.HTTPException, EOFError, OSError) as error:
+            if first and not isinstance(error, TimeoutError):
+                raise
+        first = False
+        yield Pause(max(min(wait, _left(timeout_s, newest)), 0.0))
+        wait = min(2 * wait, AGAIN_S[1])
+
+
+def _listen(component: str | None, last: str | None, left: float) -> Listen:
+    headers = {"Accept": "text/event-stream", **({"Last-Event-ID": last} if last else {})}
+    return Listen("/v1/events", {"component": component}, headers, min(SILENCE_S, left))
+
+
+def _left(timeout_s: float | None, newest: float) -> float:
+    """Return the seconds in which the next event has to come."""
+    return float("inf") if timeout_s is None else newest + timeout_s - time.monotonic()
+
+
+class EventParser:
+    """Server-sent events from their lines (WHATWG HTML, section 9.2.6)."""
+
+    def __init__(self) -> None:
+        self._kind, self._id = "message", ""
+        self._content: list[str] = []
+
+    def feed(self, line: bytes) -> Event | None:
+        """Take a line; return the event that it ends, if it ends one."""
+        name, _, value = line.rstrip(b"\r\n").decode().partition(":")
+        value = value.removeprefix(" ")
+        if name == "event":
+            self._kind = value
+        elif name == "data":
+            self._content.append(value)
+        elif name == "id":
+            self._id = value
+        elif not line.strip():
+            kind, content = self._kind, self._content
+            self._kind, self._content = "message", []
+            return Event(kind, json.loads("\n".join(content)), self._id) if content else None
+        return None

@@ -1,0 +1,59 @@
+"""Answers for notebooks: small HTML tables, and named columns for pandas."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import MissingPackage
+
+# The names of a CSV export.
+WRENCH_COLUMNS = ("fx [N]", "fy [N]", "fz [N]", "mx [N*m]", "my [N*m]", "mz [N*m]")
+DISPLACEMENT_COLUMNS = ("ux [m]", "uy [m]", "uz [m]", "rx [rad]", "ry [rad]", "rz [rad]")
+ERROR_COLUMNS = tuple(f"error {name}" for name in DISPLACEMENT_COLUMNS)
+SHOWN = 10  # rows of an HTML table
+
+
+def html_table(caption: str, names: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Return an HTML table with its text escaped; the floats have six digits."""
+    head = "".join(f"<th>{escape(name)}</th>" for name in names)
+    body = "".join(
+        f"<tr>{''.join(f'<td>{escape(_text(cell))}</td>' for cell in row)}</tr>" for row in rows
+    )
+    return (
+        f"<table><caption>{escape(caption)}</caption>"
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    )
+
+
+def named_columns(names: Sequence[str], block: NDArray[np.float64]) -> dict[str, Any]:
+    """Return the columns of a block, shape (n, 6), in the units that the names have."""
+    return dict(zip(names, block.T, strict=True))
+
+
+def require_pandas() -> Any:
+    """Return the module pandas.
+
+    Raises
+    ------
+    MissingPackage
+        If it is not installed.
+    """
+    try:
+        return importlib.import_module("pandas")
+    except ModuleNotFoundError as error:
+        raise MissingPackage(
+            "to_pandas needs the package 'pandas', which is not installed: pip install pandas",
+            name="pandas",
+        ) from error
+
+
+def _text(cell: Any) -> str:
+    if isinstance(cell, float):
+        return "" if np.isnan(cell) else f"{cell:.6g}"
+    return "" if cell is None else str(cell)

@@ -1,0 +1,295 @@
+"""Record the wrenches of a loop, without waiting for the server."""
+
+from __future__ import annotations
+
+import atexit
+import http.client
+import secrets
+import sys
+import threading
+import time
+from collections import deque
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import InvalidArgument, ProblemError, ServerTimeout, WrenchbookError
+from .recording import KINDS, MOST_BLOCK, Kind, Started
+from .wrenches import one_wrench
+
+BLOCK = 256
+WRENCH = 48  # bytes: six float64
+MOST_PENDING = 100_000  # wrenches in memory, 4.8 MB: 100 s at 1 kHz
+FLUSH_S = 1.0  # a block that is not full is sent after this long: a slow loop is recorded too
+BACKOFF_S = (0.1, 5.0)  # between attempts while the server is away: doubled from, up to
+AT_EXIT_S = 5.0  # how long the end of the program waits for what is not sent
+_AGAIN = (408, 425, 429)  # statuses besides 5xx after which the same block may be taken
+
+
+class RecorderError(WrenchbookError, RuntimeError):
+    """Wrenches could not be recorded; the text says why, and what became of them."""
+
+
+class Recorder:
+    """Send the wrenches of a loop to the server in blocks, each once.
+
+    `add` only appends; a thread of the recorder sends. While the server is away up to 100,000
+    wrenches (4.8 MB) wait in memory; beyond that `add` raises. A block is sent under the same key
+    until the server acknowledges that it is on disk, so it is recorded once.
+
+    Parameters
+    ----------
+    client : Client
+        A client of the server that records.
+    component : str
+    kind : {"recording", "envelope"}
+        LM_direct: every wrench is saved; LM_max: the extremes are.
+    block : int
+        Wrenches of a block, 1 to 10,000.
+
+    Attributes
+    ----------
+    recorded : int
+        Wrenches that the server has acknowledged.
+    reply : dict
+        The server's last reply to a block: how the recording stands.
+
+    Raises
+    ------
+    InvalidArgument
+        If `kind` or `block` is none of these; a ValueError.
+
+    Examples
+    --------
+    >>> with Recorder(client, "plate") as recorder:            # doctest: +SKIP
+    ...     for _ in range(60_000):
+    ...         recorder.add(wrench)
+    ...     recorder.start()
+    """
+
+    def __init__(
+        self, client: Any, component: str, kind: Kind = "recording", block: int = BLOCK
+    ) -> None:
+        if kind not in KINDS:
+            raise InvalidArgument(f"kind must be one of {', '.join(KINDS)}, not {kind!r}")
+        if not 1 <= block <= MOST_BLOCK:
+            raise InvalidArgument(f"block must be 1 to {MOST_BLOCK} wrenches, not {block}")
+        self.component, self.recorded = component, 0
+        self.kind: Kind = kind
+        self.reply: dict[str, Any] = {}
+        self._client, self._size = client, block * WRENCH
+        self._key, self._sequence = secrets.token_hex(16), 0
+        self._changed = threading.Condition()
+        self._blocks: deque[bytes] = deque()  # full, oldest first
+        self._open, self._opened_at = bytearray(), 0.0  # the block that is being filled
+        self._count = self._sealed = 0  # pending wrenches; full blocks so far
+        self._trouble: Exception | None = None
+        self._failed, self._closing = False, False
+        self._hurry = False  # `flush` waits: the pause between attempts ends
+        self._thread = threading.Thread(target=self._send_all, name="recorder", daemon=True)
+        self._thread.start()
+        atexit.register(self._at_exit)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self.close()
+            return
+        try:
+            self.close()
+        except RecorderError as error:  # the loop's own error is the one to raise
+            print(f"wrenchbook: {error}", file=sys.stderr)
+
+    @property
+    def pending(self) -> int:
+        """Wrenches that the server has not acknowledged."""
+        return self._count
+
+    @property
+    def trouble(self) -> str | None:
+        """Why nothing can be sent at present; None if it can."""
+        return None if self._trouble is None else str(self._trouble)
+
+    def add(self, wrench: ArrayLike) -> None:
+        """Take one wrench, shape (6,), N and N·m; the server is not waited for.
+
+        Raises
+        ------
+        ValueError
+            If it is not six finite numbers; it was not taken.
+        RecorderError
+            If the server refuses what is recorded, if 100,000 wrenches wait, or after `close`.
+        """
+        if np.shape(wrench) != (6,):
+            raise InvalidArgument(
+                f"a wrench is six numbers, force then moment; this has shape {np.shape(wrench)}"
+            )
+        packed = one_wrench(wrench).astype("<f8").tobytes()
+        with self._changed:
+            self._check()
+            if self._count >= MOST_PENDING:
+                raise RecorderError(
+                    f"the wrench was not taken: {self._count} wrenches wait for the server "
+                    f"({self._trouble or 'it is slow'}). `unsent` returns them; a slower loop, or "
+                    "flush() before it goes on, loses none"
+                )
+            if not self._open:
+                self._opened_at = time.monotonic()
+            self._open += packed
+            self._count += 1
+            if len(self._open) >= self._size:
+                self._seal()
+                self._changed.notify_all()
+
+    def unsent(self) -> NDArray[np.float64]:
+        """Return the wrenches not acknowledged, shape (n, 6), N and N·m, to keep elsewhere."""
+        with self._changed:
+            packed = b"".join([*self._blocks, self._open])
+        return np.frombuffer(packed, dtype="<f8").reshape(-1, 6).astype(float)
+
+    def flush(self, timeout_s: float = 30.0) -> None:
+        """Wait until all that was added is on the server's disk.
+
+        Raises
+        ------
+        ServerTimeout
+            If it is not after `timeout_s`; it stays here, and is sent as soon as it can be.
+        RecorderError
+            If the server refuses it.
+        """
+        with self._changed:
+            self._seal()
+            sealed, self._hurry = self._sealed, True
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: self._failed or self._sequence >= sealed, timeout_s)
+            if self._sequence >= sealed:
+                return
+            self._check_failed()
+            raise ServerTimeout(
+                f"{self._count} wrenches are not recorded after {timeout_s:g} s: "
+                f"{self._trouble or 'the server is slow'}. They are kept here and sent as soon as "
+                "it answers"
+            )
+
+    def start(
+        self, timeout_s: float = 30.0, *, budget: int | None = None, beyond_range: bool = False
+    ) -> Started:
+        """LM_start: `flush`, then queue the solves of what is recorded.
+
+        Raises
+        ------
+        ServerTimeout, RecorderError
+            As `flush`; then nothing was queued.
+        ProblemError
+            If the component cannot be solved (409).
+        """
+        self.flush(timeout_s)
+        if self.kind == "envelope":
+            return self._client.start_envelope(self.component, beyond_range=beyond_range)
+        return self._client.start_recording(self.component, budget, beyond_range=beyond_range)
+
+    def close(self, timeout_s: float = 10.0) -> None:
+        """Send the pending wrenches and end.
+
+        Raises
+        ------
+        RecorderError
+            If not all were sent in time; `unsent` returns the others.
+        """
+        atexit.unregister(self._at_exit)
+        if self._closing:
+            return
+        why: Exception | None = None
+        try:
+            self.flush(timeout_s)
+        except (ServerTimeout, RecorderError) as error:
+            why = error
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join(timeout_s)
+        if self.pending:
+            raise RecorderError(
+                f"{self.pending} wrenches of {self.component!r} were not recorded: {why}. "
+                "`unsent` returns them; record them once the server answers"
+            ) from why
+
+    def _send_all(self) -> None:
+        wait, longest = BACKOFF_S
+        while (block := self._next()) is not None:
+            try:
+                reply = self._client.send_block(
+                    self.component, self.kind, block, self._key, self._sequence
+                )
+            except Exception as error:
+                self._note(error)
+                with self._changed:
+                    if self._failed:
+                        return
+                    self._changed.wait_for(lambda: self._closing or self._hurry, wait)
+                    self._hurry = False
+                    if self._closing:
+                        return
+                wait = min(2 * wait, longest)
+            else:
+                wait = BACKOFF_S[0]
+                with self._changed:
+                    self._blocks.popleft()
+                    self._count -= len(block) // WRENCH
+                    self.recorded += len(block) // WRENCH
+                    self._sequence += 1
+                    self.reply, self._trouble = reply, None
+                    self._changed.notify_all()
+
+    def _next(self) -> bytes | None:
+        """Wait for a block, and return it; None at the end."""
+        with self._changed:
+            while True:
+                if self._blocks:
+                    return self._blocks[0]
+                if self._closing:
+                    return None
+                self._changed.wait(FLUSH_S)
+                if not self._blocks and time.monotonic() - self._opened_at >= FLUSH_S:
+                    self._seal()
+
+    def _note(self, error: Exception) -> None:
+        """Keep an error, and whether the block can be taken later."""
+        # Sending a block once more is safe, so after a passing error it is sent again.
+        again = isinstance(error, OSError | http.client.HTTPException | ValueError)
+        if isinstance(error, ProblemError):
+            again = error.status >= 500 or error.status in _AGAIN
+        with self._changed:
+            self._trouble, self._failed = error, not again
+            self._changed.notify_all()
+
+    def _seal(self) -> None:
+        """Make the block that is being filled a full one."""
+        if self._open:
+            self._blocks.append(bytes(self._open))
+            self._open.clear()
+            self._sealed += 1
+
+    def _check(self) -> None:
+        if self._closing:
+            raise RecorderError("the recorder is closed; make another one")
+        self._check_failed()
+
+    def _check_failed(self) -> None:
+        if self._failed:
+            raise RecorderError(
+                f"the server refuses what is recorded of {self.component!r}: {self._trouble}. "
+                f"{self._count} wrenches were not taken; `unsent` returns them"
+            ) from self._trouble
+
+    def _at_exit(self) -> None:
+        """Close a recorder that the program has not closed; print how many wrenches are lost."""
+        if not self.pending:
+            return
+        try:
+            self.close(AT_EXIT_S)
+        except RecorderError as error:
+            print(f"wrenchbook: {error}", file=sys.stderr)

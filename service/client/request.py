@@ -1,0 +1,198 @@
+"""The calls of a client, apart from the connection that sends them.
+
+A call is a generator: it yields a request, gets the response, and returns its result. `Connection`
+runs it on a blocking socket and `AsyncConnection` on asyncio streams, so each call is written once.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import json
+from collections.abc import AsyncGenerator, Callable, Coroutine, Generator, Iterator
+from dataclasses import dataclass, field
+from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, cast, overload
+from urllib.parse import quote
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+JSON = "application/json"
+BINARY = "application/octet-stream"
+
+
+@dataclass(slots=True)
+class Request:
+    """One request; the answer to it is a `Response`.
+
+    Parameters
+    ----------
+    method, path : str
+        HTTP method and the path below the server's address, quoted.
+    content : bytes, optional
+        Body; JSON unless `kind` names another content type.
+    query : dict, optional
+        Query parameters; those that are None are left out.
+    headers : dict, optional
+        Further header fields.
+    wait_s : float, optional
+        Seconds that the server may wait before it answers; added to the timeout.
+    repeatable : bool
+        Whether sending the request twice does no more than once. Any other is sent once, on a new
+        connection: the server may have closed a kept one.
+    retry : bool
+        Whether a server that refuses the connection is tried again, and one that is busy (503 with
+        Retry-After) if `repeatable`.
+    """
+
+    method: str
+    path: str
+    content: bytes | None = None
+    kind: str | None = None
+    query: dict[str, Any] | None = None
+    headers: dict[str, str] | None = None
+    wait_s: float | None = None
+    repeatable: bool = True
+    retry: bool = True
+
+
+@dataclass(slots=True)
+class Listen:
+    """A GET whose answer is read line by line: a stream with ``close()``.
+
+    Parameters
+    ----------
+    timeout : float
+        Seconds without a byte before TimeoutError.
+    """
+
+    path: str
+    query: dict[str, Any]
+    headers: dict[str, str] = field(default_factory=dict)
+    timeout: float = 30.0
+
+
+@dataclass(slots=True)
+class NextLine:
+    """The next line of a stream; empty at its end."""
+
+    stream: Any
+
+
+@dataclass(slots=True)
+class Pause:
+    """Nothing for some seconds."""
+
+    seconds: float
+
+
+@dataclass(slots=True)
+class Item(Generic[T]):
+    """One result of a call that is an iterator."""
+
+    value: T
+
+
+Step = Request | Listen | NextLine | Pause
+Call = Generator[Step, Any, T]
+Items = Generator[Step | Item[T], Any, None]
+
+
+def json_request(method: str, path: str, body: Any = None, **options: Any) -> Request:
+    """Return a request with `body` as JSON; options as in `Request`."""
+    content = None if body is None else json.dumps(body, allow_nan=False).encode()
+    return Request(method, path, content, **options)
+
+
+def component_path(name: str, call: str = "") -> str:
+    """Return the path of a component's call, or of the component itself."""
+    return f"/v1/components/{quote(name, safe='')}" + (f"/{call}" if call else "")
+
+
+class BlockingRunner(Protocol):
+    """A connection that blocks until a call has its result."""
+
+    def run(self, call: Call[T], /) -> T:
+        """Return the result of a call."""
+        ...
+
+    def iterate(self, call: Items[T], /) -> Iterator[T]:
+        """Return the items of a call that is an iterator."""
+        ...
+
+    def close(self) -> None:
+        """Close the idle connections."""
+        ...
+
+
+class AsyncRunner(Protocol):
+    """A connection whose calls are awaited."""
+
+    def run(self, call: Call[T], /) -> Coroutine[Any, Any, T]:
+        """Return the result of a call."""
+        ...
+
+    def iterate(self, call: Items[T], /) -> AsyncGenerator[T, None]:
+        """Return the items of a call that is an iterator."""
+        ...
+
+
+class _Method(Generic[P, T]):
+    """The types of a call: its result of a `Client`, a coroutine of an `AsyncClient`."""
+
+    @overload
+    def __get__(self, client: BlockingRunner, owner: Any = None) -> Callable[P, T]: ...
+    @overload
+    def __get__(
+        self, client: AsyncRunner, owner: Any = None
+    ) -> Callable[P, Coroutine[Any, Any, T]]: ...
+    @overload
+    def __get__(self, client: None, owner: Any = None) -> Callable[..., Any]: ...
+    def __get__(self, client: Any, owner: Any = None) -> Any:
+        raise NotImplementedError
+
+
+class _IteratorMethod(Generic[P, T]):
+    """The same of a call that is an iterator."""
+
+    @overload
+    def __get__(self, client: BlockingRunner, owner: Any = None) -> Callable[P, Iterator[T]]: ...
+    @overload
+    def __get__(
+        self, client: AsyncRunner, owner: Any = None
+    ) -> Callable[P, AsyncGenerator[T, None]]: ...
+    @overload
+    def __get__(self, client: None, owner: Any = None) -> Callable[..., Any]: ...
+    def __get__(self, client: Any, owner: Any = None) -> Any:
+        raise NotImplementedError
+
+
+def sync_and_async(call: Callable[Concatenate[Any, P], Call[T]]) -> _Method[P, T]:
+    """Make a generator of requests a method that returns its result."""
+
+    @functools.wraps(call)
+    def method(self: Any, /, *args: P.args, **options: P.kwargs) -> Any:
+        return self.run(call(self, *args, **options))
+
+    return cast("_Method[P, T]", _with_result(method, "Call"))
+
+
+def sync_and_async_iterator(
+    call: Callable[Concatenate[Any, P], Items[T]],
+) -> _IteratorMethod[P, T]:
+    """Make a generator of requests and items a method that returns an iterator of its items."""
+
+    @functools.wraps(call)
+    def method(self: Any, /, *args: P.args, **options: P.kwargs) -> Any:
+        return self.iterate(call(self, *args, **options))
+
+    return cast("_IteratorMethod[P, T]", _with_result(method, "Items"))
+
+
+def _with_result(method: Any, wrapper: str) -> Any:
+    """Show ``Call[Job]`` as ``Job``, and ``Items[Job]`` as ``Iterator[Job]``, in a signature."""
+    signature = inspect.signature(method)
+    result = str(signature.return_annotation).removeprefix(f"{wrapper}[").removesuffix("]")
+    shown = result if wrapper == "Call" else f"Iterator[{result}]"
+    method.__signature__ = signature.replace(return_annotation=shown)
+    return method

@@ -1,0 +1,268 @@
+"""The client for asyncio: the calls of the blocking client, many at once."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import inspect
+import socket
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from tests.service.live import add_table, as_rows, clean_wrenches, moved, served
+from tests.service.stub_server import Answer, Stub, running_stub
+from wrenchbook.service.client import (
+    Client,
+    ProblemError,
+    Scene,
+    ServerTimeout,
+    ServerUnreachable,
+)
+from wrenchbook.service.client.async_client import AsyncClient
+from wrenchbook.service.client.mount import Mount
+
+DONE = {"id": 1, "status": "done"}
+PROBLEM = {"type": "urn:x", "title": "No such job", "status": 404, "detail": "there are 1 to 7"}
+CALLS = sorted(name for name in dir(Client) if not name.startswith("_"))
+ITERATORS = ("events", "fill_until")
+OWN = ("blocking", "run", "iterate")  # of the connection
+
+
+@pytest.fixture
+def stub() -> Iterator[Stub]:
+    with running_stub() as running:
+        running.answers(Answer(DONE))
+        yield running
+
+
+@pytest.mark.parametrize("name", [name for name in CALLS if name not in OWN])
+def test_each_call_of_the_client_has_the_same_signature_in_the_asynchronous_one(name: str):
+    ours, theirs = getattr(AsyncClient, name), getattr(Client, name)
+    assert inspect.signature(ours) == inspect.signature(theirs)
+    assert ours.__doc__ == theirs.__doc__
+
+
+def test_both_clients_are_made_with_the_same_parameters():
+    assert inspect.signature(AsyncClient) == inspect.signature(Client)
+
+
+def test_fifty_calls_are_on_the_wire_at_once(stub: Stub):
+    together = threading.Barrier(50, timeout=20.0)
+
+    def respond(seen) -> Answer:
+        together.wait()  # fifty requests are inside at once
+        return Answer({"id": int(seen.path.rsplit("/", 1)[1]), "status": "done"})
+
+    async def gathered() -> list[int]:
+        async with AsyncClient(stub.url, timeout=30.0) as client:
+            jobs = await asyncio.gather(*(client.job(number) for number in range(50)))
+        return [job.id for job in jobs]
+
+    stub.respond = respond
+    assert asyncio.run(gathered()) == list(range(50))
+
+
+def test_awaited_calls_in_a_loop_stay_on_one_socket(stub: Stub):
+    async def looped() -> None:
+        async with AsyncClient(stub.url, timeout=5.0) as client:
+            for _ in range(20):
+                await client.job(1)
+
+    asyncio.run(looped())
+    assert len(stub.seen) == 20
+    assert len(set(stub.sockets)) == 1
+
+
+def test_a_cancelled_call_leaves_the_client_usable(stub: Stub):
+    inside, release = threading.Event(), threading.Event()
+
+    def respond(_) -> Answer:
+        inside.set()
+        release.wait(20)
+        return Answer({"id": 2, "status": "running"})
+
+    async def cancelled() -> int:
+        async with AsyncClient(stub.url, timeout=30.0) as client:
+            stub.respond = respond
+            task = asyncio.create_task(client.job(2))
+            assert await asyncio.to_thread(inside.wait, 20)
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+            release.set()
+            stub.answers(Answer(DONE))
+            return (await client.job(1)).id  # its own answer, not that of the cancelled call
+
+    assert asyncio.run(cancelled()) == 1
+    assert len(set(stub.sockets)) == 2
+
+
+def test_a_client_goes_from_one_event_loop_to_the_next(stub: Stub):
+    client = AsyncClient(stub.url, timeout=5.0)
+
+    async def once() -> bool:
+        async with client:
+            return (await client.job(1)).ended
+
+    assert [asyncio.run(once()) for _ in range(2)] == [True, True]
+    assert len(set(stub.sockets)) == 2
+
+
+def test_a_connection_that_the_server_closed_is_opened_again(stub: Stub):
+    async def twice() -> None:
+        async with AsyncClient(stub.url, timeout=5.0) as client:
+            stub.answers(Answer(DONE, close=True), Answer(DONE))
+            await client.job(1)
+            assert (await client.job(1)).ended
+
+    asyncio.run(twice())
+    assert len(stub.seen) == 2
+
+
+def outcome(url: str, call: str, *args, timeout: float = 5.0) -> tuple[BaseException, ...]:
+    """The errors of the blocking client and of the asynchronous one."""
+
+    async def awaited() -> None:
+        async with AsyncClient(url, timeout) as client:
+            await getattr(client, call)(*args)
+
+    def blocking() -> None:
+        with Client(url, timeout) as client:
+            getattr(client, call)(*args)
+
+    errors = []
+    for run in (blocking, lambda: asyncio.run(awaited())):
+        with pytest.raises(Exception) as caught:
+            run()
+        errors.append(caught.value)
+    return tuple(errors)
+
+
+@pytest.mark.parametrize(
+    ("answer", "kind"),
+    [
+        (Answer(PROBLEM, 404, "application/problem+json"), ProblemError),
+        (Answer(b"bad gateway", 502, "text/plain"), ProblemError),
+        (Answer(drop=True), ServerUnreachable),
+        (Answer(DONE, delay=1.0), ServerTimeout),
+    ],
+    ids=["problem", "text", "dropped", "late"],
+)
+def test_the_errors_of_both_clients_are_the_same(stub: Stub, answer: Answer, kind: type):
+    stub.answers(answer)
+    ours, theirs = outcome(stub.url, "job", 1, timeout=0.3)
+    assert type(ours) is type(theirs) is kind
+    assert str(ours) == str(theirs)
+
+
+def test_a_wrong_argument_is_the_same_error_in_both_clients_and_nothing_is_sent(stub: Stub):
+    ours, theirs = outcome(stub.url, "displacement", "plate", [1, 2])
+    assert type(ours) is type(theirs)
+    assert isinstance(ours, ValueError)
+    assert str(ours) == str(theirs)
+    assert not stub.seen
+
+
+CHUNKED = (
+    b"HTTP/1.1 100 Continue\r\n\r\nHTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n"
+    b'10;x=1\r\n{"id": 1, "statu\r\n9\r\ns":"done"\r\n1\r\n}\r\n0\r\nTrailer: t\r\n\r\n'
+)
+CLOSED = b'HTTP/1.0 200 OK\r\n\r\n{"id": 1, "status": "done"}'
+
+
+@pytest.mark.parametrize("whole", [CHUNKED, CLOSED], ids=["chunked", "closed"])
+def test_an_unusual_response_is_read_as_by_the_blocking_client(whole: bytes):
+    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readuntil(b"\r\n\r\n")
+        writer.write(whole)
+        writer.close()
+
+    async def asked() -> bool:
+        async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
+            port = server.sockets[0].getsockname()[1]
+            async with AsyncClient(f"http://127.0.0.1:{port}", timeout=5.0) as client:
+                return (await client.job(1)).ended
+
+    assert asyncio.run(asked())
+
+
+@pytest.mark.parametrize("whole", [b"", b"SSH-2.0-x\r\n\r\n", CHUNKED[:-20], CHUNKED[:60]])
+def test_a_response_that_breaks_off_is_no_answer(whole: bytes):
+    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readuntil(b"\r\n\r\n")
+        writer.write(whole)
+        writer.close()
+
+    async def asked() -> None:
+        async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
+            port = server.sockets[0].getsockname()[1]
+            async with AsyncClient(f"http://127.0.0.1:{port}", timeout=5.0) as client:
+                await client.job(1)
+
+    with pytest.raises(ServerUnreachable, match="no answer from"):
+        asyncio.run(asked())
+
+
+def test_a_server_that_is_restarting_is_waited_for(monkeypatch: pytest.MonkeyPatch):
+    """The port refuses connections until the first pause between two attempts."""
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{bound.getsockname()[1]}"
+        pauses: list[float] = []
+
+        async def begin_to_listen(seconds: float) -> None:
+            pauses.append(seconds)
+            bound.listen()
+            threading.Thread(target=answer_once, args=(bound,)).start()
+
+        async def asked() -> bool:
+            monkeypatch.setattr("wrenchbook.service.client.async_client._pause", begin_to_listen)
+            async with AsyncClient(url, timeout=5.0) as client:
+                return (await client.job(1)).ended
+
+        assert asyncio.run(asked())
+    assert len(pauses) == 1
+
+
+def answer_once(bound: socket.socket) -> None:
+    """Answer one request with a job that is done."""
+    other, _ = bound.accept()
+    with other:
+        other.recv(65_536)
+        other.sendall(
+            b"HTTP/1.1 200 OK\r\nContent-Length: 26\r\n\r\n" + b'{"id": 1,"status": "done"} '
+        )
+
+
+def test_a_mount_says_that_it_needs_the_blocking_client():
+    client = AsyncClient("http://127.0.0.1:9")
+    with pytest.raises(TypeError, match="give a Client"):
+        Mount(client, "plate", [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [0, 0, 0])
+
+
+def test_events_rounds_tables_and_plans_of_a_server_are_awaited(tmp_path):
+    rows = as_rows(clean_wrenches(), moved(clean_wrenches()))
+    scene = Scene({"part": {"force": [0, 0, [-50, 0]], "moment": [0, 0, 0]}})
+    with served(tmp_path) as blocking:
+        add_table(blocking, "part", rows)
+
+        async def calls() -> None:
+            async with AsyncClient(blocking.url) as client:
+                async with contextlib.aclosing(client.events("part", timeout_s=20)) as events:
+                    assert (await anext(events)).kind == "hello"
+                with pytest.raises(ProblemError, match="409"):
+                    [found async for found in client.fill_until("part")]
+                table = await client.download("part")
+                answer = await client.displacement("part", [0, 0, -5.0], on_thin="estimate")
+                here = table.answer([0, 0, -5.0])
+                assert answer.vector is not None
+                assert here.vector is not None
+                assert here.vector.tolist() == answer.vector.tolist()
+                assert not await asyncio.to_thread(table.refresh)
+                table.close()
+                plans = await scene.plan(client)
+                assert plans["part"].decision == scene.plan(blocking)["part"].decision
+
+        asyncio.run(calls())
