@@ -12,7 +12,6 @@ from collections.abc import Sized
 from typing import Any, Final
 
 from httptools import HttpRequestParser
-from starlette.types import Receive, Scope, Send
 from uvicorn.config import Config
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
@@ -34,6 +33,14 @@ LAST_S: Final = 0.25  # for a last request of an idle connection when the server
 TOO_LONG: Final = (
     b"HTTP/1.1 431 Request Header Fields Too Large\r\n"
     b"content-length: 0\r\nconnection: close\r\n\r\n"
+)
+_SIZES: Final = {b"content-length", b"transfer-encoding"}
+_NO_UPGRADE: Final = ProblemError(
+    400,
+    "upgrade",
+    "This server does not switch protocols",
+    "The body of a request with the header Connection: Upgrade is not read; nothing was "
+    "changed. Send the request without the headers Connection: Upgrade and Upgrade.",
 )
 
 
@@ -103,9 +110,14 @@ class FastPathProtocol(HttpToolsProtocol):
                 return
         super().data_received(data)
         self._found = {}
-        if self._head_bytes > MOST_HEAD_BYTES and not self.transport.is_closing():
-            self.transport.write(TOO_LONG)
-            self.transport.close()
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse a head that is not valid or too long, and close."""
+        if self._head_bytes <= MOST_HEAD_BYTES:
+            super().send_400_response(msg)
+            return
+        self.transport.write(TOO_LONG)
+        self.transport.close()
 
     def on_message_begin(self) -> None:
         """Begin a request."""
@@ -114,38 +126,43 @@ class FastPathProtocol(HttpToolsProtocol):
 
     def on_url(self, url: bytes) -> None:
         """Take a piece of the URL."""
-        self._head_bytes += len(url)
-        if self._head_bytes <= MOST_HEAD_BYTES:
-            super().on_url(url)
+        self._count(len(url))
+        super().on_url(url)
 
     def on_header(self, name: bytes, value: bytes) -> None:
         """Take a header field; trailers, behind a body, are dropped."""
-        self._head_bytes += len(name) + len(value)
-        if not self._in_body and self._head_bytes <= MOST_HEAD_BYTES:
+        self._count(len(name) + len(value))
+        if not self._in_body:
             super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """Give a request to the application."""
+        """Give a request to the application, with what the fast path has found about it.
+
+        A request to switch protocols is answered as any other (RFC 9110, section 7.8), and the
+        connection closed. The parser does not read its body: one with a body is refused.
+        """
         parser: HttpRequestParser = self.parser  # pyright: ignore[reportAssignmentType]
-        self._in_body = True
-        if self._head_bytes > MOST_HEAD_BYTES:
-            return
+        self._in_body, app = True, self.app
         if parser.should_upgrade():
-            self._start_upgrade()
-        else:
-            self._start_request()
+            self._drops_input = self._is_last = True
+            sized = {name for name, value in self.headers if value != b"0"} & _SIZES
+            self.app = _NO_UPGRADE.response() if sized else app
+        super().on_headers_complete()
+        self.app = app
+        scope: Any = self.scope
+        scope.update(self._found)
+        if self._is_last:
+            self.cycle.keep_alive = False
 
     def on_body(self, body: bytes) -> None:
         """Take a piece of a body."""
         self._body_bytes += len(body)
-        if self._head_bytes <= MOST_HEAD_BYTES:
-            super().on_body(body)
+        super().on_body(body)
 
     def on_message_complete(self) -> None:
         """End the body of a request."""
         self._in_request = False
-        if self._head_bytes <= MOST_HEAD_BYTES:
-            super().on_message_complete()
+        super().on_message_complete()
 
     def shutdown(self) -> None:
         """Close after the present answer; without one, after the next one or `LAST_S`."""
@@ -179,25 +196,11 @@ class FastPathProtocol(HttpToolsProtocol):
         self._head_bytes = self._body_bytes = 0
         self._since = self.loop.time()
 
-    def _start_request(self) -> None:
-        """Give a request to the application, with what the fast path has found about it."""
-        super().on_headers_complete()
-        scope: Any = self.scope
-        scope.update(self._found)
-        if self._is_last:
-            self.cycle.keep_alive = False
-
-    def _start_upgrade(self) -> None:
-        """Answer a request to switch protocols as any other, and close (RFC 9110, section 7.8).
-
-        The parser does not read its body: one with a body is refused, and later input is dropped.
-        """
-        self._drops_input = self._is_last = True
-        names = {name for name, value in self.headers if value != b"0"}
-        has_body = names & {b"content-length", b"transfer-encoding"}
-        app, self.app = self.app, _refuse_upgrade if has_body else self.app
-        self._start_request()
-        self.app = app
+    def _count(self, size: int) -> None:
+        """Count bytes of a head; the parser ends with an error at too many."""
+        self._head_bytes += size
+        if self._head_bytes > MOST_HEAD_BYTES:
+            raise ValueError("the head is too long")
 
     def _answer(self, fast: FastPath, data: bytes) -> bool:
         """Answer one whole query, or wait for the rest of its body; False for other requests."""
@@ -206,7 +209,10 @@ class FastPathProtocol(HttpToolsProtocol):
             return False
         missing = head.size + head.body_bytes - len(data)
         if missing > 0:
-            self._wait_for_body(head, data)
+            if not self._in_request:
+                self._begin(in_body=True)
+                self._unset_keepalive_if_required()
+            self._partial, self._body_bytes = data, len(data) - head.size
             return True
         found = fast.answer(head, data[head.size :]) if missing == 0 else {}
         if isinstance(found, bytes):
@@ -215,13 +221,6 @@ class FastPathProtocol(HttpToolsProtocol):
             return True
         self._found = found
         return False
-
-    def _wait_for_body(self, head: Head, data: bytes) -> None:
-        """Keep the first part of a query; the time limits of its body apply."""
-        if not self._in_request:
-            self._begin(in_body=True)
-            self._unset_keepalive_if_required()
-        self._partial, self._body_bytes = data, len(data) - head.size
 
     def _is_free(self) -> bool:
         """Return whether no other request is being answered, and the caller reads answers."""
@@ -270,13 +269,3 @@ class FastPathProtocol(HttpToolsProtocol):
         if not self._in_body:
             return "the rest of a head" if waited > HEAD_S else ""
         return "the rest of a body" if waited > BODY_S + self._body_bytes / SLOWEST else ""
-
-
-async def _refuse_upgrade(scope: Scope, receive: Receive, send: Send) -> None:
-    """Answer a request with a body and an Upgrade header."""
-    detail = (
-        "The body of a request with the header Connection: Upgrade is not read; nothing was "
-        "changed. Send the request without the headers Connection: Upgrade and Upgrade."
-    )
-    refused = ProblemError(400, "upgrade", "This server does not switch protocols", detail)
-    await refused.response()(scope, receive, send)
