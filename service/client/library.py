@@ -68,7 +68,13 @@ class LibraryCalls:
     @sync_and_async
     def components(self) -> Call[list[dict[str, Any]]]:
         """Return the library: per component its name, title, range, rows, table version."""
-        return (yield Request("GET", "/v1/components")).json()["components"]
+        found: list[dict[str, Any]] = []
+        following = "/v1/components"
+        while following:
+            page = (yield Request("GET", following)).json()
+            found += page["components"]
+            following = page.get("next")
+        return found
 
     @sync_and_async
     def component(self, name: str) -> Call[dict[str, Any]]:

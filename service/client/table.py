@@ -155,13 +155,13 @@ class Table:
         started = perf_counter_ns()
         try:
             found = packed.answer(loads, limit, method)
+            elapsed_us = (perf_counter_ns() - started) / 1e3
+            slope = packed.derivative(loads, limit, method) if derivatives else None
         except ValueError as error:
             raise InvalidArgument(str(error)) from error
-        elapsed_us = (perf_counter_ns() - started) / 1e3
         body = _reply(packed, found)
         body["elapsed_us"] = elapsed_us
-        if derivatives:
-            slope = packed.derivative(loads, limit, method)
+        if slope is not None:
             body["derivative"] = None if np.isnan(slope).all() else slope
         return Displacement.read(self.name, wrench, body)
 
@@ -186,9 +186,10 @@ class Table:
         started = perf_counter_ns()
         try:
             found = packed.batch(loads, limit, method)
+            elapsed_us = (perf_counter_ns() - started) / 1e3
+            slopes = packed.derivatives(loads, limit, method) if derivatives else None
         except ValueError as error:
             raise InvalidArgument(str(error)) from error
-        elapsed_us = (perf_counter_ns() - started) / 1e3
         # Errors without the solver's share cannot be compared with a tolerance.
         whole = packed.arrays["solver/flags"][_ALL_PARTS]
         allowed = (limit or _six(_tolerance_of(packed))) if whole else None
@@ -204,7 +205,7 @@ class Table:
             elapsed_us=elapsed_us,
             method=packed.answers_by(method),
             within_tolerance=None if allowed is None else bars_within(found.errors, allowed),
-            derivatives=packed.derivatives(loads, limit, method) if derivatives else None,
+            derivatives=slopes,
         )
 
     def stiffness(self, force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
@@ -218,7 +219,11 @@ class Table:
             If the derivative is not known here, or has no inverse: a component with locked
             freedoms has none.
         """
-        slope = self._packed.derivative(_without_negative_zeros(one_wrench(force, moment)))
+        loads = _without_negative_zeros(one_wrench(force, moment))
+        try:
+            slope = self._packed.derivative(loads)
+        except ValueError as error:
+            raise InvalidArgument(str(error)) from error
         if np.isnan(slope).any():
             raise InvalidArgument(f"the derivative of {self.name} under this wrench is not known")
         try:

@@ -9,12 +9,13 @@ from importlib.metadata import version
 
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.events.watch import Watch
 from wrenchbook.service.http import instrumentation, openapi, problems
 from wrenchbook.service.http.access import AccessControl, SecuritySettings
-from wrenchbook.service.http.application import Application
+from wrenchbook.service.http.fast_path import FastPath
 from wrenchbook.service.http.routes import (
     components,
     coverage,
@@ -61,6 +62,31 @@ _PARTS = (
     events,
     keys,
 )
+
+
+class Application(FastAPI):
+    """FastAPI behind the observer of requests and the access control.
+
+    Attributes
+    ----------
+    fast_path : FastPath or None
+        Answers queries of the main call from their bytes; None if requests are logged or traced.
+    """
+
+    fast_path: FastPath | None = None
+    observed: ASGIApp
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, or run the lifespan."""
+        inner = self.observed if scope["type"] == "http" else super().__call__
+        await inner(scope, receive, send)
+
+    async def permitted(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request if the access control permits it."""
+        access: AccessControl = self.state.access
+        passed = await access.pass_on(scope, receive, send)
+        if passed is not None:
+            await super().__call__(scope, *passed)
 
 
 def create_app(settings: Settings, security: SecuritySettings | None = None) -> Application:
@@ -119,5 +145,8 @@ def _with_routes(app: Application, settings: Settings) -> Application:
         app.include_router(part.router, responses=openapi.refused(403, 500, 503, 507))
     app.include_router(page.router)
     openapi.install(app)
-    instrumentation.set_up(app, logged=settings.access_log, traced=settings.opentelemetry)
+    logged = settings.access_log
+    app.observed = instrumentation.RequestObserver(app.permitted, app.state.counts, logged=logged)
+    if not instrumentation.set_up(app, logged=logged, traced=settings.opentelemetry):
+        app.fast_path = FastPath(app.state)
     return app

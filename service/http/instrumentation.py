@@ -6,7 +6,7 @@ import logging
 import os
 import re
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib import import_module
 from time import perf_counter
 from typing import Any, Final
@@ -22,8 +22,6 @@ log = logging.getLogger(__name__)
 access_log = logging.getLogger("wrenchbook.access")
 
 HEADER: Final = b"x-request-id"
-ROUTE: Final = "wrenchbook.route"  # key in a scope: the route's template, if no router has set it
-MAIN_ROUTE: Final = "/v1/components/{name}/displacement"
 NO_ROUTE: Final = "none"  # no call of the API, or refused before the router
 _ID: Final = re.compile(rb"[\x21-\x7e]{1,128}")
 _METHODS: Final = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
@@ -60,15 +58,15 @@ class RequestObserver:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass an HTTP request on."""
         started, status = perf_counter(), CLIENT_GONE
-        given = next((value for name, value in scope["headers"] if name == HEADER), b"")
-        request_id = given if _ID.fullmatch(given) else secrets.token_hex(8).encode()
+        given = id_of(scope["headers"])
+        request_id = given or secrets.token_hex(8).encode()
         REQUEST_ID.set(request_id.decode())  # each request runs in a context of its own
 
         async def send_with_id(message: Message) -> None:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
-                if given or status != 200 or not scope["path"].endswith("/displacement"):
+                if given != b"" or status != 200 or not scope["path"].endswith("/displacement"):
                     fields = [*message.get("headers", ()), (HEADER, request_id)]
                     message = {**message, "headers": fields}
             await send(message)
@@ -82,9 +80,15 @@ class RequestObserver:
                 _log_access(scope, status, seconds)
 
 
+def id_of(headers: Iterable[tuple[bytes, bytes]]) -> bytes | None:
+    """Return the id that a request has: empty without the header, None if it is not valid."""
+    given = next((value for name, value in headers if name == HEADER), b"")
+    return given if not given or _ID.fullmatch(given) else None
+
+
 def _route(scope: Scope) -> str:
     """Return the template of a request's route, such as ``/v1/jobs/{job_id}``."""
-    return scope.get(ROUTE) or getattr(scope.get("route"), "path", NO_ROUTE)
+    return getattr(scope.get("route"), "path", NO_ROUTE)
 
 
 def _method(scope: Scope) -> str:
@@ -137,10 +141,11 @@ def _trace(app: FastAPI, *, required: bool) -> bool:
     return True
 
 
-def set_up(app: Any, *, logged: bool, traced: bool) -> None:
-    """Observe the requests of an application; trace them if `traced` or OTEL_* variables say so.
+def set_up(app: FastAPI, *, logged: bool, traced: bool) -> bool:
+    """Log the requests of an application one by one, or trace them by OpenTelemetry.
 
-    Requests that are traced or logged one by one take no fast path.
+    They are traced if `traced` or OTEL_* variables say so. Return whether either is done: such
+    requests take no fast path.
 
     Raises
     ------
@@ -149,7 +154,4 @@ def set_up(app: Any, *, logged: bool, traced: bool) -> None:
     """
     if logged:
         access_log.setLevel(logging.INFO)
-    app.state.traced = (traced or is_tracing_configured()) and _trace(app, required=traced)
-    app.state.observer = RequestObserver(app.permitted, app.state.counts, logged=logged)
-    if logged or app.state.traced:
-        app.answer_at_once = None
+    return ((traced or is_tracing_configured()) and _trace(app, required=traced)) or logged

@@ -1,27 +1,23 @@
 """HTTP/1.1 protocol of the server: uvicorn's, with timeouts and a fast path for single queries.
 
-uvicorn makes a scope, a task and two messages of each request; that is more work than most answers
-are. The fast path gives a query (`POST /v1/components/{name}/displacement`, a small body, nothing
-unusual in the head) to the application's `answer_at_once` as soon as its last byte has arrived. A
-request without such an answer goes to the application as any other, with what was found about it.
-A loop sends the same head again and again: a head of the fast path is parsed once a connection.
+uvicorn makes a scope, a task and two messages of each request; that costs more than most answers.
+The fast path answers a query from its bytes (`fast_path.py`). All other requests are uvicorn's.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence, Sized
-from typing import Any, Final, NamedTuple
+from collections.abc import Sized
+from typing import Any, Final
 
 from httptools import HttpRequestParser
-from starlette.types import Receive, Scope, Send
 from uvicorn.config import Config
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.server import ServerState
 
-from wrenchbook.service.http.access.headers import PLAIN
+from wrenchbook.service.http.fast_path import FastPath, Head, reply_bytes
 from wrenchbook.service.http.problems import ProblemError
 
 log = logging.getLogger(__name__)
@@ -38,23 +34,14 @@ TOO_LONG: Final = (
     b"HTTP/1.1 431 Request Header Fields Too Large\r\n"
     b"content-length: 0\r\nconnection: close\r\n\r\n"
 )
-_BEFORE, _AFTER = b"/v1/components/", b"/displacement"
-_MOST_BODY: Final = 4096  # bytes of a query of the fast path
-_MOST_HEADS: Final = 64  # of one connection: a loop's differ by component and content-length
-_MOST_KNOWN_HEAD: Final = 2048  # bytes: a loop's heads have some 200
-_BLANK_LINE: Final = b"\r\n\r\n"
-
-Headers = Sequence[tuple[bytes, bytes]]
-Found = dict[str, Any]
-Answer = Callable[[str, Headers, bytes], bytes | Found]
-
-
-class _Head(NamedTuple):
-    """The head of a query of the fast path."""
-
-    component: str
-    headers: Headers
-    body_bytes: int
+_SIZES: Final = {b"content-length", b"transfer-encoding"}
+_NO_UPGRADE: Final = ProblemError(
+    400,
+    "upgrade",
+    "This server does not switch protocols",
+    "The body of a request with the header Connection: Upgrade is not read; nothing was "
+    "changed. Send the request without the headers Connection: Upgrade and Upgrade.",
+)
 
 
 class _Flow(FlowControl):
@@ -72,7 +59,7 @@ class _Flow(FlowControl):
 class FastPathProtocol(HttpToolsProtocol):
     """HTTP/1.1 on one connection.
 
-    The fast path needs an application with `answer_at_once` that is not mounted below a path.
+    The fast path needs an application with `fast_path` that is not mounted below a path.
     """
 
     def __init__(
@@ -91,15 +78,11 @@ class FastPathProtocol(HttpToolsProtocol):
         self._timer: asyncio.TimerHandle | None = None
         self._drops_input = self._is_last = False  # `_is_last`: the next answer closes
 
-        self._answer: Answer | None = getattr(config.app, "answer_at_once", None)
+        self._fast: FastPath | None = getattr(config.app, "fast_path", None)
         if self.root_path or config.access_log or self.limit_concurrency is not None:
-            self._answer = None  # uvicorn alone logs and counts
-        self._component: str | None = None  # of a query whose body is collected
-        self._body = self._data = b""  # `_data`: the last bytes, while they may be one whole query
-        self._found: Found | None = None  # about the query that has arrived
-        self._heads: dict[bytes, _Head] = {}
-        self._default_headers: Headers | None = None
-        self._reply_head = b""
+            self._fast = None  # uvicorn alone logs and counts
+        self._partial = b""  # a query of the fast path until all of its body is there
+        self._found: dict[str, Any] = {}  # for the scope of the query that has arrived
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore
         """Begin a connection; close it if there are too many."""
@@ -118,77 +101,68 @@ class FastPathProtocol(HttpToolsProtocol):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Answer a query with a known head, or parse what has arrived; refuse heads too long."""
-        if self._drops_input or (not self._in_request and self._answer_known(data)):
+        """Answer a query of the fast path, or parse what has arrived; refuse heads too long."""
+        if self._drops_input:
             return
-        self._data = b"" if self._in_request else data
+        if self._partial or not self._in_request:
+            data, self._partial = self._partial + data, b""
+            if self._fast is not None and self._is_free() and self._answer(self._fast, data):
+                return
         super().data_received(data)
-        self._data, self._found = b"", None
-        if self._head_bytes > MOST_HEAD_BYTES and not self.transport.is_closing():
-            self.transport.write(TOO_LONG)
-            self.transport.close()
+        self._found = {}
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse a head that is not valid or too long, and close."""
+        if self._head_bytes <= MOST_HEAD_BYTES:
+            super().send_400_response(msg)
+            return
+        self.transport.write(TOO_LONG)
+        self.transport.close()
 
     def on_message_begin(self) -> None:
         """Begin a request."""
-        self._in_request = self._used = True
-        self._in_body = False
-        self._head_bytes = self._body_bytes = 0
-        self._since = self.loop.time()
+        self._begin(in_body=False)
         super().on_message_begin()
 
     def on_url(self, url: bytes) -> None:
         """Take a piece of the URL."""
-        self._head_bytes += len(url)
-        if self._head_bytes <= MOST_HEAD_BYTES:
-            super().on_url(url)
+        self._count(len(url))
+        super().on_url(url)
 
     def on_header(self, name: bytes, value: bytes) -> None:
         """Take a header field; trailers, behind a body, are dropped."""
-        self._head_bytes += len(name) + len(value)
-        if not self._in_body and self._head_bytes <= MOST_HEAD_BYTES:
+        self._count(len(name) + len(value))
+        if not self._in_body:
             super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """Start a request, or collect the body of a query of the fast path."""
+        """Give a request to the application, with what the fast path has found about it.
+
+        A request to switch protocols is answered as any other (RFC 9110, section 7.8), and the
+        connection closed. The parser does not read its body: one with a body is refused.
+        """
         parser: HttpRequestParser = self.parser  # pyright: ignore[reportAssignmentType]
-        self._in_body = True
-        if self._head_bytes > MOST_HEAD_BYTES:
-            return
+        self._in_body, app = True, self.app
         if parser.should_upgrade():
-            self._start_upgrade()
-        elif self.url.endswith(_AFTER) and self._may_be_fast(parser):
-            self._component = self.url[len(_BEFORE) : -len(_AFTER)].decode("ascii")
-            self._body = b""
-        else:
-            self._start_request()
+            self._drops_input = self._is_last = True
+            sized = {name for name, value in self.headers if value != b"0"} & _SIZES
+            self.app = _NO_UPGRADE.response() if sized else app
+        super().on_headers_complete()
+        self.app = app
+        scope: Any = self.scope
+        scope.update(self._found)
+        if self._is_last:
+            self.cycle.keep_alive = False
 
     def on_body(self, body: bytes) -> None:
         """Take a piece of a body."""
         self._body_bytes += len(body)
-        if self._component is not None:
-            self._body += body
-            if len(self._body) > _MOST_BODY:
-                self._leave_fast_path({})
-        elif self._head_bytes <= MOST_HEAD_BYTES:
-            super().on_body(body)
+        super().on_body(body)
 
     def on_message_complete(self) -> None:
-        """Answer a query of the fast path, or end the body of another request."""
+        """End the body of a request."""
         self._in_request = False
-        data, self._data = self._data, b""
-        if self._component is not None:
-            assert self._answer is not None
-            found = self._found
-            if found is None:
-                found = self._answer(self._component, self.headers, self._body)
-            if isinstance(found, bytes):
-                self._know_head(self._component, data)
-                self._component = None
-                self._write(found)
-                return
-            self._leave_fast_path(found)
-        if self._head_bytes <= MOST_HEAD_BYTES:
-            super().on_message_complete()
+        super().on_message_complete()
 
     def shutdown(self) -> None:
         """Close after the present answer; without one, after the next one or `LAST_S`."""
@@ -215,96 +189,53 @@ class FastPathProtocol(HttpToolsProtocol):
         if not self._in_request and self._is_answered():
             self.transport.close()
 
-    def _start_request(self) -> None:
-        """Give a request to the application."""
-        super().on_headers_complete()
-        if self._is_last:
-            self.cycle.keep_alive = False
+    def _begin(self, *, in_body: bool) -> None:
+        """Begin the time limits of a request."""
+        self._in_request = self._used = True
+        self._in_body = in_body
+        self._head_bytes = self._body_bytes = 0
+        self._since = self.loop.time()
 
-    def _start_upgrade(self) -> None:
-        """Answer a request to switch protocols as any other, and close (RFC 9110, section 7.8).
+    def _count(self, size: int) -> None:
+        """Count bytes of a head; the parser ends with an error at too many."""
+        self._head_bytes += size
+        if self._head_bytes > MOST_HEAD_BYTES:
+            raise ValueError("the head is too long")
 
-        The parser does not read its body: one with a body is refused, and later input is dropped.
-        """
-        self._drops_input = self._is_last = True
-        names = {name for name, value in self.headers if value != b"0"}
-        has_body = names & {b"content-length", b"transfer-encoding"}
-        app, self.app = self.app, _refuse_upgrade if has_body else self.app
-        self._start_request()
-        self.app = app
-
-    def _answer_known(self, data: bytes) -> bool:
-        """Answer a query whose head is known; return whether that was possible."""
-        end = data.find(_BLANK_LINE) + 4
-        head = self._heads.get(data[:end])
-        if head is None or len(data) != end + head.body_bytes or not self._is_free():
+    def _answer(self, fast: FastPath, data: bytes) -> bool:
+        """Answer one whole query, or wait for the rest of its body; False for other requests."""
+        head = fast.head(data)
+        if head is None:
             return False
-        assert self._answer is not None
-        found = self._answer(head.component, head.headers, data[end:])
+        missing = head.size + head.body_bytes - len(data)
+        if missing > 0:
+            if not self._in_request:
+                self._begin(in_body=True)
+                self._unset_keepalive_if_required()
+            self._partial, self._body_bytes = data, len(data) - head.size
+            return True
+        found = fast.answer(head, data[head.size :]) if missing == 0 else {}
         if isinstance(found, bytes):
-            self._write(found)
+            self._in_request = False
+            self._write(head, found)
             return True
         self._found = found
         return False
 
-    def _leave_fast_path(self, found: Found) -> None:
-        """Start a request whose body was collected, with what was found about it in its scope."""
-        self._component = None
-        self._start_request()
-        scope: Any = self.scope
-        scope.update(found)
-        super().on_body(self._body)
-
-    def _may_be_fast(self, parser: HttpRequestParser) -> bool:
-        """Return whether a head is that of a query, and the first of what has arrived."""
-        name = self.url[len(_BEFORE) : -len(_AFTER)]
-        return (
-            self._data != b""
-            and self.url.startswith(_BEFORE)
-            and name.replace(b"_", b"").replace(b"-", b"").isalnum()
-            and parser.get_method() == b"POST"
-            and parser.get_http_version() == "1.1"
-            and parser.should_keep_alive()
-            and not self.expect_100_continue
-            and self._is_free()
-        )
-
     def _is_free(self) -> bool:
         """Return whether no other request is being answered, and the caller reads answers."""
         return (
-            self._answer is not None
-            and self._is_answered()
-            and not self.flow.write_paused
-            and not self.transport.is_closing()
+            self._is_answered() and not self.flow.write_paused and not self.transport.is_closing()
         )
 
     def _is_answered(self) -> bool:
         """Return whether no request of the application is being answered."""
         return self.cycle is None or self.cycle.response_complete
 
-    def _know_head(self, component: str, data: bytes) -> None:
-        """Store the head of a query, if `data` is the query and no more."""
-        end = data.find(_BLANK_LINE) + 4
-        names = [name for name, _ in self.headers]
-        sized = b"content-length" in names and b"transfer-encoding" not in names
-        if not sized or end > _MOST_KNOWN_HEAD or len(data) != end + len(self._body):
-            return
-        if len(self._heads) >= _MOST_HEADS:
-            self._heads.clear()
-        self._heads[data[:end]] = _Head(component, tuple(self.headers), len(self._body))
-
-    def _write(self, content: bytes) -> None:
+    def _write(self, head: Head, content: bytes) -> None:
         """Write a 200; the time until an idle connection is closed begins anew."""
-        close = b"\r\nconnection: close" if self._is_last else b""
         fields = self.server_state.default_headers
-        if fields is not self._default_headers:  # they change once a second
-            lines = b"".join([b"%b: %b\r\n" % field for field in fields])
-            self._reply_head = b"HTTP/1.1 200 OK\r\n%bcontent-length: " % lines
-            self._default_headers = fields
-        self.transport.write(
-            b"%b%d%b\r\ncontent-type: application/json\r\n%b\r\n%b"
-            % (self._reply_head, len(content), close, PLAIN, content)
-        )
+        self.transport.write(reply_bytes(fields, head, content, close=self._is_last))
         self.server_state.total_requests += 1
         if self._is_last:
             self.transport.close()
@@ -338,13 +269,3 @@ class FastPathProtocol(HttpToolsProtocol):
         if not self._in_body:
             return "the rest of a head" if waited > HEAD_S else ""
         return "the rest of a body" if waited > BODY_S + self._body_bytes / SLOWEST else ""
-
-
-async def _refuse_upgrade(scope: Scope, receive: Receive, send: Send) -> None:
-    """Answer a request with a body and an Upgrade header."""
-    detail = (
-        "The body of a request with the header Connection: Upgrade is not read; nothing was "
-        "changed. Send the request without the headers Connection: Upgrade and Upgrade."
-    )
-    refused = ProblemError(400, "upgrade", "This server does not switch protocols", detail)
-    await refused.response()(scope, receive, send)

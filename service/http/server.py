@@ -12,7 +12,7 @@ from typing import Any
 import uvicorn
 
 from wrenchbook.service.files.program import keep_few_heaps
-from wrenchbook.service.http.application import Application
+from wrenchbook.service.http.app import Application
 from wrenchbook.service.http.protocol import FastPathProtocol
 
 log = logging.getLogger(__name__)

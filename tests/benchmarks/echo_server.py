@@ -11,8 +11,7 @@ from pathlib import Path
 
 from starlette.types import Receive, Scope, Send
 
-from wrenchbook.service.http.app import create_app
-from wrenchbook.service.http.application import Application
+from wrenchbook.service.http.app import Application, create_app
 from wrenchbook.service.http.server import Server, server_config
 from wrenchbook.service.workspace import Settings
 
@@ -25,7 +24,7 @@ class WithEcho:
 
     def __init__(self, app: Application) -> None:
         self._app = app
-        self.answer_at_once = app.answer_at_once
+        self.fast_path = app.fast_path
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http" and scope["path"] == BARE:

@@ -7,13 +7,14 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import uvicorn
 
 from tests.until import until
 from wrenchbook.service.client import Client
-from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.app import Application, create_app
 from wrenchbook.service.http.server import server_config
 from wrenchbook.service.workspace import Settings
 
@@ -95,3 +96,10 @@ def clean_wrenches() -> np.ndarray:
             wrench[list(loads)] = 2.0 * np.array(corner) - 1.0
             found.append(wrench * FULL)
     return np.array(found)
+
+
+def answer_fast(app: Application, component: str, body: bytes) -> bytes | dict[str, Any]:
+    """Give the fast path of an application one query, and return what it makes of it."""
+    line = f"POST /v1/components/{component}/displacement HTTP/1.1\r\nHost: x\r\n"
+    head = app.fast_path.head(f"{line}Content-Length: {len(body)}\r\n\r\n".encode() + body)
+    return app.fast_path.answer(head, body)

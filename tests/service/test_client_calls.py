@@ -264,6 +264,17 @@ def test_a_problem_becomes_an_exception_that_reads_well(stub: Stub, client: Clie
     )
 
 
+def test_a_library_of_several_pages_is_listed_whole(stub: Stub, client: Client):
+    first, second = {"name": "a"}, {"name": "b"}
+    following = "/v1/components?limit=1&after=a"
+    stub.answers(
+        Answer({"components": [first], "next": following, "broken": []}),
+        Answer({"components": [second], "next": None, "broken": []}),
+    )
+    assert client.components() == [first, second]
+    assert [one.path for one in stub.seen] == ["/v1/components", following]
+
+
 def test_a_refusal_with_409_keeps_all_members_of_the_problem(stub: Stub, client: Client):
     problem = {"title": "Not covered", "status": 409, "detail": "Ask to queue.", "coverage": "thin"}
     stub.answers(Answer(problem, status=409, kind="application/problem+json"))

@@ -11,7 +11,7 @@ import pytest
 
 from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, served, tangents
 from wrenchbook.service.http.access import Permission
-from wrenchbook.service.http.application import Application
+from wrenchbook.service.http.fast_path import FastPath
 from wrenchbook.service.http.protocol import FastPathProtocol
 from wrenchbook.service.keys import Keyring
 
@@ -33,14 +33,14 @@ def port(tmp_path_factory):
 def straight(monkeypatch):
     """Return how many questions were answered straight so far."""
     found = []
-    ask = Application.answer_at_once
+    ask = FastPath.answer
 
-    def counted(self, name, headers, body):
-        content = ask(self, name, headers, body)
+    def counted(self, head, body):
+        content = ask(self, head, body)
         found.append(isinstance(content, bytes))
         return content
 
-    monkeypatch.setattr(Application, "answer_at_once", counted)
+    monkeypatch.setattr(FastPath, "answer", counted)
     return lambda: sum(found)
 
 
@@ -117,6 +117,45 @@ def test_both_ways_give_the_same_reply(straight, wire):
     assert (status, same(body)) == (unknown, same(usual))
     assert list(headers) == list(other)
     assert headers["content-type"] == other["content-type"] == "application/json"
+
+
+@pytest.mark.parametrize("fields", [[], ["X-Request-ID: req-7"], ["X-Request-ID: "]])
+def test_both_ways_give_the_same_bytes(straight, wire, monkeypatch, fields):
+    monkeypatch.setattr("wrenchbook.service.answering.one.perf_counter_ns", lambda: 0)
+    replies = []
+    for body in (BODY, orjson.dumps({**PLAIN, "detail": False})):
+        wire.ask(request(body, fields=fields))
+        wire.send(request(body, fields=fields))
+        head = b""
+        while b"\r\n\r\n" not in head:
+            head += wire.socket.recv(1)
+        length = int(re.search(rb"content-length: (\d+)", head)[1])
+        replies.append(re.sub(rb"date: [^\r]*", b"", head) + wire.socket.recv(length))
+    assert straight() == 2
+    assert replies[0] == replies[1]
+
+
+def test_a_query_with_an_id_goes_straight_and_its_reply_has_the_id(straight, wire):
+    for number in (1, 2):
+        _, headers, _ = wire.ask(request(fields=[f"X-Request-ID: req-{number}"]))
+        assert headers["x-request-id"] == f"req-{number}"
+    assert straight() == 2
+    assert "x-request-id" not in wire.ask(request())[1]
+
+
+@pytest.mark.parametrize("given", ["a b", "x" * 129])
+def test_an_id_that_is_not_valid_is_replaced_by_the_usual_way(straight, wire, given):
+    status, headers, _ = wire.ask(request(fields=[f"X-Request-ID: {given}"]))
+    assert (status, len(headers["x-request-id"])) == (200, 16)
+    assert straight() == 0
+
+
+def test_a_body_that_comes_after_its_head_goes_straight(straight, wire):
+    whole = request()
+    cut = whole.index(b"\r\n\r\n") + 4
+    for end in (cut, cut + 5, len(whole) - 1):
+        assert wire.ask(whole[:end], whole[end:])[0] == 200
+    assert straight() == 3
 
 
 def test_the_known_head_reads_the_body_that_comes_with_it(wire):
@@ -450,7 +489,7 @@ def test_an_application_without_the_straight_way_is_served_all_the_same():
     from uvicorn.server import ServerState
 
     config = Config(Bare(), http=FastPathProtocol, log_config=None)
-    assert FastPathProtocol(config, ServerState(), {}, _loop=_NoLoop())._answer is None
+    assert FastPathProtocol(config, ServerState(), {}, _loop=_NoLoop())._fast is None
 
 
 class _NoLoop:

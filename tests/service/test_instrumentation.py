@@ -58,13 +58,6 @@ def test_an_id_that_no_log_line_should_carry_is_replaced(http, given):
     assert all(len(one) == 16 and one.isalnum() for one in made)
 
 
-def test_the_fast_path_leaves_a_query_with_an_id_to_the_path_that_returns_it(http):
-    body = json.dumps({**QUERY, "moment": [0, 0, 0]}).encode()
-    assert http.post(CALL, json=QUERY).status_code == 200
-    assert http.app.answer_at_once("spring", [], body) != {}
-    assert http.app.answer_at_once("spring", [(b"x-request-id", b"7")], body) == {}
-
-
 def test_a_500_and_the_lines_of_its_request_share_the_id(crashing, lines):
     reply = crashing.get("/v1/jobs/1", headers={"X-Request-ID": "req-7"})
     assert (reply.status_code, reply.json()["request_id"]) == (500, "req-7")
@@ -90,7 +83,7 @@ def test_a_text_line_ends_in_the_id_of_its_request():
 
 def test_the_access_log_has_a_line_of_every_request(folder, stand_in, lines):
     with TestClient(create_app(Settings(folder, solvers=0, access_log=True))) as client:
-        assert client.app.answer_at_once is None  # queries of the fast path are no requests
+        assert client.app.fast_path is None  # queries of the fast path are no requests
         client.post(CALL, json=QUERY, headers={"X-Request-ID": "q"})
         client.get("/v1/jobs?limit=3")
     found = [one for one in lines() if one["logger"] == "wrenchbook.access"]
@@ -133,7 +126,7 @@ def test_requests_are_traced_by_option_or_by_the_environment(
         monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", "http://collector:4318")
     app = create_app(Settings(folder, solvers=0, opentelemetry=by_option))
     assert opentelemetry == ["initialize", app]
-    assert app.answer_at_once is None  # the fast path has no spans
+    assert app.fast_path is None  # the fast path has no spans
 
 
 def test_with_traces_a_displacement_passes_through_the_instrumented_framework(
@@ -161,7 +154,7 @@ def test_nothing_is_traced_unless_a_destination_is_named(
     monkeypatch.setenv(name, value)
     app = create_app(Settings(folder, solvers=0))
     assert opentelemetry == []
-    assert app.answer_at_once is not None
+    assert app.fast_path is not None
 
 
 def test_traces_without_the_extra_are_refused_with_the_command_that_installs_it(

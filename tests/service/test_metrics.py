@@ -7,7 +7,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 import wrenchbook
-from tests.service.live import as_rows, clean_wrenches, moved
+from tests.service.live import answer_fast, as_rows, clean_wrenches, moved
 from wrenchbook.service.ops.counts import EDGES, Counts
 
 RANGE = {"force": [100.0] * 3, "moment": [10.0] * 3}
@@ -62,7 +62,7 @@ def test_a_question_answered_straight_from_the_protocol_is_counted(rig):
     before = samples(rig)
     body = b'{"force": [0, 0, 5], "moment": [0, 0, 0], "on_thin": "estimate"}'
     for _ in range(5):
-        assert isinstance(app.answer_at_once("rig", [], body), bytes)
+        assert isinstance(answer_fast(app, "rig", body), bytes)
     assert (
         samples(rig)[("wrenchbook_query_seconds_count",)]
         == 5 + before[("wrenchbook_query_seconds_count",)]
@@ -92,7 +92,7 @@ def test_requests_are_counted_by_route_template_method_and_status(rig):
 def test_a_query_of_the_fast_path_and_of_the_usual_one_are_counted_as_requests(rig):
     route = "/v1/components/{name}/displacement"
     body = b'{"force": [0, 0, 5], "moment": [0, 0, 0], "on_thin": "estimate"}'
-    assert isinstance(rig.app.answer_at_once("rig", [], body), bytes)
+    assert isinstance(answer_fast(rig.app, "rig", body), bytes)
     assert rig.post(route.format(name="rig"), content=body).status_code == 200
     found = samples(rig)
     assert requests(found, route) == {(route, "200", "POST"): 2}

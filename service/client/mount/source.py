@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InvalidArgument, ServerTimeout
 from ..replies import Displacement
-from ..wrenches import tolerance_body
+from ..wrenches import OnThin, tolerance_body
 from .errors import DisplacementUnknown
 from .options import require_server
 
@@ -67,11 +67,11 @@ class ServerSource:
         component: str,
         tolerance: Tolerance | None,
         method: str | None,
-        on_thin: str,
+        on_thin: OnThin,
     ) -> None:
         facts = client.component(component)
         # A measured table is never solved: to queue would be refused in the middle of the loop.
-        self._on_thin = on_thin if facts.get("has_fea", True) else "estimate"
+        self._on_thin: OnThin = on_thin if facts.get("has_fea", True) else "estimate"
         self._client, self._component = client, component
         self._asked, self._method = tolerance, method
         self.tolerance = tolerance or facts.get("tolerance")
@@ -141,7 +141,7 @@ class SolveSource:
 
 
 def table_source(
-    source: Any, component: str, tolerance: Tolerance | None, method: str | None, on_thin: str
+    source: Any, component: str, tolerance: Tolerance | None, method: str | None, on_thin: OnThin
 ) -> Source:
     """Return who answers from a table: the one given, or the server with its own."""
     if hasattr(source, "answer"):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from math import ceil
 from secrets import compare_digest
-from typing import Final
+from typing import Any, Final
 
 from starlette.types import Receive, Send
 from starlette.types import Scope as Scope_
@@ -16,13 +16,10 @@ from wrenchbook.service.http.access.origins import check_host, check_origin, is_
 from wrenchbook.service.http.access.permission import OPEN, PERMISSION, Permission, permission_of
 from wrenchbook.service.http.access.security import SecuritySettings
 from wrenchbook.service.http.body import counted
-from wrenchbook.service.http.instrumentation import HEADER
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.keys import Keyring, Scope, digest_of
 from wrenchbook.service.keys.keyring import LOOK_S
 from wrenchbook.service.keys.record import Key
-
-Headers = Sequence[tuple[bytes, bytes]]
 
 _READING: Final = ("GET", "HEAD", "OPTIONS")
 _JSON: Final = b"application/json"
@@ -31,8 +28,6 @@ _BINARY: Final = ("/displacements", "/recording", "/envelope")
 # Calls that name what they take themselves: files of many kinds.
 _ANY_TYPE: Final = ("/table", "/v1/components")
 _UMBRIDGE: Final = "/umbridge/"  # clients send the content type of their library
-_MOST_KNOWN: Final = 1024
-_MOST_HEAD: Final = 2048  # bytes of a head that is worth knowing again
 _NO_LIMIT: Final = 1e6  # requests a second and MiB: no limits
 
 
@@ -51,9 +46,7 @@ class AccessControl:
         self.security = security
         self.keyring = keyring
         self._permissions: dict[str, Permission] = {}
-        self._known: dict[Headers, Permission] = {}
-        self._last: Headers | None = None
-        self._last_permission = OPEN
+        self.heads: dict[bytes, Any] = {}  # cache of the fast path, emptied once a key changes
         self._version = keyring.version
 
     @property
@@ -61,36 +54,19 @@ class AccessControl:
         """Whether every call needs a key."""
         return self.security.keys_needed or len(self.keyring) > 0
 
-    def admit(self, headers: Headers) -> Permission | None:
-        """Count a query of the fast path and return its permission; None: `check` decides.
-
-        Permissions are cached by the header fields until a key changes.
-        """
-        if headers is self._last:  # a loop asks with one head, again and again
-            known = self._last_permission
-        else:
-            known = self._admitted(tuple(headers))
-            if known is None:
-                return None
-            self._last, self._last_permission = headers, known
-        return known if known.key is None or known.wait() == 0.0 else None
-
-    def _admitted(self, headers: Headers) -> Permission | None:
-        """Return the permission of a plain query; None if `check` has to decide."""
-        self._look()
-        known = self._known.get(headers)
-        if known is None:
-            known = self._plain(headers)
-            if known is None:
-                return None
-            if len(self._known) >= _MOST_KNOWN:
-                self._known.clear()
-            if sum(len(name) + len(value) for name, value in headers) <= _MOST_HEAD:
-                self._known[headers] = known
-        return known
+    def admit(self, head: Mapping[bytes, bytes]) -> Permission | None:
+        """Return the permission of a query of the fast path; None if `check` has to decide."""
+        if b"origin" in head or _kind(head) not in (_JSON, b""):
+            return None
+        try:
+            check_host(self.security, head)
+            permission = self._permission(head)
+        except ProblemError:
+            return None
+        return permission if permission.allows("write") else None
 
     async def watch(self) -> None:
-        """Look for changed keys from time to time: permissions are cached by header fields."""
+        """Look for changed keys from time to time: the fast path caches permissions by head."""
         while True:
             await asyncio.sleep(LOOK_S)
             self._look()
@@ -144,19 +120,6 @@ class AccessControl:
         if method not in _READING and _has_body(head):
             _check_kind(path, head)
 
-    def _plain(self, headers: Headers) -> Permission | None:
-        """Look at a plain question's head for the first time, as `_admitted` does."""
-        head = dict(headers)
-        if b"origin" in head or HEADER in head or _kind(head) not in (_JSON, b""):
-            return None
-        try:
-            check_host(self.security, head)
-            check_origin(self.security, head)
-            permission = self._permission(head)
-        except ProblemError:
-            return None
-        return permission if permission.allows("write") else None
-
     def _permission(self, head: Mapping[bytes, bytes]) -> Permission:
         self._look()
         if not self.keys_needed:
@@ -184,8 +147,7 @@ class AccessControl:
         if self.keyring.look() == self._version:
             return
         self._version = self.keyring.version
-        self._last = None
-        self._known.clear()
+        self.heads.clear()
         self._permissions.clear()
 
 

@@ -10,7 +10,6 @@ from fastapi import APIRouter, Request
 from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
-from starlette.types import Scope
 
 from wrenchbook.service.answering.many import answer_or_submit_many
 from wrenchbook.service.answering.one import answer_or_submit
@@ -30,6 +29,7 @@ from wrenchbook.service.http.batch import (
 )
 from wrenchbook.service.http.bodies import BatchBody, DisplacementBody, SolveBody
 from wrenchbook.service.http.body import MOST_BATCH_BYTES, Spooled, read_limited, spooled
+from wrenchbook.service.http.fast_path import QUERY
 from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import (
     VersionQuery,
@@ -42,14 +42,10 @@ from wrenchbook.service.http.parsing import (
 from wrenchbook.service.http.problems import ProblemError
 from wrenchbook.service.http.replies import write_batch, write_binary, write_outcome
 from wrenchbook.service.http.schemas import Displacement, Displacements
-from wrenchbook.service.ops.counts import Counts
 from wrenchbook.service.workspace import Workspace
 
 Body = TypeVar("Body", bytes, Spooled)
 Asked = TypeVar("Asked", Query, BatchQuery)
-
-
-QUERY = "wrenchbook.query"  # key in a scope: what the fast path has read of the body
 
 
 class DirectRoute(APIRoute):
@@ -79,27 +75,6 @@ _MANY = answers(Displacements, _SOLVED, content=BINARY_REPLY) | answers(
 )
 
 
-async def reply_to(
-    workspace: Workspace, name: str, body: bytes, counts: Counts, scope: Scope
-) -> Response:
-    """Answer the main call of a component from the call's body, and count it."""
-    permission, version = permission_of(scope), version_of(scope["query_string"])
-    query = scope.get(QUERY)
-    if query is None:
-        query = (
-            read_query(body)
-            if permission.allows("write")
-            else _asking(permission, read_query, body)
-        )
-    if version is None:
-        outcome = await answer_or_submit(workspace, name, query)
-    else:
-        check_version(query)
-        outcome = await answer_at(workspace, name, query, version)
-    counts.add(outcome.coverage, outcome.method, outcome.elapsed_us)
-    return write_outcome(outcome, derivatives=query.derivatives)
-
-
 def _asking(permission: Permission, read: Callable[[Body], Asked], body: Body) -> Asked:
     """Read the body of a caller with a key for reading; refuse a query that queues solves.
 
@@ -126,8 +101,17 @@ def _asking(permission: Permission, read: Callable[[Body], Asked], body: Body) -
 )
 async def displacement(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
-    body, counts = await read_limited(request.receive), request.app.state.counts
-    return await reply_to(workspace, name, body, counts, request.scope)
+    scope, body = request.scope, await read_limited(request.receive)
+    permission, version = permission_of(scope), version_of(scope["query_string"])
+    read = read_query if permission.allows("write") else partial(_asking, permission, read_query)
+    query: Query = scope.get(QUERY) or read(body)
+    if version is None:
+        outcome = await answer_or_submit(workspace, name, query)
+    else:
+        check_version(query)
+        outcome = await answer_at(workspace, name, query, version)
+    request.app.state.counts.add(outcome.coverage, outcome.method, outcome.elapsed_us)
+    return write_outcome(outcome, derivatives=query.derivatives)
 
 
 @router.post(
