@@ -81,9 +81,9 @@ def _linear(x: Floats, y: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     spanned = axes[sizes > 1e-6 * sizes[0]]
     told = (spanned**2).sum(axis=0) > 1 - 1e-6
     found = np.linalg.lstsq(x, y, rcond=1e-6)[0]
-    misfit = np.sqrt(((y - x @ found) ** 2).mean())
+    misfit = float(np.sqrt(((y - x @ found) ** 2).mean()))
     spread = np.sqrt(np.diag(np.linalg.pinv(x.T @ x, rcond=1e-12)).clip(0.0))
-    return found, misfit * spread, told
+    return np.asarray(found, dtype=float), np.asarray(misfit * spread, dtype=float), told
 
 
 def sign_findings(fit: Fit) -> list[Finding]:

@@ -11,7 +11,6 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..table.rows import CLEAN, Floats, LoadRange, Rows
 
@@ -19,8 +18,8 @@ ROUNDS = 30  # of reweighting: the weights are settled after 10 to 20
 BIWEIGHT = 4.685  # deviations: 95 % efficient for normal errors (Holland and Welsch 1977)
 NORMAL = 1.4826  # deviation over median absolute deviation, of normal errors
 ROWS_A_TERM = 5  # rows that a term of the polynomial needs at least
-EXACT = 1e-9  # of an output's range: residuals below it are rounding
-RIDGE = 1e-9  # of a term's own square: terms that the rows cannot tell apart stay small
+EXACT = 1e-4  # of an output's range: residuals below it are no error worth a remark
+RANK = 1e-9  # of the largest: directions that the rows do not tell apart, and their ridge
 
 
 class Response(NamedTuple):
@@ -66,8 +65,10 @@ def terms_of(scaled: Floats) -> Floats:
 def response_of(rows: Rows, load_range: LoadRange) -> Response:
     """Return the robust response of rows with at least two wrenches."""
     terms = terms_of(rows.wrench / load_range.scale)
+    basis, sizes, _ = np.linalg.svd(terms, full_matrices=False)
+    basis = basis[:, sizes > RANK * sizes[0]] * np.sqrt(len(terms))
     moved = rows.displacement
-    expected = np.stack([_fitted(terms, moved[:, output]) for output in range(6)], axis=1)
+    expected = np.stack([_fitted(basis, moved[:, output]) for output in range(6)], axis=1)
     residual = moved - expected
     ends = _percentiles(moved)
     size = np.maximum(ends[1] - ends[0], np.finfo(float).tiny)
@@ -75,33 +76,31 @@ def response_of(rows: Rows, load_range: LoadRange) -> Response:
     return Response(expected, residual, deviation, size, terms)
 
 
-def _fitted(terms: Floats, moved: Floats) -> Floats:
+def _fitted(basis: Floats, moved: Floats) -> Floats:
     """Return the robust fit at all rows, (n,); NaN where no row has the output."""
     known = np.isfinite(moved)
     if known.sum() < 2:
         return np.full(len(moved), np.nan)
-    x, y = terms[known], moved[known]
+    x, y = basis[known], moved[known]
     floor = EXACT * max(float(np.ptp(y)), np.finfo(float).tiny)
-    weights: NDArray[np.float64] = np.ones(len(y))
-    found = _solved(x, y, weights)
+    found = _solved(x, y, np.ones(len(y)))
     # Least absolute deviations first: from plain least squares, wrong rows keep their weight.
-    for turn in range(ROUNDS):
+    for round_ in range(ROUNDS):
         missed = np.abs(y - x @ found)
         scale = max(NORMAL * float(np.median(missed)), floor)
-        if turn < ROUNDS // 2:
-            weights = 1.0 / np.maximum(missed, scale / 10)
+        if round_ < ROUNDS // 2:
+            weights = scale / np.maximum(missed, scale / 10)
         else:
             weights = np.clip(1.0 - (missed / (BIWEIGHT * scale)) ** 2, 0.0, None) ** 2
         found = _solved(x, y, weights)
-    return terms @ found
+    return basis @ found
 
 
 def _solved(x: Floats, y: Floats, weights: Floats) -> Floats:
-    root = np.sqrt(weights / weights.max())
-    a = x * root[:, None]
-    normal = a.T @ a
-    normal += RIDGE * np.diag(np.diag(normal) + np.finfo(float).tiny)
-    return np.linalg.lstsq(normal, a.T @ (y * root), rcond=None)[0]
+    """Return weighted least squares (t,) on a basis (n, t) of columns of length sqrt(n)."""
+    weighted = x * weights[:, None]
+    normal = x.T @ weighted + RANK * max(float(weights.sum()), 1.0) * np.eye(x.shape[1])
+    return np.linalg.solve(normal, weighted.T @ y)
 
 
 def _deviations(residual: Floats) -> Floats:

@@ -10,12 +10,13 @@ from scipy.spatial import KDTree
 
 from ..table.rows import OUTPUTS, Floats, LoadRange, Rows
 from .finding import Finding
-from .response import EXACT, NORMAL, Response
+from .response import NORMAL, Response
 
 NEIGHBOURS = 8  # whose median residual is the local misfit of the response
 FEWEST = 12  # rows: with fewer the others do not show what one of them should be
 DEVIATIONS = 12.0  # of a normal error one in 1e32 lies so far out; heavy tails of real rigs reach 6
-PART = 0.03  # of the output's range: smaller errors do not spoil a table's error bars
+TAIL = 8.0  # times what 95 % of the rows keep: a misfit of the response has no single rows
+PART = 0.05  # of the output's range: smaller errors do not spoil a table's error bars
 SENTINEL = 3.0  # ranges off: no response jumps so far at one row
 NINES = 3  # digits of a logger's "no value": 999, 9999, -99999
 
@@ -25,18 +26,10 @@ def wrong_rows(rows: Rows, load_range: LoadRange, response: Response) -> NDArray
     if len(rows) < FEWEST:
         return np.zeros((len(rows), 6), dtype=bool)
     local = local_residual(rows.wrench / load_range.scale, response.residual)
-    known = np.isfinite(local)
-    middle = np.where(known, np.abs(local), np.nan)
-    with np.errstate(invalid="ignore"):
-        deviation = NORMAL * np.array(
-            [
-                np.median(column[np.isfinite(column)]) if np.isfinite(column).any() else 0.0
-                for column in middle.T
-            ]
-        )
-    deviation = np.maximum(deviation, EXACT * response.range)
-    limit = np.maximum(DEVIATIONS * deviation, PART * response.range)
-    return known & (np.abs(np.where(known, local, 0.0)) > limit)
+    size = np.abs(np.where(np.isfinite(local), local, 0.0))
+    usual = np.percentile(size, [50, 95], axis=0) * [[NORMAL * DEVIATIONS], [TAIL]]
+    limit = np.maximum(usual.max(axis=0), PART * response.range)
+    return np.asarray(size > limit)
 
 
 def local_residual(scaled: Floats, residual: Floats) -> Floats:
@@ -47,19 +40,19 @@ def local_residual(scaled: Floats, residual: Floats) -> Floats:
     around = np.where(own[:, :, None], np.nan, residual[near])
     known = np.isfinite(around).any(axis=1)
     around = np.where(known[:, None, :], around, 0.0)
-    return residual - np.nanmedian(around, axis=1)
+    return np.asarray(residual - np.nanmedian(around, axis=1))
 
 
 def single_row_findings(rows: Rows, response: Response, wrong: NDArray[np.bool_]) -> list[Finding]:
     """Return a finding of sentinels and one of outliers, where `wrong` (n, 6) has some."""
-    far = wrong & (np.abs(np.nan_to_num(response.residual)) > SENTINEL * response.range)
+    far = np.asarray(wrong & (np.abs(np.nan_to_num(response.residual)) > SENTINEL * response.range))
     sentinels = np.zeros_like(wrong)
     for output in range(6):
         values = rows.displacement[:, output]
         repeats = Counter(values[far[:, output]].tolist())
         marked = [value for value, count in repeats.items() if count > 1 or _is_nines(value)]
         sentinels[:, output] = far[:, output] & np.isin(values, marked)
-    outliers = wrong & ~sentinels.any(axis=1)[:, None]
+    outliers = np.asarray(wrong & ~sentinels.any(axis=1)[:, None])
     return [*_sentinels(rows, sentinels), *_outliers(rows, response, outliers)]
 
 
