@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.text import Text
 
 from wrenchbook.service.cli import render
 from wrenchbook.service.cli.connect import (
@@ -177,6 +178,12 @@ def _print_import(reply: dict[str, Any]) -> None:
         render.plain(out, f"Lines above the header left out: {'; '.join(above)}.")
     verb = "would be inserted" if reply["dry_run"] else "inserted"
     out.print(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
+    for finding in reply.get("findings", ()):  # servers before 0.3 have none
+        out.print(Text(f"{finding['cause']}: {finding['message']}", style="yellow"))
+        if finding["rows"]:
+            shown = ", ".join(map(str, finding["rows"][:10]))
+            more = " and others" if finding["count"] > 10 else ""
+            render.plain(out, f"  rows {shown}{more} of the file")
     rows = reply["rows"]
     others = {"refused": "have mistakes", "tare": "are the tare", "unmatched": "have no load"}
     parts = [f"{rows[word]} {what}" for word, what in others.items() if rows[word]]

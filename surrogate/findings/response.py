@@ -100,7 +100,7 @@ def _solved(x: Floats, y: Floats, weights: Floats) -> Floats:
     """Return weighted least squares (t,) on a basis (n, t) of columns of length sqrt(n)."""
     weighted = x * weights[:, None]
     normal = x.T @ weighted + RANK * max(float(weights.sum()), 1.0) * np.eye(x.shape[1])
-    return np.linalg.solve(normal, weighted.T @ y)
+    return np.asarray(np.linalg.solve(normal, weighted.T @ y), dtype=float)
 
 
 def _deviations(residual: Floats) -> Floats:

@@ -35,24 +35,25 @@ def wrong_rows(rows: Rows, load_range: LoadRange, response: Response) -> NDArray
 def local_residual(scaled: Floats, residual: Floats) -> Floats:
     """Return residuals (n, 6) less the median residual of the nearest other rows."""
     count = min(NEIGHBOURS + 1, len(scaled))
-    near = KDTree(scaled).query(scaled, k=count)[1].reshape(len(scaled), count)
-    own = near == np.arange(len(scaled))[:, None]
-    around = np.where(own[:, :, None], np.nan, residual[near])
-    known = np.isfinite(around).any(axis=1)
-    around = np.where(known[:, None, :], around, 0.0)
+    found = KDTree(scaled).query(scaled, k=count)[1]
+    near: NDArray[np.intp] = np.asarray(found, dtype=np.intp).reshape(len(scaled), count)
+    around = np.array(residual[near])
+    around[near == np.arange(len(scaled)).reshape(-1, 1)] = np.nan  # its own
+    around[~np.isfinite(around).any(axis=1, keepdims=True).repeat(count, axis=1)] = 0.0
     return np.asarray(residual - np.nanmedian(around, axis=1))
 
 
 def single_row_findings(rows: Rows, response: Response, wrong: NDArray[np.bool_]) -> list[Finding]:
     """Return a finding of sentinels and one of outliers, where `wrong` (n, 6) has some."""
-    far = np.asarray(wrong & (np.abs(np.nan_to_num(response.residual)) > SENTINEL * response.range))
+    missed: Floats = np.abs(np.nan_to_num(response.residual))
+    far = np.logical_and(wrong, missed > SENTINEL * response.range)
     sentinels = np.zeros_like(wrong)
     for output in range(6):
         values = rows.displacement[:, output]
         repeats = Counter(values[far[:, output]].tolist())
         marked = [value for value, count in repeats.items() if count > 1 or _is_nines(value)]
         sentinels[:, output] = far[:, output] & np.isin(values, marked)
-    outliers = np.asarray(wrong & ~sentinels.any(axis=1)[:, None])
+    outliers = np.logical_and(wrong, ~sentinels.any(axis=1, keepdims=True))
     return [*_sentinels(rows, sentinels), *_outliers(rows, response, outliers)]
 
 
