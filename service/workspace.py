@@ -170,18 +170,23 @@ class Workspace:
     async def newest(self, name: str, seconds: float) -> ServedTable:
         """Return the table once it holds all rows there are now, or after `seconds` as it is.
 
-        It waits on threads of asyncio's own, few: on those that queue a loop's wrenches, forty
-        such readers would hold the loop up for as long as a table is built.
-
         Raises
         ------
         UnknownComponentError
             If there is no such component.
         """
         self.tables.surrogate(name)  # a name that is unknown ends here
-        loop = asyncio.get_running_loop()
-        await loop.run_in_executor(None, self.tables.catch_up, name, seconds)
+        await self.caught_up(name, seconds)
         return self.surrogate(name)
+
+    async def caught_up(self, name: str, seconds: float) -> bool:
+        """Return whether a table holds all rows there are now, after at most `seconds`.
+
+        It waits on threads of asyncio's own, few: on those that queue a loop's wrenches, forty
+        such readers would hold the loop up for as long as a table is built.
+        """
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(None, self.tables.catch_up, name, seconds)
 
     def deformed(self, name: str, wrench: NDArray[np.float64]) -> Deformed:
         """Return a component's deformed surface under a wrench (6,), N and N·m.

@@ -63,6 +63,9 @@ _Moved = Annotated[
     ),
 ]
 _Offset = Annotated[float, typer.Option(help="seconds to add to the displacements' times")]
+_Wait = Annotated[
+    float, typer.Option(help="seconds to wait until answers come from the rows", min=0, max=600)
+]
 _Note = Annotated[str | None, typer.Option(help="a note to store with the import")]
 _Written = Annotated[
     Path,
@@ -93,6 +96,7 @@ def import_table(
     displacements: _Moved = None,
     time_offset: _Offset = 0.0,
     note: _Note = None,
+    wait_s: _Wait = 10.0,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
@@ -106,6 +110,7 @@ def import_table(
         "tare": tare or None,
         "sheet": sheet,
         "note": note,
+        "wait_s": None if wait_s == 10.0 else wait_s,  # the server's default
         "time_offset_s": time_offset or None,
         "displacements": displacements,
         "mapping": dict(map(_pair, column or ())),
@@ -190,7 +195,9 @@ def _print_import(reply: dict[str, Any]) -> None:
     if parts:
         out.print(f"Of {rows['read']} rows read {', '.join(parts)}.")
     if not (reply["dry_run"] or reply["errors"] or reply["in_use"]):
-        out.print("The server still builds its table and answers from the new rows shortly.")
+        out.print(
+            f"The server still builds its table; it answers from the {reply['inserted']} rows soon."
+        )
 
 
 def _pair(text: str) -> tuple[str, str]:
