@@ -16,7 +16,7 @@ from wrenchbook.service.client.replies import COVERAGE, EXACT, ROUNDED
 from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.kernel import build as kernel_build
 from wrenchbook.surrogate.kernel.binding import PackedTable
-from wrenchbook.surrogate.kernel.replies import REPLY_SIZE, Reader, Reply
+from wrenchbook.surrogate.kernel.replies import REPLY_SIZE, Reply, ReplyReader
 from wrenchbook.surrogate.packed.format import map_file
 
 Limit = tuple[float, float] | None
@@ -191,7 +191,7 @@ class Program:
         each = REPLY_SIZE + 36 * 8
         replies = [ran.stdout[at : at + REPLY_SIZE] for at in range(0, n * each, each)]
         tangents = [ran.stdout[at + REPLY_SIZE : at + each] for at in range(0, n * each, each)]
-        read = Reader(map_file(path), 6, 6).read
+        read = ReplyReader(map_file(path), 6, 6).read
         found: Any = replies
         derivatives = np.frombuffer(b"".join(tangents)).reshape(n, 6, 6)
         single = by_replies([read(reply) for reply in found], derivatives)

@@ -78,7 +78,7 @@ def test_a_restored_directory_keeps_what_solvers_may_be_wrong_by(folder, tmp_pat
     restore(tmp_path / "b", tmp_path / "again")
     found = SolverErrors(tmp_path / "again" / "solver_errors").read("rig", "f")
     assert found is not None
-    assert found.told == told
+    assert found.values == told
 
 
 def test_a_backup_leaves_out_attempts_drafts_and_the_ledgers_log(folder, tmp_path):

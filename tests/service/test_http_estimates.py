@@ -66,4 +66,4 @@ def test_the_schema_says_whose_version_a_solves_reply_carries(http):
     paths = document(http)["paths"]
     call = paths["/v1/components/{name}/displacement"]["post"]
     fields = call["responses"]["200"]["content"]["application/json"]["schema"]["properties"]
-    assert "the version of the table that was asked" in fields["table_version"]["description"]
+    assert "the version of the table that answers" in fields["table_version"]["description"]

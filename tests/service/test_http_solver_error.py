@@ -145,7 +145,7 @@ def test_a_copy_is_not_seen_without_its_estimate_nor_made_if_that_cannot_be_writ
     assert "second" not in workspace.library
     monkeypatch.undo()
     assert workspace.library.add_copy("plate", "second", None).fingerprint == fingerprint
-    assert workspace.errors.read("second", fingerprint).told == WHOLE
+    assert workspace.errors.read("second", fingerprint).values == WHOLE
     workspace.close()
 
 
@@ -156,7 +156,7 @@ def test_a_copy_keeps_what_a_solve_has_told_since_the_check(tmp_path, monkeypatc
     workspace.errors.settle("plate", workspace.library["plate"].fingerprint, newer)
     monkeypatch.setattr("wrenchbook.service.workspace.solver_error_of", lambda *_: WHOLE)
     made = workspace.library.add_copy("plate", "second", None)
-    assert workspace.errors.read("second", made.fingerprint).told == newer
+    assert workspace.errors.read("second", made.fingerprint).values == newer
     workspace.close()
 
 
@@ -300,7 +300,7 @@ def test_a_row_that_came_just_now_has_the_solvers_share_though_its_table_is_not_
         assert workspace.surrogate("plate").solver_error is None
         found = workspace.solver_error("plate")
         assert found is not None
-        assert found.told == TOLD
+        assert found.values == TOLD
     finally:
         workspace.close()
 

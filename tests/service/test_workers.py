@@ -177,7 +177,7 @@ def test_metrics_are_of_all_processes_whichever_is_asked(several):
 
 
 def test_the_processes_of_all_workers_and_of_the_builder_are_in_the_metrics(several):
-    pids = [worker.pid for worker in several.workers("web_worker")]
+    pids = [worker.pid for worker in several.workers("webworker")]
     with several.client() as client:
         text = client.call("GET", "/metrics").content.decode()
     for what in ("cpu_seconds_total", "resident_memory_bytes", "open_fds", "start_time_seconds"):

@@ -102,7 +102,7 @@ def test_rows_near_buckling_tell_that_the_mesh_counts_for_more(tmp_path):
     )
     known = SolverError(accuracy_of(own))
     grown = known.grown(rows)
-    assert grown.asks_tangent
+    assert grown.needs_tangent
     before = widened_many(known, np.zeros((2, 6)), wrenches)
     state = rows.displacement, rows.compliance
     after = widened_many(grown, np.zeros((2, 6)), wrenches, *state)
