@@ -159,6 +159,26 @@ class Workspace:
         places = RowIndex(rows.wrench, component.load_range.scale).places(wrenches)
         return np.where(places < 0, 0, rows.seq[places])
 
+    def rows_being_built(self, name: str, table: ServedTable) -> str:
+        """Return how many rows an empty table will have in a moment, in words; "" if none.
+
+        Raises
+        ------
+        TableBehindError
+            If there are some, and no solve can answer in their place.
+        """
+        component = self.library[name]
+        changes = self.ledger.row_changes(name, table.version, MOST_UNBUILT)
+        count = len(rows_for(component, changes))
+        if not count:
+            return ""
+        rows = (
+            f"{MOST_UNBUILT} or more rows are" if count == MOST_UNBUILT else f"{count} row(s) are"
+        )
+        if not component.has_fea:
+            raise TableBehindError.unbuilt(name, f"{rows} being built")
+        return f"{rows} being built: the table answers from them soon"
+
     def first_open_job(self, name: str) -> OpenJob | None:
         """Return the oldest job of a component that waits or runs; None if there is none."""
         try:

@@ -383,6 +383,27 @@ def test_an_import_waits_until_answers_come_from_its_rows(rig):
     assert rig.app.state.workspace.tables.surrogate("rig").version == reply["table_version"]
 
 
+@pytest.mark.parametrize("on_thin", ["queue", "wait", "estimate", "reject"])
+@pytest.mark.parametrize("call", ["displacement", "displacements"])
+def test_rows_that_are_being_built_are_never_no_rows(rig, slow_build, call, on_thin):
+    """Queries right after an import said that the table had no rows, and to load some."""
+    load(rig, as_csv(measured(40)), wait_s=0)
+    force, moment = [0, 0, -5], [1, 2, 0]
+    asked = (
+        {"force": force, "moment": moment}
+        if call == "displacement"
+        else {"wrenches": [force + moment]}
+    )
+    reply = rig.post(f"/v1/components/rig/{call}", json={**asked, "on_thin": on_thin})
+    assert reply.status_code == 503
+    assert "40 row(s) are being built" in reply.json()["detail"]
+    assert int(reply.headers["Retry-After"]) > 0
+    slow_build.set()
+    wait_for_version(rig, "rig", rig.app.state.workspace.ledger.last_seq("rig"))
+    after = rig.post(f"/v1/components/rig/{call}", json={**asked, "on_thin": "estimate"})
+    assert after.status_code == 200
+
+
 def test_an_import_waits_no_longer_than_it_may(rig, slow_build):
     assert load(rig, as_csv(measured(5)), wait_s=0.05).json()["in_use"] is False
 
