@@ -169,7 +169,7 @@ class Workspace:
         """
         component = self.library[name]
         changes = self.ledger.row_changes(name, table.version, MOST_UNBUILT)
-        count = len(rows_for(component, changes))
+        count = len(own_rows(component, changes.rows))
         if not count:
             return ""
         rows = (
