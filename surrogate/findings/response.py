@@ -33,7 +33,7 @@ class Response(NamedTuple):
     deviation : ndarray, shape (6,), m and rad
         Robust standard deviation of the residuals.
     range : ndarray, shape (6,), m and rad
-        Between the 2nd and 98th percentile of each output.
+        Between the 2nd and 98th percentile of each expected output.
     terms : ndarray, shape (n, t)
         The polynomial's terms at the rows, dimensionless.
     """
@@ -70,7 +70,7 @@ def response_of(rows: Rows, load_range: LoadRange) -> Response:
     moved = rows.displacement
     expected = np.stack([_fitted(basis, moved[:, output]) for output in range(6)], axis=1)
     residual = moved - expected
-    ends = _percentiles(moved)
+    ends = _percentiles(expected)
     size = np.maximum(ends[1] - ends[0], np.finfo(float).tiny)
     deviation = np.maximum(_deviations(residual), EXACT * size)
     return Response(expected, residual, deviation, size, terms)
