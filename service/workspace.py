@@ -159,6 +159,26 @@ class Workspace:
         places = RowIndex(rows.wrench, component.load_range.scale).places(wrenches)
         return np.where(places < 0, 0, rows.seq[places])
 
+    def rows_being_built(self, name: str, table: ServedTable) -> str:
+        """Return how many rows an empty table will have in a moment, in words; "" if none.
+
+        Raises
+        ------
+        TableBehindError
+            If there are some, and no solve can answer in their place.
+        """
+        component = self.library[name]
+        changes = self.ledger.row_changes(name, table.version, MOST_UNBUILT)
+        count = len(own_rows(component, changes.rows))
+        if not count:
+            return ""
+        rows = (
+            f"{MOST_UNBUILT} or more rows are" if count == MOST_UNBUILT else f"{count} row(s) are"
+        )
+        if not component.has_fea:
+            raise TableBehindError.unbuilt(name, f"{rows} being built")
+        return f"{rows} being built: the table answers from them soon"
+
     def first_open_job(self, name: str) -> OpenJob | None:
         """Return the oldest job of a component that waits or runs; None if there is none."""
         try:
@@ -170,18 +190,23 @@ class Workspace:
     async def newest(self, name: str, seconds: float) -> ServedTable:
         """Return the table once it holds all rows there are now, or after `seconds` as it is.
 
-        It waits on threads of asyncio's own, few: on those that queue a loop's wrenches, forty
-        such readers would hold the loop up for as long as a table is built.
-
         Raises
         ------
         UnknownComponentError
             If there is no such component.
         """
         self.tables.surrogate(name)  # a name that is unknown ends here
-        loop = asyncio.get_running_loop()
-        await loop.run_in_executor(None, self.tables.catch_up, name, seconds)
+        await self.caught_up(name, seconds)
         return self.surrogate(name)
+
+    async def caught_up(self, name: str, seconds: float) -> bool:
+        """Return whether a table holds all rows there are now, after at most `seconds`.
+
+        It waits on threads of asyncio's own, few: on those that queue a loop's wrenches, forty
+        such readers would hold the loop up for as long as a table is built.
+        """
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(None, self.tables.catch_up, name, seconds)
 
     def deformed(self, name: str, wrench: NDArray[np.float64]) -> Deformed:
         """Return a component's deformed surface under a wrench (6,), N and N·m.

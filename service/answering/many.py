@@ -49,8 +49,11 @@ async def answer_or_submit_many(workspace: Workspace, name: str, batch: BatchQue
 
 def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcome:
     """Answer from the table, and place what it does not cover."""
-    outcome = answered_many(name, workspace.surrogate(name), batch)
+    table = workspace.surrogate(name)
+    outcome = answered_many(name, table, batch)
     thin = np.flatnonzero(outcome.coverage)
+    if len(thin) and not table.row_count:
+        workspace.rows_being_built(name, table)
     if len(thin):
         component = workspace.library.as_read(name)
         span, batch = component.load_range, _acting(component, batch)

@@ -74,6 +74,9 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
         if query.detail:
             tell_parts(workspace, table, query, outcome)
         if outcome.coverage != "covered":
+            if not table.row_count:
+                rows = await run_in_threadpool(workspace.rows_being_built, name, table)
+                outcome.reason = rows or outcome.reason
             _note(workspace, query, outcome)
             if table.needs_compliance:
                 await _name_awaited(workspace, query, outcome)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.text import Text
 
 from wrenchbook.service.cli import render
 from wrenchbook.service.cli.connect import (
@@ -62,6 +63,9 @@ _Moved = Annotated[
     ),
 ]
 _Offset = Annotated[float, typer.Option(help="seconds to add to the displacements' times")]
+_Wait = Annotated[
+    float, typer.Option(help="seconds to wait until answers come from the rows", min=0, max=600)
+]
 _Note = Annotated[str | None, typer.Option(help="a note to store with the import")]
 _Written = Annotated[
     Path,
@@ -92,6 +96,7 @@ def import_table(
     displacements: _Moved = None,
     time_offset: _Offset = 0.0,
     note: _Note = None,
+    wait_s: _Wait = 10.0,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
@@ -105,6 +110,7 @@ def import_table(
         "tare": tare or None,
         "sheet": sheet,
         "note": note,
+        "wait_s": None if wait_s == 10.0 else wait_s,  # the server's default
         "time_offset_s": time_offset or None,
         "displacements": displacements,
         "mapping": dict(map(_pair, column or ())),
@@ -177,13 +183,21 @@ def _print_import(reply: dict[str, Any]) -> None:
         render.plain(out, f"Lines above the header left out: {'; '.join(above)}.")
     verb = "would be inserted" if reply["dry_run"] else "inserted"
     out.print(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
+    for finding in reply.get("findings", ()):  # servers before 0.3 have none
+        out.print(Text(f"{finding['cause']}: {finding['message']}", style="yellow"))
+        if finding["rows"]:
+            shown = ", ".join(map(str, finding["rows"][:10]))
+            more = " and others" if finding["count"] > 10 else ""
+            render.plain(out, f"  rows {shown}{more} of the file")
     rows = reply["rows"]
     others = {"refused": "have mistakes", "tare": "are the tare", "unmatched": "have no load"}
     parts = [f"{rows[word]} {what}" for word, what in others.items() if rows[word]]
     if parts:
         out.print(f"Of {rows['read']} rows read {', '.join(parts)}.")
     if not (reply["dry_run"] or reply["errors"] or reply["in_use"]):
-        out.print("The server still builds its table and answers from the new rows shortly.")
+        out.print(
+            f"The server still builds its table; it answers from the {reply['inserted']} rows soon."
+        )
 
 
 def _pair(text: str) -> tuple[str, str]:

@@ -161,10 +161,12 @@ class LibraryCalls:
             A second log, joined by time; `table` is then the log of the loads.
         **columns
             ``mapping`` (``{"Load cell": "fz [N]"}``), ``ignore``, ``ignore_extra``, ``partial``,
-            ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``, ``time_offset_s`` (s).
+            ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``, ``time_offset_s`` (s),
+            ``wait_s`` (10 s: how long to wait until answers come from the rows).
 
-        Returns ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``rows`` (what
-        became of each), ``columns``, ``ignored``, ``table_version`` and ``in_use``.
+        Returns ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``findings``
+        (probable systematic errors: ``{cause, message, rows, count}``), ``rows`` (what became of
+        each), ``columns``, ``ignored``, ``table_version`` and ``in_use``.
 
         Raises
         ------
@@ -179,7 +181,8 @@ class LibraryCalls:
         query = _import_query(format, dry_run, decimal, filename, columns)
         path = component_path(name, "table")
         # A million rows take a minute, and another import before them as long.
-        return (yield Request("POST", path, content, kind, query, wait_s=300.0)).json()
+        wait_s = 300.0 + float(columns.get("wait_s") or 0.0)
+        return (yield Request("POST", path, content, kind, query, wait_s=wait_s)).json()
 
     @sync_and_async
     def export_table(

@@ -20,6 +20,7 @@ import numpy as np
 
 from wrenchbook.service.formats.binary_table import read_hdf5, read_parquet
 from wrenchbook.service.formats.csv_table import read_csv
+from wrenchbook.service.formats.findings import FindingsSample
 from wrenchbook.service.formats.json_table import read_json
 from wrenchbook.service.formats.measured_logs import joined_loads, with_loads, zeroed
 from wrenchbook.service.formats.options import Format, Options, ReadReport
@@ -100,7 +101,7 @@ def read_untrusted(files: Sequence[Path], options: Options, preview: int = 0) ->
     except SandboxError as error:
         report = ReadReport()
         report.mistakes.ruin(0, "file", str(error))
-        return ReadResult(report.as_json(0, []), [])
+        return ReadResult({**report.as_json(0, []), "findings": []}, [])
     return ReadResult(parts[-1].fields, parts[:-1])
 
 
@@ -130,14 +131,17 @@ def table_parts(
         pieces = read_table_file(file, own, report)
     else:
         pieces = read_logs(file, Path(second), own, report)
+    sample = FindingsSample()
     for piece in pieces:
         if report.mistakes.whole:
             break
+        sample.add(piece)
         shown += _preview(piece, min(preview, MOST_PREVIEW) - len(shown))
         good += len(piece)
         if len(piece):
             yield _part(piece)
-    yield Part(report.as_json(good, shown))
+    findings = [] if report.mistakes.whole else sample.findings(own)
+    yield Part({**report.as_json(good, shown), "findings": findings})
 
 
 def read_table_file(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:

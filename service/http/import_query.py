@@ -12,6 +12,8 @@ from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.tables.importing import ImportRequest
 
 _MOST_COLUMNS = 1000
+WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
+MOST_WAIT_S = 600.0  # a million rows take minutes
 _Text = Annotated[str, Field(max_length=1000)]
 
 
@@ -61,6 +63,12 @@ class ImportQuery(Body):
         float | None,
         Field(gt=0, allow_inf_nan=False, description="between loads that a row lies between, s"),
     ] = None
+    wait_s: Annotated[
+        float,
+        Field(
+            ge=0, le=MOST_WAIT_S, allow_inf_nan=False, description="for answers from the rows, s"
+        ),
+    ] = WAIT_S
     note: Annotated[str, Field(max_length=10_000, description="kept with the import")] = ""
     filename: Annotated[str, Field(max_length=1000, description="kept with the import")] = ""
 

@@ -77,6 +77,7 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     LedgerFullError: (507, "disk", "The disk is full; nothing was accepted"),
     LedgerUnavailableError: (503, "ledger", "The ledger cannot be written; nothing was accepted"),
 }
+_BUILT_S = "1"  # Retry-After, s: most tables are built in less
 _TYPE_ROOT = "urn:wrenchbook:problem:"
 
 
@@ -183,7 +184,8 @@ def problem_of(error: Exception) -> ProblemError:
     for kind, (status, slug, title) in _NAMED.items():
         if isinstance(error, kind):
             facts = getattr(error, "facts", {})
-            return ProblemError(status, slug, title, str(error), **facts)
+            again = {"Retry-After": _BUILT_S} if kind is TableBehindError else None
+            return ProblemError(status, slug, title, str(error), headers=again, **facts)
     raise error
 
 

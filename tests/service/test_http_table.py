@@ -354,8 +354,9 @@ def test_an_import_says_which_version_holds_its_rows_and_whether_it_answers_alre
     }
 
 
-def test_an_import_is_answered_before_its_table_is_built(rig, monkeypatch):
-    """An import of many rows waited up to 10 s for a build that nobody had asked about."""
+@pytest.fixture
+def slow_build(monkeypatch):
+    """Hold builds of tables up until the event is set."""
     may_build, build = threading.Event(), live.make
 
     def slow(*given):
@@ -363,11 +364,53 @@ def test_an_import_is_answered_before_its_table_is_built(rig, monkeypatch):
         return build(*given)
 
     monkeypatch.setattr(live, "make", slow)
-    reply = load(rig, as_csv(measured(5))).json()
+    yield may_build
+    may_build.set()
+
+
+def test_an_import_that_does_not_wait_is_answered_before_its_table_is_built(rig, slow_build):
+    reply = load(rig, as_csv(measured(5)), wait_s=0).json()
     assert (reply["inserted"], reply["in_use"]) == (5, False)
     assert rig.app.state.workspace.tables.surrogate("rig").version < reply["table_version"]
-    may_build.set()
+    slow_build.set()
     wait_for_version(rig, "rig", reply["table_version"])
+
+
+def test_an_import_waits_until_answers_come_from_its_rows(rig):
+    """The table had no rows for 0.1 to 1 s after the reply to an import."""
+    reply = load(rig, as_csv(measured(40))).json()
+    assert reply["in_use"] is True
+    assert rig.app.state.workspace.tables.surrogate("rig").version == reply["table_version"]
+
+
+@pytest.mark.parametrize("on_thin", ["queue", "wait", "estimate", "reject"])
+@pytest.mark.parametrize("call", ["displacement", "displacements"])
+def test_rows_that_are_being_built_are_never_no_rows(rig, slow_build, call, on_thin):
+    """Queries right after an import said that the table had no rows, and to load some."""
+    load(rig, as_csv(measured(40)), wait_s=0)
+    force, moment = [0, 0, -5], [1, 2, 0]
+    asked = (
+        {"force": force, "moment": moment}
+        if call == "displacement"
+        else {"wrenches": [force + moment]}
+    )
+    reply = rig.post(f"/v1/components/rig/{call}", json={**asked, "on_thin": on_thin})
+    assert reply.status_code == 503
+    assert "40 row(s) are being built" in reply.json()["detail"]
+    assert int(reply.headers["Retry-After"]) > 0
+    slow_build.set()
+    wait_for_version(rig, "rig", rig.app.state.workspace.ledger.last_seq("rig"))
+    after = rig.post(f"/v1/components/rig/{call}", json={**asked, "on_thin": "estimate"})
+    assert after.status_code == 200
+
+
+def test_an_import_waits_no_longer_than_it_may(rig, slow_build):
+    assert load(rig, as_csv(measured(5)), wait_s=0.05).json()["in_use"] is False
+
+
+@pytest.mark.parametrize("wait_s", ["-1", "601", "nan", "inf", "soon"])
+def test_a_wait_that_is_none_is_refused(rig, wait_s):
+    assert load(rig, as_csv(measured(5)), wait_s=wait_s).status_code == 422
 
 
 def test_two_slow_tables_of_one_key_do_not_block_the_imports_of_others(monkeypatch):

@@ -217,7 +217,8 @@ async def import_table(
     loaded = reply.pop("loaded")
     if reply["errors"] and not (wish.dry_run or loaded):
         raise _refused(reply)
-    caught_up = await run_in_threadpool(workspace.tables.catch_up, component.name, 0.0)
+    wait_s = query.wait_s if loaded and reply["inserted"] else 0.0
+    caught_up = await workspace.caught_up(component.name, wait_s)
     reply["in_use"] = caught_up and (loaded or not reply["inserted"])
     reply["table_version"] = workspace.ledger.last_seq(component.name)
     return json_reply(reply)

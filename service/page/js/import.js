@@ -64,7 +64,7 @@ async function check(state) {
 function ready(state, told) {
   return [
     note("covered", el("strong", {}, `${state.file.name}: all rows are correct.`), tallies(told)),
-    preview(told), state.options.columns.draw(told), again(state), el("div", {}, importButton(state, told)),
+    ...findings(told), preview(told), state.options.columns.draw(told), again(state), el("div", {}, importButton(state, told)),
   ];
 }
 
@@ -87,6 +87,13 @@ function tallies(told) {
   ];
 }
 
+// Probable systematic errors of the measurement, each with its rows of the file.
+function findings(told) {
+  return (told.findings || []).map((one) => note("thin",
+    el("strong", {}, `${one.cause}: `), el("span", {}, `${one.message}.`),
+    one.rows.length ? el("span", {}, `Rows of the file: ${one.rows.slice(0, 20).join(", ")}${one.count > 20 ? ` and ${count(one.count - 20)} more` : ""}.`) : null));
+}
+
 function preview(told) {
   if (!told.preview?.length) return null;
   const head = ["#row", ...LOADS.map((one) => `#${plain(one)}, ${unitOfLoad(one)}`), ...OUTPUTS.map((one) => `#${one}, ${unitOfOutput(one)}`)];
@@ -103,7 +110,7 @@ async function load(state) {
     await caughtUp(state.about.name, state.signal);
     const name = encodeURIComponent(state.about.name);
     put(state.place, note("covered", el("strong", {}, `${count(told.inserted)} rows are in the table.`), told.errors.length || told.existing || told.rows.tare ? tallies(told) : null,
-      el("span", {}, el("a", { href: `#/c/${name}/query` }, "Query it"), ", or see ", el("a", { href: `#/c/${name}/rows` }, "the rows"), ". This is ", el("a", { href: `#/c/${name}/entry` }, `version ${told.table_version}`), ".")));
+      el("span", {}, el("a", { href: `#/c/${name}/query` }, "Query it"), ", or see ", el("a", { href: `#/c/${name}/rows` }, "the rows"), ". This is ", el("a", { href: `#/c/${name}/entry` }, `version ${told.table_version}`), ".")), ...findings(told));
   } catch (error) { if (!state.signal.aborted) put(state.place, trouble(error)); }
 }
 

@@ -149,6 +149,19 @@ def gauged(client):
     return client
 
 
+def test_probable_errors_of_a_measurement_are_shown_before_and_after_its_import(browser, gauged):
+    header = "Fx [N],Fy [N],Fz [N],Mx [Nm],My [Nm],Mz [Nm],ux [mm],uy [mm],uz [mm],rx [rad],ry [rad],rz [rad]"
+    moved = [0.02 * k for k in range(1, 25)]
+    moved[5] = moved[17] = -9999
+    lines = [f"0,0,{20 * k},0,0,0,0,0,{one},0,0,0" for k, one in enumerate(moved, 1)]
+    browser.visit("#/c/gauged/table")
+    browser.drop(".drop", "sentinels.csv", "\n".join([header, *lines]))
+    assert "Rows of the file: 7, 19" in browser.named(".note", "a logger writes").text
+    browser.one("#import").click()
+    browser.named(".note", "24 rows are in the table")
+    browser.named(".note", "a logger writes")
+
+
 def test_columns_are_named_left_out_and_turned_before_an_import(browser, gauged):
     browser.visit("#/c/gauged/table")
     browser.drop(".drop", "gauged.csv", GAUGED)

@@ -1,0 +1,1 @@
+"""Systematic errors of measured rows: their causes, found from the rows alone."""

@@ -1,0 +1,249 @@
+"""Breaks of the wrench contract that a whole file shares: signs, units, reference points."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
+from .finding import Finding
+from .response import Response
+
+SIGNIFICANT = 0.05  # of the largest entry of its block, in moved distance: smaller ones are unsure
+DEVIATIONS = 6.0  # of a fitted entry: surely not zero
+FAR = 3.0  # times: units differ by more, parts of one kind by less
+AGREE = 1.6  # times: how far the entries of one wrong unit may be apart
+BETTER = 3.0  # times the asymmetry that a lever must explain
+ASYMMETRY = 0.05  # as `table.physics_checks`: rotations make tangents unsymmetric by as much
+SMALL, LARGE = 0.02, 5.0  # of the range: loads that a table was surely not meant for
+LENGTH = 0.1  # m: no part that answers by small rotations moves so far without a remark
+UNITS = {
+    1000.0: "millimetres for metres, or newtons for kilonewtons",
+    4.448: "pounds for newtons",
+    25.4: "inches for millimetres",
+    0.0254: "inches for metres",
+    39.37: "inches for metres",
+    9.807: "kilograms for newtons",
+    57.3: "degrees for radians",
+    8.851: "pound-inches for newton metres",
+}
+
+
+class Fit(NamedTuple):
+    """A linear fit of rows.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (6, 6), SI
+        Compliance; row output, column load.
+    sure : ndarray of bool, shape (6, 6)
+        Which entries surely are not zero, and are not small beside others of their kind.
+    loads : ndarray of bool, shape (6,)
+        The loads that the rows tell.
+    """
+
+    matrix: Floats
+    sure: NDArray[np.bool_]
+    loads: NDArray[np.bool_]
+
+
+def linear_fit(rows: Rows, load_range: LoadRange, response: Response) -> Fit:
+    """Return the linear part of the rows' response, with constant, cubic and other terms beside."""
+    scaled = rows.wrench / load_range.scale
+    used = np.abs(scaled).max(axis=0) > 1e-9
+    terms = response.terms
+    matrix, sure = np.zeros((6, 6)), np.zeros((6, 6), dtype=bool)
+    first = terms[:, : 1 + used.sum()]
+    loads = np.zeros(6, dtype=bool)
+    for output in range(6):
+        known = np.isfinite(response.expected[:, output])
+        if not known.any():
+            continue
+        found, error, told = _linear(first[known], response.expected[known, output])
+        noise = response.deviation[output] / np.sqrt(known.sum())
+        matrix[output, used] = found[1:]
+        sure[output, used] = told[1:] & (
+            np.abs(found[1:]) > DEVIATIONS * np.hypot(error, noise)[1:]
+        )
+        loads[used] |= told[1:]
+    for outputs in (slice(0, 3), slice(3, 6)):
+        for columns in (slice(0, 3), slice(3, 6)):
+            block = np.abs(matrix[outputs, columns])
+            sure[outputs, columns] &= block > SIGNIFICANT * block.max(initial=0.0)
+    return Fit(matrix / load_range.scale, sure, loads)
+
+
+def _linear(x: Floats, y: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return coefficients (t,), their errors from the misfit, and which the rows tell."""
+    _, sizes, axes = np.linalg.svd(x, full_matrices=False)
+    spanned = axes[sizes > 1e-6 * sizes[0]]
+    told = (spanned**2).sum(axis=0) > 1 - 1e-6
+    found = np.linalg.lstsq(x, y, rcond=1e-6)[0]
+    misfit = float(np.sqrt(((y - x @ found) ** 2).mean()))
+    spread = np.sqrt(np.diag(np.linalg.pinv(x.T @ x, rcond=1e-12)).clip(0.0))
+    return np.asarray(found, dtype=float), np.asarray(misfit * spread, dtype=float), told
+
+
+def sign_findings(fit: Fit) -> list[Finding]:
+    """Return a finding where loads do negative work on their own displacements."""
+    diagonal = np.diag(fit.matrix)
+    work = np.diag(fit.sure) & fit.loads
+    wrong = np.flatnonzero(work & (diagonal < 0))
+    if not len(wrong):
+        return []
+    names = ", ".join(f"{LOADS[k]} on {OUTPUTS[k]}" for k in wrong)
+    whole = len(wrong) == work.sum()
+    what = (
+        "all loads, or all displacements, have the wrong sign. The wrench acts ON the component: "
+        "turn the signs of a reading of what acts on the machine (import option: from)"
+        if whole and len(wrong) > 1
+        else "these loads, or these displacements, have the wrong sign or the axes of another frame"
+    )
+    message = f"the loads do negative work ({names}), which no elastic part does: {what}"
+    return [Finding("sign", message, (), {"loads": [LOADS[k] for k in wrong]})]
+
+
+def range_findings(rows: Rows, load_range: LoadRange) -> list[Finding]:
+    """Return findings of forces and moments of another size than the load range."""
+    found = []
+    for name, part in (("forces", slice(0, 3)), ("moments", slice(3, 6))):
+        ends = np.abs(load_range.ends[:, part]).max(axis=0)
+        largest = np.abs(rows.wrench[:, part]).max(axis=0)
+        loaded = (largest > 0) & (ends > 1e-9 * np.abs(load_range.ends).max())
+        if not loaded.any():
+            continue
+        share = float((largest[loaded] / ends[loaded]).max())
+        if SMALL <= share <= LARGE:
+            continue
+        unit = named_unit(1.0 / share if share < 1 else share)
+        message = (
+            f"the largest of the {name} is {share:.3g} times the end of the load range: check "
+            f"their unit{unit}, or the component's range"
+        )
+        found.append(Finding("unit", message, (), {"quantity": name, "factor": share}))
+    return found
+
+
+def size_findings(rows: Rows, response: Response) -> list[Finding]:
+    """Return a finding where translations are longer than those of a part that bends."""
+    largest = float(np.nanmax(np.abs(response.expected[:, :3]), initial=0.0))
+    if largest <= LENGTH:
+        return []
+    message = (
+        f"translations reach {largest:.3g} m: check their unit (millimetres under a header of "
+        "metres are 1000 times too long)"
+    )
+    return [Finding("unit", message, (), {"quantity": "translations", "factor": 1000.0})]
+
+
+def unit_findings(fit: Fit, solved: Fit | None) -> list[Finding]:
+    """Return a finding where compliances are in another unit than solves, or than their mirror."""
+    if solved is not None:
+        return _against_solves(fit, solved)
+    # Maxwell and Betti: what a moment moves is what that force turns.
+    moved, turned = fit.matrix[:3, 3:], fit.matrix[3:, :3].T
+    sure = fit.sure[:3, 3:] & fit.sure[3:, :3].T
+    factor = _common(moved[sure], turned[sure])
+    if factor is None:
+        return []
+    message = (
+        f"translations by moments are {factor:.3g} times the rotations by forces, and reciprocity "
+        f"makes them equal: check all units{named_unit(factor)}"
+    )
+    return [Finding("unit", message, (), {"quantity": "translations", "factor": factor})]
+
+
+def _against_solves(fit: Fit, solved: Fit) -> list[Finding]:
+    blocks = {}
+    for name, part in {
+        ("translations", "forces"): (slice(0, 3), slice(0, 3)),
+        ("translations", "moments"): (slice(0, 3), slice(3, 6)),
+        ("rotations", "forces"): (slice(3, 6), slice(0, 3)),
+        ("rotations", "moments"): (slice(3, 6), slice(3, 6)),
+    }.items():
+        both = fit.sure[part] & solved.sure[part]
+        ratio = _common(fit.matrix[part][both], solved.matrix[part][both], least=1.0)
+        if ratio is not None:
+            blocks[name] = np.log(ratio)
+    if not blocks:
+        return []
+    # The one quantity whose factor explains all blocks best; a larger load makes less compliance.
+    quantities = {"translations": 1.0, "rotations": 1.0, "forces": -1.0, "moments": -1.0}
+    best = []
+    for quantity, power in quantities.items():
+        own = [value for name, value in blocks.items() if quantity in name]
+        if not own:
+            continue
+        factor = float(np.mean(own)) * power
+        left = [
+            value - (factor * power if quantity in name else 0.0) for name, value in blocks.items()
+        ]
+        best.append((float(np.abs(left).max()), quantity, float(np.exp(factor))))
+    missed, quantity, factor = min(best)
+    if max(factor, 1 / factor) <= FAR or missed > np.log(FAR):
+        return []
+    message = (
+        f"the {quantity} are {factor:.3g} times those of the solves at the same loads: check their "
+        f"unit{named_unit(factor)}"
+    )
+    return [Finding("unit", message, (), {"quantity": quantity, "factor": factor})]
+
+
+def _common(first: Floats, second: Floats, least: float = FAR) -> float | None:
+    """Return the factor between two lists of numbers if all share it and it is far from one."""
+    if not len(first):
+        return None
+    logs = np.log(np.abs(first / second))
+    factor = float(np.exp(np.median(logs)))
+    apart = np.exp(np.abs(logs - np.median(logs))).max()
+    return factor if apart < AGREE and max(factor, 1 / factor) >= least else None
+
+
+def named_unit(factor: float) -> str:
+    """Return " (probably ...)" for a factor near that of two units, else nothing."""
+    size = max(factor, 1 / factor)
+    for known, words in UNITS.items():
+        if abs(np.log(size / max(known, 1 / known))) < np.log(1.15):
+            return f" (a factor of {max(known, 1 / known):g}: {words}?)"
+    return ""
+
+
+def lever_findings(fit: Fit, load_range: LoadRange) -> list[Finding]:
+    """Return a finding where moments are about another point than that whose motion was measured.
+
+    With the point at r from the one that was measured, the true compliance is C L(r), L adding
+    r x F to the moment; r is what makes it symmetric, by least squares in units of energy.
+    """
+    if not fit.loads.all() or not fit.sure.any(axis=0).all():
+        return []
+    before = _asymmetry(fit.matrix, load_range)
+    by_axis = [fit.matrix[:, 3:] @ np.cross(axis, np.eye(3)).T for axis in np.eye(3)]  # F -> e x F
+    columns = [_skewness(np.pad(change, ((0, 0), (0, 3))), load_range) for change in by_axis]
+    base = _skewness(fit.matrix, load_range)
+    lever = np.linalg.lstsq(np.stack(columns, axis=1), -base, rcond=None)[0]
+    moved = fit.matrix.copy()
+    moved[:, :3] += np.tensordot(lever, by_axis, axes=1)
+    after = _asymmetry(moved, load_range)
+    if before <= ASYMMETRY or after * BETTER > before or (np.diag(moved) <= 0).any():
+        return []
+    x, y, z = lever
+    message = (
+        f"the compliance is unsymmetric by {before:.0%}; it is symmetric to {after:.1%} if the "
+        f"moments are about a point at ({x:.4g}, {y:.4g}, {z:.4g}) m from the point whose "
+        "displacement was measured: import with both reference points"
+    )
+    return [Finding("lever", message, (), {"lever": lever.tolist(), "asymmetry": before})]
+
+
+def _skewness(matrix: Floats, load_range: LoadRange) -> Floats:
+    """Return what a compliance (6, 6) lacks in symmetry, in units of energy, (15,)."""
+    energies = matrix * np.outer(load_range.scale, load_range.scale)
+    return (energies - energies.T)[np.triu_indices(6, 1)]
+
+
+def _asymmetry(matrix: Floats, load_range: LoadRange) -> float:
+    """Return the largest of it over the largest energy."""
+    energies = matrix * np.outer(load_range.scale, load_range.scale)
+    return float(np.abs(_skewness(matrix, load_range)).max() / np.abs(energies).max())

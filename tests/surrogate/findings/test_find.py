@@ -1,0 +1,81 @@
+"""Findings name the cause of a systematic error, and are silent on clean measurements."""
+
+import numpy as np
+import pytest
+
+from tests.surrogate.findings.rigs import CAUSES, DIRECTED, Rig
+from wrenchbook.surrogate.findings.find import find
+from wrenchbook.surrogate.table.rows import Rows
+
+SEEDS = range(4200, 4210)
+CLEAN = range(4300, 4350)
+
+
+def rig_of(error, seed):
+    return Rig(seed, ("sweeps", "motion") if error in DIRECTED else ("random", "sweeps", "motion"))
+
+
+def causes_of(rows, rig, **more):
+    return [one.cause for one in find(rows, rig.range, **more)]
+
+
+@pytest.mark.parametrize("error", CAUSES)
+def test_the_cause_is_named_in_nine_of_ten_measurements(error):
+    rigs = [rig_of(error, seed) for seed in SEEDS]
+    named = [CAUSES[error] in causes_of(rig.measured(error), rig) for rig in rigs]
+    assert sum(named) >= 9
+
+
+def test_fifty_clean_measurements_have_no_finding():
+    found = {seed: causes_of(Rig(seed).measured(), Rig(seed)) for seed in CLEAN}
+    assert {seed: causes for seed, causes in found.items() if causes} == {}
+
+
+def test_the_rows_of_outliers_are_the_wrong_ones():
+    rig = Rig(7, ("random",))
+    rows = rig.measured()
+    rows.displacement[[11, 80], 2] += [2 * rig.size[2], -rig.size[2]]
+    (found,) = find(rows, rig.range)
+    assert found.rows == (rows.seq[11], rows.seq[80])  # the worst first
+    assert found.body()["count"] == 2
+
+
+def test_the_lever_is_that_of_the_measurement():
+    rig = Rig(8, ("random",))
+    rows, lever = rig.measured(), np.array([0.12, -0.05, 0.08])
+    turned = rows.wrench.copy()
+    turned[:, 3:] += np.cross(lever, turned[:, :3])
+    moved = Rows.of(turned, rows.displacement, source=rows.source)
+    (found,) = find(moved, rig.range)
+    np.testing.assert_allclose(found.numbers["lever"], lever, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("columns", "factor", "quantity"),
+    [
+        (slice(0, 3), 1000, "translations"),
+        (slice(3, 6), 57.3, "rotations"),
+    ],
+)
+def test_solves_name_the_quantity_whose_unit_is_wrong(columns, factor, quantity):
+    rig = Rig(9, ("random",))
+    rows, solved = rig.measured(), Rows.of(rig.wrench, rig.displacement)
+    rows.displacement[:, columns] *= factor
+    found = [one for one in find(rows, rig.range, solved) if one.cause == "unit"]
+    assert quantity in [one.numbers["quantity"] for one in found]
+
+
+def test_measurements_of_the_translations_alone_are_looked_at_too():
+    rig = Rig(10, ("random",))
+    rows = rig.measured()
+    rows.displacement[:, 3:] = np.nan
+    assert causes_of(rows, rig) == []
+    rows.displacement[5, 1] = 40 * rig.size[1]
+    assert causes_of(rows, rig) == ["outlier"]
+
+
+def test_a_handful_of_rows_and_none_have_no_finding():
+    rig = Rig(11, ("random",))
+    rows = rig.measured()
+    assert causes_of(rows.take(np.arange(5)), rig) == []
+    assert causes_of(rows.take(np.arange(0)), rig) == []
