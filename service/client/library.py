@@ -62,6 +62,9 @@ def check_readable(file: str | Path) -> None:
         )
 
 
+_IMPORT_S = 300.0  # a million rows take a minute, and another import before them as long
+
+
 class LibraryCalls:
     """Components, and their tables as files."""
 
@@ -179,9 +182,7 @@ class LibraryCalls:
             logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
             kind, content = _form(logs)
         query = _import_query(format, dry_run, decimal, filename, columns)
-        path = component_path(name, "table")
-        # A million rows take a minute, and another import before them as long.
-        wait_s = 300.0 + float(columns.get("wait_s") or 0.0)
+        path, wait_s = component_path(name, "table"), _IMPORT_S + float(columns.get("wait_s") or 0)
         return (yield Request("POST", path, content, kind, query, wait_s=wait_s)).json()
 
     @sync_and_async

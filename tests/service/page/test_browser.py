@@ -150,7 +150,8 @@ def gauged(client):
 
 
 def test_probable_errors_of_a_measurement_are_shown_before_and_after_its_import(browser, gauged):
-    header = "Fx [N],Fy [N],Fz [N],Mx [Nm],My [Nm],Mz [Nm],ux [mm],uy [mm],uz [mm],rx [rad],ry [rad],rz [rad]"
+    units = zip(("F", "M", "u", "r"), ("N", "Nm", "mm", "rad"), strict=True)
+    header = ",".join(f"{word}{axis} [{unit}]" for word, unit in units for axis in "xyz")
     moved = [0.02 * k for k in range(1, 25)]
     moved[5] = moved[17] = -9999
     lines = [f"0,0,{20 * k},0,0,0,0,0,{one},0,0,0" for k, one in enumerate(moved, 1)]
