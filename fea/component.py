@@ -15,7 +15,7 @@ from wrenchbook.fea.mesh.generators import GENERATORS
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.quality import cell_problems
-from wrenchbook.fea.spec.problems import BundleError, Problem, suggest
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem, suggest
 from wrenchbook.fea.spec.schema import Analysis, Bundle, Interface, Material, MeshSource
 
 Array = np.ndarray
@@ -68,7 +68,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     """
     if bundle.mesh is None or bundle.interface is None or bundle.supports is None:
         message = "missing; a component without a [mesh] is a table and cannot be solved"
-        raise BundleError([Problem("mesh", message)])
+        raise BundleError([BundleProblem("mesh", message)])
     mesh = mesh_of(bundle.mesh) if mesh is None else mesh
     problems = cell_problems(mesh) + first_order_problems(mesh)
     material_of_cells = _materials(mesh, bundle.materials, problems)
@@ -112,7 +112,7 @@ def mesh_of(source: MeshSource) -> Mesh:
 
 
 def _materials(
-    mesh: Mesh, materials: tuple[Material, ...], problems: list[Problem]
+    mesh: Mesh, materials: tuple[Material, ...], problems: list[BundleProblem]
 ) -> tuple[Array, ...]:
     """Return each cell's material; "all" fills what no other material names."""
     numbers = tuple(np.full(len(block), -1) for block in mesh.blocks)
@@ -126,7 +126,7 @@ def _materials(
         cells = mesh.regions[material.region]
         if any((block[chosen] >= 0).any() for block, chosen in zip(numbers, cells, strict=True)):
             message = f'"{material.region}" shares cells with another material\'s region'
-            problems.append(Problem(key, message))
+            problems.append(BundleProblem(key, message))
         for block, chosen in zip(numbers, cells, strict=True):
             block[chosen] = i
     _fill_the_rest(numbers, materials, problems)
@@ -134,36 +134,38 @@ def _materials(
 
 
 def _fill_the_rest(
-    numbers: tuple[Array, ...], materials: tuple[Material, ...], problems: list[Problem]
+    numbers: tuple[Array, ...], materials: tuple[Material, ...], problems: list[BundleProblem]
 ) -> None:
     general = [i for i, material in enumerate(materials) if material.region == "all"]
     if len(general) > 1:
-        problems.append(Problem(f"material[{general[1]}].region", '"all" is there twice'))
+        problems.append(BundleProblem(f"material[{general[1]}].region", '"all" is there twice'))
     left = sum(int((block < 0).sum()) for block in numbers)
     if left and not general:
         message = f'{left} cells have no material; name their region or add one for "all"'
-        problems.append(Problem("material", message))
+        problems.append(BundleProblem("material", message))
     for block in numbers:
         block[block < 0] = general[0] if general else 0
 
 
-def _fixed_nodes(mesh: Mesh, names: Iterable[str], problems: list[Problem]) -> Array:
+def _fixed_nodes(mesh: Mesh, names: Iterable[str], problems: list[BundleProblem]) -> Array:
     found = [_group_nodes(mesh, f"supports.fixed[{i}]", n, problems) for i, n in enumerate(names)]
     nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *found]))
     if all(len(ids) for ids in found) and not _spans_a_plane(mesh.points[nodes]):
         message = "its nodes lie on one line, about which the component can turn; fix more"
-        problems.append(Problem("supports.fixed", message))
+        problems.append(BundleProblem("supports.fixed", message))
     return nodes
 
 
-def _section(mesh: Mesh, interface: Interface, problems: list[Problem]) -> InterfaceSection | None:
+def _section(
+    mesh: Mesh, interface: Interface, problems: list[BundleProblem]
+) -> InterfaceSection | None:
     key = "interface.section"
     nodes = _group_nodes(mesh, key, interface.section, problems)
     if not len(nodes):
         return None
     if not _spans_a_plane(mesh.points[nodes]):
         message = f'"{interface.section}" lies on one line, so it has no rotation; take a face'
-        problems.append(Problem(key, message))
+        problems.append(BundleProblem(key, message))
     if interface.section in mesh.facet_groups:
         return section_of_facets(mesh.points, mesh.facet_groups[interface.section])
     facets = facets_within(outer_surface(mesh.blocks), nodes)
@@ -172,7 +174,7 @@ def _section(mesh: Mesh, interface: Interface, problems: list[Problem]) -> Inter
     return section_of_nodes(mesh.points, nodes)
 
 
-def _group_nodes(mesh: Mesh, key: str, name: str, problems: list[Problem]) -> Array:
+def _group_nodes(mesh: Mesh, key: str, name: str, problems: list[BundleProblem]) -> Array:
     """Return the nodes of a facet group or node group; none, and a problem, if there is none."""
     if name in mesh.facet_groups:
         return mesh.facet_groups[name].node_ids
@@ -181,15 +183,15 @@ def _group_nodes(mesh: Mesh, key: str, name: str, problems: list[Problem]) -> Ar
     groups = [*mesh.facet_groups, *mesh.node_groups]
     if name in mesh.regions:
         message = f'"{name}" is a group of cells; name a group of facets or nodes{_listed(groups)}'
-        problems.append(Problem(key, message))
+        problems.append(BundleProblem(key, message))
     else:
         problems.append(_missing(key, name, "facet or node group", groups))
     return np.empty(0, dtype=np.int64)
 
 
-def _missing(key: str, name: str, kind: str, groups: list[str]) -> Problem:
+def _missing(key: str, name: str, kind: str, groups: list[str]) -> BundleProblem:
     message = f'the mesh has no {kind} "{name}"{suggest(name, groups)}{_listed(groups)}'
-    return Problem(key, message)
+    return BundleProblem(key, message)
 
 
 def _listed(groups: list[str]) -> str:
@@ -197,12 +199,12 @@ def _listed(groups: list[str]) -> str:
 
 
 def _check_apart(
-    mesh: Mesh, fixed: Array, section: InterfaceSection | None, problems: list[Problem]
+    mesh: Mesh, fixed: Array, section: InterfaceSection | None, problems: list[BundleProblem]
 ) -> None:
     shared = 0 if section is None else len(np.intersect1d(fixed, section.node_ids))
     if shared:
         message = f"{shared} of its nodes are fixed by [supports]; the two must not touch"
-        problems.append(Problem("interface.section", message))
+        problems.append(BundleProblem("interface.section", message))
 
 
 def _spans_a_plane(points: Array) -> bool:

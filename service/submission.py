@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from wrenchbook.service.ledger import Job, Ledger, OpenJob, packed, unpacked
+from wrenchbook.service.ledger import JobRecord, Ledger, OpenJob, packed, unpacked
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 
@@ -44,7 +44,7 @@ class Placed:
         Whether it solves this very wrench (as rounded), not one near by.
     """
 
-    job: Job | None
+    job: JobRecord | None
     own: bool
 
 
@@ -90,7 +90,9 @@ class Submission:
         self._seen: dict[tuple[str, str], _Open] = {}
         self._lock = threading.Lock()
 
-    def own(self, name: str, wrench: tuple[float, ...], *, urgent: bool, asked_by: str) -> Job:
+    def own(
+        self, name: str, wrench: tuple[float, ...], *, urgent: bool, asked_by: str
+    ) -> JobRecord:
         """Accept the job of exactly this wrench's acting loads, N and N·m, whatever is queued.
 
         An urgent one, somebody waits for it, starts before those of a fill.
@@ -108,7 +110,7 @@ class Submission:
 
     def fill(
         self, name: str, wrenches: Floats, *, urgent: bool = False, asked_by: str = "fill"
-    ) -> list[Job]:
+    ) -> list[JobRecord]:
         """Accept a job for each different wrench, shape (n, 6), N and N·m, in one transaction.
 
         Urgent ones start before those of a fill. No limit holds: somebody has asked for them.
@@ -211,7 +213,7 @@ class Submission:
             for place, key in enumerate(keys)
         ]
 
-    def _found(self, component: Component, keys: set[bytes]) -> dict[bytes, Job]:
+    def _found(self, component: Component, keys: set[bytes]) -> dict[bytes, JobRecord]:
         """Return the jobs there are for wrenches; a cancelled one is to be asked for anew."""
         found = self._ledger.jobs_for(component.name, component.fingerprint, keys)
         return {key: job for key, job in found.items() if job.status != "cancelled"}

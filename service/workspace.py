@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wrenchbook.service.demand.demand import Demand
+from wrenchbook.service.demand.demand import QueryStatistics
 from wrenchbook.service.fields.deformed import DeformedSurfaces
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
@@ -21,7 +21,7 @@ from wrenchbook.service.jobs.engines import open_engine
 from wrenchbook.service.jobs.engines.engine import Engine
 from wrenchbook.service.jobs.record_outcome import notes_of
 from wrenchbook.service.jobs.waiting import Polls, Waiting, why_waiting
-from wrenchbook.service.ledger import Change, Job, Ledger, LedgerUnavailableError, OpenJob
+from wrenchbook.service.ledger import Change, JobRecord, Ledger, LedgerUnavailableError, OpenJob
 from wrenchbook.service.library.catalogue import Catalogue
 from wrenchbook.service.library.component import Component, solver_error_of
 from wrenchbook.service.library.library import Library
@@ -70,7 +70,7 @@ class Workspace:
             on_copy=self._on_copy,
         )
         self.catalogue = Catalogue(settings.folder / "library.json")
-        self.query_counts = Demand(settings.folder / "demand.json")
+        self.query_counts = QueryStatistics(settings.folder / "demand.json")
         self.submission = Submission(self.ledger, self.library, settings.queue_limit)
         self.errors = SolverErrors(settings.folder / "solver_errors")
         self.tables = self._open_tables(settings.folder / "tables")
@@ -236,7 +236,7 @@ class Workspace:
         budget: int,
         tolerance: Tolerance | None,
         need: Need | None = None,
-    ) -> tuple[Design, list[Job]]:
+    ) -> tuple[Design, list[JobRecord]]:
         """Design one round of solves on all rows there are, and accept them.
 
         Parameters
@@ -270,11 +270,11 @@ class Workspace:
         # A design separates by 1e-9 of the range, a queue by 1e-6: some may be known.
         return design, [job for job in jobs if job.status != "done"]
 
-    async def wait(self, job_id: int, seconds: float) -> Job:
+    async def wait(self, job_id: int, seconds: float) -> JobRecord:
         """Return the job once it has ended, or as it is after ``seconds``."""
         return (await self.wait_all([job_id], seconds))[0]
 
-    async def wait_all(self, job_ids: list[int], seconds: float) -> list[Job]:
+    async def wait_all(self, job_ids: list[int], seconds: float) -> list[JobRecord]:
         """Return the jobs once all have ended, or as they are after ``seconds``."""
         return await self._polls.wait_all(job_ids, seconds)
 
@@ -282,7 +282,7 @@ class Workspace:
         """Return from all waits with the jobs as they are: the server stops. For the loop."""
         self._polls.stop()
 
-    def why_waiting(self, job: Job) -> Waiting | None:
+    def why_waiting(self, job: JobRecord) -> Waiting | None:
         """Return why a job waits and for how long it may; None if it does not wait."""
         if job.status != "waiting":
             return None
@@ -294,15 +294,15 @@ class Workspace:
             return self.tables.trouble()
         return self._dispatcher.trouble if self._dispatcher else None
 
-    def progress(self, job: Job) -> Progress | None:
+    def progress(self, job: JobRecord) -> Progress | None:
         """Return the progress of a running job; None before its solver's first report."""
         return read_progress(self.attempt_folder(job))
 
-    def notes(self, job: Job) -> list[str]:
+    def notes(self, job: JobRecord) -> list[str]:
         """Return the solver's notes on the answer of a done job."""
         return notes_of(job, self.attempt_folder(job)) if job.status == "done" else []
 
-    def attempt_folder(self, job: Job) -> Path:
+    def attempt_folder(self, job: JobRecord) -> Path:
         """Return the folder of a job's latest attempt."""
         return attempt_folder(self._jobs_folder, job.id, job.attempt)
 

@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from .composition.axis_table import SOUND, AxisTable
 from .composition.composition import Composition
-from .table.axes import AXES, Axis
+from .table.axes import AXES, LoadAxis
 from .table.compliance import ComplianceFit
 from .table.conflicts import row_conflicts
 from .table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
@@ -25,7 +25,7 @@ def axis_gaps(composition: Composition, load_range: LoadRange) -> list[dict[str,
     return [_gaps(axis, table, load_range) for axis, table in tables]
 
 
-def _gaps(axis: Axis, table: AxisTable | None, load_range: LoadRange) -> dict[str, Any]:
+def _gaps(axis: LoadAxis, table: AxisTable | None, load_range: LoadRange) -> dict[str, Any]:
     low, high = _box(load_range, axis)
     ends = [sorted({float(a), float(b)}) for a, b in zip(low, high, strict=True)]
     corners = np.array(list(product(*ends)))
@@ -41,13 +41,13 @@ def _gaps(axis: Axis, table: AxisTable | None, load_range: LoadRange) -> dict[st
     }
 
 
-def _box(load_range: LoadRange, axis: Axis) -> tuple[Floats, Floats]:
+def _box(load_range: LoadRange, axis: LoadAxis) -> tuple[Floats, Floats]:
     """Return the low and high ends, (3,) each, of an axis' loads, stretched to hold zero."""
     inputs = list(axis.inputs)
     return np.minimum(load_range.low[inputs], 0.0), np.maximum(load_range.high[inputs], 0.0)
 
 
-def _loads(axis: Axis, points: Floats) -> list[dict[str, float]]:
+def _loads(axis: LoadAxis, points: Floats) -> list[dict[str, float]]:
     names = [LOADS[load] for load in axis.inputs]
     return [dict(zip(names, point, strict=True)) for point in points.tolist()]
 
@@ -66,7 +66,7 @@ def _hull(table: AxisTable) -> Floats:
         return points[:MOST_VERTICES]
 
 
-def _worst(axis: Axis, table: AxisTable) -> list[dict[str, Any]]:
+def _worst(axis: LoadAxis, table: AxisTable) -> list[dict[str, Any]]:
     """Return the middles of the simplices with the largest error bars, for their outputs' range.
 
     Of the largest simplices, where errors are unknown.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .composition.axis_table import AxisTable
 from .composition.composition import Composition
 from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
-from .table.axes import AXES, Axis, clean_rows, count_full
+from .table.axes import AXES, LoadAxis, clean_rows, count_full
 from .table.compliance import ComplianceFit
 from .table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
 
@@ -227,7 +227,7 @@ def _interaction_untold(rows: Rows, load_range: LoadRange) -> bool:
     return full_needed(rows) == ENOUGH_FULL and not knows_interaction(rows, load_range)
 
 
-def _left_out_by(axis: Axis, rows: Rows, composition: Composition) -> Floats:
+def _left_out_by(axis: LoadAxis, rows: Rows, composition: Composition) -> Floats:
     """Return how far rows of other axes, (k,), move an axis' translation beyond its error bar, m.
 
     By other loads than those that such a row shares with the axis: one moment, or none.

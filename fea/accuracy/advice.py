@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.spec.problems import Problem
+from wrenchbook.fea.spec.problems import BundleProblem
 
 Array = np.ndarray
 
@@ -24,7 +24,7 @@ _WORTH_A_MESH = 30.0
 
 def over_tolerance(
     solver_error: Mapping[str, Any] | None, translation: float, rotation: float
-) -> list[Problem]:
+) -> list[BundleProblem]:
     """Return what of `fea.accuracy.estimate.accuracy_of` is over a tolerance, m and rad.
 
     No solve lowers it: a component whose mesh alone is over its tolerance has covered answers
@@ -46,7 +46,7 @@ def over_tolerance(
     return found + _of_buckling(solver_error.get("buckling"))
 
 
-def _of_mesh(errors: Array, allowed: Array, cell_size: float | None) -> list[Problem]:
+def _of_mesh(errors: Array, allowed: Array, cell_size: float | None) -> list[BundleProblem]:
     worst, words = _worst(errors, allowed)
     if worst <= 1.0:
         return []
@@ -61,10 +61,10 @@ def _of_mesh(errors: Array, allowed: Array, cell_size: float | None) -> list[Pro
         f"the mesh alone may be wrong by {words} at the full range: more solves do not lower that. "
         f"To be within the tolerance {remedy}, or widen [tolerance] or narrow [range]"
     )
-    return [Problem(WHERE, message)]
+    return [BundleProblem(WHERE, message)]
 
 
-def _of_linearity(errors: Array, allowed: Array) -> list[Problem]:
+def _of_linearity(errors: Array, allowed: Array) -> list[BundleProblem]:
     worst, words = _worst(errors, allowed)
     if worst <= 1.0:
         return []
@@ -72,10 +72,10 @@ def _of_linearity(errors: Array, allowed: Array) -> list[Problem]:
         f"nonlinear = false alone may be wrong by {words} at the full range: more solves do not "
         "lower that. Set nonlinear = true, or narrow [range]"
     )
-    return [Problem(WHERE, message)]
+    return [BundleProblem(WHERE, message)]
 
 
-def _of_buckling(factor: float | None) -> list[Problem]:
+def _of_buckling(factor: float | None) -> list[BundleProblem]:
     if factor is None or factor >= 1.0:
         return []
     message = (
@@ -83,7 +83,7 @@ def _of_buckling(factor: float | None) -> list[Problem]:
         "nonlinear = false does not see: answers beyond that are wrong. Narrow [range], or set "
         "nonlinear = true, whose solves end there by name"
     )
-    return [Problem(WHERE, message)]
+    return [BundleProblem(WHERE, message)]
 
 
 def _worst(errors: Array, allowed: Array) -> tuple[float, str]:

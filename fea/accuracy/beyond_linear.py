@@ -15,7 +15,7 @@ import numpy as np
 
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import LoadRange
+from wrenchbook.fea.spec.schema import DeclaredRange
 
 Array = np.ndarray
 
@@ -56,7 +56,7 @@ _MOST_REPORTED = (
 )
 
 
-def beyond_linear(solver: Solver, loads: LoadRange) -> BeyondLinear:
+def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     """Solve a linear component nonlinearly at the corners of its range where it moves most.
 
     Parameters
@@ -85,7 +85,7 @@ def beyond_linear(solver: Solver, loads: LoadRange) -> BeyondLinear:
     )
 
 
-def _corners(compliance: Array, loads: LoadRange) -> list[Array]:
+def _corners(compliance: Array, loads: DeclaredRange) -> list[Array]:
     """Return the corner that turns, or else moves, the interface most, and its opposite."""
     corners = np.array(list(itertools.product(*zip(loads.low, loads.high, strict=True))))
     moved = corners @ compliance.T

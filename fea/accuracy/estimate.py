@@ -15,7 +15,7 @@ from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
-from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, LoadRange
+from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, DeclaredRange
 
 Array = np.ndarray
 
@@ -132,7 +132,7 @@ def _largest(bundle: Bundle | None) -> list[float]:
     return np.where([one in locked for one in FREEDOMS], 0.0, largest).tolist()
 
 
-def _linearity(solver: Solver, loads: LoadRange) -> dict[str, Any]:
+def _linearity(solver: Solver, loads: DeclaredRange) -> dict[str, Any]:
     found = beyond_linear(solver, loads)
     known = bool(np.isfinite(found.deviation).all())
     basis = "nonlinear solves at two opposite corners of the load range"

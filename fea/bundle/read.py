@@ -26,17 +26,15 @@ from wrenchbook.fea.bundle.tables import (
     read_tolerance,
 )
 from wrenchbook.fea.spec.fingerprint import fingerprint
-from wrenchbook.fea.spec.problems import BundleError, Problem
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import (
     Analysis,
     Bundle,
     Deck,
     Interface,
-    LoadRange,
     Material,
     MeshSource,
     Supports,
-    Tolerance,
 )
 from wrenchbook.fea.spec.toml_table import Keys
 
@@ -44,14 +42,12 @@ __all__ = [
     "Analysis",
     "Bundle",
     "BundleError",
+    "BundleProblem",
     "Deck",
     "Interface",
-    "LoadRange",
     "Material",
     "MeshSource",
-    "Problem",
     "Supports",
-    "Tolerance",
     "bundle_of",
     "read_bundle",
 ]
@@ -82,7 +78,7 @@ def read_bundle(folder: str | Path) -> Bundle:
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         message = "is not UTF-8 text; save the file as UTF-8"
-        raise BundleError([Problem(f"line {line}", message)]) from None
+        raise BundleError([BundleProblem(f"line {line}", message)]) from None
     except (ValueError, RecursionError) as error:
         raise BundleError([_syntax_problem(error)]) from None
     return bundle_of(table, folder)
@@ -132,24 +128,24 @@ def _short(path: Path) -> bytes:
             content = file.read(_MOST_BYTES + 1)
     except OSError as error:
         message = f"cannot be read ({error.strerror}); a bundle is a folder with this file"
-        raise BundleError([Problem(FILE_NAME, message)]) from None
+        raise BundleError([BundleProblem(FILE_NAME, message)]) from None
     if len(content) > _MOST_BYTES:
         message = f"is longer than {_MOST_BYTES} bytes; a component.toml names its files by name"
-        raise BundleError([Problem(FILE_NAME, message)])
+        raise BundleError([BundleProblem(FILE_NAME, message)])
     found = _LONG_KEY.search(content)
     if found:
         line = content[: found.start()].count(b"\n") + 1
         message = "has a name of more than 32 parts with dots between them; no key has so many"
-        raise BundleError([Problem(f"line {line}", message)])
+        raise BundleError([BundleProblem(f"line {line}", message)])
     return content
 
 
-def _syntax_problem(error: Exception) -> Problem:
+def _syntax_problem(error: Exception) -> BundleProblem:
     found = _LINE.search(str(error))
     if found is None:
-        return Problem(FILE_NAME, f"is not valid TOML: {error}")
+        return BundleProblem(FILE_NAME, f"is not valid TOML: {error}")
     message = f"not valid TOML: {_LINE.sub('', str(error)).strip()} (column {found[2]})"
-    return Problem(f"line {found[1]}", message)
+    return BundleProblem(f"line {found[1]}", message)
 
 
 def _check_whole(top: Keys) -> None:

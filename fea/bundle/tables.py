@@ -18,11 +18,11 @@ from wrenchbook.fea.spec.schema import (
     INTEGRATIONS,
     LAWS,
     Analysis,
+    DeclaredRange,
+    DeclaredTolerance,
     Interface,
-    LoadRange,
     Material,
     Supports,
-    Tolerance,
 )
 from wrenchbook.fea.spec.toml_table import Keys
 
@@ -96,7 +96,7 @@ def read_analysis(keys: Keys | None) -> Analysis:
     return Analysis(nonlinear is not False, integration or "reduced")
 
 
-def read_range(keys: Keys | None) -> LoadRange | None:
+def read_range(keys: Keys | None) -> DeclaredRange | None:
     """Return ``[range]``, the loads expected in N and N·m."""
     if keys is None:
         return None
@@ -105,7 +105,7 @@ def read_range(keys: Keys | None) -> LoadRange | None:
     if len(bounds) != 6:
         return None
     low, high = np.array(bounds).T
-    return LoadRange(low, high)
+    return DeclaredRange(low, high)
 
 
 def _bounds(keys: Keys, key: str, unit: str) -> list[tuple[float, float]]:
@@ -148,7 +148,7 @@ def _countable(
     return None
 
 
-def read_tolerance(keys: Keys | None) -> Tolerance | None:
+def read_tolerance(keys: Keys | None) -> DeclaredTolerance | None:
     """Return ``[tolerance]`` in m and rad."""
     if keys is None:
         return None
@@ -157,7 +157,7 @@ def read_tolerance(keys: Keys | None) -> Tolerance | None:
     keys.close()
     if translation is None or rotation is None:
         return None
-    return Tolerance(translation, rotation)
+    return DeclaredTolerance(translation, rotation)
 
 
 def read_material(keys: Keys) -> Material | None:

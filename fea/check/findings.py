@@ -11,7 +11,7 @@ from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.inspection.bodies import Bodies, gap
 from wrenchbook.fea.inspection.warnings import place_in_words
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.spec.problems import Problem
+from wrenchbook.fea.spec.problems import BundleProblem
 
 Array = np.ndarray
 
@@ -32,7 +32,7 @@ def parts(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
     ]
 
 
-def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> list[Problem]:
+def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
     """Return a problem for each body that supports and coupling do not hold.
 
     Parameters
@@ -48,7 +48,7 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
             f"falls into {bodies.count} parts that share no face with each other; merge the nodes "
             "in the mesher before exporting"
         )
-        return [Problem("mesh", message)]
+        return [BundleProblem("mesh", message)]
     motions = free_motions(component, bodies)
     loose = [number for number, own in enumerate(motions) if len(own)]
     if not loose:
@@ -57,21 +57,21 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
         return [_too_few_supports(component, motions[0])]
     problems = [_free_part(component, bodies, n, motions[n], pairs) for n in loose[:_MOST_REPORTED]]
     if len(loose) > _MOST_REPORTED:
-        problems.append(Problem("mesh", f"{len(loose) - _MOST_REPORTED} more parts are free"))
+        problems.append(BundleProblem("mesh", f"{len(loose) - _MOST_REPORTED} more parts are free"))
     return problems
 
 
-def _too_few_supports(component: ComponentModel, motions: Array) -> Problem:
+def _too_few_supports(component: ComponentModel, motions: Array) -> BundleProblem:
     message = (
         f"the part is a mechanism, {_motions_in_words(component, motions)}; fix at least three "
         "points that are not on one line"
     )
-    return Problem("supports.fixed", message)
+    return BundleProblem("supports.fixed", message)
 
 
 def _free_part(
     component: ComponentModel, bodies: Bodies, number: int, motions: Array, pairs: Array
-) -> Problem:
+) -> BundleProblem:
     mesh, nodes = component.mesh, bodies.nodes[number]
     size = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(mesh.points[nodes], axis=0))
     message = (
@@ -79,7 +79,7 @@ def _free_part(
         f"{place_in_words(middle(mesh.points[nodes]))} m) is free: "
         f"{_motions_in_words(component, motions)}. {_neighbour(mesh, bodies, number, pairs)}"
     )
-    return Problem("mesh", message)
+    return BundleProblem("mesh", message)
 
 
 def _motions_in_words(component: ComponentModel, motions: Array) -> str:

@@ -27,7 +27,7 @@ from wrenchbook.fea.mesh.cad import list_shape
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
-from wrenchbook.fea.spec.problems import Problem
+from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import GEOMETRY_ENDINGS
 
 _MOST_SECONDS = 5.0
@@ -118,7 +118,7 @@ def _look_at_mesh(
 ) -> None:
     summary |= _counts(mesh)
     summary["quality"] = quality(mesh)
-    _warn(summary, [Problem("mesh", words) for words in quality_warnings(summary["quality"])])
+    _warn(summary, [BundleProblem("mesh", words) for words in quality_warnings(summary["quality"])])
     bodies = bodies_of(mesh)
     pairs = coincident_nodes(mesh)
     summary["parts"] = findings.parts(mesh, bodies)
@@ -215,11 +215,11 @@ def _what_is_set(component: ComponentModel) -> dict[str, Any]:
     }
 
 
-def _warn(summary: dict[str, Any], warnings: list[Problem]) -> None:
+def _warn(summary: dict[str, Any], warnings: list[BundleProblem]) -> None:
     summary["warnings"] += [_entry(warning) for warning in warnings]
 
 
-def _entry(problem: Problem) -> dict[str, str]:
+def _entry(problem: BundleProblem) -> dict[str, str]:
     return {"where": problem.where, "message": problem.message}
 
 

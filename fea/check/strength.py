@@ -12,12 +12,12 @@ from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.recovery.stress import places_of
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.problems import Problem
+from wrenchbook.fea.spec.problems import BundleProblem
 
 Array = np.ndarray
 
 
-def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], list[Problem]]:
+def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], list[BundleProblem]]:
     """Return the largest stress of each material under the load range, and what to know of it.
 
     To first order stresses are linear in the wrench, and the von Mises stress is a norm of them:
@@ -44,8 +44,8 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
     try:
         found = _first_order(component, solver)
     except SolveFailed as error:
-        return [], [Problem("material", f"no stresses: {error}")]
-    warnings: list[Problem] = []
+        return [], [BundleProblem("material", f"no stresses: {error}")]
+    warnings: list[BundleProblem] = []
     if nonlinear and component.analysis.nonlinear:
         warnings += _at_large(component, solver, found)
     return found, warnings + _yielding(component, found)
@@ -78,7 +78,7 @@ def _first_order(component: ComponentModel, solver: Solver) -> list[dict[str, An
 
 def _at_large(
     component: ComponentModel, solver: Solver, found: list[dict[str, Any]]
-) -> list[Problem]:
+) -> list[BundleProblem]:
     """Put the nonlinear stresses at the worst corners in place of the first-order ones."""
     regions = [material.region for material in component.materials]
     places, numbers = places_of(component, component.mesh.points)
@@ -87,7 +87,7 @@ def _at_large(
             stress = solver.stresses(solver.solve(one["wrench"]))
         except SolveFailed as error:
             message = f'are of first order: the solve at a corner of [range] fails ("{error}")'
-            return [Problem("stresses", message)]
+            return [BundleProblem("stresses", message)]
         equivalent = np.where(numbers == regions.index(one["region"]), von_mises(stress), -1.0)
         worst = int(equivalent.argmax())
         one |= {
@@ -98,7 +98,7 @@ def _at_large(
     return []
 
 
-def _yielding(component: ComponentModel, found: list[dict[str, Any]]) -> list[Problem]:
+def _yielding(component: ComponentModel, found: list[dict[str, Any]]) -> list[BundleProblem]:
     problems = []
     for number, material in enumerate(component.materials):
         key, strength = f"material[{number}].yield_strength", material.yield_strength
@@ -106,7 +106,7 @@ def _yielding(component: ComponentModel, found: list[dict[str, Any]]) -> list[Pr
             continue
         if material.law == "orthotropic":
             message = "is compared with the von Mises stress, a poor measure for such a material"
-            problems.append(Problem(key, message))
+            problems.append(BundleProblem(key, message))
         for one in found:
             if one["region"] == material.region and one["largest"] > strength:
                 message = (
@@ -114,5 +114,5 @@ def _yielding(component: ComponentModel, found: list[dict[str, Any]]) -> list[Pr
                     f"{one['largest'] / strength:.2g} times it; materials here do not yield: "
                     "answers there are too stiff. Narrow [range], or strengthen the part"
                 )
-                problems.append(Problem(key, message))
+                problems.append(BundleProblem(key, message))
     return problems

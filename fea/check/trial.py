@@ -10,7 +10,7 @@ from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import MOST_DEGREES, Solver
 from wrenchbook.fea.solver.vibration import Riding
-from wrenchbook.fea.spec.problems import Problem
+from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
@@ -21,7 +21,7 @@ _MOST_BYTES = 4e9  # of the same; the server's other solvers run at the same tim
 _WHERE = {"locking_material": "material", "inverted_elements": "mesh", "mechanism": "supports"}
 
 
-def solver_of(component: ComponentModel) -> tuple[Solver | None, list[Problem]]:
+def solver_of(component: ComponentModel) -> tuple[Solver | None, list[BundleProblem]]:
     """Return the solver, or the problem that every solve of the component would end with."""
     try:
         return Solver(component), []
@@ -29,7 +29,7 @@ def solver_of(component: ComponentModel) -> tuple[Solver | None, list[Problem]]:
         return None, [_problem(failure)]
 
 
-def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Problem]]:
+def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[BundleProblem]]:
     """Solve six unit loads and return what that tells, and what would stop a solve.
 
     Parameters
@@ -69,7 +69,9 @@ def largest(compliance: Array, low: Array, high: Array) -> Array:
     return np.maximum(np.abs(most), np.abs(least))
 
 
-def deflection_warnings(component: ComponentModel, deflection: list[float] | None) -> list[Problem]:
+def deflection_warnings(
+    component: ComponentModel, deflection: list[float] | None
+) -> list[BundleProblem]:
     """Return warnings where the whole load range moves the part by nothing, or by too much."""
     if deflection is None:
         return []
@@ -80,7 +82,7 @@ def deflection_warnings(component: ComponentModel, deflection: list[float] | Non
             f"turns the interface by {degrees:.3g} degrees at the full range, linearly: more than "
             f"{MOST_DEGREES:g} is refused. {_UNITS}"
         )
-        problems.append(Problem("range", message))
+        problems.append(BundleProblem("range", message))
     limit = component.bundle.tolerance
     if limit is None:
         return problems
@@ -91,7 +93,7 @@ def deflection_warnings(component: ComponentModel, deflection: list[float] | Non
             f"moves the interface by {moved[:3].max():.2g} m and {moved[3:].max():.2g} rad at "
             f"most, within the tolerance: the part is rigid for its users. {_UNITS}"
         )
-        problems.append(Problem("range", message))
+        problems.append(BundleProblem("range", message))
     return problems
 
 
@@ -111,14 +113,14 @@ def _volume_and_mass(solver: Solver) -> dict[str, Any]:
     return {"volume": float(volumes.sum()), "mass": known}
 
 
-def _problem(failure: SolveFailed) -> Problem:
+def _problem(failure: SolveFailed) -> BundleProblem:
     where = _WHERE.get(failure.kind, "mesh")
-    return Problem(
+    return BundleProblem(
         where, f"every solve would fail, {failure.kind}: {failure.message} {failure.remedy}"
     )
 
 
-def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], list[Problem]]:
+def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], list[BundleProblem]]:
     """Return what the component weighs and how slowly it swings, and what stands in the way.
 
     Parameters
@@ -146,11 +148,11 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
     if silent:
         names = ", ".join(f'"{name}"' for name in silent)
         message = f"no density for {names}: it counts as weightless in mass and frequency"
-        warnings.append(Problem("material", message))
+        warnings.append(BundleProblem("material", message))
     try:
         found = solver.vibration(carried)
     except (ValueError, SolveFailed) as error:
-        return {}, [*warnings, Problem("material", f"no natural frequency: {error}")]
+        return {}, [*warnings, BundleProblem("material", f"no natural frequency: {error}")]
     result = {
         "mass": found.mass if len(silent) < len(component.materials) else None,
         "first_frequency": found.frequency,

@@ -8,11 +8,11 @@ from typing import Any
 
 from wrenchbook.fea.deck.running import missing_placeholders
 from wrenchbook.fea.readers.registry import reader_named
-from wrenchbook.fea.spec.problems import BundleError, Problem
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import Deck
 
 
-def deck_report(deck: Deck) -> tuple[dict[str, Any], list[Problem]]:
+def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
     """Return a summary of a deck, and warnings.
 
     A program that is not installed here is a warning and no mistake of the bundle: solves may run
@@ -35,7 +35,7 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[Problem]]:
     problems = [_missing(name) for name in missing_placeholders(content)]
     text = "\n".join(_text(file) for file in (deck.file, *deck.files))
     mistakes = reader_named(deck.output["reader"]).mistakes(text, deck)
-    problems += [Problem("deck.file", f"{deck.file.name} {mistake}") for mistake in mistakes]
+    problems += [BundleProblem("deck.file", f"{deck.file.name} {mistake}") for mistake in mistakes]
     if problems:
         raise BundleError(problems)
     program = _found(deck)
@@ -50,12 +50,12 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[Problem]]:
     return summary, [] if program else [_not_here(deck.command[0])]
 
 
-def _missing(placeholder: str) -> Problem:
+def _missing(placeholder: str) -> BundleProblem:
     message = (
         f"has no {placeholder}; put it where that load goes, or into a comment line that says what "
         "takes the load instead"
     )
-    return Problem("deck.file", message)
+    return BundleProblem("deck.file", message)
 
 
 def _found(deck: Deck) -> str | None:
@@ -66,9 +66,9 @@ def _found(deck: Deck) -> str | None:
     return shutil.which(program)
 
 
-def _not_here(program: str) -> Problem:
+def _not_here(program: str) -> BundleProblem:
     message = f'the program "{program}" is not on the PATH of this machine; install it where '
-    return Problem("deck.command", message + "solves run")
+    return BundleProblem("deck.command", message + "solves run")
 
 
 def _text(file: Path) -> str:

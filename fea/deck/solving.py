@@ -15,7 +15,7 @@ from wrenchbook.fea.coupling.rotation import spin_per_vector
 from wrenchbook.fea.deck import failures
 from wrenchbook.fea.deck.running import run_deck
 from wrenchbook.fea.solution import Progress, Solution, checked_wrench
-from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Deck, LoadRange
+from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Deck, DeclaredRange
 
 Array = np.ndarray
 
@@ -160,7 +160,7 @@ def _broyden(inverse: Array, step: Array, change: Array) -> Array:
     return inverse + np.outer(step - inverse @ change, row) / scale
 
 
-def _linear(runs: _Runs, wrench: Array, expected: LoadRange) -> tuple[Array, Array]:
+def _linear(runs: _Runs, wrench: Array, expected: DeclaredRange) -> tuple[Array, Array]:
     """Return displacement and compliance of a linear deck."""
     displacement = runs.run("wrench", wrench, 0.0, 1.0 / 7.0)
     # Loads of the size expected, so that nothing in the deck is far from what it was made for.

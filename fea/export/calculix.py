@@ -21,7 +21,7 @@ from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.spec.orthotropic import Orthotropic
-from wrenchbook.fea.spec.problems import Problem
+from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Material
 
 Array = np.ndarray
@@ -77,12 +77,12 @@ def _require_counterparts(component: ComponentModel) -> None:
             f'CalculiX does not report the motion of a "{component.coupling}" coupling; write the '
             'deck of the component with coupling = "rigid"'
         )
-        problems.append(Problem("interface.coupling", message))
+        problems.append(BundleProblem("interface.coupling", message))
     for block in component.mesh.blocks:
         if block.kind not in _ELEMENTS:
             known = ", ".join(_ELEMENTS)
             message = f"CalculiX has no element for {block.kind} cells; mesh with one of {known}"
-            problems.append(Problem("mesh", message))
+            problems.append(BundleProblem("mesh", message))
     if problems:
         raise BundleError(problems)
 

@@ -14,7 +14,7 @@ from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
 from wrenchbook.fea.inspection.cells import quality, quality_warnings
 from wrenchbook.fea.mesh.facets import facets_within, outer_surface
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.spec.problems import Problem
+from wrenchbook.fea.spec.problems import BundleProblem
 
 Array = np.ndarray
 
@@ -25,20 +25,20 @@ _USUAL_YOUNGS_MODULUS = (1e6, 1e12)
 _LONGEST_LEVER = 3.0
 
 
-def warnings_of(component: ComponentModel) -> list[Problem]:
+def warnings_of(component: ComponentModel) -> list[BundleProblem]:
     """Return all that `fea.check` would warn of, in its order."""
     mesh = component.mesh
     bodies, pairs = bodies_of(mesh), coincident_nodes(mesh)
-    shape = [Problem("mesh", words) for words in quality_warnings(quality(mesh))]
+    shape = [BundleProblem("mesh", words) for words in quality_warnings(quality(mesh))]
     return shape + coincidence_warnings(mesh, bodies, pairs) + set_up_warnings(component)
 
 
-def set_up_warnings(component: ComponentModel) -> list[Problem]:
+def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on what the bundle attaches to the mesh: sections, supports and units."""
     return place_warnings(component) + support_warnings(component) + unit_warnings(component)
 
 
-def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Problem]:
+def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
     """Return a warning for the unmerged nodes of each two bodies, and of slits within one.
 
     Parameters
@@ -66,11 +66,11 @@ def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Probl
             "but not one node; merge them in the mesher (gmsh: Coherence Mesh or "
             "removeDuplicateNodes; Abaqus: merge nodes) if the material is to hold together there"
         )
-        problems.append(Problem("mesh", message))
+        problems.append(BundleProblem("mesh", message))
     return problems
 
 
-def place_warnings(component: ComponentModel) -> list[Problem]:
+def place_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on where the section and the supports are."""
     mesh, section = component.mesh, component.section
     problems = []
@@ -79,12 +79,12 @@ def place_warnings(component: ComponentModel) -> list[Problem]:
             "is a bare set of nodes that bounds no face, so every node counts the same; name a "
             "facet group, or all nodes of the face, for area weights"
         )
-        problems.append(Problem("interface.section", message))
+        problems.append(BundleProblem("interface.section", message))
     surface = outer_surface(mesh.blocks).node_ids
     inside = np.setdiff1d(section.node_ids, surface)
     if inside.size:
         message = f"{inside.size} of its nodes are inside the body, not on its surface"
-        problems.append(Problem("interface.section", message))
+        problems.append(BundleProblem("interface.section", message))
     constrained = np.union1d(component.fixed_nodes, section.node_ids)
     between = sum(int(np.isin(block.nodes, constrained).all(axis=1).sum()) for block in mesh.blocks)
     if between:
@@ -92,11 +92,11 @@ def place_warnings(component: ComponentModel) -> list[Problem]:
             f"{between} cells have every node fixed or in the section, so they do not deform; "
             "mesh more cells between section and supports"
         )
-        problems.append(Problem("mesh", message))
+        problems.append(BundleProblem("mesh", message))
     return problems
 
 
-def support_warnings(component: ComponentModel) -> list[Problem]:
+def support_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return a warning if the supports hold single nodes only, which answer to mesh size."""
     surface = outer_surface(component.mesh.blocks)
     if facets_within(surface, component.fixed_nodes).blocks:
@@ -105,10 +105,10 @@ def support_warnings(component: ComponentModel) -> list[Problem]:
         f"holds {len(component.fixed_nodes)} nodes and no whole face: elastic bodies give way "
         "without limit at points, so the answer depends on the mesh size; fix faces"
     )
-    return [Problem("supports.fixed", message)]
+    return [BundleProblem("supports.fixed", message)]
 
 
-def unit_warnings(component: ComponentModel) -> list[Problem]:
+def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on numbers that are rather written in another unit than SI."""
     problems = []
     low, high = _USUAL_YOUNGS_MODULUS
@@ -118,7 +118,7 @@ def unit_warnings(component: ComponentModel) -> list[Problem]:
                 f"is {material.youngs_modulus:.4g} Pa, softer than rubber or stiffer than "
                 "diamond; if it was meant in MPa or GPa, write it in Pa"
             )
-            problems.append(Problem(f"material[{number}].youngs_modulus", message))
+            problems.append(BundleProblem(f"material[{number}].youngs_modulus", message))
     points = component.mesh.points
     low_corner, high_corner = points.min(axis=0), points.max(axis=0)
     away = component.point - np.clip(component.point, low_corner, high_corner)
@@ -128,7 +128,7 @@ def unit_warnings(component: ComponentModel) -> list[Problem]:
             f"is {lever:.4g} m away from a mesh {size:.4g} m large; if it was meant in the "
             "mesh's unit, write it in m"
         )
-        problems.append(Problem("interface.point", message))
+        problems.append(BundleProblem("interface.point", message))
     return problems
 
 

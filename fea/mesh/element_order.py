@@ -27,7 +27,7 @@ import numpy as np
 
 from wrenchbook.fea.mesh.facets import EDGES, FaceFinder
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
-from wrenchbook.fea.spec.problems import Problem
+from wrenchbook.fea.spec.problems import BundleProblem
 
 Array = np.ndarray
 
@@ -35,7 +35,7 @@ SECOND = {"hex8": "hex20", "tet4": "tet10", "wedge6": "wedge15"}
 """Each kind of first-order cell, and what it is with midside nodes."""
 
 
-def first_order_problems(mesh: Mesh) -> list[Problem]:
+def first_order_problems(mesh: Mesh) -> list[BundleProblem]:
     """Return a problem if there are first-order cells."""
     found = [f"{len(b)} {b.kind}" for b in mesh.blocks if b.kind in SECOND and len(b)]
     if not found:
@@ -46,7 +46,7 @@ def first_order_problems(mesh: Mesh) -> list[Problem]:
         "Mesh.ElementOrder = 2; Abaqus: C3D20R, C3D10), or write order = 2 under [mesh] to give "
         "them midside nodes"
     )
-    return [Problem("mesh", message)]
+    return [BundleProblem("mesh", message)]
 
 
 def second_order(mesh: Mesh) -> Mesh:

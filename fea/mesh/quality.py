@@ -6,7 +6,7 @@ import numpy as np
 
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_places, reference_element, tabulate
-from wrenchbook.fea.spec.problems import Problem
+from wrenchbook.fea.spec.problems import BundleProblem
 
 Array = np.ndarray
 
@@ -75,7 +75,7 @@ def right_way_round(points: Array, block: CellBlock) -> CellBlock:
     return CellBlock(block.kind, block.nodes[:, distance.argmin(axis=1)])
 
 
-def cell_problems(mesh: Mesh) -> list[Problem]:
+def cell_problems(mesh: Mesh) -> list[BundleProblem]:
     """Return a problem for each block with cells that are turned inside out or flat."""
     found = []
     for block in mesh.blocks:
@@ -89,5 +89,5 @@ def cell_problems(mesh: Mesh) -> list[Problem]:
                 "nodes in the file format's order or its midside nodes on the middle of their "
                 "edges, and write collapsed cells as wedges or tetrahedra"
             )
-            found.append(Problem("mesh", message))
+            found.append(BundleProblem("mesh", message))
     return found

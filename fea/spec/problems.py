@@ -8,7 +8,7 @@ from difflib import get_close_matches
 
 
 @dataclass(frozen=True)
-class Problem:
+class BundleProblem:
     """One mistake.
 
     Attributes
@@ -29,11 +29,11 @@ class Problem:
 class BundleError(ValueError):
     """A component bundle cannot be used; `problems` holds every mistake that was found."""
 
-    def __init__(self, problems: Iterable[Problem]) -> None:
-        self.problems: list[Problem] = list(problems)
+    def __init__(self, problems: Iterable[BundleProblem]) -> None:
+        self.problems: list[BundleProblem] = list(problems)
         super().__init__("\n".join(str(problem) for problem in self.problems))
 
-    def __reduce__(self) -> tuple[type[BundleError], tuple[list[Problem]]]:
+    def __reduce__(self) -> tuple[type[BundleError], tuple[list[BundleProblem]]]:
         # The default would rebuild it from the joined text and lose the list.
         return BundleError, (self.problems,)
 

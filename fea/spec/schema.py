@@ -179,7 +179,7 @@ class Analysis:
 
 
 @dataclass(frozen=True, eq=False)
-class LoadRange:
+class DeclaredRange:
     """The loads expected.
 
     Attributes
@@ -193,7 +193,7 @@ class LoadRange:
 
 
 @dataclass(frozen=True)
-class Tolerance:
+class DeclaredTolerance:
     """The error a component's users accept: `translation` in m, `rotation` in rad."""
 
     translation: float
@@ -252,8 +252,8 @@ class Bundle:
     supports: Supports | None
     interface: Interface | None
     analysis: Analysis
-    range: LoadRange
-    tolerance: Tolerance | None
+    range: DeclaredRange
+    tolerance: DeclaredTolerance | None
     deck: Deck | None
     fingerprint: str
 

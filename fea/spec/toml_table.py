@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from wrenchbook.fea.spec.problems import Problem, suggest
+from wrenchbook.fea.spec.problems import BundleProblem, suggest
 
 _NAMES = {str: "a text", bool: "true or false", list: "a list", dict: "a table"}
 _MISSING = object()
@@ -21,8 +21,8 @@ _STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u206
 class Keys:
     """One table of the file and where it stands.
 
-    Each reading method takes a key, notes a `Problem` if its value will not do, and then returns
-    None. `close` notes the keys that no method has read.
+    Each reading method takes a key; it notes a `BundleProblem` and returns None if the value will
+    not do. `close` notes the keys that no method has read.
 
     Parameters
     ----------
@@ -34,7 +34,9 @@ class Keys:
         The path of this table, empty for the whole file.
     """
 
-    def __init__(self, table: Mapping[str, Any], problems: list[Problem], where: str = "") -> None:
+    def __init__(
+        self, table: Mapping[str, Any], problems: list[BundleProblem], where: str = ""
+    ) -> None:
         self._table = table
         self._known: list[str] = []
         self.problems = problems
@@ -52,7 +54,7 @@ class Keys:
 
     def wrong(self, key: str, message: str) -> None:
         """Note a mistake at `key`."""
-        self.problems.append(Problem(self.path(key), message))
+        self.problems.append(BundleProblem(self.path(key), message))
 
     def close(self) -> None:
         """Note every key that no method has read, with the nearest known one."""

@@ -13,7 +13,14 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.spec.schema import Analysis, Bundle, Interface, LoadRange, Material, Supports
+from wrenchbook.fea.spec.schema import (
+    Analysis,
+    Bundle,
+    DeclaredRange,
+    Interface,
+    Material,
+    Supports,
+)
 
 Array = np.ndarray
 Warp = Callable[[Array], Array]
@@ -77,7 +84,7 @@ def _bundle(material: Material, fixed: str, interface: Interface, nonlinear: boo
         supports=Supports((fixed,)),
         interface=interface,
         analysis=Analysis(nonlinear=nonlinear),
-        range=LoadRange(np.full(6, -np.inf), np.full(6, np.inf)),
+        range=DeclaredRange(np.full(6, -np.inf), np.full(6, np.inf)),
         tolerance=None,
         deck=None,
         fingerprint="",

@@ -27,7 +27,7 @@ from wrenchbook.fea.element.pressure_projection import projects
 from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.problems import BundleError, Problem
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import FREEDOMS
 from wrenchbook.fea.validation import calculix
 from wrenchbook.fea.validation.calculix import LINEAR, NONLINEAR
@@ -217,7 +217,7 @@ def _made_ready(
     bundle = read_bundle(folder)
     if bundle.deck is not None:
         message = "answers in place of the embedded solver, so there is nothing to compare with"
-        raise BundleError([Problem("deck", message)])
+        raise BundleError([BundleProblem("deck", message)])
     part, notes = comparable(build(bundle))
     wrenches = chosen_wrenches(part, texts)
     deck_of(replace(part, coupling="rigid"))  # what CalculiX has no counterpart of, before a solve

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.service.tables.served import ServedTable
-from wrenchbook.surrogate.table.axes import Axis
+from wrenchbook.surrogate.table.axes import LoadAxis
 from wrenchbook.surrogate.table.rows import LoadRange
 
 Floats = NDArray[np.float64]
@@ -39,7 +39,7 @@ def _mirrored(numbers: NDArray[np.int_], base: int) -> Floats:
     return out
 
 
-def grid_of(load_range: LoadRange, axis: Axis) -> Floats:
+def grid_of(load_range: LoadRange, axis: LoadAxis) -> Floats:
     """Return the middles of a grid's cells over the loads of an axis, (n, 6), N and N·m.
 
     Its other loads are zero. At the ends of the range, which rows hardly ever reach, lie no points:

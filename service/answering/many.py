@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
-from wrenchbook.service.answering.queries import BatchOutcome, BatchQuery, WrenchJob
+from wrenchbook.service.answering.queries import BatchOutcome, BatchQuery, QueuedWrench
 from wrenchbook.service.answering.refusals import BeyondRangeError, NotCoveredError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.submission import Placed
@@ -107,7 +107,7 @@ def _acting(component: Component, batch: BatchQuery) -> BatchQuery:
     return replace(batch, wrenches=component.acting(batch.wrenches))
 
 
-def _placed(workspace: Workspace, name: str, batch: BatchQuery, thin: Places) -> list[WrenchJob]:
+def _placed(workspace: Workspace, name: str, batch: BatchQuery, thin: Places) -> list[QueuedWrench]:
     """Find a job for each of the thin wrenches, or the reason why it has none."""
     component, submission = workspace.submission.solvable(name), workspace.submission
     out = ~component.load_range.holds(batch.wrenches[thin]) & (not batch.beyond_range)
@@ -122,15 +122,15 @@ def _placed(workspace: Workspace, name: str, batch: BatchQuery, thin: Places) ->
     place = submission.each if batch.on_thin == "wait" else submission.queue
     within = iter(place(name, batch.wrenches[thin[~out]]))
     return [
-        WrenchJob(index, None, own=False, reason="beyond-range")
+        QueuedWrench(index, None, own=False, reason="beyond-range")
         if is_out
         else _with_reason(index, next(within))
         for index, is_out in zip(thin.tolist(), out.tolist(), strict=True)
     ]
 
 
-def _with_reason(index: int, placed: Placed) -> WrenchJob:
-    return WrenchJob(index, placed.job, placed.own, "" if placed.job else "queue-limit")
+def _with_reason(index: int, placed: Placed) -> QueuedWrench:
+    return QueuedWrench(index, placed.job, placed.own, "" if placed.job else "queue-limit")
 
 
 def _look_again(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) -> None:
@@ -138,7 +138,8 @@ def _look_again(workspace: Workspace, batch: BatchQuery, outcome: BatchOutcome) 
     numbers = {one.job.id for one in outcome.jobs if one.job}
     now = {number: workspace.ledger.job(number) for number in numbers}
     outcome.jobs = [
-        WrenchJob(one.index, now[one.job.id], one.own) if one.job else one for one in outcome.jobs
+        QueuedWrench(one.index, now[one.job.id], one.own) if one.job else one
+        for one in outcome.jobs
     ]
     _take_rows(workspace, batch, outcome)
 

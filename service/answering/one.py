@@ -16,7 +16,7 @@ from wrenchbook.service.answering.refusals import (
     SolveFailedError,
 )
 from wrenchbook.service.client.replies import EXACT, ROUNDED
-from wrenchbook.service.ledger import Job
+from wrenchbook.service.ledger import JobRecord
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.submission import Placed
 from wrenchbook.service.tables.rows import others_in_words
@@ -265,7 +265,7 @@ def _queued(workspace: Workspace, query: Query, outcome: Outcome) -> Placed:
     return placed
 
 
-def _own_job(workspace: Workspace, query: Query, name: str) -> Job:
+def _own_job(workspace: Workspace, query: Query, name: str) -> JobRecord:
     """Accept the job of exactly this wrench."""
     component = workspace.submission.solvable(name)
     wrench = np.array([query.wrench])

@@ -16,7 +16,7 @@ from wrenchbook.service.answering.queries import (
     BatchQuery,
     Outcome,
     Query,
-    WrenchJob,
+    QueuedWrench,
     also,
 )
 from wrenchbook.service.tables.served import ServedTable
@@ -59,7 +59,7 @@ async def answer_many_at(
         refuse_thin(batch, thin)
         if batch.on_thin == "queue":
             why = "table-version"
-            outcome.jobs = [WrenchJob(at, None, own=False, reason=why) for at in thin.tolist()]
+            outcome.jobs = [QueuedWrench(at, None, own=False, reason=why) for at in thin.tolist()]
     return outcome
 
 

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.service.ledger import Job
+from wrenchbook.service.ledger import JobRecord
 from wrenchbook.surrogate.table.rows import Tolerance
 
 Floats = NDArray[np.float64]
@@ -110,7 +110,7 @@ class Outcome:
     elapsed_us: float
     reason: str = ""
     unsolved: bool = False
-    job: Job | None = None
+    job: JobRecord | None = None
     row: int | None = None
     notes: list[str] = field(default_factory=list)
     axes: list[dict[str, Any]] | None = None
@@ -127,7 +127,7 @@ def also(reason: str, more: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class WrenchJob:
+class QueuedWrench:
     """The solve of one wrench of a batch: the wrench's number, its job, or why it has none.
 
     Attributes
@@ -141,7 +141,7 @@ class WrenchJob:
     """
 
     index: int
-    job: Job | None
+    job: JobRecord | None
     own: bool
     reason: str = ""
 
@@ -175,7 +175,7 @@ class BatchOutcome:
     coverage: NDArray[np.uint8]
     table_version: int
     elapsed_us: float
-    jobs: list[WrenchJob]
+    jobs: list[QueuedWrench]
     method: str
     derivatives: Floats | None = None
     tolerance: Tolerance | None = None

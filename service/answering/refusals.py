@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from wrenchbook.service.ledger import Job
+from wrenchbook.service.ledger import JobRecord
 
 
 class RefusedError(Exception):
@@ -32,7 +32,7 @@ class BeyondRangeError(RefusedError):
 class SolveFailedError(RefusedError):
     """The solve of this wrench failed."""
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: JobRecord) -> None:
         error = job.error or {}
         message, remedy = error.get("message", ""), error.get("remedy", "")
         # Failures that older versions stored end in their remedy already.

@@ -12,7 +12,7 @@ from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.scene.cut import cut
 from wrenchbook.surrogate.scene.need import Need
-from wrenchbook.surrogate.scene.plan import Plan, plan_of
+from wrenchbook.surrogate.scene.plan import ScenePlan, plan_of
 from wrenchbook.surrogate.scene.savings import Savings, measured
 
 SOLVES_TIMED = 32  # the last done ones, whose median is what a solve takes
@@ -37,7 +37,7 @@ def scene_file(workspace: Workspace, component: Component, table: ServedTable, n
 
 
 def _plan_body(
-    workspace: Workspace, component: Component, plan: Plan, savings: Savings, version: int
+    workspace: Workspace, component: Component, plan: ScenePlan, savings: Savings, version: int
 ) -> dict[str, Any]:
     need, (whole, scene) = plan.need, plan.solves
     limit = need.tolerance
@@ -68,7 +68,7 @@ def _number(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _solves_from(workspace: Workspace, component: Component, plan: Plan) -> str:
+def _solves_from(workspace: Workspace, component: Component, plan: ScenePlan) -> str:
     """Return what the numbers of solves are, and what those saved would take."""
     whole, scene = plan.solves
     if not component.has_fea:

@@ -14,7 +14,7 @@ Cell = tuple[int, ...]
 
 
 @dataclass
-class Counts:
+class QueryCounts:
     """The map of one component.
 
     Attributes
@@ -45,12 +45,12 @@ class Counts:
             self.cells[cell] = [found[0] + thin, found[1] + outside]
 
 
-def add(first: dict[str, Counts], second: dict[str, Counts]) -> dict[str, Counts]:
+def add(first: dict[str, QueryCounts], second: dict[str, QueryCounts]) -> dict[str, QueryCounts]:
     """Return the sum of two maps by component; neither is changed."""
     return {name: _sum(first.get(name), second.get(name)) for name in {**first, **second}}
 
 
-def kept(maps: dict[str, Counts]) -> dict[str, Any]:
+def kept(maps: dict[str, QueryCounts]) -> dict[str, Any]:
     """Return maps as JSON keeps them."""
     return {
         name: {
@@ -63,7 +63,7 @@ def kept(maps: dict[str, Counts]) -> dict[str, Any]:
     }
 
 
-def read(told: dict[str, Any]) -> dict[str, Counts]:
+def read(told: dict[str, Any]) -> dict[str, QueryCounts]:
     """Return the maps that `kept` has made.
 
     Raises
@@ -74,16 +74,16 @@ def read(told: dict[str, Any]) -> dict[str, Counts]:
     return {name: _read(one) for name, one in told.items()}
 
 
-def _read(one: dict[str, Any]) -> Counts:
+def _read(one: dict[str, Any]) -> QueryCounts:
     cells = {tuple(map(int, line[:6])): [line[6], line[7]] for line in one["cells"]}
-    counts = Counts(float(one["since"]), cells, int(one["elsewhere"]))
+    counts = QueryCounts(float(one["since"]), cells, int(one["elsewhere"]))
     counts.latest.extend(one.get("latest", ()))
     return counts
 
 
-def _sum(first: Counts | None, second: Counts | None) -> Counts:
-    first, second = first or Counts(None), second or Counts(None)
-    made = Counts(
+def _sum(first: QueryCounts | None, second: QueryCounts | None) -> QueryCounts:
+    first, second = first or QueryCounts(None), second or QueryCounts(None)
+    made = QueryCounts(
         min((one.since for one in (first, second) if one.since), default=None),
         dict(first.cells),
         first.elsewhere + second.elsewhere,

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from wrenchbook.service.demand.counts import Counts, add, kept, read
+from wrenchbook.service.demand.counts import QueryCounts, add, kept, read
 from wrenchbook.service.files.durable import write_whole_bytes
 from wrenchbook.service.files.lock import take
 from wrenchbook.surrogate.answer import NAMES
@@ -34,7 +34,7 @@ _BEYOND: Final = 10  # cells; what lies farther off is in the outermost one
 ADD_S: Final = 1.0  # between two additions of a process' own counts to the file
 
 
-class Demand:
+class QueryStatistics:
     """What was asked of each component and was thin or outside.
 
     Parameters
@@ -46,8 +46,8 @@ class Demand:
     def __init__(self, path: Path) -> None:
         self._path, self._lock_path = path, path.with_name(f".{path.stem}.lock")
         self._lock = threading.Lock()
-        self._held: dict[str, Counts] = {}  # as the file had it last
-        self._own: dict[str, Counts] = {}  # what has been counted here since then
+        self._held: dict[str, QueryCounts] = {}  # as the file had it last
+        self._own: dict[str, QueryCounts] = {}  # what has been counted here since then
         self._refused = False
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._keep_adding, name="demand", daemon=True)
@@ -76,7 +76,7 @@ class Demand:
         with self._lock:
             if not (name in self._own or name in self._held) and self._is_full():
                 return
-            counts = self._own.setdefault(name, Counts(since=time.time()))
+            counts = self._own.setdefault(name, QueryCounts(since=time.time()))
             counts.latest.append(
                 {"wrench": list(wrench), "coverage": coverage, "when": time.time()}
             )
@@ -101,7 +101,7 @@ class Demand:
         with self._lock:
             whole = {one: self._held[one] for one in (name,) if one in self._held}
             whole = add(whole, {one: self._own[one] for one in (name,) if one in self._own})
-        counts = whole.get(name, Counts(since=None))
+        counts = whole.get(name, QueryCounts(since=None))
         size = CELL * span.scale
         cells = sorted(counts.cells.items(), key=lambda cell: -sum(cell[1]))
         return {
@@ -170,7 +170,7 @@ class Demand:
             if descriptor is not None:
                 os.close(descriptor)
 
-    def _write(self, counts: dict[str, Counts]) -> bool:
+    def _write(self, counts: dict[str, QueryCounts]) -> bool:
         try:
             write_whole_bytes(self._path, json.dumps(kept(counts)).encode(), durable=False)
         except OSError as error:
@@ -179,7 +179,7 @@ class Demand:
         self._refused = False
         return True
 
-    def _read(self) -> dict[str, Counts]:
+    def _read(self) -> dict[str, QueryCounts]:
         try:
             return read(json.loads(self._path.read_bytes()))
         except FileNotFoundError:

@@ -21,7 +21,7 @@ class TooManyListenersError(Exception):
 
 
 @dataclass(frozen=True)
-class Event:
+class FeedEvent:
     """One event as it goes over the wire.
 
     Attributes
@@ -48,7 +48,7 @@ class Listener:
         self._waiting: deque[bytes] = deque()
         self._ready = asyncio.Event()
 
-    def wants(self, event: Event) -> bool:
+    def wants(self, event: FeedEvent) -> bool:
         """Tell whether an event is for this listener."""
         return self.component is None or event.component in (None, self.component)
 
@@ -90,7 +90,7 @@ class Feed:
     def __init__(self) -> None:
         self._mark = secrets.token_hex(4)
         self._number = 0
-        self._kept: deque[Event] = deque(maxlen=KEPT)
+        self._kept: deque[FeedEvent] = deque(maxlen=KEPT)
         self._listeners: set[Listener] = set()
         self.closed = False
 
@@ -102,7 +102,7 @@ class Feed:
     def publish(self, kind: str, component: str | None, body: dict[str, Any]) -> None:
         """Tell an event to all who want it, and keep it for those who come back."""
         self._number += 1
-        event = Event(self._number, component, _wire(kind, body, self._id(self._number)))
+        event = FeedEvent(self._number, component, _wire(kind, body, self._id(self._number)))
         self._kept.append(event)
         for listener in [one for one in self._listeners if one.wants(event)]:
             if not listener.put(event.wire):
@@ -149,7 +149,7 @@ class Feed:
         for listener in list(self._listeners):
             listener.end()
 
-    def _missed(self, last_id: str, listener: Listener) -> list[Event] | None:
+    def _missed(self, last_id: str, listener: Listener) -> list[FeedEvent] | None:
         """Return what a listener has missed since an id; None if that is not known any more."""
         mark, _, number = last_id.partition(".")
         if mark != self._mark or not number.isdecimal() or int(number) > self._number:

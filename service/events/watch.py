@@ -16,7 +16,7 @@ from typing import Any
 from starlette.concurrency import run_in_threadpool
 
 from wrenchbook.service.events.feed import Feed, Listener
-from wrenchbook.service.ledger import Change, Job, LedgerError, LedgerUnavailableError
+from wrenchbook.service.ledger import Change, JobRecord, LedgerError, LedgerUnavailableError
 from wrenchbook.service.tables.served import TableBehindError
 from wrenchbook.service.workspace import Workspace
 
@@ -27,7 +27,7 @@ FIRST_LOOK_S = 10.0  # as long as a ledger may be busy; later the caller is told
 LINGER_S = 300.0  # looked on after the last listener left: it may only be connecting again
 ONE_BY_ONE = 50  # changed jobs told one by one at a time; more are told as a number
 
-Told = tuple[str, str | None, dict[str, Any]]
+Notice = tuple[str, str | None, dict[str, Any]]
 
 
 @dataclass
@@ -121,13 +121,13 @@ class Watch:
         self._task = None
 
 
-def look(workspace: Workspace, seen: Seen | None) -> tuple[Seen, list[Told]]:
+def look(workspace: Workspace, seen: Seen | None) -> tuple[Seen, list[Notice]]:
     """Return what is there now, and the events that lead there from what was seen."""
     ledger = workspace.ledger
     before = seen or Seen()
     now = Seen(ledger.version(), before.newest_job, before.jobs, table_versions(workspace))
     told = _of_tables(workspace, before, now) if seen else []
-    changed: list[Job] = []
+    changed: list[JobRecord] = []
     if now.ledger != before.ledger:
         jobs = ledger.unfinished(before.newest_job if seen else None)
         newest = jobs if seen else ledger.jobs(limit=1)
@@ -149,7 +149,7 @@ def table_versions(workspace: Workspace) -> dict[str, int]:
     return found
 
 
-def job_event(job: Job, **more: Any) -> dict[str, Any]:
+def job_event(job: JobRecord, **more: Any) -> dict[str, Any]:
     """Return what an event says of a job."""
     return {
         "id": job.id,
@@ -163,16 +163,16 @@ def job_event(job: Job, **more: Any) -> dict[str, Any]:
     }
 
 
-def _state(job: Job) -> tuple[str, int]:
+def _state(job: JobRecord) -> tuple[str, int]:
     return job.status, job.attempt
 
 
-def _of_jobs(changed: list[Job]) -> list[Told]:
+def _of_jobs(changed: list[JobRecord]) -> list[Notice]:
     """Tell changed jobs one by one, or of a component with many how many there are."""
-    of_component: dict[str, list[Job]] = {}
+    of_component: dict[str, list[JobRecord]] = {}
     for job in sorted(changed, key=lambda job: job.id):
         of_component.setdefault(job.component, []).append(job)
-    told: list[Told] = []
+    told: list[Notice] = []
     for name, jobs in of_component.items():
         if len(jobs) > ONE_BY_ONE:
             body = {"component": name, "count": len(jobs), "url": f"/v1/jobs?component={name}"}
@@ -182,8 +182,8 @@ def _of_jobs(changed: list[Job]) -> list[Told]:
     return told
 
 
-def _of_tables(workspace: Workspace, before: Seen, now: Seen) -> list[Told]:
-    told: list[Told] = []
+def _of_tables(workspace: Workspace, before: Seen, now: Seen) -> list[Notice]:
+    told: list[Notice] = []
     for name, version in now.versions.items():
         if version != before.versions.get(name):
             rows = workspace.tables.surrogate(name).row_count
@@ -192,9 +192,9 @@ def _of_tables(workspace: Workspace, before: Seen, now: Seen) -> list[Told]:
     return told
 
 
-def _progressed(workspace: Workspace, before: Seen, now: Seen) -> list[Told]:
+def _progressed(workspace: Workspace, before: Seen, now: Seen) -> list[Notice]:
     """Tell how far running jobs are where that has changed."""
-    told: list[Told] = []
+    told: list[Notice] = []
     running = [number for number, state in now.jobs.items() if state[0] == "running"]
     for number in running[:ONE_BY_ONE]:
         job = workspace.ledger.job(number)

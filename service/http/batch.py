@@ -1,7 +1,7 @@
 """Batches of wrenches: float64, small JSON, and large JSON, which a sandboxed process parses.
 
 The parser holds Python's lock for seconds, and what it makes of a body may be forty times as large.
-A mistake is a `ProblemError` of status 422 with the place of each mistake.
+A mistake is a `HttpProblemError` of status 422 with the place of each mistake.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from wrenchbook.service.http.parsing import (
     plain_rows,
     plain_wrenches,
 )
-from wrenchbook.service.http.problems import ProblemError, bad_body
+from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.sandbox import MIB, Limits, Part, run
 from wrenchbook.surrogate.table.rows import LOADS, Tolerance
 
@@ -84,7 +84,7 @@ def read_batch_body(body: Spooled) -> BatchQuery:
 
     Raises
     ------
-    ProblemError
+    HttpProblemError
         422, with mistakes' places.
     SandboxError, SandboxBusyError
         If it takes too much to be read, or too many others are being read.
@@ -138,7 +138,7 @@ def _few_lists(body: bytes) -> None:
         raise _too_many()
 
 
-def _too_many() -> ProblemError:
+def _too_many() -> HttpProblemError:
     return bad_body([{"loc": "wrenches", "msg": f"at most {MAX_BATCH} wrenches a call"}])
 
 
@@ -147,7 +147,7 @@ def parsed(path: Path) -> Iterator[Part]:
     body = path.read_bytes()
     try:
         fields, wrenches = in_pieces(body) or batch_parts(body)
-    except ProblemError as error:
+    except HttpProblemError as error:
         yield Part({"refused": {"status": error.status, "body": error.body}})
     else:
         yield Part({"refused": None, "batch": fields}, {"wrenches": np.asarray(wrenches)})
@@ -163,7 +163,7 @@ def in_pieces(body: bytes) -> tuple[dict[str, Any], np.ndarray] | None:
 
     Raises
     ------
-    ProblemError
+    HttpProblemError
         422, if its other fields have mistakes.
     """
     at, end = body.find(_WRENCHES), body.rfind(b"]]") + 1
@@ -197,9 +197,9 @@ def _rows(text: bytes, *, first: bool) -> np.ndarray | None:
         return None
 
 
-def refusal(sent: dict[str, Any]) -> ProblemError:
+def refusal(sent: dict[str, Any]) -> HttpProblemError:
     """Return the problem that a child came to."""
-    found = ProblemError(int(sent["status"]), "", "", str(sent["body"].get("detail", "")))
+    found = HttpProblemError(int(sent["status"]), "", "", str(sent["body"].get("detail", "")))
     found.body = dict(sent["body"])
     return found
 
@@ -210,7 +210,7 @@ async def few_large(wrenches: int) -> AsyncIterator[None]:
 
     Raises
     ------
-    ProblemError
+    HttpProblemError
         503, after WAIT_S.
     """
     if wrenches < LARGE:
@@ -269,7 +269,7 @@ def read_wrenches(body: bytes, most: int = MAX_BATCH, largest: float = LARGEST_L
 
     Raises
     ------
-    ProblemError
+    HttpProblemError
         422, if they are no whole wrenches, more than `most`, or a number is not finite.
     """
     if len(body) % ROW_BYTES:

@@ -18,7 +18,7 @@ from starlette.formparsers import MultiPartException
 from starlette.requests import ClientDisconnect
 from starlette.types import Message, Receive
 
-from wrenchbook.service.http.problems import ProblemError, bad_body
+from wrenchbook.service.http.problems import HttpProblemError, bad_body
 
 # One wrench with all its options is some 400 bytes; no reason makes it a hundred times that.
 MOST_QUERY_BYTES: Final = 64 * 1024
@@ -30,10 +30,10 @@ PIECE: Final = 1 << 20  # bytes in memory: parsed in a hundredth of a second; mo
 _FORM_BYTES: Final = 64 * 1024  # of a form, around its files
 _LOGS: Final = ("loads", "displacements")
 
-Refusal = Callable[[int], ProblemError]
+Refusal = Callable[[int], HttpProblemError]
 
 
-def too_large(most: int) -> ProblemError:
+def too_large(most: int) -> HttpProblemError:
     """Return the refusal of a body of more than `most` bytes."""
     detail = f"Send at most {most >> 20} MiB a call; send parts. Nothing was changed."
     if most < 1 << 20:
@@ -41,18 +41,18 @@ def too_large(most: int) -> ProblemError:
             f"This call takes at most {most:,} bytes; nothing was changed. Leave out what it "
             "does not need, or send parts."
         )
-    return ProblemError(413, "too-large", "The body is too large", detail)
+    return HttpProblemError(413, "too-large", "The body is too large", detail)
 
 
-def _table_too_large(most: int) -> ProblemError:
+def _table_too_large(most: int) -> HttpProblemError:
     detail = f"Send at most {most >> 20} MiB a call, gzipped or in parts; nothing was loaded."
-    return ProblemError(413, "too-large", "The table is too large", detail)
+    return HttpProblemError(413, "too-large", "The table is too large", detail)
 
 
-def busy() -> ProblemError:
+def busy() -> HttpProblemError:
     """Return the refusal of a body while too many others are worked on."""
     detail = "Nothing was changed; send it again in a minute."
-    return ProblemError(503, "busy", "Too many large bodies at once", detail)
+    return HttpProblemError(503, "busy", "Too many large bodies at once", detail)
 
 
 def counted(receive: Receive, most: int, refusal: Refusal = too_large) -> Receive:
@@ -75,7 +75,7 @@ async def pieces(receive: Receive, most: int, refusal: Refusal = too_large) -> A
 
     Raises
     ------
-    ProblemError
+    HttpProblemError
         413, as soon as more than `most` bytes have arrived.
     ClientDisconnect
         If the caller has closed the connection.
@@ -145,7 +145,7 @@ async def spooled(
 
     Raises
     ------
-    ProblemError
+    HttpProblemError
         413, as soon as more than `most` bytes have arrived; 503 while other bodies fill the limit.
     ClientDisconnect
         If the caller has closed the connection.
@@ -184,7 +184,7 @@ async def received(request: Request) -> AsyncIterator[Received]:
 
     Raises
     ------
-    ProblemError
+    HttpProblemError
         413 as soon as the body is too large; 422 if a form lacks its files.
     """
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()

@@ -8,10 +8,10 @@ from urllib.parse import urlencode
 
 from starlette.responses import Response
 
-from wrenchbook.service.ledger import Job
+from wrenchbook.service.ledger import JobRecord
 
 
-def job_link(job: Job) -> dict[str, Any]:
+def job_link(job: JobRecord) -> dict[str, Any]:
     """Return the short form of a job, as displacement answers carry it."""
     return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}"}
 

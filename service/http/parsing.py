@@ -1,6 +1,6 @@
 """Parses bodies and `?table_version=` of displacement calls; pydantic names each mistake.
 
-A mistake is a `ProblemError` of status 422 with the place of each mistake.
+A mistake is a `HttpProblemError` of status 422 with the place of each mistake.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def parsed_json(body: bytes) -> Any:
 
     Raises
     ------
-    ProblemError
+    HttpProblemError
         422.
     MemoryError
         If it is too large for the parser.
@@ -194,7 +194,7 @@ def version_of(query: bytes) -> int | None:
 
     Raises
     ------
-    ProblemError
+    HttpProblemError
         422, if it is no version, stands twice, or there is anything else in the query.
     """
     return _read(QueryParams(query).multi_items()) if query else None

@@ -81,7 +81,7 @@ _BUILT_S = "1"  # Retry-After, s: most tables are built in less
 _TYPE_ROOT = "urn:wrenchbook:problem:"
 
 
-class ProblemError(Exception):
+class HttpProblemError(Exception):
     """An error on its way to becoming a problem+json answer.
 
     Parameters
@@ -127,13 +127,13 @@ class ProblemError(Exception):
         return Response(content, self.status, self.headers, MEDIA_TYPE)
 
 
-def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> ProblemError:
+def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> HttpProblemError:
     """Describe a body that is not of the call's form; ``errors`` are ``{loc, msg}``.
 
     At most MOST_ERRORS of them are listed.
     """
     first = f"{errors[0]['loc']}: {errors[0]['msg']}" if errors else "see the documentation"
-    return ProblemError(
+    return HttpProblemError(
         422,
         "bad-request-body",
         "The request is not of this call's form",
@@ -160,20 +160,20 @@ def _listed(error: ValidationError | RequestValidationError) -> Sequence[Any]:
     return error.errors(include_url=False, include_context=False, include_input=False)
 
 
-def problem_of(error: Exception) -> ProblemError:
+def problem_of(error: Exception) -> HttpProblemError:
     """Map a room's named error to its answer; an unmapped one is raised again."""
-    if isinstance(error, ProblemError):
+    if isinstance(error, HttpProblemError):
         return error
     if isinstance(error, ValidationError | RequestValidationError):
         return bad_body(plain_errors(error))
     if isinstance(error, BundleError):
         errors = [{"loc": p.where, "msg": p.message} for p in error.problems[:MOST_ERRORS]]
         detail = f"Nothing was added. {error}"
-        return ProblemError(
+        return HttpProblemError(
             422, "bad-bundle", "The component bundle has mistakes", detail, errors=errors
         )
     if isinstance(error, SolveFailedError):
-        return ProblemError(
+        return HttpProblemError(
             424,
             "solve-failed",
             f"The solve failed: {error.kind}",
@@ -185,14 +185,14 @@ def problem_of(error: Exception) -> ProblemError:
         if isinstance(error, kind):
             facts = getattr(error, "facts", {})
             again = {"Retry-After": _BUILT_S} if kind is TableBehindError else None
-            return ProblemError(status, slug, title, str(error), headers=again, **facts)
+            return HttpProblemError(status, slug, title, str(error), headers=again, **facts)
     raise error
 
 
-def crash_of(method: str, path: str) -> ProblemError:
+def crash_of(method: str, path: str) -> HttpProblemError:
     """Return what a call answers that came to a mistake of ours."""
     detail = f"{method} {path} failed; the server's log has the traceback."
-    return ProblemError(500, "internal", "Internal server error", detail)
+    return HttpProblemError(500, "internal", "Internal server error", detail)
 
 
 def install(app: FastAPI) -> None:
@@ -203,7 +203,7 @@ def install(app: FastAPI) -> None:
 
     def http_answer(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
-        problem = ProblemError(
+        problem = HttpProblemError(
             error.status_code,
             "http",
             str(error.detail),
@@ -220,7 +220,7 @@ def install(app: FastAPI) -> None:
         return Response(status_code=CLIENT_GONE)  # no caller reads it
 
     named = (BundleError, ValidationError, RequestValidationError, SolveFailedError, *_NAMED)
-    for kind in (ProblemError, *named):
+    for kind in (HttpProblemError, *named):
         app.add_exception_handler(kind, answer)
     app.add_exception_handler(HTTPException, http_answer)
     app.add_exception_handler(ClientDisconnect, gone)

@@ -18,7 +18,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.server import ServerState
 
 from wrenchbook.service.http.fast_path import FastPath, Head, reply_bytes
-from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.problems import HttpProblemError
 
 log = logging.getLogger(__name__)
 
@@ -35,7 +35,7 @@ TOO_LONG: Final = (
     b"content-length: 0\r\nconnection: close\r\n\r\n"
 )
 _SIZES: Final = {b"content-length", b"transfer-encoding"}
-_NO_UPGRADE: Final = ProblemError(
+_NO_UPGRADE: Final = HttpProblemError(
     400,
     "upgrade",
     "This server does not switch protocols",

@@ -10,7 +10,7 @@ import orjson
 from numpy.typing import NDArray
 from starlette.responses import Response, StreamingResponse
 
-from wrenchbook.service.answering.queries import BatchOutcome, Outcome, WrenchJob
+from wrenchbook.service.answering.queries import BatchOutcome, Outcome, QueuedWrench
 from wrenchbook.service.http.batch import BINARY_TYPE
 from wrenchbook.service.http.links import job_link
 from wrenchbook.surrogate.answer import within_tolerance_many
@@ -146,7 +146,7 @@ def write_binary(outcome: BatchOutcome) -> Response:
     return Response(content, _status(outcome), headers, BINARY_TYPE)
 
 
-def _wrench_job(one: WrenchJob) -> dict[str, Any]:
+def _wrench_job(one: QueuedWrench) -> dict[str, Any]:
     if one.job is None:
         none = {"id": None, "status": None, "url": None, "reason": one.reason}
         return {"index": one.index, **none}

@@ -15,7 +15,7 @@ from wrenchbook.service.jobs.engines.engine import ALIVE, Engine
 from wrenchbook.service.jobs.lease import BEAT_SECONDS, Lease, Recovery
 from wrenchbook.service.jobs.record_outcome import component_missing, settle
 from wrenchbook.service.jobs.supervised import SupervisedAttempt, attempt_of, completed
-from wrenchbook.service.ledger import Change, Job, Ledger, StaleAttemptError
+from wrenchbook.service.ledger import Change, JobRecord, Ledger, StaleAttemptError
 from wrenchbook.service.tables.solver_errors import SolverErrors
 
 _log = logging.getLogger(__name__)
@@ -238,7 +238,7 @@ class Dispatcher:
         self._tasks.pop(run.attempt.task, None)
         self._may_claim = True
 
-    def _take_over(self, job: Job) -> None:
+    def _take_over(self, job: JobRecord) -> None:
         attempt = attempt_of(job, self._jobs_folder)
         with contextlib.suppress(Exception):  # without it the attempt may still be found
             attempt = completed(attempt, job, self._bundles(job.component), self._deadline)
@@ -246,7 +246,7 @@ class Dispatcher:
         alive = self._engine.poll(attempt) in ALIVE
         self._add(SupervisedAttempt(job, attempt, taken=True, witnessed=alive, adopted=True))
 
-    def _stop_orphan(self, job: Job) -> None:
+    def _stop_orphan(self, job: JobRecord) -> None:
         attempt = attempt_of(job, self._jobs_folder)
         self._engine.cancel(attempt)
         if self._engine.poll(attempt) in ALIVE:
@@ -276,12 +276,12 @@ class Dispatcher:
         self._drop(run)
 
     def _settle(
-        self, run: SupervisedAttempt, died: Callable[[int, int], Job] | None = None
+        self, run: SupervisedAttempt, died: Callable[[int, int], JobRecord] | None = None
     ) -> None:
         kept = {"fields": self._fields, "errors": self._errors}
         settle(self._ledger, run.job, run.folder, died=died, **kept)
 
-    def _died(self, run: SupervisedAttempt) -> Callable[[int, int], Job]:
+    def _died(self, run: SupervisedAttempt) -> Callable[[int, int], JobRecord]:
         if run.counts:
             return functools.partial(self._ledger.lose, cause=last_words(run.folder))
         if not run.witnessed or not run.taken:

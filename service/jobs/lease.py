@@ -10,7 +10,7 @@ from pathlib import Path
 
 from wrenchbook.service.files import lock as flock
 from wrenchbook.service.jobs.engines.engine import Engine
-from wrenchbook.service.ledger import Beat, Job, Ledger, StaleAttemptError
+from wrenchbook.service.ledger import Beat, JobRecord, Ledger, StaleAttemptError
 
 BEAT_SECONDS = 2.0  # between the heartbeats of a dispatcher that has attempts to look after
 # Four beats missed. With a look a second, a lease that is lost is found within ten seconds.
@@ -93,13 +93,15 @@ class Recovery:
         Called with each job that was adopted.
     """
 
-    def __init__(self, ledger: Ledger, engine: Engine, take_over: Callable[[Job], None]) -> None:
+    def __init__(
+        self, ledger: Ledger, engine: Engine, take_over: Callable[[JobRecord], None]
+    ) -> None:
         self._ledger = ledger
         self._engine = engine
         self._take_over = take_over
         self._abandoned: dict[tuple[int, int], float] = {}
 
-    def orphans(self) -> list[Job]:
+    def orphans(self) -> list[JobRecord]:
         """Return cancelled jobs of this engine whose solver may still run."""
         found = self._ledger.jobs(status="cancelled", limit=ORPHANS)
         return [job for job in found if job.attempt and job.engine == self._engine.name]
@@ -129,14 +131,14 @@ class Recovery:
             lease.remove(owner)
             self._ledger.end_lease(owner)
 
-    def _adopt(self, job: Job, lease: Lease) -> None:
+    def _adopt(self, job: JobRecord, lease: Lease) -> None:
         assert job.owner is not None
         adopted = self._ledger.adopt(job.id, job.attempt, job.owner, lease.name)
         if adopted is not None:
             _log.info("job %d attempt %d taken over from %s", job.id, job.attempt, job.owner)
             self._take_over(adopted)
 
-    def _give_up_abandoned(self, jobs: list[Job]) -> None:
+    def _give_up_abandoned(self, jobs: list[JobRecord]) -> None:
         now = time.monotonic()
         since = {(job.id, job.attempt): now for job in jobs}
         self._abandoned = {key: self._abandoned.get(key, now) for key in since}

@@ -14,13 +14,13 @@ from wrenchbook.service.jobs.attempt import (
     solver_seconds,
     tidy,
 )
-from wrenchbook.service.ledger import Job, Ledger
+from wrenchbook.service.ledger import JobRecord, Ledger
 from wrenchbook.service.tables.solver_errors import SolverErrors
 
 _log = logging.getLogger(__name__)
 
 
-def spec_of(job: Job, bundle: Path | str = "") -> Spec:
+def spec_of(job: JobRecord, bundle: Path | str = "") -> Spec:
     """Return what the job's present attempt solves, with the component's files in `bundle`."""
     place = str(Path(bundle).absolute())
     return Spec(job.id, job.attempt, job.component, place, job.fingerprint, job.wrench)
@@ -28,10 +28,10 @@ def spec_of(job: Job, bundle: Path | str = "") -> Spec:
 
 def settle(
     ledger: Ledger,
-    job: Job,
+    job: JobRecord,
     folder: Path,
     *,
-    died: Callable[[int, int], Job] | None = None,
+    died: Callable[[int, int], JobRecord] | None = None,
     fields: FieldStore | None = None,
     errors: SolverErrors | None = None,
 ) -> None:
@@ -73,7 +73,7 @@ def settle(
         ledger.release(job.id, job.attempt)
 
 
-def _commit(ledger: Ledger, job: Job, folder: Path, outcome: dict[str, Any]) -> None:
+def _commit(ledger: Ledger, job: JobRecord, folder: Path, outcome: dict[str, Any]) -> None:
     try:
         displacement, compliance = outcome["displacement"], outcome.get("compliance")
         ledger.commit(
@@ -91,19 +91,19 @@ def _commit(ledger: Ledger, job: Job, folder: Path, outcome: dict[str, Any]) -> 
         tidy(folder)
 
 
-def _origin(job: Job, outcome: dict[str, Any]) -> str:
+def _origin(job: JobRecord, outcome: dict[str, Any]) -> str:
     """Return the job of a row, with version and code digest of the program that solved it."""
     program = outcome.get("program")
     return f"job {job.id}, wrenchbook {program}" if isinstance(program, str) else f"job {job.id}"
 
 
-def notes_of(job: Job, folder: Path) -> list[str]:
+def notes_of(job: JobRecord, folder: Path) -> list[str]:
     """Return the solver's notes on its answer from the attempt's folder; often none."""
     notes = (_outcome(job, folder) or {}).get("notes")
     return [str(note) for note in notes] if isinstance(notes, list) else []
 
 
-def _outcome(job: Job, folder: Path) -> dict[str, Any] | None:
+def _outcome(job: JobRecord, folder: Path) -> dict[str, Any] | None:
     try:
         return read_outcome(folder, spec_of(job))
     except BadOutcomeError as error:
@@ -118,7 +118,7 @@ def _error(outcome: dict[str, Any]) -> dict[str, str]:
     return _bad_answer(ValueError(f"failed without a reason: {error!r}"))
 
 
-def component_missing(job: Job, error: Exception) -> dict[str, str]:
+def component_missing(job: JobRecord, error: Exception) -> dict[str, str]:
     """Return the error of a job whose component the library does not give."""
     return {
         "kind": "component_missing",

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from wrenchbook.service.jobs.attempt import attempt_folder, solver_began
 from wrenchbook.service.jobs.engines.engine import Attempt
 from wrenchbook.service.jobs.record_outcome import spec_of
-from wrenchbook.service.ledger import Job
+from wrenchbook.service.ledger import JobRecord
 from wrenchbook.service.library.component import estimate_of
 
 # Times the estimated seconds: a load may take 4 times the iterations of a usual one, the estimate
@@ -25,7 +25,7 @@ class Needs(NamedTuple):
     deadline: float
 
 
-def attempt_of(job: Job, jobs_folder: Path) -> Attempt:
+def attempt_of(job: JobRecord, jobs_folder: Path) -> Attempt:
     """Return the latest attempt of a job as its engine knows it: by its task."""
     folder = attempt_folder(jobs_folder, job.id, job.attempt)
     task = job.task or f"{job.id}-{job.attempt}"
@@ -33,7 +33,12 @@ def attempt_of(job: Job, jobs_folder: Path) -> Attempt:
 
 
 def completed(
-    attempt: Attempt, job: Job, bundle: Path, deadline: float | None, *, estimate: bool = False
+    attempt: Attempt,
+    job: JobRecord,
+    bundle: Path,
+    deadline: float | None,
+    *,
+    estimate: bool = False,
 ) -> Attempt:
     """Add where the component lies and what a solve of it needs, with a deadline of one's own.
 
@@ -74,7 +79,7 @@ class SupervisedAttempt:
         When it was first seen dead, monotonic seconds.
     """
 
-    job: Job
+    job: JobRecord
     attempt: Attempt
     taken: bool = False
     witnessed: bool = True

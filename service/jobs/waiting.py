@@ -10,7 +10,7 @@ from typing import Final
 
 from starlette.concurrency import run_in_threadpool
 
-from wrenchbook.service.ledger import Job, Ledger, LedgerUnavailableError
+from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Waiting:
     expected_s: float | None
 
 
-def why_waiting(ledger: Ledger, job: Job, slots: int, trouble: str | None) -> Waiting:
+def why_waiting(ledger: Ledger, job: JobRecord, slots: int, trouble: str | None) -> Waiting:
     """Return why a waiting job waits.
 
     Parameters
@@ -90,7 +90,7 @@ def _start(
 
 
 def _reason(
-    job: Job, before: int, running: int, slots: int, trouble: str | None, pause: float
+    job: JobRecord, before: int, running: int, slots: int, trouble: str | None, pause: float
 ) -> str:
     if trouble:
         return f"jobs do not run: {trouble}"
@@ -138,7 +138,7 @@ class Polls:
         self._looking: asyncio.Task[None] | None = None
         self._stopping = False
 
-    async def wait_all(self, job_ids: Sequence[int], seconds: float) -> list[Job]:
+    async def wait_all(self, job_ids: Sequence[int], seconds: float) -> list[JobRecord]:
         """Return the jobs once all have ended, or as they are after ``seconds``.
 
         Raises
@@ -180,7 +180,7 @@ class Polls:
         for waiter in self._waiters:
             waiter.ended.set()
 
-    def _read(self, job_ids: Sequence[int]) -> list[Job]:
+    def _read(self, job_ids: Sequence[int]) -> list[JobRecord]:
         return [self._ledger.job(one) for one in job_ids]
 
     async def _look(self) -> None:

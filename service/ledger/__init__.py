@@ -1,6 +1,6 @@
 """The durable record of jobs and rows; see `Ledger`."""
 
-from wrenchbook.service.ledger.imports import About, Import
+from wrenchbook.service.ledger.imports import About, ImportRecord
 from wrenchbook.service.ledger.ledger import Ledger
 from wrenchbook.service.ledger.packing import PackedRow, packed, packed_columns, unpacked
 from wrenchbook.service.ledger.recordings import Block, Kept, Kind, Tally, block_of
@@ -13,7 +13,7 @@ from wrenchbook.service.ledger.records import (
     DamagedRowError,
     ImportRunningError,
     InvalidTransitionError,
-    Job,
+    JobRecord,
     LedgerDamagedError,
     LedgerError,
     LedgerFileError,
@@ -41,10 +41,10 @@ __all__ = [
     "BlockKeyError",
     "Change",
     "DamagedRowError",
-    "Import",
+    "ImportRecord",
     "ImportRunningError",
     "InvalidTransitionError",
-    "Job",
+    "JobRecord",
     "Kept",
     "Kind",
     "Ledger",

@@ -50,7 +50,7 @@ class About:
 
 
 @dataclass(frozen=True)
-class Import:
+class ImportRecord:
     """One import: what it was, when (seconds since the epoch), and how many rows it brought."""
 
     id: int
@@ -64,7 +64,7 @@ class Import:
     rows: int
 
 
-class Imports(Database):
+class ImportTable(Database):
     """The imports of the ledger."""
 
     def import_rows(
@@ -110,7 +110,7 @@ class Imports(Database):
             self.notify(Change(component, rows=new))
         return new, count - new, number if new else None
 
-    def imports(self, component: str, most: int = 1000) -> list[Import]:
+    def imports(self, component: str, most: int = 1000) -> list[ImportRecord]:
         """Return the imports of a component that have ended, newest first."""
         select = (
             f"SELECT id, {_COLUMNS} FROM imports WHERE component = ? AND NOT EXISTS"
@@ -118,21 +118,21 @@ class Imports(Database):
             " ORDER BY id DESC LIMIT ?"
         )
         with self.reading() as db:
-            return [Import(*record) for record in db.execute(select, (component, most))]
+            return [ImportRecord(*record) for record in db.execute(select, (component, most))]
 
-    def import_of(self, seq: int) -> Import | None:
+    def import_of(self, seq: int) -> ImportRecord | None:
         """Return the import that brought a row; None if it was solved."""
         where = "first <= ? AND last >= ? ORDER BY first DESC LIMIT 1"
         with self.reading() as db:
             found = db.execute(f"SELECT {_QUALIFIED} {_PARTS} {where}", (seq, seq)).fetchone()
-        return Import(*found) if found else None
+        return ImportRecord(*found) if found else None
 
-    def import_spans(self, component: str) -> list[tuple[int, int, Import]]:
+    def import_spans(self, component: str) -> list[tuple[int, int, ImportRecord]]:
         """Return which rows each import of a component brought: first, last, and the import."""
         where = "import_parts.component = ? AND hidden = 0 ORDER BY first"
         with self.reading() as db:
             found = db.execute(f"SELECT first, last, {_QUALIFIED} {_PARTS} {where}", (component,))
-            return [(first, last, Import(*record)) for first, last, *record in found]
+            return [(first, last, ImportRecord(*record)) for first, last, *record in found]
 
     def drop_abandoned(self) -> None:
         """Delete the hidden rows of imports whose process is gone; nothing while one runs."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from wrenchbook.service.ledger import rows, states
 from wrenchbook.service.ledger.connections import Database
 from wrenchbook.service.ledger.packing import pack6, unpack6
-from wrenchbook.service.ledger.records import STATUSES, Job, OpenJob, Status, UnknownJobError
+from wrenchbook.service.ledger.records import STATUSES, JobRecord, OpenJob, Status, UnknownJobError
 from wrenchbook.service.ledger.schema import Connection
 
 _log = logging.getLogger(__name__)
@@ -67,7 +67,7 @@ def accept(
     priority: int,
     reopen_cancelled: bool,
     asked_by: str = "",
-) -> tuple[Job, bool]:
+) -> tuple[JobRecord, bool]:
     """Return the one job of (component, fingerprint, wrench), and whether it is new."""
     job = find_same(db, *same)
     if job is not None:
@@ -83,12 +83,12 @@ def accept(
     return get(db, added.lastrowid), True
 
 
-def lacks_its_row(db: Connection, job: Job) -> bool:
+def lacks_its_row(db: Connection, job: JobRecord) -> bool:
     """Return whether the row that a done job gave is withdrawn or damaged."""
     return job.row is not None and not rows.is_usable(db, job.row)
 
 
-def save(db: Connection, job: Job) -> Job:
+def save(db: Connection, job: JobRecord) -> JobRecord:
     """Write all fields of a job that can change."""
     error = None if job.error is None else json.dumps(job.error)
     now = (job.status, job.priority, job.attempt, job.lost, job.owner)
@@ -102,7 +102,7 @@ def save(db: Connection, job: Job) -> Job:
     return job
 
 
-def get(db: Connection, job_id: int) -> Job:
+def get(db: Connection, job_id: int) -> JobRecord:
     """Return a job by its number; raises UnknownJobError."""
     found = _select(db, "WHERE id = ?", (job_id,))
     if not found:
@@ -110,7 +110,7 @@ def get(db: Connection, job_id: int) -> Job:
     return found[0]
 
 
-def find_same(db: Connection, component: str, fingerprint: str, wrench: bytes) -> Job | None:
+def find_same(db: Connection, component: str, fingerprint: str, wrench: bytes) -> JobRecord | None:
     """Return the one job there can be for this wrench, whatever its status."""
     where = "WHERE component = ? AND fingerprint = ? AND wrench = ?"
     found = _select(db, where, (component, fingerprint, wrench))
@@ -127,7 +127,7 @@ def opened(db: Connection, component: str, fingerprint: str) -> list[OpenJob]:
     return [OpenJob(*record) for record in found]
 
 
-def next_waiting(db: Connection, now: float, most: int) -> list[Job]:
+def next_waiting(db: Connection, now: float, most: int) -> list[JobRecord]:
     """Return the waiting jobs that start next, at most `most`."""
     where = (
         "WHERE status = 'waiting' AND coalesce(not_before, 0) <= ?"
@@ -142,7 +142,7 @@ def listed(
     status: str | None,
     limit: int,
     below: int | None = None,
-) -> list[Job]:
+) -> list[JobRecord]:
     """Return jobs, newest first, those of a number below `below` if given."""
     conditions = {"component": component, "status": status}
     used = {name: value for name, value in conditions.items() if value is not None}
@@ -152,7 +152,7 @@ def listed(
     return _select(db, f"{where} ORDER BY id DESC LIMIT ?", (*used.values(), *start, limit))
 
 
-def log_jobs(touched: Iterable[Job]) -> None:
+def log_jobs(touched: Iterable[JobRecord]) -> None:
     """Log the statuses of jobs after a commit; waiting and running ones at the level DEBUG."""
     if not _log.isEnabledFor(logging.WARNING):
         return
@@ -163,7 +163,7 @@ def log_jobs(touched: Iterable[Job]) -> None:
             _log.log(level, "job %d of %s: %s", job.id, job.component, _words(job), extra=about)
 
 
-def _words(job: Job) -> str:
+def _words(job: JobRecord) -> str:
     took = "" if job.seconds is None else f" after {job.seconds:.2f} s"
     if job.status == "done":
         return f"done{took}, row {job.row}"
@@ -175,7 +175,7 @@ def _words(job: Job) -> str:
 class Jobs(Database):
     """The jobs of the ledger, read."""
 
-    def job(self, job_id: int) -> Job:
+    def job(self, job_id: int) -> JobRecord:
         """Return a job; raises UnknownJobError."""
         with self.reading() as db:
             return get(db, job_id)
@@ -186,7 +186,7 @@ class Jobs(Database):
         status: Status | None = None,
         limit: int = 100,
         below: int | None = None,
-    ) -> list[Job]:
+    ) -> list[JobRecord]:
         """Return jobs, newest first, those of a number below `below` if given."""
         with self.reading() as db:
             return listed(db, component, status, limit, below)
@@ -198,7 +198,7 @@ class Jobs(Database):
 
     def jobs_for(
         self, component: str, fingerprint: str, wrenches: Iterable[bytes]
-    ) -> dict[bytes, Job]:
+    ) -> dict[bytes, JobRecord]:
         """Return, by packed wrench, the jobs there are for any of these wrenches.
 
         Without those whose row is withdrawn or damaged: they can be accepted again.
@@ -211,12 +211,12 @@ class Jobs(Database):
                 found |= {pack6(job.wrench): job for job in same if not lacks_its_row(db, job)}
         return found
 
-    def running(self) -> list[Job]:
+    def running(self) -> list[JobRecord]:
         """Return all running jobs, oldest first."""
         with self.reading() as db:
             return _select(db, "WHERE status = 'running' ORDER BY id", ())
 
-    def unfinished(self, after: int | None = None) -> list[Job]:
+    def unfinished(self, after: int | None = None) -> list[JobRecord]:
         """Return all open jobs, and with `after` also those that ended of a number above it."""
         newer = "" if after is None else " OR id > ?"
         where = f"WHERE status IN ('waiting', 'running'){newer} ORDER BY id"
@@ -305,15 +305,15 @@ def _mean_seconds(db: Connection, component: str) -> float | None:
     return db.execute(select, (component, _RECENT)).fetchone()[0]
 
 
-def _select(db: Connection, tail: str, values: Iterable[object]) -> list[Job]:
+def _select(db: Connection, tail: str, values: Iterable[object]) -> list[JobRecord]:
     found = db.execute(f"SELECT {_COLUMNS} FROM jobs {tail}", tuple(values))
     return [_job(*record) for record in found]
 
 
-def _job(*record: object) -> Job:
+def _job(*record: object) -> JobRecord:
     fields = list(record)
     wrench, error = fields[3], fields[12]
     assert isinstance(wrench, bytes)
     fields[3] = unpack6(wrench)
     fields[12] = json.loads(error) if isinstance(error, str) else None
-    return Job(*fields)  # pyright: ignore[reportArgumentType]
+    return JobRecord(*fields)  # pyright: ignore[reportArgumentType]

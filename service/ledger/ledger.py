@@ -4,10 +4,18 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from wrenchbook.service.ledger import jobs, rows, states
-from wrenchbook.service.ledger.imports import Imports
+from wrenchbook.service.ledger.imports import ImportTable
 from wrenchbook.service.ledger.packing import pack6
 from wrenchbook.service.ledger.recordings import Recordings
-from wrenchbook.service.ledger.records import Beat, Change, Job, LedgerRow, NewRow, OpenJob, Status
+from wrenchbook.service.ledger.records import (
+    Beat,
+    Change,
+    JobRecord,
+    LedgerRow,
+    NewRow,
+    OpenJob,
+    Status,
+)
 from wrenchbook.service.ledger.schema import Connection
 from wrenchbook.service.ledger.tables import TableRows
 
@@ -15,7 +23,7 @@ from wrenchbook.service.ledger.tables import TableRows
 FORGOTTEN_SECONDS = 24 * 3600.0
 
 
-class Ledger(jobs.Jobs, TableRows, Imports, Recordings):
+class Ledger(jobs.Jobs, TableRows, ImportTable, Recordings):
     """Jobs, rows and recordings in one SQLite file, for many threads and several processes at once.
 
     A method that returned has committed to disk; one that raised changed nothing. Parameters and
@@ -31,7 +39,7 @@ class Ledger(jobs.Jobs, TableRows, Imports, Recordings):
         priority: int = 0,
         reopen_cancelled: bool = True,
         asked_by: str = "",
-    ) -> tuple[Job, bool]:
+    ) -> tuple[JobRecord, bool]:
         """Return the job for this wrench, and whether it is new.
 
         There is one job for one (component, fingerprint, wrench), whatever its status: a
@@ -70,7 +78,7 @@ class Ledger(jobs.Jobs, TableRows, Imports, Recordings):
         priority: int = 0,
         reopen_cancelled: bool = True,
         asked_by: str = "",
-    ) -> list[Job]:
+    ) -> list[JobRecord]:
         """Accept jobs in one transaction, all or none; one job a wrench, in their order."""
         keys = [pack6(wrench) for wrench in wrenches]
         return self.accept_chosen(
@@ -91,7 +99,7 @@ class Ledger(jobs.Jobs, TableRows, Imports, Recordings):
         priority: int = 0,
         reopen_cancelled: bool = True,
         asked_by: str = "",
-    ) -> list[Job]:
+    ) -> list[JobRecord]:
         """Accept the packed wrenches that `choose` picks once it has seen the open jobs.
 
         Choosing and accepting are one transaction, so a limit on open jobs holds however many
@@ -108,12 +116,12 @@ class Ledger(jobs.Jobs, TableRows, Imports, Recordings):
         self._committed(*accepted)
         return accepted
 
-    def claim(self, owner: str, engine: str = "local") -> Job | None:
+    def claim(self, owner: str, engine: str = "local") -> JobRecord | None:
         """Start the next waiting job's next attempt under `owner`; None if none waits."""
         claimed = self.claim_many(owner, engine, 1)
         return claimed[0] if claimed else None
 
-    def claim_many(self, owner: str, engine: str, most: int) -> list[Job]:
+    def claim_many(self, owner: str, engine: str, most: int) -> list[JobRecord]:
         """Start the next attempts of the next waiting jobs, in one transaction.
 
         Each gets a task key; it is submitted, not running, until `beat` reports its begin. The
@@ -131,7 +139,7 @@ class Ledger(jobs.Jobs, TableRows, Imports, Recordings):
         self._committed(*claimed)
         return claimed
 
-    def adopt(self, job_id: int, attempt: int, previous: str, owner: str) -> Job | None:
+    def adopt(self, job_id: int, attempt: int, previous: str, owner: str) -> JobRecord | None:
         """Take a running attempt over from a dead owner; None if another one was faster."""
         with self.writing() as db:
             job = jobs.get(db, job_id)
@@ -179,16 +187,16 @@ class Ledger(jobs.Jobs, TableRows, Imports, Recordings):
 
     def fail(
         self, job_id: int, attempt: int, error: dict[str, str], seconds: float | None = None
-    ) -> Job:
+    ) -> JobRecord:
         """End a running attempt as failed; `error` holds kind, message and remedy."""
         now = time.time()
         return self._end(job_id, attempt, lambda job: states.failed(job, error, now, seconds))
 
-    def lose(self, job_id: int, attempt: int, cause: str = "") -> Job:
+    def lose(self, job_id: int, attempt: int, cause: str = "") -> JobRecord:
         """Record that an attempt's solver died: waiting for longer and longer, then failed."""
         return self._end(job_id, attempt, lambda job: states.lost(job, time.time(), cause))
 
-    def release(self, job_id: int, attempt: int, *, delay: float = 0.0) -> Job:
+    def release(self, job_id: int, attempt: int, *, delay: float = 0.0) -> JobRecord:
         """Give an attempt back that did not die by itself; it does not count as lost.
 
         The next one starts after `delay` seconds.
@@ -196,7 +204,7 @@ class Ledger(jobs.Jobs, TableRows, Imports, Recordings):
         later = time.time() + delay if delay else None
         return self._end(job_id, attempt, lambda job: states.released(job, later))
 
-    def cancel(self, job_id: int) -> Job:
+    def cancel(self, job_id: int) -> JobRecord:
         """Cancel a waiting or running job; its dispatcher then stops the solver."""
         return self._move(job_id, lambda job: states.cancelled(job, time.time()))
 
@@ -215,13 +223,13 @@ class Ledger(jobs.Jobs, TableRows, Imports, Recordings):
         self._committed(*found)
         return len(found)
 
-    def retry(self, job_id: int) -> Job:
+    def retry(self, job_id: int) -> JobRecord:
         """Let a failed or cancelled job wait again."""
         return self._move(job_id, states.retried)
 
     def beat(
         self, owner: str, engine: str, began: Mapping[tuple[int, int], float] | None = None
-    ) -> list[Job]:
+    ) -> list[JobRecord]:
         """Write a heartbeat of `owner`, which runs its attempts.
 
         Parameters
@@ -265,20 +273,20 @@ class Ledger(jobs.Jobs, TableRows, Imports, Recordings):
                 (time.time() - FORGOTTEN_SECONDS,),
             )
 
-    def _end(self, job_id: int, attempt: int, step: Callable[[Job], Job]) -> Job:
-        def checked(job: Job) -> Job:
+    def _end(self, job_id: int, attempt: int, step: Callable[[JobRecord], JobRecord]) -> JobRecord:
+        def checked(job: JobRecord) -> JobRecord:
             states.check_attempt(job, attempt)
             return step(job)
 
         return self._move(job_id, checked)
 
-    def _move(self, job_id: int, step: Callable[[Job], Job]) -> Job:
+    def _move(self, job_id: int, step: Callable[[JobRecord], JobRecord]) -> JobRecord:
         with self.writing() as db:
             job = jobs.save(db, step(jobs.get(db, job_id)))
         self._committed(job)
         return job
 
-    def _committed(self, *touched: Job, rows: int = 0) -> None:
+    def _committed(self, *touched: JobRecord, rows: int = 0) -> None:
         if touched:
             jobs.log_jobs(touched)
             numbers = tuple(dict.fromkeys(job.id for job in touched))

@@ -13,7 +13,7 @@ Matrix6 = tuple[Vector6, ...]
 
 
 @dataclass(frozen=True)
-class Job:
+class JobRecord:
     """A queued solve of one wrench on one component.
 
     Attributes

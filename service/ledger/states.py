@@ -6,7 +6,12 @@ Pure functions from a job to the job after an event, without access to the ledge
 import secrets
 from dataclasses import replace
 
-from wrenchbook.service.ledger.records import InvalidTransitionError, Job, StaleAttemptError, Status
+from wrenchbook.service.ledger.records import (
+    InvalidTransitionError,
+    JobRecord,
+    StaleAttemptError,
+    Status,
+)
 
 # Seconds a job waits after its solver's first, second and third death; the fourth ends it.
 # The cause of deaths, such as a lack of memory, has often passed a minute or two later.
@@ -38,7 +43,7 @@ SOLVER_DIED = {
 }
 
 
-def claimed(job: Job, owner: str, engine: str, now: float) -> Job:
+def claimed(job: JobRecord, owner: str, engine: str, now: float) -> JobRecord:
     """Return the job with a new attempt under `owner`, submitted to an engine."""
     attempt = job.attempt + 1
     # Engines may serve many data directories, whose jobs have the same numbers.
@@ -48,27 +53,29 @@ def claimed(job: Job, owner: str, engine: str, now: float) -> Job:
     return _moved(job, "claim", attempt=attempt, **where, **fresh)
 
 
-def begun(job: Job, at: float) -> Job:
+def begun(job: JobRecord, at: float) -> JobRecord:
     """Return the running job with a solver at its attempt since `at`."""
     return _moved(job, "begin", began=at if job.began is None else job.began)
 
 
-def adopted(job: Job, owner: str) -> Job:
+def adopted(job: JobRecord, owner: str) -> JobRecord:
     """Return the running job under another dispatcher; the attempt goes on."""
     return _moved(job, "adopt", owner=owner)
 
 
-def committed(job: Job, row: int, now: float, seconds: float | None = None) -> Job:
+def committed(job: JobRecord, row: int, now: float, seconds: float | None = None) -> JobRecord:
     """Return the job done, with the row it gave; its solver took some seconds, if known."""
     return _moved(job, "commit", owner=None, row=row, **_end(job, now, seconds))
 
 
-def failed(job: Job, error: dict[str, str], now: float, seconds: float | None = None) -> Job:
+def failed(
+    job: JobRecord, error: dict[str, str], now: float, seconds: float | None = None
+) -> JobRecord:
     """Return the job failed, with the solver's reason."""
     return _moved(job, "fail", owner=None, error=error, **_end(job, now, seconds))
 
 
-def lost(job: Job, now: float, cause: str = "") -> Job:
+def lost(job: JobRecord, now: float, cause: str = "") -> JobRecord:
     """Return the job waiting for some time, or failed if its solver died too often.
 
     `cause` describes the latest death.
@@ -83,30 +90,30 @@ def lost(job: Job, now: float, cause: str = "") -> Job:
     return _moved(job, "give up", owner=None, lost=count, error=error, finished=now)
 
 
-def released(job: Job, not_before: float | None = None) -> Job:
+def released(job: JobRecord, not_before: float | None = None) -> JobRecord:
     """Return the job waiting again after an attempt that was given back, not lost."""
     return _moved(job, "release", owner=None, not_before=not_before, **_UNSTARTED)
 
 
-def cancelled(job: Job, now: float) -> Job:
+def cancelled(job: JobRecord, now: float) -> JobRecord:
     """Return the job cancelled."""
     finished = job.finished if job.status == "cancelled" else now
     return _moved(job, "cancel", owner=None, finished=finished)
 
 
-def retried(job: Job) -> Job:
+def retried(job: JobRecord) -> JobRecord:
     """Return a failed or cancelled job waiting again, on request."""
     return _moved(job, "retry", **_FRESH)
 
 
-def reopened(job: Job) -> Job:
+def reopened(job: JobRecord) -> JobRecord:
     """Return a cancelled job, or one whose row is withdrawn, waiting again, on request."""
     return _moved(job, "reopen", row=None, **_FRESH)
 
 
 def accepted_again(
-    job: Job, priority: int, reopen_cancelled: bool, lacks_row: bool, asked_by: str = ""
-) -> Job:
+    job: JobRecord, priority: int, reopen_cancelled: bool, lacks_row: bool, asked_by: str = ""
+) -> JobRecord:
     """Return a job after its wrench was accepted once more.
 
     `lacks_row`: its row is withdrawn or damaged.
@@ -118,7 +125,7 @@ def accepted_again(
     return job
 
 
-def check_attempt(job: Job, attempt: int) -> None:
+def check_attempt(job: JobRecord, attempt: int) -> None:
     """Raise StaleAttemptError unless `attempt` is the job's running one."""
     if job.status != "running" or job.attempt != attempt:
         raise StaleAttemptError(
@@ -127,7 +134,7 @@ def check_attempt(job: Job, attempt: int) -> None:
         )
 
 
-def _end(job: Job, now: float, seconds: float | None) -> dict[str, object]:
+def _end(job: JobRecord, now: float, seconds: float | None) -> dict[str, object]:
     return {"finished": now, "began": job.began if seconds is None else now - seconds}
 
 
@@ -142,7 +149,7 @@ _FRESH: dict[str, object] = {
 }
 
 
-def _moved(job: Job, event: str, **changes: object) -> Job:
+def _moved(job: JobRecord, event: str, **changes: object) -> JobRecord:
     status = TRANSITIONS.get((job.status, event))
     if status is None:
         allowed = sorted(name for before, name in TRANSITIONS if before == job.status)

@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-from wrenchbook.fea.bundle.read import BundleError, Problem
+from wrenchbook.fea.bundle.read import BundleError, BundleProblem
 from wrenchbook.service.files.redact import redact
 from wrenchbook.service.library.bundle_zip import MAX_BUNDLE_BYTES, one_problem
 from wrenchbook.service.library.component import Component
@@ -49,7 +49,7 @@ def unpack(archive: BinaryIO, incoming: Path) -> tuple[Path, bool]:
         raise one_problem("bundle", str(error)) from None
     kept.unlink()
     if part.fields["problems"]:
-        raise BundleError([Problem(where, why) for where, why in part.fields["problems"]])
+        raise BundleError([BundleProblem(where, why) for where, why in part.fields["problems"]])
     return target / part.fields["folder"], bool(part.fields["deck"])
 
 
@@ -71,7 +71,7 @@ def check_mesh(folder: Path) -> dict[str, Any]:
         report = json.loads(part.fields["report"])
         if report["ok"]:
             return report
-        problems = [Problem(p["where"], p["message"]) for p in report["problems"][:1000]]
+        problems = [BundleProblem(p["where"], p["message"]) for p in report["problems"][:1000]]
     except SandboxError as error:
         raise one_problem("mesh", _why_not(error)) from None
     except (ValueError, KeyError, TypeError) as error:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from wrenchbook.fea.bundle.read import BundleError, Problem, read_bundle
+from wrenchbook.fea.bundle.read import BundleError, BundleProblem, read_bundle
 from wrenchbook.service.sandbox import Part
 from wrenchbook.surrogate.table.hdf5 import TableFileError, leads_out
 
@@ -160,4 +160,4 @@ def _too_large() -> BundleError:
 
 def one_problem(where: str, message: str) -> BundleError:
     """Return the error of a bundle with one mistake."""
-    return BundleError([Problem(where, message)])
+    return BundleError([BundleProblem(where, message)])

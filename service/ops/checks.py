@@ -30,7 +30,7 @@ _MOST_NAMED = 5  # paths of one kind in a finding; the number of further ones fo
 
 
 @dataclass(frozen=True)
-class Finding:
+class DataFinding:
     """One finding of a check.
 
     Attributes
@@ -67,21 +67,21 @@ def not_writable(folder: Path) -> list[Path]:
     return [path for path in paths if path.exists() and not os.access(path, os.R_OK | os.W_OK)]
 
 
-def check_disk(folder: Path) -> list[Finding]:
+def check_disk(folder: Path) -> list[DataFinding]:
     """Find a disk that is nearly full, and files that cannot be read and written."""
     found = []
     free = shutil.disk_usage(folder).free
     if free < LITTLE_BYTES:
         remedy = "make room; prune attempts' folders with serve --keep-days and --keep-count"
-        found.append(Finding("fault", f"the disk has {free / 1e6:.0f} MB left", remedy))
+        found.append(DataFinding("fault", f"the disk has {free / 1e6:.0f} MB left", remedy))
     remedy = f"make it readable and writable for user {os.getuid()}, as the server runs"
     return found + [
-        Finding("fault", f"{path} cannot be read and written", remedy)
+        DataFinding("fault", f"{path} cannot be read and written", remedy)
         for path in not_writable(folder)
     ]
 
 
-def check_side_files(folder: Path, *, mend: bool) -> list[Finding]:
+def check_side_files(folder: Path, *, mend: bool) -> list[DataFinding]:
     """Find unusable keys, settings, statistics, solver errors and surfaces.
 
     With `mend`, files that the server writes again by itself are moved aside.
@@ -91,25 +91,25 @@ def check_side_files(folder: Path, *, mend: bool) -> list[Finding]:
         what = f"{path.relative_to(folder)} cannot be used: {error}"
         if mend:
             aside = move_aside(path).name
-            found.append(Finding("mended", what, f"moved to {aside}; {remedy}"))
+            found.append(DataFinding("mended", what, f"moved to {aside}; {remedy}"))
         else:
-            found.append(Finding("fault", what, f"{remedy}, once it is moved away; {REPAIR}"))
+            found.append(DataFinding("fault", what, f"{remedy}, once it is moved away; {REPAIR}"))
     return found
 
 
-def _keys_and_settings(folder: Path) -> Iterator[Finding]:
+def _keys_and_settings(folder: Path) -> Iterator[DataFinding]:
     """Find unusable keys and settings, which only the owner can repair."""
     try:
         Keyring(folder)
     except KeysError as error:
-        yield Finding("fault", f"nobody is let in: {error}")
+        yield DataFinding("fault", f"nobody is let in: {error}")
     path = folder / "wrenchbook.toml"
     try:
         tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return
     except (OSError, ValueError) as error:
-        yield Finding("fault", f"{path.name} cannot be read as TOML: {error}", "mend it")
+        yield DataFinding("fault", f"{path.name} cannot be read as TOML: {error}", "mend it")
 
 
 def _damaged(folder: Path) -> Iterator[tuple[Path, str, Exception]]:
@@ -137,7 +137,7 @@ def _solver_error(content: bytes) -> Any:
     return SolverError(json.loads(content))
 
 
-def find_leftovers(folder: Path, ledger: Ledger) -> list[Finding]:
+def find_leftovers(folder: Path, ledger: Ledger) -> list[DataFinding]:
     """Find files of interrupted writes, copies moved aside, and attempts without a job."""
     drafts = [
         *(folder / "tables").glob(".*.tmp"),
@@ -160,7 +160,7 @@ def find_leftovers(folder: Path, ledger: Ledger) -> list[Finding]:
         ),
     ]
     return [
-        Finding("note", f"{what}: {_named(folder, paths)}", remedy)
+        DataFinding("note", f"{what}: {_named(folder, paths)}", remedy)
         for what, paths, remedy in kinds
         if paths
     ]

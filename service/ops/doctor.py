@@ -23,7 +23,7 @@ from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.backup import LEDGER
 from wrenchbook.service.ops.checks import (
     REPAIR,
-    Finding,
+    DataFinding,
     check_disk,
     check_side_files,
     find_leftovers,
@@ -40,7 +40,7 @@ Found = dict[str, tuple[Rows, TableMeta]]
 _KEPT = "The damaged one was moved aside; a backup may have more"
 
 
-def examine(folder: Path, *, mend: bool = False) -> list[Finding]:
+def examine(folder: Path, *, mend: bool = False) -> list[DataFinding]:
     """Check a data directory; repair what another copy has.
 
     A server may use the directory meanwhile, except for the repair of a damaged ledger file.
@@ -54,7 +54,9 @@ def examine(folder: Path, *, mend: bool = False) -> list[Finding]:
     """
     folder = folder.absolute()
     if not folder.is_dir():
-        return [Finding("fault", f"there is no data directory {folder}", "say which with --data")]
+        return [
+            DataFinding("fault", f"there is no data directory {folder}", "say which with --data")
+        ]
     found = [*check_disk(folder), *check_side_files(folder, mend=mend)]
     ledger, of_ledger = _opened(folder, mend=mend)
     found += of_ledger
@@ -63,20 +65,20 @@ def examine(folder: Path, *, mend: bool = False) -> list[Finding]:
     try:
         library = Library(folder / "components")
         found += [
-            Finding("fault", f"component {name} cannot be used: {why}", "mend its files")
+            DataFinding("fault", f"component {name} cannot be used: {why}", "mend its files")
             for name, why in library.broken().items()
         ]
         found += _check_tables(ledger, library, folder / "tables", mend=mend)
         found += find_leftovers(folder, ledger)
         found += _losses(ledger, mend=mend)
     except LedgerError as error:
-        found.append(Finding("fault", str(error)))
+        found.append(DataFinding("fault", str(error)))
     finally:
         ledger.close()
     return found
 
 
-def _opened(folder: Path, *, mend: bool) -> tuple[Ledger | None, list[Finding]]:
+def _opened(folder: Path, *, mend: bool) -> tuple[Ledger | None, list[DataFinding]]:
     """Return the ledger, repaired if necessary; None if it cannot be used."""
     path = folder / LEDGER
     log = path.with_name(f"{LEDGER}-wal")
@@ -84,51 +86,51 @@ def _opened(folder: Path, *, mend: bool) -> tuple[Ledger | None, list[Finding]]:
     if _has_bytes(log) and not _has_bytes(path):
         what = f"there is {log.name} without {LEDGER}: what was newest is in it and not readable"
         if not mend:
-            return None, [Finding("fault", what, f"put {LEDGER} back; if it is gone, {REPAIR}")]
-        found.append(Finding("mended", what, f"moved to {move_aside(log, 'orphan').name}"))
+            return None, [DataFinding("fault", what, f"put {LEDGER} back; if it is gone, {REPAIR}")]
+        found.append(DataFinding("mended", what, f"moved to {move_aside(log, 'orphan').name}"))
     if not _has_bytes(path):
         what = f"{LEDGER} is empty" if path.exists() else f"there is no {LEDGER}"
         if not mend:
             remedy = f"put it back or restore a backup; tables/ has rows, but no jobs; {REPAIR}"
-            return None, [*found, Finding("fault", what, remedy)]
-        found.append(Finding("mended", what, "a new one was made; see the tables below"))
+            return None, [*found, DataFinding("fault", what, remedy)]
+        found.append(DataFinding("mended", what, "a new one was made; see the tables below"))
     try:
         return Ledger(path), found
     except LedgerDamagedError as error:
         if not mend:
             remedy = f"stop the server and restore a backup, or {REPAIR}"
-            return None, [*found, Finding("fault", str(error), remedy)]
+            return None, [*found, DataFinding("fault", str(error), remedy)]
         if in_use(folder):
             remedy = "stop the server that uses it, then mend"
-            return None, [*found, Finding("fault", str(error), remedy)]
+            return None, [*found, DataFinding("fault", str(error), remedy)]
         found += _rebuilt(folder, str(error))
     except LedgerError as error:
-        return None, [*found, Finding("fault", str(error))]
+        return None, [*found, DataFinding("fault", str(error))]
     ledger, more = _opened(folder, mend=False)
     return ledger, found + more
 
 
-def _losses(ledger: Ledger, *, mend: bool) -> list[Finding]:
+def _losses(ledger: Ledger, *, mend: bool) -> list[DataFinding]:
     """Return acknowledged jobs and rows that are gone; with `mend` for the last time."""
     losses = ledger.losses()
     if not mend or not losses:
-        return [Finding("fault", one, "settle it with: --mend") for one in losses]
+        return [DataFinding("fault", one, "settle it with: --mend") for one in losses]
     acknowledged = Acknowledged(ledger.path)
     with ledger.reading() as db:
         gone = repair.lost(db, acknowledged)
     acknowledged.settle(lambda file: move_aside(file, "settled"))
-    found = [Finding("mended", one, "noted; it is told no more") for one in losses]
+    found = [DataFinding("mended", one, "noted; it is told no more") for one in losses]
     if not any(gone):
         return found
     return [*found, _gone(f"up to {gone.rows} rows and {gone.jobs} jobs")]
 
 
-def _gone(what: str) -> Finding:
+def _gone(what: str) -> DataFinding:
     remedy = "restore a backup, or load or solve them again; the next look does not repeat this"
-    return Finding("fault", f"{what} that were acknowledged are gone", remedy)
+    return DataFinding("fault", f"{what} that were acknowledged are gone", remedy)
 
 
-def _rebuilt(folder: Path, what: str) -> list[Finding]:
+def _rebuilt(folder: Path, what: str) -> list[DataFinding]:
     """Replace a damaged ledger that no server uses."""
     made = _salvaged(folder)
     jobs, rows = made.read["jobs"], made.read["rows"]
@@ -136,7 +138,7 @@ def _rebuilt(folder: Path, what: str) -> list[Finding]:
     text += "come from the tables' files"
     text += f"; jobs that were lost: {lost}" if (lost := made.given - jobs) > 0 else ""
     again = f"; {made.reopened} jobs wait again, their rows being lost" if made.reopened else ""
-    found = [Finding("mended", what, f"{text}{again}. {_KEPT}")]
+    found = [DataFinding("mended", what, f"{text}{again}. {_KEPT}")]
     return [*found, _gone(f"up to {made.lost_rows} rows")] if made.lost_rows else found
 
 
@@ -169,7 +171,9 @@ def _has_bytes(path: Path) -> bool:
     return path.exists() and path.stat().st_size > 0
 
 
-def _check_tables(ledger: Ledger, library: Library, folder: Path, *, mend: bool) -> list[Finding]:
+def _check_tables(
+    ledger: Ledger, library: Library, folder: Path, *, mend: bool
+) -> list[DataFinding]:
     """Compare the rows of the ledger and of the table files; repair either from the other."""
     whole, found = _read_all(folder, mend=mend, count=ledger.count_rows)
     found += _damaged_rows(ledger, whole, mend=mend)
@@ -180,12 +184,14 @@ def _check_tables(ledger: Ledger, library: Library, folder: Path, *, mend: bool)
     unknown = sorted(whole.keys() - set(library.names()))
     what = "{} is the table of a component that is not in the library"
     remedy = "put its bundle into components/ again, or move the file away"
-    return found + [Finding("note", what.format(f"tables/{name}.h5"), remedy) for name in unknown]
+    return found + [
+        DataFinding("note", what.format(f"tables/{name}.h5"), remedy) for name in unknown
+    ]
 
 
 def _read_all(
     folder: Path, *, mend: bool, count: Callable[[str], int] = lambda _: 0
-) -> tuple[Found, list[Finding]]:
+) -> tuple[Found, list[DataFinding]]:
     """Return the tables of all readable files, and findings on the others.
 
     `count` returns how many rows of a component the ledger has.
@@ -195,7 +201,7 @@ def _read_all(
     for path in sorted(folder.glob("*.h5")):
         if not os.access(path, os.R_OK):
             remedy = f"make it readable and writable for user {os.getuid()}, as the server runs"
-            found.append(Finding("fault", f"tables/{path.name} may not be read", remedy))
+            found.append(DataFinding("fault", f"tables/{path.name} may not be read", remedy))
             continue
         try:
             rows, meta = read_table(path)
@@ -209,18 +215,18 @@ def _read_all(
     return whole, found
 
 
-def _unusable(path: Path, what: str, left: int, *, mend: bool) -> Finding:
+def _unusable(path: Path, what: str, left: int, *, mend: bool) -> DataFinding:
     """Return the finding on a damaged table file; `left` rows of it are in the ledger."""
     if not left:
         lost = "the ledger has no row of it: restore a backup, or load or solve its rows again"
         moved = f"moved to {move_aside(path).name}; " if mend else ""
-        return Finding("fault", what, f"{moved}{lost}")
+        return DataFinding("fault", what, f"{moved}{lost}")
     if mend:
-        return Finding("mended", what, f"moved to {move_aside(path).name}")
-    return Finding("fault", what, f"the ledger has {left} rows of it; {REPAIR}")
+        return DataFinding("mended", what, f"moved to {move_aside(path).name}")
+    return DataFinding("fault", what, f"the ledger has {left} rows of it; {REPAIR}")
 
 
-def _damaged_rows(ledger: Ledger, whole: Found, *, mend: bool) -> list[Finding]:
+def _damaged_rows(ledger: Ledger, whole: Found, *, mend: bool) -> list[DataFinding]:
     found = []
     with ledger.reading() as db:
         damaged = repair.damaged_rows(db)
@@ -232,14 +238,14 @@ def _damaged_rows(ledger: Ledger, whole: Found, *, mend: bool) -> list[Finding]:
                 "no whole table file has it: ask for its wrench again to have it solved or load it "
                 "again, or restore a backup"
             )
-            found.append(Finding("fault", what, remedy))
+            found.append(DataFinding("fault", what, remedy))
         elif not mend:
-            found.append(Finding("fault", what, f"tables/{copy[0]}.h5 has it; {REPAIR}"))
+            found.append(DataFinding("fault", what, f"tables/{copy[0]}.h5 has it; {REPAIR}"))
         elif _rewritten(ledger, copy[0], seq, new_row(copy[1], copy[2])):
-            found.append(Finding("mended", what, f"written anew from tables/{copy[0]}.h5"))
+            found.append(DataFinding("mended", what, f"written anew from tables/{copy[0]}.h5"))
         else:
             remedy = "the same row is there under another number, which is used"
-            found.append(Finding("note", what, remedy))
+            found.append(DataFinding("note", what, remedy))
     return found
 
 
@@ -263,7 +269,7 @@ def _compare(
     on_file: tuple[Rows, TableMeta] | None,
     *,
     mend: bool,
-) -> list[Finding]:
+) -> list[DataFinding]:
     """Compare a component's file with the ledger; write it again if it is missing or older."""
     name, count = component.name, ledger.count_rows(component.name)
     if on_file is None:
@@ -276,16 +282,16 @@ def _compare(
             return []
         what = f"tables/{name}.h5 and the ledger do not have the same rows up to {meta.last_seq}"
     if not mend:
-        return [Finding("fault" if on_file else "note", what, f"a server's start or {REPAIR}")]
+        return [DataFinding("fault" if on_file else "note", what, f"a server's start or {REPAIR}")]
     files.load(component)  # puts rows that the file alone has back into the ledger
     rows, last_seq = _whole_table(ledger, component)
     files.save(component, rows, last_seq)
     back = ledger.count_rows(name) - count
     remedy = f"{back} rows put back into the ledger; the file written anew with {len(rows)} rows"
-    return [Finding("mended", what, remedy)]
+    return [DataFinding("mended", what, remedy)]
 
 
-def _of_another_setup(ledger: Ledger, component: Component) -> list[Finding]:
+def _of_another_setup(ledger: Ledger, component: Component) -> list[DataFinding]:
     """Find rows that no table has, since the component's files have changed."""
     others = ledger.of_other_setups(component.name, component.fingerprint)
     if not others:
@@ -299,7 +305,7 @@ def _of_another_setup(ledger: Ledger, component: Component) -> list[Finding]:
     again = f"wrenchbook resolve {component.name} solves their {len(wrenches)} wrenches again"
     back = "they come back if its files are as they were"
     remedy = f"{again}; {back}" if component.has_fea else back
-    return [Finding("note", what, remedy)]
+    return [DataFinding("note", what, remedy)]
 
 
 def _whole_table(ledger: Ledger, component: Component) -> tuple[Rows, int]:

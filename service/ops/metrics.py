@@ -36,7 +36,7 @@ MOST_COMPONENTS = 200
 FRESH_S = 1.0  # age of cached ledger statistics: several scrapers cost one query
 
 
-class Workspace(Protocol):
+class MetricsSource(Protocol):
     """What the metrics read of an opened data directory (`service.workspace`)."""
 
     settings: Any
@@ -65,7 +65,9 @@ class Metrics(Collector):
         Returns the number of event listeners of this process.
     """
 
-    def __init__(self, workspace: Workspace, counts: Counts, listeners: Callable[[], int]) -> None:
+    def __init__(
+        self, workspace: MetricsSource, counts: Counts, listeners: Callable[[], int]
+    ) -> None:
         settings, self._workspace = workspace.settings, workspace
         self._lock = threading.Lock()
         self._read_at = -FRESH_S

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.service.ledger import Job, packed
+from wrenchbook.service.ledger import JobRecord, packed
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.recording.store import RecordingStore
 from wrenchbook.service.recording.thinning import farthest_first, scaled_loads
@@ -37,7 +37,7 @@ class StartedSolves:
         Why not all, or why none; empty if all are queued.
     """
 
-    jobs: list[Job]
+    jobs: list[JobRecord]
     solved: int = 0
     covered: int = 0
     failed: int = 0

@@ -17,7 +17,7 @@ import numpy as np
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.formats import ParsedTable
 from wrenchbook.service.ledger import (
-    Import,
+    ImportRecord,
     Ledger,
     LedgerRow,
     PackedRow,
@@ -65,7 +65,9 @@ class ExportRows:
     who: list[str]
 
 
-def export_rows(rows: Sequence[LedgerRow], spans: Sequence[tuple[int, int, Import]]) -> ExportRows:
+def export_rows(
+    rows: Sequence[LedgerRow], spans: Sequence[tuple[int, int, ImportRecord]]
+) -> ExportRows:
     """Return rows of the ledger as columns; `spans` are the imports' numbers, in order."""
     unknown, no_tangent = (np.nan,) * 6, ((np.nan,) * 6,) * 6
     firsts = [first for first, _, _ in spans]
@@ -134,7 +136,7 @@ def packed_pieces(component: Component, pieces: Iterator[ParsedTable]) -> Iterat
         yield packed_columns(component.name, columns, texts, now)
 
 
-def _who(seq: int, firsts: list[int], spans: Sequence[tuple[int, int, Import]]) -> str:
+def _who(seq: int, firsts: list[int], spans: Sequence[tuple[int, int, ImportRecord]]) -> str:
     at = bisect_right(firsts, seq) - 1
     return spans[at][2].who if at >= 0 and seq <= spans[at][1] else ""
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..table.axes import AXES, CLEAN, Axis, AxisRows, OffAxis, axis_rows, clean_rows
+from ..table.axes import AXES, CLEAN, AxisRows, LoadAxis, OffAxis, axis_rows, clean_rows
 from ..table.compliance import ComplianceFit
 from ..table.rows import LoadRange, Rows
 from ..table.thinning import evenly_chosen
@@ -41,7 +41,7 @@ def build_composition(
 def _axis_table(
     rows: Rows,
     load_range: LoadRange,
-    axis: Axis,
+    axis: LoadAxis,
     fit: ComplianceFit,
     off_axis: OffAxis,
     before: AxisTable | None,

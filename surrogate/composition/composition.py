@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..interpolation.delaunay import Indices
-from ..table.axes import AXES, CLEAN, Axis
+from ..table.axes import AXES, CLEAN, LoadAxis
 from ..table.compliance import ComplianceFit
 from ..table.rows import Floats
 from .axis_table import WEAK, AxisTable
@@ -172,7 +172,7 @@ class Composition:
             found[:, composed, moment + 3] -= slopes[:, composed, 0]
         return found
 
-    def _read(self, axis: Axis, wrenches: Floats) -> _Part:
+    def _read(self, axis: LoadAxis, wrenches: Floats) -> _Part:
         """Return one axis' part at wrenches (k, 6) that load it."""
         table, inputs = self.tables[AXES.index(axis)], list(axis.inputs)
         if table is None:
@@ -287,7 +287,7 @@ class _Total:
         self.times = np.zeros((count, 1))
         self.state = np.zeros((count, 3), dtype=int)
 
-    def put_own(self, rows: Indices, axis: Axis, part: _Part) -> None:
+    def put_own(self, rows: Indices, axis: LoadAxis, part: _Part) -> None:
         """Take the axis' own translation from its part."""
         own = axis.outputs[0]
         self.own[rows, own] = part.outputs[:, own]

@@ -33,7 +33,7 @@ NO_LOAD = "no load can occur in the scene, so it stays as it is"
 
 
 @dataclass(frozen=True)
-class Plan:
+class ScenePlan:
     """What a scene needs of a component.
 
     Attributes
@@ -59,7 +59,7 @@ class Plan:
     solves: tuple[int, int]
 
 
-def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> Plan:
+def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> ScenePlan:
     """Return the plan of a scene's need of a component, from the rows there are, if any.
 
     Parameters
@@ -71,7 +71,7 @@ def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> Plan:
     limit = need.tolerance or table.tolerance
     need = replace(need, tolerance=limit)
     if solved and not need.occurring.any():
-        return Plan(need, "rigid", NO_LOAD, np.zeros(6), None, (solves[0], 0))
+        return ScenePlan(need, "rigid", NO_LOAD, np.zeros(6), None, (solves[0], 0))
     bound, why = _bound(table, need)
     if table.linear:
         decision: Decision = "linear"
@@ -84,11 +84,13 @@ def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> Plan:
     read = list(need.outputs)
     if limit is not None and (bound[read] <= np.array(allowed_by(limit))[read]).all():
         reason = f"it moves by no more than the tolerance: {_worst(bound, need)}"
-        return Plan(need, "rigid", reason, bound, None, (solves[0], 0))
-    return Plan(need, decision, reason, bound, compliance, solves)
+        return ScenePlan(need, "rigid", reason, bound, None, (solves[0], 0))
+    return ScenePlan(need, decision, reason, bound, compliance, solves)
 
 
-def design_of(table: AnyTable, plan: Plan, budget: int, pending: ArrayLike | None = None) -> Design:
+def design_of(
+    table: AnyTable, plan: ScenePlan, budget: int, pending: ArrayLike | None = None
+) -> Design:
     """Return at most `budget` wrenches to solve next for a scene, none where it needs none.
 
     Parameters are those of `next_wrenches`: `pending` has shape (m, 6), N and N·m.

@@ -12,7 +12,7 @@ from ..kernel.binding import PackedTable
 from ..kernel.packing import packed_of
 from ..table.rows import Floats
 from .cut import cut
-from .plan import Plan
+from .plan import ScenePlan
 
 ANSWERS = 32  # single answers timed in a run
 RUNS = 5  # of which the best counts: what interrupts a run only ever makes it longer
@@ -40,7 +40,7 @@ class Savings:
     origin: dict[str, str]
 
 
-def measured(table: AnyTable, plan: Plan) -> Savings:
+def measured(table: AnyTable, plan: ScenePlan) -> Savings:
     """Return what the scene's table saves against the whole.
 
     A component that is rigid in the scene is left out: all of the whole is saved.
@@ -72,7 +72,7 @@ def built_s(table: AnyTable) -> float:
     return sum(surrogate.build_s for _, surrogate in table.groups)
 
 
-def _wrenches(plan: Plan) -> Floats:
+def _wrenches(plan: ScenePlan) -> Floats:
     """Return wrenches of the scene, (n, 6), N and N·m."""
     low, high = plan.need.span.low, plan.need.span.high
     return low + np.random.default_rng(0).uniform(size=(ANSWERS, 6)) * (high - low)

@@ -40,7 +40,7 @@ def _levels(values: Floats) -> int:
     return count
 
 
-class Axis(NamedTuple):
+class LoadAxis(NamedTuple):
     """One axis: its name, its load columns (F_i, M_j, M_k) and its output columns."""
 
     name: str
@@ -53,7 +53,9 @@ class Axis(NamedTuple):
         return [load for load in range(6) if load not in self.inputs]
 
 
-AXES = tuple(Axis("xyz"[i], (i, 3 + (i + 1) % 3, 3 + (i + 2) % 3), (i, 3, 4, 5)) for i in range(3))
+AXES = tuple(
+    LoadAxis("xyz"[i], (i, 3 + (i + 1) % 3, 3 + (i + 2) % 3), (i, 3, 4, 5)) for i in range(3)
+)
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class AxisRows:
         Derivative of the displacement by the scaled inputs; NaN where unknown or not clean.
     """
 
-    axis: Axis
+    axis: LoadAxis
     points: Floats
     displacement: Floats
     uncertainty: Floats
@@ -136,7 +138,7 @@ def clean_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
 
 
 def axis_rows(
-    rows: Rows, load_range: LoadRange, axis: Axis, fit: ComplianceFit, off_axis: OffAxis
+    rows: Rows, load_range: LoadRange, axis: LoadAxis, fit: ComplianceFit, off_axis: OffAxis
 ) -> AxisRows:
     """Choose the rows of one axis, take the off-axis part out of them, and merge equal points.
 
@@ -159,7 +161,7 @@ def axis_rows(
 def _merge(
     rows: Rows,
     load_range: LoadRange,
-    axis: Axis,
+    axis: LoadAxis,
     displacement: Floats,
     clean: NDArray[np.bool_],
     used: NDArray[np.bool_],

@@ -13,7 +13,7 @@ from wrenchbook.service.http.access import SecuritySettings
 from wrenchbook.service.http.access.security import security_settings
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.body import counted as counted_
-from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.keys import Keyring
 from wrenchbook.service.keys.needed import is_loopback
 from wrenchbook.service.workspace import Settings
@@ -306,7 +306,7 @@ def test_a_body_is_counted_as_it_comes():
         counted = counted_(receive, 25)
         for _ in range(2):
             await counted()
-        with pytest.raises(ProblemError):
+        with pytest.raises(HttpProblemError):
             await counted()
 
     asyncio.run(read())

@@ -212,10 +212,10 @@ def test_the_demand_map_outlives_the_server(http, tmp_path):
 
 def test_the_demand_map_does_not_grow_without_bound(tmp_path):
     from wrenchbook.service.demand.counts import MOST_CELLS
-    from wrenchbook.service.demand.demand import Demand
+    from wrenchbook.service.demand.demand import QueryStatistics
     from wrenchbook.surrogate.table.rows import LoadRange
 
-    demand, span = Demand(tmp_path / "demand.json"), LoadRange(-np.ones(6), np.ones(6))
+    demand, span = QueryStatistics(tmp_path / "demand.json"), LoadRange(-np.ones(6), np.ones(6))
     wrenches = np.random.default_rng(1).uniform(-3, 3, (20_000, 6))
     demand.note_batch("rig", span, wrenches, np.ones(20_000, dtype=int))
     told = demand.map_of("rig", span)
@@ -227,27 +227,30 @@ def test_the_demand_map_does_not_grow_without_bound(tmp_path):
 
 def test_the_demand_map_of_two_processes_is_their_sum(tmp_path):
     """Each had counts of its own, and who stopped last wrote over those of the others."""
-    from wrenchbook.service.demand.demand import Demand
+    from wrenchbook.service.demand.demand import QueryStatistics
     from wrenchbook.surrogate.table.rows import LoadRange
 
     path, span = tmp_path / "demand.json", LoadRange(-np.ones(6), np.ones(6))
-    first, second = Demand(path), Demand(path)
+    first, second = QueryStatistics(path), QueryStatistics(path)
     for demand in (first, second, second):
         demand.note("rig", span, (2.0, 0, 0, 0, 0, 0), "outside")
         demand.save()
     assert [one.map_of("rig", span)["asked"] for one in (first, second)] == [3, 3]
     assert len(first.map_of("rig", span)["latest"]) == 3
     first.stop()
-    assert Demand(path).map_of("rig", span)["cells"][0]["outside"] == 3
+    assert QueryStatistics(path).map_of("rig", span)["cells"][0]["outside"] == 3
     second.forget("rig")
     assert first.map_of("rig", span)["asked"] == 0
 
 
 def test_a_demand_map_that_cannot_be_written_goes_on_counting(tmp_path):
-    from wrenchbook.service.demand.demand import Demand
+    from wrenchbook.service.demand.demand import QueryStatistics
     from wrenchbook.surrogate.table.rows import LoadRange
 
-    demand, span = Demand(tmp_path / "gone" / "demand.json"), LoadRange(-np.ones(6), np.ones(6))
+    demand, span = (
+        QueryStatistics(tmp_path / "gone" / "demand.json"),
+        LoadRange(-np.ones(6), np.ones(6)),
+    )
     for _ in range(2):
         demand.note("rig", span, (2.0, 0, 0, 0, 0, 0), "outside")
         demand.save()

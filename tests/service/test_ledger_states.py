@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from wrenchbook.service.ledger import STATUSES, InvalidTransitionError, Job, states
+from wrenchbook.service.ledger import STATUSES, InvalidTransitionError, JobRecord, states
 
 EVENTS = {
     "claim": lambda job: states.claimed(job, "me", "local", 5.0),
@@ -21,7 +21,7 @@ EVENTS = {
 
 
 def job_of(status):
-    return Job(
+    return JobRecord(
         id=1, component="bar", fingerprint="f", wrench=(0.0,) * 6, status=status, priority=0,
         attempt=1, lost=0, owner="me" if status == "running" else None, created=1.0,
         started=2.0, finished=None, error=None, row=None,

@@ -13,12 +13,12 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.service.live import add_table, as_rows, clean_wrenches, full_wrenches, moved, served
-from wrenchbook.service.client import ProblemError as Refused
+from wrenchbook.service.client import HttpProblemError as Refused
 from wrenchbook.service.http import batch, protocol
 from wrenchbook.service.http import body as bodies
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.batch import batch_parts
-from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.jobs import waiting as polls
 from wrenchbook.service.jobs.attempt import zipped
 from wrenchbook.service.jobs.waiting import Polls, TooManyPollsError
@@ -116,9 +116,9 @@ def test_a_table_full_of_mistakes_has_at_most_a_thousand_and_one_listed(asked):
 def test_a_json_batch_has_as_many_wrenches_as_a_binary_one(monkeypatch):
     monkeypatch.setattr("wrenchbook.service.http.batch.MAX_BATCH", 10)
     assert len(batch_parts(orjson.dumps({"wrenches": [[0.0] * 6] * 10}))[1]) == 10
-    with pytest.raises(ProblemError, match="at most 10 wrenches"):
+    with pytest.raises(HttpProblemError, match="at most 10 wrenches"):
         batch_parts(orjson.dumps({"wrenches": [[0.0] * 6] * 11}))
-    with pytest.raises(ProblemError, match="at most 10 wrenches"):
+    with pytest.raises(HttpProblemError, match="at most 10 wrenches"):
         batch_parts(b'{"wrenches":[' + b"[]," * 1000 + b"[]]}")
 
 
@@ -137,7 +137,7 @@ def test_a_large_batch_is_read_in_a_file_and_answered_as_a_small_one_is(live, mo
 def test_a_mistake_in_a_large_batch_is_told_as_in_a_small_one(tmp_path):
     body = bodies.Spooled(tmp_path / "body")
     body.path.write_bytes(b'{"wrenches":[[0,0,0,0,0,"x"]]}')
-    with pytest.raises(ProblemError) as caught:
+    with pytest.raises(HttpProblemError) as caught:
         batch.read_batch_body(body)
     assert caught.value.status == 422
     assert caught.value.body["errors"][0]["loc"] == "wrenches.0.5"
@@ -162,7 +162,7 @@ def test_a_batch_read_in_pieces_is_the_batch_read_whole_or_left_to_that(monkeypa
         b'{"wrenches":"[[1]]"}',
         b"[]]",
     ):
-        with pytest.raises(ProblemError):
+        with pytest.raises(HttpProblemError):
             _ = batch.in_pieces(text) or batch_parts(text)
 
 

@@ -14,7 +14,7 @@ from wrenchbook.fea.mesh.cad.session import METRES, one_line, opened
 from wrenchbook.fea.mesh.generators.parameters import too_many
 from wrenchbook.fea.mesh.io.raw import Block, RawMesh, to_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.spec.problems import BundleError, Problem
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import GeometryMeshing
 
 Array = np.ndarray
@@ -40,7 +40,7 @@ def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
     BundleError
         If the file cannot be read or meshed, or a group or region names nothing.
     """
-    problems: list[Problem] = []
+    problems: list[BundleProblem] = []
     with opened(path) as gmsh:
         bodies = bodies_of(gmsh)
         size = geometry.size
@@ -48,7 +48,7 @@ def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
         regions = choose_bodies(gmsh, bodies, geometry.regions, size, problems)
         volume = sum(body.volume for body in bodies)
         cells = too_many(_REGULAR * volume / size**3, "mesh.size")
-        problems += [Problem(*mistake) for mistake in cells]
+        problems += [BundleProblem(*mistake) for mistake in cells]
         if problems:
             raise BundleError(problems)
         _generate(gmsh, path, geometry)
@@ -67,7 +67,7 @@ def _generate(gmsh: Any, path: Path, geometry: GeometryMeshing) -> None:
             f'gmsh could not mesh "{path.name}" ({one_line(error)}); a smaller size may help, '
             "or heal the geometry (tiny edges, faces that overlap) where it was drawn"
         )
-        raise BundleError([Problem("mesh.file", message)]) from None
+        raise BundleError([BundleProblem("mesh.file", message)]) from None
 
 
 def _collected(

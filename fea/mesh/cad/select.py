@@ -9,7 +9,7 @@ import numpy as np
 
 from wrenchbook.fea.mesh.cad.entities import Face, Solid
 from wrenchbook.fea.mesh.cad.session import METRES
-from wrenchbook.fea.spec.problems import Problem
+from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import Selector
 
 _AXES = "xyz"
@@ -24,7 +24,7 @@ def choose_faces(
     faces: Sequence[Face],
     groups: Mapping[str, Selector],
     size: float,
-    problems: list[Problem],
+    problems: list[BundleProblem],
 ) -> dict[str, list[int]]:
     """Return the numbers of the faces of each group; notes choices that name none.
 
@@ -58,7 +58,7 @@ def choose_bodies(
     bodies: Sequence[Solid],
     regions: Mapping[str, Selector],
     size: float,
-    problems: list[Problem],
+    problems: list[BundleProblem],
 ) -> dict[str, list[int]]:
     """Return the numbers of the bodies of each region; as `choose_faces`."""
     chosen = {}
@@ -72,18 +72,22 @@ def choose_bodies(
 
 
 def _by_number(
-    shapes: Sequence[Face | Solid], choice: Selector, where: str, kind: str, problems: list[Problem]
+    shapes: Sequence[Face | Solid],
+    choice: Selector,
+    where: str,
+    kind: str,
+    problems: list[BundleProblem],
 ) -> list[int]:
     there = [shape.number for shape in shapes]
     for number in choice.numbers:
         if number not in there:
             message = f"there is no {kind} {number}; the geometry has {_spans(there)}"
-            problems.append(Problem(where, message))
+            problems.append(BundleProblem(where, message))
     return [number for number in choice.numbers if number in there]
 
 
 def _by_plane(
-    faces: Sequence[Face], choice: Selector, where: str, size: float, problems: list[Problem]
+    faces: Sequence[Face], choice: Selector, where: str, size: float, problems: list[BundleProblem]
 ) -> list[int]:
     if choice.plane is None:
         return []
@@ -94,12 +98,12 @@ def _by_plane(
         places = sorted({round(f.centre[axis], 9) for f in square})
         listed = ", ".join(f"{place:g}" for place in places) or "none anywhere"
         message = f"no plane face at {_AXES[axis]} = {at:g} m (there are at: {listed})"
-        problems.append(Problem(f"{where}.plane", message))
+        problems.append(BundleProblem(f"{where}.plane", message))
     return found
 
 
 def _by_radius(
-    faces: Sequence[Face], choice: Selector, where: str, problems: list[Problem]
+    faces: Sequence[Face], choice: Selector, where: str, problems: list[BundleProblem]
 ) -> list[int]:
     if choice.radius is None:
         return []
@@ -108,7 +112,7 @@ def _by_radius(
     if not found:
         listed = ", ".join(f"{r:g}" for r in sorted({float(f"{r:.6g}") for r, _ in round_ones}))
         message = f"no cylinder of radius {choice.radius:g} m (there are: {listed or 'none'})"
-        problems.append(Problem(f"{where}.radius", message))
+        problems.append(BundleProblem(f"{where}.radius", message))
     return found
 
 
@@ -118,7 +122,7 @@ def _nearest(
     point: Place,
     where: str,
     size: float,
-    problems: list[Problem],
+    problems: list[BundleProblem],
 ) -> list[int]:
     """Return the face or body nearest to a point; two as near, or none near, are refused."""
     kind, dimension = ("face", 2) if isinstance(shapes[0], Face) else ("body", 3)
@@ -133,7 +137,7 @@ def _nearest(
         message = f"({at}) m lies on the edge between {kind} {named}; move it off the edge"
     else:
         return found
-    problems.append(Problem(f"{where}.near", message))
+    problems.append(BundleProblem(f"{where}.near", message))
     return []
 
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from wrenchbook.fea.spec.problems import BundleError, Problem
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 
 METRES = 1e-3
 """gmsh works in mm here: its geometry kernel's tolerances are absolute and made for mm."""
@@ -70,13 +70,13 @@ def _gmsh() -> Any:
         import gmsh
     except ImportError:
         message = f"geometry files need gmsh, which is not installed: {EXTRA}"
-        raise BundleError([Problem("mesh.file", message)]) from None
+        raise BundleError([BundleProblem("mesh.file", message)]) from None
     except OSError as error:
         message = (
             f"gmsh cannot load a library of the system ({error}); on Debian: "
             f"apt install {_LIBRARIES}"
         )
-        raise BundleError([Problem("mesh.file", message)]) from None
+        raise BundleError([BundleProblem("mesh.file", message)]) from None
     return gmsh
 
 
@@ -91,11 +91,11 @@ def _read(gmsh: Any, path: Path) -> None:
         gmsh.model.occ.synchronize()
     except Exception as error:
         message = f'"{path.name}" cannot be read as a STEP file ({one_line(error)}); export it anew'
-        raise BundleError([Problem("mesh.file", message)]) from None
+        raise BundleError([BundleProblem("mesh.file", message)]) from None
     if not gmsh.model.getEntities(3):
         there = "surfaces only" if gmsh.model.getEntities(2) else "no shapes"
         message = f'"{path.name}" holds no solid body ({there}); export the part as a solid'
-        raise BundleError([Problem("mesh.file", message)])
+        raise BundleError([BundleProblem("mesh.file", message)])
 
 
 def one_line(error: Exception) -> str:

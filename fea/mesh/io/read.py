@@ -14,7 +14,7 @@ from meshio import _mesh
 from wrenchbook.fea.mesh.io.abaqus import read_inp
 from wrenchbook.fea.mesh.io.raw import Block, MeshFileError, RawMesh, to_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.spec.problems import BundleError, Problem
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import UNITS
 
 Array = np.ndarray
@@ -65,7 +65,7 @@ def read_mesh(path: Path, unit: str) -> Mesh:
         raw = read_inp(path) if path.suffix.lower() == ".inp" else _read_meshio(path)
         return to_mesh(raw, UNITS[unit])
     except MeshFileError as error:
-        raise BundleError([Problem("mesh.file", f'"{path.name}" {error}')]) from None
+        raise BundleError([BundleProblem("mesh.file", f'"{path.name}" {error}')]) from None
 
 
 def _read_meshio(path: Path) -> RawMesh:

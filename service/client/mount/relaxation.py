@@ -141,7 +141,7 @@ class Relaxation:
         """Forget what was: another scene, or another time."""
         self.factor = self.start if self._fixed is None else self._fixed
         self._before: Vector | None = None
-        self._watch, self._turned = Watch(), False
+        self._watch, self._turned = ContractionWatch(), False
 
     def follow(self, residual: Vector, *, driven: bool) -> float:
         """Return the fraction of a residual, shape (6,), dimensionless, that the pose shall go.
@@ -175,7 +175,7 @@ class Relaxation:
 
 
 @dataclass(frozen=True)
-class Watch:
+class ContractionWatch:
     """What tells a loop that drives itself from one that is driven.
 
     Attributes
@@ -196,7 +196,7 @@ class Watch:
     first: float = 0.0
     onward: int = 0
 
-    def seen(self, size: float, along: float) -> Watch:
+    def seen(self, size: float, along: float) -> ContractionWatch:
         """Return the watch after another residual of a size, times the last one `along`.
 
         Raises
@@ -220,7 +220,7 @@ class Watch:
             )
         if size > 1.0 and onward >= CYCLE:
             raise _run_away(self.size, size)
-        return Watch(size, max(size, self.largest), steady, records, first, onward)
+        return ContractionWatch(size, max(size, self.largest), steady, records, first, onward)
 
 
 def _run_away(before: float, size: float) -> CouplingDiverged:

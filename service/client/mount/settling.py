@@ -58,7 +58,7 @@ class Settled:
 
 
 @dataclass
-class Iteration:
+class CouplingIteration:
     """One iteration: where it stands and how far off it is.
 
     Attributes
@@ -106,7 +106,7 @@ class Loop:
     most: int
     residuals: list[float] = field(default_factory=list)
 
-    def evaluate(self, displacement: Vector) -> Iteration:
+    def evaluate(self, displacement: Vector) -> CouplingIteration:
         """Set a displacement, shape (6,), m and rad, read the scene, and ask.
 
         Raises
@@ -123,13 +123,13 @@ class Loop:
         wrench = self.read(displacement)
         answer, answered = self.ask(wrench)
         self.scale.see(answered)
-        state = Iteration(displacement, wrench, answer, answered)
+        state = CouplingIteration(displacement, wrench, answer, answered)
         state.size = float(np.abs(self.scale.measure(state.residual)).max())
         self.residuals.append(state.size)
         return state
 
 
-def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> Iteration:
+def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> CouplingIteration:
     """Settle by following the answers, from a displacement, shape (6,), m and rad.
 
     Raises
@@ -161,7 +161,7 @@ def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> Iteratio
 
 def by_newton(
     loop: Loop, start: Vector, stiffness: Vector | None
-) -> tuple[Iteration, float | None]:
+) -> tuple[CouplingIteration, float | None]:
     """Settle by Newton, from a displacement, shape (6,), m and rad; return also G.
 
     The residual U(W(u)) - u has the slope C K - I: C the answer's derivative, K the scene's dw/du,
@@ -196,7 +196,7 @@ def by_newton(
     return state, radius
 
 
-def _nearer(loop: Loop, state: Iteration, step: Vector, radius: float) -> Iteration:
+def _nearer(loop: Loop, state: CouplingIteration, step: Vector, radius: float) -> CouplingIteration:
     """Go a Newton step, shape (6,), m and rad, or the part of it that leads nearer."""
     fraction = 1.0
     for _ in range(HALVINGS):
@@ -213,7 +213,7 @@ def _nearer(loop: Loop, state: Iteration, step: Vector, radius: float) -> Iterat
     )
 
 
-def _differences(loop: Loop, state: Iteration) -> Vector:
+def _differences(loop: Loop, state: CouplingIteration) -> Vector:
     """Return the scene's stiffness dw/du, shape (6, 6), N/m to N·m/rad, by small moves of it."""
     sizes = np.where(loop.scale.tolerance > 0.0, STEP * loop.scale.tolerance, 1e-9)
     slope = np.empty((6, 6))

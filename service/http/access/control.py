@@ -16,7 +16,7 @@ from wrenchbook.service.http.access.origins import check_host, check_origin, is_
 from wrenchbook.service.http.access.permission import OPEN, PERMISSION, Permission, permission_of
 from wrenchbook.service.http.access.security import SecuritySettings
 from wrenchbook.service.http.body import counted
-from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.keys import Keyring, Scope, digest_of
 from wrenchbook.service.keys.keyring import LOOK_S
 from wrenchbook.service.keys.record import Key
@@ -61,7 +61,7 @@ class AccessControl:
         try:
             check_host(self.security, head)
             permission = self._permission(head)
-        except ProblemError:
+        except HttpProblemError:
             return None
         return permission if permission.allows("write") else None
 
@@ -88,7 +88,7 @@ class AccessControl:
         try:
             if PERMISSION not in scope:  # the fast path has admitted and counted it already
                 self.check(scope)
-        except ProblemError as refused:
+        except HttpProblemError as refused:
             await refused.response()(scope, receive, send)
             return None
         most = permission_of(scope).most_bytes
@@ -101,7 +101,7 @@ class AccessControl:
 
         Raises
         ------
-        ProblemError
+        HttpProblemError
             401, 403, 413, 415 or 429; nothing of the body was read.
         """
         method, path, head = scope["method"], scope["path"], dict(scope["headers"])
@@ -151,13 +151,13 @@ class AccessControl:
         self._permissions.clear()
 
 
-def beyond_scope(permission: Permission, needed: Scope) -> ProblemError:
+def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:
     """Return the refusal of a call that needs another scope."""
     assert permission.key is not None
     also = ""
     if needed == "write":
         also = " A displacement with on_thin 'estimate' or 'reject' needs no more than read."
-    return ProblemError(
+    return HttpProblemError(
         403,
         "scope",
         "The key's scope does not allow this",
@@ -194,7 +194,7 @@ def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
         return
     taken = (_JSON, _BYTES) if path.endswith(_BINARY) else (_JSON,)
     if kind not in taken:
-        raise ProblemError(
+        raise HttpProblemError(
             415,
             "media-type",
             "Not a form this call takes",
@@ -209,14 +209,14 @@ def _check_length(permission: Permission, head: Mapping[bytes, bytes]) -> None:
         raise _too_large(most)
 
 
-def _too_large(most: int) -> ProblemError:
+def _too_large(most: int) -> HttpProblemError:
     detail = f"This key may send at most {most >> 20} MiB at once; nothing was changed. Send parts."
-    return ProblemError(413, "too-large", "The body is too large", detail)
+    return HttpProblemError(413, "too-large", "The body is too large", detail)
 
 
-def _too_often(permission: Permission, seconds: float) -> ProblemError:
+def _too_often(permission: Permission, seconds: float) -> HttpProblemError:
     assert permission.key is not None
-    return ProblemError(
+    return HttpProblemError(
         429,
         "rate",
         "The key is used too often",
@@ -226,8 +226,8 @@ def _too_often(permission: Permission, seconds: float) -> ProblemError:
     )
 
 
-def _no_key(why: str) -> ProblemError:
-    return ProblemError(
+def _no_key(why: str) -> HttpProblemError:
+    return HttpProblemError(
         401,
         "key",
         "A key is needed",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from wrenchbook.service.http.access.security import SecuritySettings
-from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.problems import HttpProblemError
 
 # Open to every site and without a key: these files contain nothing of the tables.
 _PUBLIC_FOLDERS = ("/page/",)
@@ -22,14 +22,14 @@ def check_host(security: SecuritySettings, head: Mapping[bytes, bytes]) -> None:
 
     Raises
     ------
-    ProblemError
+    HttpProblemError
         403.
     """
     if security.hosts is None:
         return
     host = _name(head.get(b"host", b"").decode("latin-1"))
     if host not in security.hosts:
-        raise ProblemError(
+        raise HttpProblemError(
             403,
             "host",
             "The host is not allowed",
@@ -45,7 +45,7 @@ def check_origin(security: SecuritySettings, head: Mapping[bytes, bytes]) -> Non
 
     Raises
     ------
-    ProblemError
+    HttpProblemError
         403.
     """
     origin = head.get(b"origin")
@@ -59,8 +59,8 @@ def check_origin(security: SecuritySettings, head: Mapping[bytes, bytes]) -> Non
         raise _cross_site("another site")
 
 
-def _cross_site(origin: str) -> ProblemError:
-    return ProblemError(
+def _cross_site(origin: str) -> HttpProblemError:
+    return HttpProblemError(
         403,
         "cross-site",
         "Pages of other sites may not call this server",

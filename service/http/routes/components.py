@@ -18,7 +18,7 @@ from wrenchbook.service.http.body import MOST_QUERY_BYTES, form_of, read_limited
 from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
-from wrenchbook.service.http.problems import ProblemError, bad_body
+from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.scenes import need_from
@@ -110,7 +110,7 @@ async def add_component(request: Request, workspace: Opened) -> Response:
         body = read_body(TableOnlyComponent, await read_limited(request.receive))
         component = await run_in_threadpool(_add_table_only, workspace, body)
     else:
-        raise ProblemError(
+        raise HttpProblemError(
             415,
             "media-type",
             "Not a form this call takes",

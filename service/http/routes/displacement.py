@@ -39,7 +39,7 @@ from wrenchbook.service.http.parsing import (
     split_version,
     version_of,
 )
-from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.replies import write_batch, write_binary, write_outcome
 from wrenchbook.service.http.schemas import Displacement, Displacements
 from wrenchbook.service.workspace import Workspace
@@ -80,12 +80,12 @@ def _asking(permission: Permission, read: Callable[[Body], Asked], body: Body) -
 
     Raises
     ------
-    ProblemError
+    HttpProblemError
         403.
     """
     try:
         query = read(body)
-    except ProblemError:
+    except HttpProblemError:
         raise beyond_scope(permission, "write") from None
     if query.on_thin not in ("estimate", "reject"):
         raise beyond_scope(permission, "write")

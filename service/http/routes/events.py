@@ -13,7 +13,7 @@ from starlette.types import Receive, Scope, Send
 from wrenchbook.service.events.feed import Feed, Listener, TooManyListenersError
 from wrenchbook.service.events.watch import Watch
 from wrenchbook.service.http.openapi import refused
-from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Opened
 
 router = APIRouter(prefix="/v1/events", tags=["events"], responses=refused(404, 422))
@@ -63,7 +63,7 @@ async def events(
     try:
         listener = await watch.listen(component, last_event_id)
     except TooManyListenersError as error:
-        raise ProblemError(
+        raise HttpProblemError(
             503, "too-many-listeners", "Too many listeners", f"{error}. Nothing was changed."
         ) from None
     return EventStream(watch.feed, listener)

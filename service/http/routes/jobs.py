@@ -17,10 +17,10 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.openapi import BYTES, refused
-from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.jobs.attempt import LOG, pieces_of, zipped
-from wrenchbook.service.ledger import Job, LedgerRow, Status, UnknownJobError
+from wrenchbook.service.ledger import JobRecord, LedgerRow, Status, UnknownJobError
 from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"], responses=refused(404, 422))
@@ -43,7 +43,7 @@ WaitSeconds = Annotated[
 
 
 def job_body(
-    workspace: Workspace, job: Job, rows: Mapping[int, LedgerRow] | None = None
+    workspace: Workspace, job: JobRecord, rows: Mapping[int, LedgerRow] | None = None
 ) -> dict[str, Any]:
     """Return the full form of a job, with its progress and, when done, its displacement.
 
@@ -101,7 +101,7 @@ async def one_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -
     return await run_in_threadpool(_whole_body, workspace, job)
 
 
-def _whole_body(workspace: Workspace, job: Job) -> dict[str, Any]:
+def _whole_body(workspace: Workspace, job: JobRecord) -> dict[str, Any]:
     """Return what one job's own reply has more than in lists: its notes, why it waits."""
     body = job_body(workspace, job) | {"notes": redact_values(workspace.notes(job))}
     waiting = workspace.why_waiting(job)
@@ -150,17 +150,17 @@ def attempt_files(job_id: JobId, workspace: Opened) -> Response:
     return StreamingResponse(pieces_of(zipped(folder)), 200, disposition, "application/zip")
 
 
-def _no_files(job: Job, folder: pathlib.Path) -> ProblemError:
+def _no_files(job: JobRecord, folder: pathlib.Path) -> HttpProblemError:
     if not (job.attempt and job.is_final):
         why = f"Job {job.id} is {job.status} and has no files yet."
-        return ProblemError(404, "no-files", "No files yet", why)
+        return HttpProblemError(404, "no-files", "No files yet", why)
     where = f"jobs/{folder.parent.name}/{folder.name}"
     why = (
         f"Job {job.id} is {job.status} and the folder of its attempt {job.attempt}, {where} in the "
         "data directory, is not there: it was old and pruned (see serve --keep-days), deleted, or "
         "not copied with the ledger. The job's row needs no files."
     )
-    return ProblemError(404, "no-files", "The files are gone", why)
+    return HttpProblemError(404, "no-files", "The files are gone", why)
 
 
 @router.get(
@@ -174,7 +174,7 @@ def attempt_log(job_id: JobId, workspace: Opened) -> Response:
     path = workspace.attempt_folder(job) / LOG
     if path.is_symlink() or not path.is_file():  # a deck's command may have put a link there
         why = f"Job {job.id} is {job.status}, and its last attempt has left no log here."
-        raise ProblemError(404, "no-files", "No log", why)
+        raise HttpProblemError(404, "no-files", "No log", why)
     with path.open("rb") as log:
         size = log.seek(0, 2)
         log.seek(max(0, size - MOST_LOG_BYTES))

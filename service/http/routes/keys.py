@@ -13,7 +13,7 @@ from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.http.body import read_limited
 from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
-from wrenchbook.service.http.problems import ProblemError, bad_body
+from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.keys import Keyring, KeysError
 from wrenchbook.service.keys.record import MEGABYTES, RATE
@@ -60,7 +60,7 @@ def revoke_key(name: str, request: Request) -> dict[str, Any]:
     try:
         keyring.revoke(name)
     except KeysError as error:
-        raise ProblemError(404, "unknown-key", "No such key", str(error)) from None
+        raise HttpProblemError(404, "unknown-key", "No such key", str(error)) from None
     return {"revoked": name}
 
 
@@ -69,12 +69,12 @@ def _keyring(request: Request) -> Keyring:
 
     Raises
     ------
-    ProblemError
+    HttpProblemError
         409, while it needs none: whoever could ask would lock all others out.
     """
     access = request.app.state.access
     if not access.keys_needed:
-        raise ProblemError(
+        raise HttpProblemError(
             409,
             "no-keys",
             "This server has no keys",

@@ -14,7 +14,7 @@ from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
 from wrenchbook.service.http.body import read_limited
 from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
-from wrenchbook.service.http.problems import ProblemError, bad_body
+from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.components import component_body
@@ -136,14 +136,14 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
     workspace: Workspace = request.app.state.workspace
     source = workspace.library[name]
     if renamed and source.shipped:
-        raise ProblemError(
+        raise HttpProblemError(
             409,
             "shipped",
             "A shipped component keeps its name",
             f"{name!r} comes with the program. Copy it: POST /v1/components/{name}/copy.",
         )
     if renamed and (newer := workspace.catalogue[name].renamed_to):
-        raise ProblemError(
+        raise HttpProblemError(
             409,
             "renamed",
             "The component was renamed already",

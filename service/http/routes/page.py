@@ -19,7 +19,7 @@ from fastapi import APIRouter, Header, Request
 from starlette.responses import Response
 
 from wrenchbook.service.http.links import holds, naming
-from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.problems import HttpProblemError
 
 router = APIRouter(include_in_schema=False)
 
@@ -67,7 +67,9 @@ def page_file(
 def _answer(name: str, request: Request, if_none_match: str | None) -> Response:
     path = _paths().get(name)
     if path is None:
-        raise ProblemError(404, "no-file", "No such file", "The page is at /, the calls at /docs.")
+        raise HttpProblemError(
+            404, "no-file", "No such file", "The page is at /, the calls at /docs."
+        )
     file = _read(path, path.stat().st_mtime_ns)
     headers = {**naming(file.tag), "Vary": "Accept-Encoding"}
     if holds(if_none_match, file.tag):

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query
 from starlette.responses import Response
 
 from wrenchbook.service.http.openapi import JSON, TEXT, answers, refused
-from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.submission import NoSetupError
@@ -49,7 +49,7 @@ def make_report(
     try:
         workspace.reports.make(component, wrenches, seed)
     except FileNotFoundError as error:
-        raise ProblemError(409, "no-rows", "The table has no rows", str(error)) from None
+        raise HttpProblemError(409, "no-rows", "The table has no rows", str(error)) from None
     return _state(workspace, name)
 
 
@@ -78,7 +78,7 @@ def get_report(
     if making.state == "running":
         return _state(workspace, name)
     why = f"Making it failed: {making.message}. " if making.state == "failed" else ""
-    raise ProblemError(
+    raise HttpProblemError(
         404,
         "no-report",
         "No report yet",

@@ -10,9 +10,9 @@ from fastapi import APIRouter, Path
 
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.service.http.openapi import refused
-from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Opened
-from wrenchbook.service.ledger import Import, LedgerRow, RowStatusError, UnknownRowError
+from wrenchbook.service.ledger import ImportRecord, LedgerRow, RowStatusError, UnknownRowError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import Workspace
@@ -51,7 +51,7 @@ def _edited(
     try:
         edit(component.name, row)
     except RowStatusError as error:
-        raise ProblemError(
+        raise HttpProblemError(
             409, "row-status", "The row's state does not allow this", str(error)
         ) from None
     current = workspace.tables.catch_up(name, CATCH_UP_S)
@@ -103,7 +103,7 @@ def _import(workspace: Workspace, seq: int) -> dict[str, Any] | None:
     return None if found is None else import_body(found)
 
 
-def import_body(one: Import) -> dict[str, Any]:
+def import_body(one: ImportRecord) -> dict[str, Any]:
     """Return who loaded rows from which file."""
     return {
         "id": one.id,

@@ -98,7 +98,7 @@ def need_from(
 
     Raises
     ------
-    ProblemError
+    HttpProblemError
         422, if an end is beyond the component's load range or the two ends are the wrong way round.
     """
     bounds = None if span is None else np.array(span.bounds())

@@ -23,7 +23,7 @@ from wrenchbook.service.http.body import received
 from wrenchbook.service.http.import_query import ImportQuery
 from wrenchbook.service.http.links import holds, naming
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
-from wrenchbook.service.http.problems import ProblemError
+from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.table_schemas import Imported, Table
@@ -175,7 +175,7 @@ def _export(
     try:
         check_units(wanted)
     except UnitError as error:
-        raise ProblemError(422, "unit", "Not a unit this export can use", str(error)) from None
+        raise HttpProblemError(422, "unit", "Not a unit this export can use", str(error)) from None
     own = workspace.errors.read(name, component.fingerprint) if component.has_fea else None
     return _file(
         component,
@@ -260,7 +260,9 @@ def _file(component: Component, format_: str, write: Any) -> Response:
     except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
         if isinstance(error, SheetFullError | NoTableError):
-            raise ProblemError(409, "export", "This export cannot be made", str(error)) from None
+            raise HttpProblemError(
+                409, "export", "This export cannot be made", str(error)
+            ) from None
         raise
     headers = naming(_tag(component, version))
     if format_ != "json":
@@ -283,7 +285,7 @@ def _write_mat(table: ServedTable, name: str, path: Path) -> int:
 def _check_kind(request: Request) -> None:
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind and kind not in _TAKEN:
-        raise ProblemError(
+        raise HttpProblemError(
             415,
             "media-type",
             "Not a form of table this call takes",
@@ -292,10 +294,10 @@ def _check_kind(request: Request) -> None:
         )
 
 
-def _refused(reply: dict[str, Any]) -> ProblemError:
+def _refused(reply: dict[str, Any]) -> HttpProblemError:
     errors = reply["errors"]
     first = errors[0]
-    return ProblemError(
+    return HttpProblemError(
         422,
         "bad-rows",
         "The table has mistakes",

@@ -27,7 +27,7 @@ from wrenchbook.service.http.bodies import Body, Finite, Flag, Seconds, Toleranc
 from wrenchbook.service.http.body import read_limited
 from wrenchbook.service.http.openapi import answers, takes
 from wrenchbook.service.http.parsing import known_method, parsed_json
-from wrenchbook.service.http.problems import ProblemError, problem_of
+from wrenchbook.service.http.problems import HttpProblemError, problem_of
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.library.component import UnknownComponentError
 from wrenchbook.service.tables.served import TableBehindError
@@ -304,7 +304,7 @@ def _failure(error: Exception) -> UmBridgeError:
     return UmBridgeError(kind, _message(problem))
 
 
-def _message(problem: ProblemError) -> str:
+def _message(problem: HttpProblemError) -> str:
     errors = problem.body.get("errors")
     if problem.status != 422 or not errors:
         return str(problem.body["detail"])

@@ -16,7 +16,7 @@ from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import LoadRange
+from wrenchbook.fea.spec.schema import DeclaredRange
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import Rows
 
@@ -200,7 +200,7 @@ def test_the_bar_of_a_linear_component_holds_its_nonlinear_answers(bar):
 def test_a_range_beyond_the_buckling_load_is_told_with_its_factor(bar):
     coarse = Solver(refined(bar.component.bundle, 0.5))
     most = np.array([2e4, 20.0, 20.0, 1.0, 1.0, 1.0])
-    found = beyond_linear(coarse, LoadRange(-most, most))
+    found = beyond_linear(coarse, DeclaredRange(-most, most))
     assert found.buckling == pytest.approx(6908.7 / 2e4, rel=0.05)
     assert "it buckles at" in found.why
     assert np.isfinite(found.deviation).all()

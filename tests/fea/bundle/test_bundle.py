@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wrenchbook.fea.bundle.read import BundleError, Problem, bundle_of, read_bundle
+from wrenchbook.fea.bundle.read import BundleError, BundleProblem, bundle_of, read_bundle
 
 SHIPPED = Path(__file__).parents[3] / "data" / "components"
 
@@ -255,7 +255,7 @@ def test_a_deck_is_read_and_its_file_must_be_there(tmp_path):
 
 
 def test_the_error_survives_a_pickle():
-    error = BundleError([Problem("mesh.file", "is missing")])
+    error = BundleError([BundleProblem("mesh.file", "is missing")])
     assert pickle.loads(pickle.dumps(error)).problems == error.problems
 
 

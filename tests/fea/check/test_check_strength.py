@@ -14,7 +14,7 @@ from wrenchbook.fea.check.strength import strength
 from wrenchbook.fea.component import build
 from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import LoadRange
+from wrenchbook.fea.spec.schema import DeclaredRange
 from wrenchbook.fea.validation.clamped import clamped
 from wrenchbook.fea.validation.laminate import strip
 
@@ -65,7 +65,7 @@ def test_without_a_yield_strength_nothing_is_solved(tmp_path):
 def rod(times=1.0, nonlinear=True):
     part = clamped(box("hex20", (2, 2, 4), (0.01, 0.01, 0.2)), "z0", "z1", (70e9, 0.3))
     high = times * np.array([20.0, 10.0, 100.0, 1.0, 1.0, 1.0])
-    bundle = replace(part.bundle, range=LoadRange(-high, high))
+    bundle = replace(part.bundle, range=DeclaredRange(-high, high))
     material = replace(part.materials[0], yield_strength=200e6)
     analysis = replace(part.analysis, nonlinear=nonlinear)
     return replace(part, bundle=bundle, materials=(material,), analysis=analysis)
@@ -91,7 +91,7 @@ def test_a_range_that_cannot_be_solved_stays_first_order_and_says_why():
 
 def test_von_mises_says_little_of_an_orthotropic_material():
     part = strip((0, 90), (4, 1))
-    loads = LoadRange(-np.ones(6), np.ones(6))
+    loads = DeclaredRange(-np.ones(6), np.ones(6))
     materials = tuple(replace(one, yield_strength=1e12) for one in part.materials)
     part = replace(part, bundle=replace(part.bundle, range=loads), materials=materials)
     found, warnings = strength(Solver(part), nonlinear=False)

@@ -103,7 +103,9 @@ def test_cells_that_calculix_has_not_are_named_before_anything_is_solved(
 
 
 def _refused(_part):
-    raise second_opinion.BundleError([second_opinion.Problem("mesh", "CalculiX has no element")])
+    raise second_opinion.BundleError(
+        [second_opinion.BundleProblem("mesh", "CalculiX has no element")]
+    )
 
 
 def test_the_difference_is_relative_to_the_largest_of_its_kind():

@@ -11,7 +11,7 @@ from tests.surrogate.law.answer import Answer, over_tolerance
 from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE, THIN, allowed_by
 from wrenchbook.surrogate.composition.axis_table import SOUND
 from wrenchbook.surrogate.composition.composition import OFF_HULL, Composition
-from wrenchbook.surrogate.table.axes import AXES, Axis
+from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.compliance import ComplianceFit
 from wrenchbook.surrogate.table.rows import LOADS, OUTPUTS, Floats, Rows, Tolerance
 
@@ -90,7 +90,7 @@ def _axis(
     }
 
 
-def _part(axis: Axis, wrench: Floats, moved: Floats, bars: Floats | None) -> dict[str, Any]:
+def _part(axis: LoadAxis, wrench: Floats, moved: Floats, bars: Floats | None) -> dict[str, Any]:
     return {
         "axis": axis.name,
         "inputs": {LOADS[load]: float(wrench[load]) for load in axis.inputs},

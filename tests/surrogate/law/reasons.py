@@ -10,7 +10,7 @@ from wrenchbook.surrogate.composition.axis_table import DEGENERATE, LARGEST, SOU
 from wrenchbook.surrogate.composition.composition import NO_ROWS, OFF_HULL, Composed, Composition
 from wrenchbook.surrogate.composition.pure_moment import ON_HULL
 from wrenchbook.surrogate.error_law import FEWEST
-from wrenchbook.surrogate.table.axes import AXES, Axis
+from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.rows import CLEAN, LOAD_UNITS, LOADS, Floats
 
 
@@ -102,7 +102,7 @@ def _amount(load: int, wrench: Floats) -> str:
     return f"{LOADS[load]} = {wrench[load]:.10g} {LOAD_UNITS[load]}"
 
 
-def _why_outside(axis: Axis, table: AxisTable | None, wrench: Floats) -> str:
+def _why_outside(axis: LoadAxis, table: AxisTable | None, wrench: Floats) -> str:
     """Say which loads leave the rows, and what the rows span."""
     amounts = ", ".join(_amount(load, wrench) for load in axis.inputs if wrench[load])
     if table is None:
