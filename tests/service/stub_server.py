@@ -102,6 +102,7 @@ def running_stub() -> Iterator[Stub]:
 
     class Server(ThreadingHTTPServer):
         daemon_threads = True
+        request_queue_size = 64  # with the default of 5, SYN packets of a burst wait for a retry
 
         def handle_error(self, request: Any, client_address: Any) -> None:
             pass  # a client that gave up waiting is part of the tests
