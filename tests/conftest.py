@@ -17,25 +17,87 @@ settings.register_profile(
 )
 settings.load_profile("shared-ci" if os.environ.get("CI") else "shared")
 
-# Files that take half a minute, the longest first: one that begins last leaves the other workers
-# of `make test` with nothing to do. They hold few tests, by which xdist would have them last.
+# Files of 15 s or more, the longest first: one that begins last leaves the other workers of
+# `make test` with nothing to do. They hold few tests, by which xdist would have them last.
 LONGEST = (
     "service/page/test_browser.py",
-    "acceptance/test_paper.py",
-    "acceptance/test_main_job.py",
-    "service/engines/test_dask_deaths.py",
-    "acceptance/test_nothing_lost.py",
-    "acceptance/test_wheel.py",
     "surrogate/test_error_bars.py",
-    "surrogate/test_growing.py",
-    "fea/solver/test_tangents.py",
-    "service/test_report.py",
-    "acceptance/test_one_law.py",
-    "acceptance/test_backup_under_load.py",
-    "service/test_recording_killed.py",
+    "acceptance/test_main_job.py",
+    "acceptance/test_nothing_lost.py",
+    "surrogate/kernel/test_kernel.py",
+    "surrogate/kernel/test_parity.py",
+    "service/engines/test_conformance.py",
+    "acceptance/test_paper.py",
+    "acceptance/test_mount.py",
+    "service/test_kept_component.py",
+    "service/test_workers.py",
+    "service/test_http_table.py",
+    "acceptance/test_wheel.py",
+    "service/test_restart.py",
+    "surrogate/packed/test_format.py",
+    "service/engines/test_dask_deaths.py",
+    "surrogate/kriging/test_bars.py",
     "acceptance/test_bundles_from_files.py",
-    "service/test_umbridge.py",
-    "service/test_recording_machine.py",
+    "service/test_http_spelling.py",
+    "fea/deck/test_deck_ccx.py",
+    "service/test_http_rows.py",
+    "service/test_http_displacement.py",
+    "surrogate/test_composition.py",
+    "surrogate/test_honesty.py",
+    "acceptance/test_measured_table.py",
+    "service/test_http_components.py",
+    "service/test_client_async.py",
+    "fuzz/test_document.py",
+)
+# Files of 5 s or more, which `make test-fast` leaves out with the longest.
+LONG = (
+    "service/test_dispatcher_leases.py",
+    "fea/solver/test_tangents.py",
+    "service/test_durable_tables.py",
+    "service/test_http_recording.py",
+    "service/test_recording_killed.py",
+    "surrogate/test_rows_near_each_other.py",
+    "service/test_doctor.py",
+    "service/test_dispatcher.py",
+    "fea/validation/test_shipped.py",
+    "fea/deck/test_deck.py",
+    "service/test_kill.py",
+    "service/test_http_surface_bars.py",
+    "fea/solver/test_stability.py",
+    "service/fmu/test_numbers.py",
+    "service/fmu/test_export.py",
+    "service/test_table_roundtrip.py",
+    "service/test_http_scenes.py",
+    "fea/recovery/test_fields.py",
+    "service/test_http_queue.py",
+    "fuzz/test_formats.py",
+    "fea/validation/test_calculix_shipped.py",
+    "service/test_http_deformed.py",
+    "service/test_warm_solver.py",
+    "service/test_client_recorder.py",
+    "surrogate/test_contradicting.py",
+    "service/test_deformed.py",
+    "service/test_table_forms.py",
+    "surrogate/scene/test_plan.py",
+    "surrogate/test_surrogate.py",
+    "fea/test_failures.py",
+    "service/test_sample_tables.py",
+    "service/test_report.py",
+    "service/test_http_job_pages.py",
+    "service/test_events.py",
+    "surrogate/test_scatter.py",
+    "service/test_http_library.py",
+    "service/test_http_derivative.py",
+    "service/test_submission.py",
+    "surrogate/test_design.py",
+    "service/test_past_tables.py",
+    "service/test_mapped_tables.py",
+    "service/test_http_solver_error.py",
+    "surrogate/test_properties.py",
+    "service/test_limits.py",
+    "fea/accuracy/test_accuracy.py",
+    "service/test_client_table.py",
+    "service/test_http_protocol.py",
 )
 # Folders of which each test starts servers, a browser or a cluster.
 STARTING = ("acceptance", "service/engines", "service/page")
@@ -45,7 +107,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Have the longest files begin first, the others in their order; mark slow ones."""
     place = {Path(__file__).parent / name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path, len(place)))
-    starting = [Path(__file__).parent / name for name in STARTING]
+    slow = [Path(__file__).parent / name for name in (*LONGEST, *LONG, *STARTING)]
     for item in items:
-        if item.path in place or any(item.path.is_relative_to(folder) for folder in starting):
+        if any(item.path.is_relative_to(path) for path in slow):
             item.add_marker(pytest.mark.slow)

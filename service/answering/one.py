@@ -125,12 +125,12 @@ async def answered(name: str, table: ServedTable, query: Query) -> Outcome:
         outcome = _from_table(name, table, query)
     else:
         outcome = await run_in_threadpool(_from_table, name, table, query)
-    asked = query.wrench, six(query.tolerance), query.method
+    request = query.wrench, six(query.tolerance), query.method
     if query.derivatives:
-        outcome.derivative = table.packed.derivative(*asked)
+        outcome.derivative = table.packed.derivative(*request)
     if query.detail:
         by_axes = outcome.method != ROW  # a row answers without the axes
-        outcome.axes = await run_in_threadpool(explain, table.packed, *asked) if by_axes else []
+        outcome.axes = await run_in_threadpool(explain, table.packed, *request) if by_axes else []
         outcome.method_detail = table.method_detail(outcome.method or table.default)
     return outcome
 

@@ -37,7 +37,7 @@ class SolveFailedError(RefusedError):
         message, remedy = error.get("message", ""), error.get("remedy", "")
         # Failures that older versions stored end in their remedy already.
         text = message if message.endswith(remedy) else f"{message} {remedy}"
-        mended = f"Once mended, POST /v1/jobs/{job.id}/retry."
-        super().__init__(f"{text} {mended}".strip(), error=error)
+        retry = f"Once mended, POST /v1/jobs/{job.id}/retry."
+        super().__init__(f"{text} {retry}".strip(), error=error)
         self.kind = error.get("kind", "unknown")
         self.job = job

@@ -93,11 +93,11 @@ def _compare(out: Console, client: Client) -> str | None:
         ]
         for method in (None, "griddata")
     )
-    orders = [client.solve(COMPONENT, wrench[:3], wrench[3:]) for wrench in wrenches]
-    jobs = render.follow(out, client, [_job(order) for order in orders], SOLVE_S * CHECKED)
+    rounds = [client.solve(COMPONENT, wrench[:3], wrench[3:]) for wrench in wrenches]
+    jobs = render.follow(out, client, [_job(order) for order in rounds], SOLVE_S * CHECKED)
     compared = [
         (answer, beside, job)
-        for answer, beside, job in zip(answers, plain, _in_order(jobs, orders), strict=True)
+        for answer, beside, job in zip(answers, plain, _in_order(jobs, rounds), strict=True)
         if job.status == "done" and answer.vector is not None and beside.vector is not None
     ]
     failed = sum(job.status == "failed" for job in jobs)
@@ -120,9 +120,9 @@ def _job(order: Displacement) -> Job:
     return order.job
 
 
-def _in_order(jobs: Sequence[Job], orders: Sequence[Displacement]) -> list[Job]:
+def _in_order(jobs: Sequence[Job], rounds: Sequence[Displacement]) -> list[Job]:
     by_id = {job.id: job for job in jobs}
-    return [by_id[_job(order).id] for order in orders]
+    return [by_id[_job(order).id] for order in rounds]
 
 
 def _random_wrenches(component: dict) -> np.ndarray:
@@ -134,7 +134,7 @@ def _random_wrenches(component: dict) -> np.ndarray:
 
 def _error_table(compared: Sequence[tuple[Displacement, Displacement, Job]]) -> Table:
     """Lay out the table's errors against FEA per output, and griddata's beside them."""
-    told, plain, bars = (
+    body, plain, bars = (
         np.array(rows)
         for rows in (
             [answer.vector for answer, _, _ in compared],
@@ -143,7 +143,7 @@ def _error_table(compared: Sequence[tuple[Displacement, Displacement, Job]]) -> 
         )
     )
     true = np.array([[*job.raw["translation"], *job.raw["rotation"]] for *_, job in compared])
-    error, other = np.abs(told - true), np.abs(plain - true)
+    error, other = np.abs(body - true), np.abs(plain - true)
     span = np.ptp(true, axis=0)
     method = compared[0][0].method
     table = Table(title=f"{method} against FEA, {len(compared)} full wrenches not in the table")

@@ -38,9 +38,9 @@ def error_bars(coverage: Mapping[str, Any]) -> str:
     """Say the largest of the axes' typical error bars, by output; empty while there is none."""
     largest: dict[str, float] = {}
     for axis in coverage.get("axes", ()):
-        for output, bar in (axis["error"] or {}).items():
-            if bar == bar:  # one that is not known is NaN, or null on the wire
-                largest[output] = max(bar, largest.get(output, 0.0))
+        for output, progress_bar in (axis["error"] or {}).items():
+            if progress_bar == progress_bar:  # one that is not known is NaN, or null on the wire
+                largest[output] = max(progress_bar, largest.get(output, 0.0))
     named = [f"{name} {largest[name]:.1e}" for name in DISPLACEMENT_NAMES if name in largest]
     return f"error bars between rows: {', '.join(named)} (m, rad)" if named else ""
 

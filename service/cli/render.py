@@ -84,16 +84,16 @@ def method_line(component: dict[str, Any]) -> str:
     return f"{coverage['method']} answers: {coverage['method_reason']}."
 
 
-def compliance_tables(told: dict[str, Any]) -> list[Table]:
+def compliance_tables(body: dict[str, Any]) -> list[Table]:
     """Lay out the compliance at zero load, and the mean over the load range."""
-    known = [load in told["known_loads"] for load in WRENCH_NAMES]
+    known = [load in body["known_loads"] for load in WRENCH_NAMES]
     mean = [
         [value if tells else None for value, tells in zip(line, known, strict=True)]
-        for line in told["matrix"]
+        for line in body["matrix"]
     ]
     matrices = (
-        (f"tangent at zero load ({told['tangent_origin']})", told["tangent"]),
-        (f"mean over the load range ({told['origin']})", mean),
+        (f"tangent at zero load ({body['tangent_origin']})", body["tangent"]),
+        (f"mean over the load range ({body['origin']})", mean),
     )
     tables = []
     for title, lines in matrices:
@@ -236,13 +236,13 @@ def fill(
     client: Client,
     name: str,
     budget: int,
-    wanted: dict[str, Any],
+    options: dict[str, Any],
     round_size: int = 24,
     seconds: float = 3600.0,
 ) -> int:
     """Fill a table round by round, with a bar each; return how many solves were spent.
 
-    `wanted` is what `Client.fill` takes beside the budget.
+    `options` are those of `Client.fill`, without the budget.
 
     Raises
     ------
@@ -251,15 +251,15 @@ def fill(
     """
     spent, pace = 0, Pace(budget)
     while spent < budget:
-        order = client.fill(name, budget=min(round_size, budget - spent), **wanted)
+        order = client.fill(name, budget=min(round_size, budget - spent), **options)
         plain(out, f"{order.stage}: {order.reason}")
         if not order.jobs:
             break
         ended = follow(out, client, order.jobs, seconds, pace)
         pace.ended = spent = spent + len(ended)
         now = client.component(name)
-        told = (f"{spent} solves", pace.note(), f"{now['rows']} rows", error_bars(now["coverage"]))
-        plain(out, "; ".join(filter(None, told)))
+        parts = f"{spent} solves", pace.note(), f"{now['rows']} rows", error_bars(now["coverage"])
+        plain(out, "; ".join(filter(None, parts)))
         failed = [job for job in ended if job.status == "failed"]
         for job in failed:
             plain(out, f"job {job.id} failed: {_state(job)}", style="red")

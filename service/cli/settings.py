@@ -95,10 +95,10 @@ def settings_of(
         If a file or a variable has a setting that there is not, or a value that cannot be.
     """
     fields = _fields(command)
-    said = {name for name in fields if _was_said(ctx, name)}
+    given = {name for name in fields if _was_given(ctx, name)}
     environment = _environment(fields)
     here: Path = ctx.params["data"]
-    data = here if "data" in said else environment.get("data") or here
+    data = here if "data" in given else environment.get("data") or here
     file = config or Path(data) / FILE
     from_file = _read(file, fields, named=config is not None)
     values = _checked(fields, from_file, file)
@@ -107,7 +107,7 @@ def settings_of(
     origins |= {name: f"{PREFIX}{name.upper()}" for name in environment}
     found = {}
     for name in fields:
-        spoken = name in said
+        spoken = name in given
         value = ctx.params[name] if spoken else getattr(values, name)
         found[name] = Setting(value, "command line" if spoken else origins[name])
     return found
@@ -141,7 +141,7 @@ def _fields(command: Callable[..., Any]) -> dict[str, tuple[Any, FieldInfo]]:
     return found
 
 
-def _was_said(ctx: typer.Context, name: str) -> bool:
+def _was_given(ctx: typer.Context, name: str) -> bool:
     source = ctx.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"  # typer may bring a click of its own
 

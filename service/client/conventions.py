@@ -84,12 +84,10 @@ def from_ros(message: Any) -> Vector:
     ValueError
         If a member is missing or no finite number.
     """
-    inner = _member(message, "wrench", None)
+    inner = _field(message, "wrench", None)
     message = message if inner is None else inner
     parts = [
-        float(_member(_member(message, name), axis))
-        for name in ("force", "torque")
-        for axis in "xyz"
+        float(_field(_field(message, name), axis)) for name in ("force", "torque") for axis in "xyz"
     ]
     return one_wrench(parts)
 
@@ -217,7 +215,7 @@ def _on(component: Side, parent_to_child: Vector) -> Vector:
 _REQUIRED: Any = object()
 
 
-def _member(whole: Any, name: str, default: Any = _REQUIRED) -> Any:
+def _field(whole: Any, name: str, default: Any = _REQUIRED) -> Any:
     """Return a message's member, be it an attribute or a key."""
     found = (
         whole.get(name, default) if isinstance(whole, Mapping) else getattr(whole, name, default)

@@ -72,11 +72,11 @@ class LibraryCalls:
     def components(self) -> Call[list[dict[str, Any]]]:
         """Return the library: per component its name, title, range, rows, table version."""
         found: list[dict[str, Any]] = []
-        following = "/v1/components"
-        while following:
-            page = (yield Request("GET", following)).json()
+        next_page = "/v1/components"
+        while next_page:
+            page = (yield Request("GET", next_page)).json()
             found += page["components"]
-            following = page.get("next")
+            next_page = page.get("next")
         return found
 
     @sync_and_async

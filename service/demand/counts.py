@@ -63,7 +63,7 @@ def kept(maps: dict[str, QueryCounts]) -> dict[str, Any]:
     }
 
 
-def read(told: dict[str, Any]) -> dict[str, QueryCounts]:
+def read(body: dict[str, Any]) -> dict[str, QueryCounts]:
     """Return the maps that `kept` has made.
 
     Raises
@@ -71,7 +71,7 @@ def read(told: dict[str, Any]) -> dict[str, QueryCounts]:
     ValueError, KeyError, TypeError, AttributeError
         If it is none of its.
     """
-    return {name: _read(one) for name, one in told.items()}
+    return {name: _read(one) for name, one in body.items()}
 
 
 def _read(one: dict[str, Any]) -> QueryCounts:

@@ -135,13 +135,13 @@ class QueryStatistics:
         with self._alone() as alone:
             if not alone:
                 return  # another process is at it; the next time will do
-            held = self._read()
+            locked = self._read()
             with self._lock:
                 own, self._own = self._own, {}
-                self._held = add(held, own)
+                self._held = add(locked, own)
             if own and not self._write(self._held):
                 with self._lock:
-                    self._own, self._held = add(own, self._own), held
+                    self._own, self._held = add(own, self._own), locked
 
     def _is_full(self) -> bool:
         return len(self._own.keys() | self._held.keys()) >= MOST_COMPONENTS

@@ -61,13 +61,13 @@ def linear_fit(rows: Rows, load_range: LoadRange, response: Response) -> Fit:
         known = np.isfinite(response.expected[:, output])
         if not known.any():
             continue
-        found, error, told = _linear(first[known], response.expected[known, output])
+        found, error, sure_terms = _linear(first[known], response.expected[known, output])
         noise = response.deviation[output] / np.sqrt(known.sum())
         matrix[output, used] = found[1:]
-        sure[output, used] = told[1:] & (
+        sure[output, used] = sure_terms[1:] & (
             np.abs(found[1:]) > DEVIATIONS * np.hypot(error, noise)[1:]
         )
-        loads[used] |= told[1:]
+        loads[used] |= sure_terms[1:]
     for outputs in (slice(0, 3), slice(3, 6)):
         for columns in (slice(0, 3), slice(3, 6)):
             block = np.abs(matrix[outputs, columns])
@@ -79,11 +79,11 @@ def _linear(x: Floats, y: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return coefficients (t,), their errors from the misfit, and which the rows tell."""
     _, sizes, axes = np.linalg.svd(x, full_matrices=False)
     spanned = axes[sizes > 1e-6 * sizes[0]]
-    told = (spanned**2).sum(axis=0) > 1 - 1e-6
+    sure_terms = (spanned**2).sum(axis=0) > 1 - 1e-6
     found = np.linalg.lstsq(x, y, rcond=1e-6)[0]
     misfit = float(np.sqrt(((y - x @ found) ** 2).mean()))
     spread = np.sqrt(np.diag(np.linalg.pinv(x.T @ x, rcond=1e-12)).clip(0.0))
-    return np.asarray(found, dtype=float), np.asarray(misfit * spread, dtype=float), told
+    return np.asarray(found, dtype=float), np.asarray(misfit * spread, dtype=float), sure_terms
 
 
 def sign_findings(fit: Fit) -> list[Finding]:

@@ -13,7 +13,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.service.live import add_table, as_rows, clean_wrenches, full_wrenches, moved, served
-from wrenchbook.service.client import HttpProblemError as Refused
+from wrenchbook.service.client import ProblemError as Refused
 from wrenchbook.service.http import batch, protocol
 from wrenchbook.service.http import body as bodies
 from wrenchbook.service.http.app import create_app

@@ -170,15 +170,15 @@ def _require_hanging(model: Any, division: Division) -> None:
             f"body {name!r}, where the sensors are, must be a child of the mocap body "
             f"{_name(model, body)!r} without a joint; {_REMEDY}"
         )
-    beside = [
+    neighbours = [
         repr(_name(model, child))
         for child in np.flatnonzero(model.body_parentid == body)
         if child != mounted and model.body_subtreemass[child] > 0.0
     ]
-    if beside:
+    if neighbours:
         raise SensorError(
-            f"{', '.join(beside)} hang beside {name!r} on the mocap body, and its sensors do not "
-            "feel them: put all into one child, or the site on the mocap body itself"
+            f"{', '.join(neighbours)} hang next to {name!r} on the mocap body, and its sensors do "
+            "not feel them: put all into one child, or the site on the mocap body itself"
         )
 
 

@@ -215,9 +215,9 @@ class MujocoMount:
 
     def _write(self, R: Vector, p: Vector) -> None:
         """Give the mocap body the pose that goes with the interface's, (3, 3) and (3,), m."""
-        turn, away = self._offset
+        rotation, away = self._offset
         quaternion = np.empty(4)
-        engine.mju_mat2Quat(quaternion, (R @ turn).ravel())
+        engine.mju_mat2Quat(quaternion, (R @ rotation).ravel())
         self._position[:], self._quaternion[:] = p + R @ away, quaternion
 
 

@@ -88,11 +88,11 @@ def list_jobs(
     jobs = workspace.ledger.jobs(component, status, limit + 1, below=after)
     more, jobs = len(jobs) > limit, jobs[:limit]
     rows = workspace.ledger.rows_of([job.row for job in jobs if job.row is not None])
-    following = None
+    next_link = None
     if more:
         words = {"component": component, "status": status, "limit": limit, "after": jobs[-1].id}
-        following = next_page(response, "/v1/jobs", words)
-    return {"jobs": [job_body(workspace, job, rows) for job in jobs], "next": following}
+        next_link = next_page(response, "/v1/jobs", words)
+    return {"jobs": [job_body(workspace, job, rows) for job in jobs], "next": next_link}
 
 
 @router.get("/{job_id}", summary="One job; with wait_s, once it has ended or the time is up")

@@ -171,16 +171,16 @@ def _export(
     if format_ == "mat":
         table = _table(workspace, name, table_version)
         return _file(component, format_, lambda path: _write_mat(table, name, path))
-    wanted = ExportRequest(format_, *how)
+    export_request = ExportRequest(format_, *how)
     try:
-        check_units(wanted)
+        check_units(export_request)
     except UnitError as error:
         raise HttpProblemError(422, "unit", "Not a unit this export can use", str(error)) from None
     own = workspace.errors.read(name, component.fingerprint) if component.has_fea else None
     return _file(
         component,
         format_,
-        lambda path: export_table(workspace.ledger, component, wanted, path, own),
+        lambda path: export_table(workspace.ledger, component, export_request, path, own),
     )
 
 

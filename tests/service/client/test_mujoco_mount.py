@@ -236,7 +236,7 @@ def test_what_pushes_by_xfrc_applied_is_felt():
 
 def test_what_hangs_beside_the_mounted_body_is_refused():
     beside = '<body name="second"><geom size="0.1"/></body>'
-    with pytest.raises(SensorError, match="'second' hang beside 'mounted'"):
+    with pytest.raises(SensorError, match="'second' hang next to 'mounted'"):
         mounted(made(base=beside))
 
 

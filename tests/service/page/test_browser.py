@@ -149,13 +149,16 @@ def gauged(client):
     return client
 
 
-def test_probable_errors_of_a_measurement_are_shown_before_and_after_its_import(browser, gauged):
+def test_probable_errors_of_a_measurement_are_shown_before_and_after_its_import(browser, client):
+    spans = {"force": [600] * 3, "moment": [60] * 3}
+    about = {"name": "logged", "title": "A rig with a data logger", "range": spans}
+    client.call_json("POST", "/v1/components", about)
     units = zip(("F", "M", "u", "r"), ("N", "Nm", "mm", "rad"), strict=True)
     header = ",".join(f"{word}{axis} [{unit}]" for word, unit in units for axis in "xyz")
     moved = [0.02 * k for k in range(1, 25)]
     moved[5] = moved[17] = -9999
     lines = [f"0,0,{20 * k},0,0,0,0,0,{one},0,0,0" for k, one in enumerate(moved, 1)]
-    browser.visit("#/c/gauged/table")
+    browser.visit("#/c/logged/table")
     browser.drop(".drop", "sentinels.csv", "\n".join([header, *lines]))
     assert "Rows of the file: 7, 19" in browser.named(".note", "a logger writes").text
     browser.one("#import").click()
