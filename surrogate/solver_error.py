@@ -75,7 +75,7 @@ class SolverError:
 
     @property
     def can_grow(self) -> bool:
-        """Whether rows can tell how the mesh's share grows, or there is nothing to tell.
+        """Whether rows can tell how the discretisation error grows, or there is nothing to tell.
 
         False of what was estimated before ``mesh_stiffness`` was stored.
         """
@@ -99,7 +99,7 @@ class SolverError:
         return None if values is None else cls(values)
 
     def grown(self, rows: Rows, load_range: LoadRange | None = None) -> SolverError:
-        """Return this with what solved rows tell of the mesh's share beyond small loads.
+        """Return this with what solved rows tell of the discretisation error beyond small loads.
 
         ``mesh_growth`` is the least that, growing with the square of the largest load over its
         range, makes the share at each row T D u or more. The square is the first term that linear

@@ -109,7 +109,7 @@ def _compare(out: Console, client: Client) -> str | None:
     out.print(_time_table(answers, jobs))
     covered = sum(answer.coverage == "covered" for answer in answers)
     out.print(
-        f"{covered} of {CHECKED} wrenches are covered: the table's share of their bars is within "
+        f"{covered} of {CHECKED} wrenches are covered: the interpolation error is within "
         "the tolerance."
     )
     return None if covered >= MOSTLY * CHECKED else "the filled table should cover nearly all"

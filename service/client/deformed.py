@@ -63,7 +63,7 @@ class DeformedShape:
     stress : Stress
         None where it is not known.
     coverage, reason : str
-        ``covered``, ``thin`` or ``outside``, and why: of the table's share, which solves lower.
+        ``covered``, ``thin`` or ``outside``, and why: of the interpolation error alone.
     source : str
         ``row``: a solve of this very wrench; ``rows``: between them; ``linear``.
     error_parts : mapping
@@ -72,7 +72,7 @@ class DeformedShape:
         where `error` is.
     within_tolerance : bool
         Whether every bar is within the component's tolerance; None where it has none, or the
-        mesh's share is not known.
+        discretisation error is not known.
     raw : mapping
         The whole reply.
     """
@@ -91,7 +91,7 @@ class DeformedShape:
 
     @property
     def is_covered(self) -> bool:
-        """Whether the table's share of the bars is within the component's tolerance."""
+        """Whether the interpolation error is within the component's tolerance."""
         return self.coverage == "covered"
 
     def deformed(self, scale: float = 1.0) -> NDArray[np.float64]:

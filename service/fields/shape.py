@@ -184,7 +184,7 @@ class Deformed:
     rows
         Numbers of the rows it is made of.
     coverage, reason
-        ``covered``, ``thin`` or ``outside``, and why: of the table's share alone.
+        ``covered``, ``thin`` or ``outside``, and why: of the interpolation error alone.
     follows
         Shape (v, 3, 6), m/m and m/rad: how vertices follow the interface; None where not known.
     parts

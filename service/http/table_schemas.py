@@ -52,7 +52,7 @@ class PreviewRow(TypedDict, total=False):
     displacement: _Moved
 
 
-class Finding(TypedDict, total=False):
+class ImportFinding(TypedDict, total=False):
     cause: Annotated[str, text("outlier, sentinel, sign, unit, lever, drift or hysteresis")]
     message: Annotated[str, text("the error, its size and the remedy")]
     rows: Annotated[list[int], text("of the file, worst first, 100 at most; [] if all are meant")]
@@ -65,7 +65,7 @@ Imported = TypedDict(
         "inserted": int,
         "existing": Annotated[int, text("rows that were there already")],
         "errors": Annotated[list[RowMistake], text("1,000 at most")],
-        "findings": Annotated[list[Finding], text("probable systematic errors")],
+        "findings": Annotated[list[ImportFinding], text("probable systematic errors")],
         "dry_run": bool,
         "partial": bool,
         "format": Annotated[str, text("found from the content")],

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
-from .finding import Finding
-from .response import Response
+from .finding import RigFinding
+from .response import RobustFit
 
 SIGNIFICANT = 0.05  # of the largest entry of its block, in moved distance: smaller ones are unsure
 DEVIATIONS = 6.0  # of a fitted entry: surely not zero
@@ -49,7 +49,7 @@ class Fit(NamedTuple):
     loads: NDArray[np.bool_]
 
 
-def linear_fit(rows: Rows, load_range: LoadRange, response: Response) -> Fit:
+def linear_fit(rows: Rows, load_range: LoadRange, response: RobustFit) -> Fit:
     """Return the linear part of the rows' response, with constant, cubic and other terms beside."""
     scaled = rows.wrench / load_range.scale
     used = np.abs(scaled).max(axis=0) > 1e-9
@@ -86,7 +86,7 @@ def _linear(x: Floats, y: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     return np.asarray(found, dtype=float), np.asarray(misfit * spread, dtype=float), sure_terms
 
 
-def sign_findings(fit: Fit) -> list[Finding]:
+def sign_findings(fit: Fit) -> list[RigFinding]:
     """Return a finding where loads do negative work on their own displacements."""
     diagonal = np.diag(fit.matrix)
     work = np.diag(fit.sure) & fit.loads
@@ -97,15 +97,15 @@ def sign_findings(fit: Fit) -> list[Finding]:
     whole = len(wrong) == work.sum()
     what = (
         "all loads, or all displacements, have the wrong sign. The wrench acts ON the component: "
-        "turn the signs of a reading of what acts on the machine (import option: from)"
+        "turn the signs of readings of the opposite wrench, with a mapping such as Fz=-fz [N]"
         if whole and len(wrong) > 1
         else "these loads, or these displacements, have the wrong sign or the axes of another frame"
     )
     message = f"the loads do negative work ({names}), which no elastic part does: {what}"
-    return [Finding("sign", message, (), {"loads": [LOADS[k] for k in wrong]})]
+    return [RigFinding("sign", message, (), {"loads": [LOADS[k] for k in wrong]})]
 
 
-def range_findings(rows: Rows, load_range: LoadRange) -> list[Finding]:
+def range_findings(rows: Rows, load_range: LoadRange) -> list[RigFinding]:
     """Return findings of forces and moments of another size than the load range."""
     found = []
     for name, part in (("forces", slice(0, 3)), ("moments", slice(3, 6))):
@@ -122,11 +122,11 @@ def range_findings(rows: Rows, load_range: LoadRange) -> list[Finding]:
             f"the largest of the {name} is {share:.3g} times the end of the load range: check "
             f"their unit{unit}, or the component's range"
         )
-        found.append(Finding("unit", message, (), {"quantity": name, "factor": share}))
+        found.append(RigFinding("unit", message, (), {"quantity": name, "factor": share}))
     return found
 
 
-def size_findings(rows: Rows, response: Response) -> list[Finding]:
+def size_findings(rows: Rows, response: RobustFit) -> list[RigFinding]:
     """Return a finding where translations are longer than those of a part that bends."""
     largest = float(np.nanmax(np.abs(response.expected[:, :3]), initial=0.0))
     if largest <= LENGTH:
@@ -135,10 +135,10 @@ def size_findings(rows: Rows, response: Response) -> list[Finding]:
         f"translations reach {largest:.3g} m: check their unit (millimetres under a header of "
         "metres are 1000 times too long)"
     )
-    return [Finding("unit", message, (), {"quantity": "translations", "factor": 1000.0})]
+    return [RigFinding("unit", message, (), {"quantity": "translations", "factor": 1000.0})]
 
 
-def unit_findings(fit: Fit, solved: Fit | None) -> list[Finding]:
+def unit_findings(fit: Fit, solved: Fit | None) -> list[RigFinding]:
     """Return a finding where compliances are in another unit than solves, or than their mirror."""
     if solved is not None:
         return _against_solves(fit, solved)
@@ -152,10 +152,10 @@ def unit_findings(fit: Fit, solved: Fit | None) -> list[Finding]:
         f"translations by moments are {factor:.3g} times the rotations by forces, and reciprocity "
         f"makes them equal: check all units{named_unit(factor)}"
     )
-    return [Finding("unit", message, (), {"quantity": "translations", "factor": factor})]
+    return [RigFinding("unit", message, (), {"quantity": "translations", "factor": factor})]
 
 
-def _against_solves(fit: Fit, solved: Fit) -> list[Finding]:
+def _against_solves(fit: Fit, solved: Fit) -> list[RigFinding]:
     blocks = {}
     for name, part in {
         ("translations", "forces"): (slice(0, 3), slice(0, 3)),
@@ -188,7 +188,7 @@ def _against_solves(fit: Fit, solved: Fit) -> list[Finding]:
         f"the {quantity} are {factor:.3g} times those of the solves at the same loads: check their "
         f"unit{named_unit(factor)}"
     )
-    return [Finding("unit", message, (), {"quantity": quantity, "factor": factor})]
+    return [RigFinding("unit", message, (), {"quantity": quantity, "factor": factor})]
 
 
 def _common(first: Floats, second: Floats, least: float = FAR) -> float | None:
@@ -210,7 +210,7 @@ def named_unit(factor: float) -> str:
     return ""
 
 
-def lever_findings(fit: Fit, load_range: LoadRange) -> list[Finding]:
+def lever_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
     """Return a finding where moments are about another point than that whose motion was measured.
 
     With the point at r from the one that was measured, the true compliance is C L(r), L adding
@@ -232,9 +232,9 @@ def lever_findings(fit: Fit, load_range: LoadRange) -> list[Finding]:
     message = (
         f"the compliance is unsymmetric by {before:.0%}; it is symmetric to {after:.1%} if the "
         f"moments are about a point at ({x:.4g}, {y:.4g}, {z:.4g}) m from the point whose "
-        "displacement was measured: import with both reference points"
+        "displacement was measured: compute them about that point before the import"
     )
-    return [Finding("lever", message, (), {"lever": lever.tolist(), "asymmetry": before})]
+    return [RigFinding("lever", message, (), {"lever": lever.tolist(), "asymmetry": before})]
 
 
 def _skewness(matrix: Floats, load_range: LoadRange) -> Floats:

@@ -14,7 +14,7 @@ from .contract import (
     size_findings,
     unit_findings,
 )
-from .finding import Finding
+from .finding import RigFinding
 from .response import response_of
 from .sequence import sequence_findings
 from .single_rows import single_row_findings, wrong_rows
@@ -23,7 +23,7 @@ FEWEST = 7  # rows: six loads and a constant
 MOST = 5_000  # rows that are looked at, some 0.5 s: every k-th of more
 
 
-def find(rows: Rows, load_range: LoadRange, solved: Rows | None = None) -> list[Finding]:
+def find(rows: Rows, load_range: LoadRange, solved: Rows | None = None) -> list[RigFinding]:
     """Return the probable systematic errors of measured rows, in the order of their measurement.
 
     Parameters

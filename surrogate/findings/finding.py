@@ -12,7 +12,7 @@ MOST_ROWS = 500  # of a finding: a page's list; `count` has their number
 
 
 @dataclass(frozen=True)
-class Finding:
+class RigFinding:
     """One probable systematic error.
 
     Attributes

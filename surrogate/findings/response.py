@@ -22,7 +22,7 @@ EXACT = 1e-4  # of an output's range: residuals below it are no error worth a re
 RANK = 1e-9  # of the largest: directions that the rows do not tell apart, and their ridge
 
 
-class Response(NamedTuple):
+class RobustFit(NamedTuple):
     """The fitted response at the rows.
 
     Attributes
@@ -62,7 +62,7 @@ def terms_of(scaled: Floats) -> Floats:
     return np.concatenate(found, axis=1)
 
 
-def response_of(rows: Rows, load_range: LoadRange) -> Response:
+def response_of(rows: Rows, load_range: LoadRange) -> RobustFit:
     """Return the robust response of rows with at least two wrenches."""
     terms = terms_of(rows.wrench / load_range.scale)
     basis, sizes, _ = np.linalg.svd(terms, full_matrices=False)
@@ -73,7 +73,7 @@ def response_of(rows: Rows, load_range: LoadRange) -> Response:
     ends = _percentiles(expected)
     size = np.maximum(ends[1] - ends[0], np.finfo(float).tiny)
     deviation = np.maximum(_deviations(residual), EXACT * size)
-    return Response(expected, residual, deviation, size, terms)
+    return RobustFit(expected, residual, deviation, size, terms)
 
 
 def _fitted(basis: Floats, moved: Floats) -> Floats:

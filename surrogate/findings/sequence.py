@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..table.rows import OUTPUTS, Floats, LoadRange, Rows
-from .finding import Finding
-from .response import NORMAL, Response
+from .finding import RigFinding
+from .response import NORMAL, RobustFit
 
 FEWEST = 30  # rows: with fewer an order shows by chance
 PART = 0.01  # of the output's range: what is smaller is within a usual tolerance
@@ -16,7 +16,7 @@ OWN = 0.1  # of the variance of the cause's sign or time that the loads do not e
 STEP = 0.25  # of the largest usual step: smaller steps have no direction
 
 
-def sequence_findings(rows: Rows, load_range: LoadRange, response: Response) -> list[Finding]:
+def sequence_findings(rows: Rows, load_range: LoadRange, response: RobustFit) -> list[RigFinding]:
     """Return findings of drift and hysteresis; rows are in the order of measurement."""
     if len(rows) < FEWEST:
         return []
@@ -78,7 +78,7 @@ def _limit(residual: Floats) -> float:
     return 6.0 * NORMAL * float(np.median(np.abs(residual))) + np.finfo(float).tiny
 
 
-def _drift(found: dict[str, float], response: Response) -> list[Finding]:
+def _drift(found: dict[str, float], response: RobustFit) -> list[RigFinding]:
     if not found:
         return []
     name, part = _largest(found, response)
@@ -87,22 +87,22 @@ def _drift(found: dict[str, float], response: Response) -> list[Finding]:
         "last, whatever the load: warm the rig up, or return to zero between runs and import with "
         "a zero offset"
     )
-    return [Finding("drift", message, (), {"drift": found})]
+    return [RigFinding("drift", message, (), {"drift": found})]
 
 
-def _hysteresis(found: dict[str, float], response: Response) -> list[Finding]:
+def _hysteresis(found: dict[str, float], response: RobustFit) -> list[RigFinding]:
     if not found:
         return []
     name, part = _largest(found, response)
     message = (
         f"loading and unloading differ by {part:.1%} of the range of {name}: hysteresis of the rig "
-        "(friction, joints), or loads and displacements shifted in time (import with a lag). The "
-        "error bars hold both branches"
+        "(friction, joints), or loads and displacements shifted in time (time_offset_s of joined "
+        "logs). The error bars may not hold both branches"
     )
-    return [Finding("hysteresis", message, (), {"loop": found})]
+    return [RigFinding("hysteresis", message, (), {"loop": found})]
 
 
-def _largest(found: dict[str, float], response: Response) -> tuple[str, float]:
+def _largest(found: dict[str, float], response: RobustFit) -> tuple[str, float]:
     parts = {name: abs(size) / response.range[OUTPUTS.index(name)] for name, size in found.items()}
     name = max(parts, key=lambda one: parts[one])
     return name, parts[name]

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ..table.rows import OUTPUTS, Floats, LoadRange, Rows
-from .finding import Finding
-from .response import NORMAL, Response
+from .finding import RigFinding
+from .response import NORMAL, RobustFit
 
 NEIGHBOURS = 8  # whose median residual is the local misfit of the response
 FEWEST = 12  # rows: with fewer the others do not show what one of them should be
@@ -21,7 +21,7 @@ SENTINEL = 3.0  # ranges off: no response jumps so far at one row
 NINES = 3  # digits of a logger's "no value": 999, 9999, -99999
 
 
-def wrong_rows(rows: Rows, load_range: LoadRange, response: Response) -> NDArray[np.bool_]:
+def wrong_rows(rows: Rows, load_range: LoadRange, response: RobustFit) -> NDArray[np.bool_]:
     """Return which rows have a reading far from those around them, per output, (n, 6)."""
     if len(rows) < FEWEST:
         return np.zeros((len(rows), 6), dtype=bool)
@@ -43,7 +43,9 @@ def local_residual(scaled: Floats, residual: Floats) -> Floats:
     return np.asarray(residual - np.nanmedian(around, axis=1))
 
 
-def single_row_findings(rows: Rows, response: Response, wrong: NDArray[np.bool_]) -> list[Finding]:
+def single_row_findings(
+    rows: Rows, response: RobustFit, wrong: NDArray[np.bool_]
+) -> list[RigFinding]:
     """Return a finding of sentinels and one of outliers, where `wrong` (n, 6) has some."""
     missed: Floats = np.abs(np.nan_to_num(response.residual))
     far = np.logical_and(wrong, missed > SENTINEL * response.range)
@@ -63,7 +65,7 @@ def _is_nines(value: float) -> bool:
     return len(digits) >= NINES and set(digits) == {"9"}
 
 
-def _sentinels(rows: Rows, found: NDArray[np.bool_]) -> list[Finding]:
+def _sentinels(rows: Rows, found: NDArray[np.bool_]) -> list[RigFinding]:
     at = np.flatnonzero(found.any(axis=1))
     if not len(at):
         return []
@@ -73,10 +75,10 @@ def _sentinels(rows: Rows, found: NDArray[np.bool_]) -> list[Finding]:
         f"{len(at)} rows hold a value that a logger writes where it has none, such as "
         f"{OUTPUTS[output]} = {value:g}: withdraw these rows, or leave the cells empty in the file"
     )
-    return [Finding("sentinel", message, tuple(rows.seq[at].tolist()), {"value": value})]
+    return [RigFinding("sentinel", message, tuple(rows.seq[at].tolist()), {"value": value})]
 
 
-def _outliers(rows: Rows, response: Response, found: NDArray[np.bool_]) -> list[Finding]:
+def _outliers(rows: Rows, response: RobustFit, found: NDArray[np.bool_]) -> list[RigFinding]:
     at = np.flatnonzero(found.any(axis=1))
     if not len(at):
         return []
@@ -90,4 +92,4 @@ def _outliers(rows: Rows, response: Response, found: NDArray[np.bool_]) -> list[
         "Look at these rows, and withdraw those that are wrong: each widens the error bars "
         "everywhere"
     )
-    return [Finding("outlier", message, tuple(rows.seq[order].tolist()))]
+    return [RigFinding("outlier", message, tuple(rows.seq[order].tolist()))]
