@@ -24,7 +24,7 @@ PLACES = {
     "BadParameter": EXIT_2,
     "SolveFailed": SOLVE,
     "BundleError": BUNDLE,
-    "Problem": BUNDLE,
+    "BundleProblem": BUNDLE,
     "bad_body": BODY,
 }
 

@@ -167,6 +167,8 @@ def test_a_linear_component_nobody_has_solved_solves_itself_when_first_asked(
                 http.post(f"/v1/components/{name}/displacement", json=ASKED)
         assert sum(http.get(f"/v1/components/{name}").json()["jobs"].values()) == 1
         assert wait_for_jobs(http, name)["done"] == 1
+        workspace = http.app.state.workspace
+        assert workspace.tables.catch_up(name, 30.0)
         reply = http.post(f"/v1/components/{name}/displacement", json=ASKED).json()
         assert (reply["coverage"], reply["method"]) == ("covered", "linear")
         assert np.isfinite(reply["translation"]).all()
