@@ -145,7 +145,7 @@ def choose(
     """
     errors = axes_errors(rows, composition)
     method, why = _of_the_axes(rows, load_range, composition, errors)
-    if _interaction_untold(rows, load_range):
+    if _interaction_unknown(rows, load_range):
         scores = _scores(errors, np.ptp(rows.displacement, axis=0))
         return MethodChoice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
     made = kriging()
@@ -181,7 +181,7 @@ def without_kriging(
     errors = axes_errors(rows, composition)
     method, why = _of_the_axes(rows, load_range, composition, errors)
     scores = _scores(errors, np.ptp(rows.displacement, axis=0))
-    if _interaction_untold(rows, load_range):
+    if _interaction_unknown(rows, load_range):
         return MethodChoice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
     reason = "kriging by nearest rows takes milliseconds an answer; ask for it by name"
     return MethodChoice(method, f"{detail}: {reason}; {why}", scores)
@@ -222,7 +222,7 @@ def _axes_tell_errors(composition: Composition) -> bool:
     return all(table is None or table.law.known for table in composition.tables)
 
 
-def _interaction_untold(rows: Rows, load_range: LoadRange) -> bool:
+def _interaction_unknown(rows: Rows, load_range: LoadRange) -> bool:
     """Return whether neither tangents nor full wrenches tell what loads do together."""
     return full_needed(rows) == ENOUGH_FULL and not knows_interaction(rows, load_range)
 
