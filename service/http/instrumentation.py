@@ -98,7 +98,8 @@ def _method(scope: Scope) -> str:
 
 def _log_access(scope: Scope, status: int, seconds: float) -> None:
     host, query = (scope.get("client") or ("-",))[0], scope["query_string"].decode("latin-1")
-    target = scope["path"] + ("?" + query if query else "")
+    path = scope["raw_path"].decode("latin-1")  # as it was sent: a decoded one may hold a line end
+    target = path.partition("?")[0] + ("?" + query if query else "")
     access_log.info('%s "%s %s" %d %.1f ms', host, scope["method"], target, status, 1e3 * seconds)
 
 

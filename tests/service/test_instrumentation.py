@@ -94,6 +94,13 @@ def test_the_access_log_has_a_line_of_every_request(folder, stand_in, lines):
     assert found[0]["request_id"] == "q"
 
 
+def test_a_line_end_in_a_path_makes_no_line_of_the_access_log(folder, stand_in, lines):
+    with TestClient(create_app(Settings(folder, solvers=0, access_log=True))) as client:
+        client.get("/v1/x%0AINFO%20forged")
+    (found,) = [one for one in lines() if one["logger"] == "wrenchbook.access"]
+    assert '"GET /v1/x%0AINFO%20forged" 404' in found["message"]
+
+
 def test_a_server_without_the_option_logs_no_request(http, lines):
     http.get("/v1/jobs")
     assert [one for one in lines() if one["logger"] == "wrenchbook.access"] == []
