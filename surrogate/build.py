@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .composition.composition import Composition
+from .rig_error import rig_error
 from .solver_error import SolverError, bars_are_whole
 from .surrogate import Surrogate
 from .table.axes import OffAxis
@@ -41,6 +42,10 @@ class AnyTable:
         The same table packed; None until it is made.
     solver_error : SolverError or None
         Error of the solver: in no error bar here; `bars_are_whole` says whether it is known.
+    rig_error : ndarray, shape (6,), m and rad
+        See `rig_error.rig_error`: in no error bar here.
+    reading : ndarray, shape (6,), m and rad
+        Noise of one measured reading, 95 %; NaN where it is not known.
     """
 
     packed: Any = None
@@ -61,6 +66,10 @@ class AnyTable:
         self.used, self.default = thinnest.used, thinnest.default
         self.solver_error = None if solver_error is None else solver_error.grown(rows, load_range)
         self.bars_are_whole = bars_are_whole(rows, solver_error)
+        self.rig_error = rig_error(rows, load_range)
+        self.reading = np.full(6, np.nan)
+        for outputs, group in self.groups:
+            self.reading[list(outputs)] = group.reading[list(outputs)]
 
     @property
     def locked(self) -> tuple[int, ...]:
@@ -74,7 +83,10 @@ class AnyTable:
 
     def coverage_summary(self) -> dict[str, Any]:
         """Return how the table covers the load range, as JSON-able values."""
-        summary = self.thinnest.coverage_summary()
+        summary = self.thinnest.coverage_summary() | {
+            "rig_error": self.rig_error.tolist(),
+            "noise_of_a_reading": self.reading.tolist(),
+        }
         if not self.rows.partial:
             return summary
         measured = np.isfinite(self.rows.displacement).sum(axis=0).tolist()

@@ -142,6 +142,13 @@ class Surrogate:
         return self.__dict__.get("composition")
 
     @property
+    def reading(self) -> Floats:
+        """Noise of one reading, 95 %, (6,), m and rad; NaN where it is not known."""
+        if not self.by_kriging or self.kriging is None:
+            return np.full(6, np.nan)
+        return self.kriging.reading
+
+    @property
     def by_kriging(self) -> bool:
         """Whether the kriging answers by default: then its own error bars hold."""
         return self.default == "kriging" and self.kriging is not None

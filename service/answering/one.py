@@ -24,6 +24,8 @@ from wrenchbook.service.tables.served import ROW, ROW_DETAIL, ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.answer import six
 from wrenchbook.surrogate.kernel.explain import explain
+from wrenchbook.surrogate.kernel.replies import Reply
+from wrenchbook.surrogate.rig_error import error_of_a_reading
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 from wrenchbook.surrogate.table.rows import acting_one, why_beyond
 
@@ -145,6 +147,18 @@ def tell_parts(workspace: Workspace, table: ServedTable, query: Query, outcome: 
             shares["linearity"] = found.linearity
     has_fea = workspace.library.as_read(outcome.component).has_fea
     outcome.error_parts = _error_parts(found.interpolation, solver, shares, has_fea=has_fea)
+    if outcome.error_parts is not None and any(found.measurement or ()):
+        outcome.error_parts["measurement"] = _split(found.measurement)
+    outcome.error_of_a_reading = _split(_of_a_reading(table, found))
+
+
+def _of_a_reading(table: ServedTable, found: Reply) -> Bars | None:
+    """Return the error bars of one more reading, six, m and rad; None where not known."""
+    noise = table.summary.get("noise_of_a_reading")
+    parts = found.error, found.interpolation, noise
+    if any(part is None or None in part for part in parts):
+        return None
+    return tuple(error_of_a_reading(*(np.array(part, dtype=float) for part in parts)).tolist())
 
 
 def _error_parts(

@@ -98,6 +98,8 @@ class Outcome:
         Whether the bars, the solver's share included, are within the tolerance; None if unknown.
     error_parts : dict or None
         What the bars are the sum of, by cause, if asked for.
+    error_of_a_reading : dict or None
+        The error bars of one more reading, if asked for; None where its noise is not known.
     """
 
     component: str
@@ -119,6 +121,7 @@ class Outcome:
     method_detail: str | None = None
     within_tolerance: bool | None = None
     error_parts: dict[str, Any] | None = None
+    error_of_a_reading: dict[str, Any] | None = None
 
 
 def also(reason: str, more: str) -> str:

@@ -237,23 +237,23 @@ class Table:
     def error_parts(
         self, force: ArrayLike, moment: ArrayLike | None = None
     ) -> dict[str, np.ndarray | None]:
-        """Return the solver's own share of the bars under one wrench, N and N·m, by cause.
+        """Return the parts of the error bars under one wrench, N and N·m, that rows do not lower.
 
         Returns
         -------
         dict
-            ``mesh`` and of a linear component ``linearity``: shape (6,), m and rad, None where it
-            is not known. The rest of a bar is the table's. Empty where nothing is known of the
-            solver, as of a measured table.
+            ``mesh``, of a linear component ``linearity`` and of measured rows with hysteresis or
+            drift ``measurement``: shape (6,), m and rad, None where it is not known. The rest of a
+            bar is the table's. Empty where there is no such part.
         """
         packed = self._packed
-        error = packed.words["solver_error"]
-        if error is None:
-            return {}
+        error = packed.words["solver_error"] or {}
         found = packed.answer(_without_negative_zeros(one_wrench(force, moment)))
-        parts = {"mesh": found.discretisation}
+        parts = {"mesh": found.discretisation} if error else {}
         if "linearity" in error:
             parts["linearity"] = found.linearity
+        if any(found.measurement or ()):
+            parts["measurement"] = found.measurement
         return {
             cause: None if part is None else np.array(part, dtype=float)
             for cause, part in parts.items()

@@ -40,6 +40,8 @@ def write_outcome(outcome: Outcome, *, derivatives: bool = False) -> Response:
         fields["method_detail"] = outcome.method_detail
     if outcome.error_parts is not None:
         fields["error_parts"] = outcome.error_parts
+    if outcome.error_of_a_reading is not None:
+        fields["error_of_a_reading"] = outcome.error_of_a_reading
     if outcome.job is not None:
         fields["job"] = job_link(outcome.job)
     if not outcome.unsolved:

@@ -96,11 +96,16 @@ class Displacement(TypedDict, total=False):
     axes: Annotated[list[dict[str, Any]], text("with detail; empty if a row of the table answers")]
     method_detail: Annotated[str, text("with detail: how the method answers")]
     error_parts: Annotated[
-        dict[Literal["table", "mesh", "linearity"], dict[Part, Three] | None],
+        dict[Literal["table", "mesh", "linearity", "measurement"], dict[Part, Three] | None],
         text(
             "with detail: the parts of error. table: what more rows lower; mesh: what a finer "
-            "mesh lowers; linearity: what a linear component leaves out. null where not known"
+            "mesh lowers; linearity: what a linear component leaves out; measurement: hysteresis "
+            "and drift of the measured rows. null where not known"
         ),
+    ]
+    error_of_a_reading: Annotated[
+        dict[Part, Three],
+        text("with detail, of measured rows: the 95 % error bar of one more reading, m and rad"),
     ]
     derivative: Slopes
 

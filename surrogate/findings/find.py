@@ -36,7 +36,7 @@ def find(rows: Rows, load_range: LoadRange, solved: Rows | None = None) -> list[
     """
     if len(rows) < FEWEST:
         return range_findings(rows, load_range) if len(rows) else []
-    rows = rows.take(np.arange(0, len(rows), -(-len(rows) // MOST)))
+    rows = looked_at(rows)
     response = response_of(rows, load_range)
     wrong = wrong_rows(rows, load_range, response)
     found = single_row_findings(rows, response, wrong)
@@ -49,7 +49,12 @@ def find(rows: Rows, load_range: LoadRange, solved: Rows | None = None) -> list[
     units = units or unit_findings(fit, _fit_of(solved, load_range))
     # A lever can make a load's own work negative; a wrong sign or unit is no lever.
     found += units or lever_findings(fit, load_range) or sign_findings(fit)
-    return [*found, *sequence_findings(good, load_range, response)]
+    return [*found, *sequence_findings(good, response)]
+
+
+def looked_at(rows: Rows) -> Rows:
+    """Return the rows that are looked at, in their order."""
+    return rows.take(np.arange(0, len(rows), -(-len(rows) // MOST)))
 
 
 def _fit_of(rows: Rows | None, load_range: LoadRange) -> Fit | None:

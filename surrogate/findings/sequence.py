@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from ..table.rows import OUTPUTS, Floats, LoadRange, Rows
+from ..table.rows import OUTPUTS, Floats, Rows
 from .finding import RigFinding
 from .response import NORMAL, RobustFit
 
@@ -12,16 +14,46 @@ FEWEST = 30  # rows: with fewer an order shows by chance
 PART = 0.01  # of the output's range: what is smaller is within a usual tolerance
 SHARE = 0.15  # of the residuals' variance that the cause must explain
 DEVIATIONS = 8.0  # of the estimate: errors of neighbours in time are not independent
+# For an error bar, which a wrong guess makes wider and no worse.
+PROBABLE_SHARE, PROBABLE_DEVIATIONS = 0.01, 4.0
 OWN = 0.1  # of the variance of the cause's sign or time that the loads do not explain
 STEP = 0.25  # of the largest usual step: smaller steps have no direction
 
 
-def sequence_findings(rows: Rows, load_range: LoadRange, response: RobustFit) -> list[RigFinding]:
+class SequenceErrors(NamedTuple):
+    """Errors that follow the order of the rows, each (6,), m and rad; 0 where none is sure.
+
+    Attributes
+    ----------
+    drift : ndarray, shape (6,)
+        From the first row to the last.
+    loop : ndarray, shape (6,)
+        From loading to unloading, not negative.
+    """
+
+    drift: Floats
+    loop: Floats
+
+
+def sequence_findings(rows: Rows, response: RobustFit) -> list[RigFinding]:
     """Return findings of drift and hysteresis; rows are in the order of measurement."""
+    found = sequence_errors(rows, response)
+    return [
+        *_drift(_named(found.drift, response), response),
+        *_hysteresis(_named(found.loop, response), response),
+    ]
+
+
+def sequence_errors(rows: Rows, response: RobustFit, *, probable: bool = False) -> SequenceErrors:
+    """Return drift and hysteresis of rows in the order of measurement.
+
+    `probable` ones too, or only those that are sure.
+    """
+    found = SequenceErrors(np.zeros(6), np.zeros(6))
     if len(rows) < FEWEST:
-        return []
+        return found
     time = np.linspace(-0.5, 0.5, len(rows))
-    drifts, loops = {}, {}
+    limits = (PROBABLE_SHARE, PROBABLE_DEVIATIONS) if probable else (SHARE, DEVIATIONS)
     for output in range(6):
         residual = response.residual[:, output]
         known = np.isfinite(residual)
@@ -29,15 +61,19 @@ def sequence_findings(rows: Rows, load_range: LoadRange, response: RobustFit) ->
             continue
         sign = directions(response.expected[:, output])
         effects = effects_of(
-            response.terms[known], residual[known], np.stack((time, sign), axis=1)[known]
+            response.terms[known],
+            residual[known],
+            np.stack((time, sign), axis=1)[known],
+            *limits,
         )
-        drift, loop = effects * (1.0, 2.0)  # from first to last; from branch to branch
-        size = response.range[output]
-        if abs(drift) > PART * size:
-            drifts[OUTPUTS[output]] = float(drift)
-        if abs(loop) > PART * size:
-            loops[OUTPUTS[output]] = float(abs(loop))
-    return [*_drift(drifts, response), *_hysteresis(loops, response)]
+        found.drift[output], found.loop[output] = effects[0], abs(2.0 * effects[1])
+    return found
+
+
+def _named(sizes: Floats, response: RobustFit) -> dict[str, float]:
+    """Return sizes (6,), m and rad, of the outputs for which they are worth a remark."""
+    over = np.abs(sizes) > PART * response.range
+    return {OUTPUTS[output]: float(sizes[output]) for output in np.flatnonzero(over)}
 
 
 def directions(expected: Floats) -> Floats:
@@ -47,10 +83,13 @@ def directions(expected: Floats) -> Floats:
     return np.where(np.abs(steps) > STEP * usual, np.sign(steps), 0.0)
 
 
-def effects_of(terms: Floats, residual: Floats, causes: Floats) -> Floats:
+def effects_of(
+    terms: Floats, residual: Floats, causes: Floats, share: float, deviations: float
+) -> Floats:
     """Return the coefficient of each cause (n, c) in the residuals (n,); 0 where none is sure.
 
-    Each cause counts by what the loads and the other causes do not explain of it.
+    Each cause counts by what the loads and the other causes do not explain of it. It must explain a
+    share of the residuals' variance, and be so many of its own deviations.
     """
     found = np.zeros(causes.shape[1])
     clipped = np.clip(residual, -_limit(residual), _limit(residual))
@@ -68,7 +107,7 @@ def effects_of(terms: Floats, residual: Floats, causes: Floats) -> Floats:
         explained = 1.0 - float(rest @ rest) / max(float(left @ left), np.finfo(float).tiny)
         free = max(len(residual) - others.shape[1] - 1, 1)
         error = np.sqrt(float(rest @ rest) / free / square)
-        if explained > SHARE and abs(slope) > DEVIATIONS * error:
+        if explained > share and abs(slope) > deviations * error:
             found[place] = slope
     return found
 
@@ -97,7 +136,7 @@ def _hysteresis(found: dict[str, float], response: RobustFit) -> list[RigFinding
     message = (
         f"loading and unloading differ by {part:.1%} of the range of {name}: hysteresis of the rig "
         "(friction, joints), or loads and displacements shifted in time (time_offset_s of joined "
-        "logs). The error bars may not hold both branches"
+        "logs). The error bars of answers hold both branches"
     )
     return [RigFinding("hysteresis", message, (), {"loop": found})]
 

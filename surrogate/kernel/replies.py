@@ -18,7 +18,7 @@ Buffer = ctypes.Array[ctypes.c_char]
 Floats = NDArray[np.float64]
 
 MOST, MOST_REASONS = 64, 32  # WB_MOST and WB_MOST_REASONS of wrenchbook.h
-FIELDS = 6  # of MOST doubles each: inputs, outputs, total error and its three parts
+FIELDS = 7  # of MOST doubles each: inputs, outputs, total error and its four parts
 HEAD, REASON = struct.Struct("=8i2qQ"), struct.Struct("=4i2d")
 REASONS_AT = HEAD.size + FIELDS * MOST * 8
 REPLY_SIZE = REASONS_AT + MOST_REASONS * REASON.size + 8  # `solved`
@@ -37,9 +37,10 @@ class Reply(NamedTuple):
 
     Attributes
     ----------
-    outputs, error, interpolation, discretisation, linearity : tuple of m floats or None
-        The displacement, its total 95 % error and the parts whose sum that is. None where unknown,
-        as a whole and in one place.
+    outputs, error : tuple of m floats or None
+        The displacement, and its total 95 % error. None where unknown, as a whole and in one place.
+    interpolation, discretisation, linearity, measurement : tuple of m floats or None
+        The parts whose sum the error is, likewise.
     coverage : str
         "covered", "thin" or "outside".
     reason : str
@@ -63,6 +64,7 @@ class Reply(NamedTuple):
     interpolation: tuple[float, ...] | None
     discretisation: tuple[float, ...] | None
     linearity: tuple[float, ...] | None
+    measurement: tuple[float, ...] | None
     coverage: str
     reason: str
     within_tolerance: bool | None
@@ -143,7 +145,8 @@ class ReplyReader:
             found[first + m : first + 2 * m],
             found[first + 2 * m : first + 3 * m],
             found[first + 3 * m : first + 4 * m],
-            found[first + 4 * m :],
+            found[first + 4 * m : first + 5 * m],
+            found[first + 5 * m :],
             "covered",
             "",
             WITHIN[found[1]],
@@ -159,7 +162,7 @@ class ReplyReader:
         coverage, within, method, exact, count, group, unknown = found[:7]
         row, place, missing = found[8:VALUES]
         m, values = self.outputs, found[VALUES:]
-        fields: list[Any] = [values[start : start + m] for start in range(0, 5 * m, m)]
+        fields: list[Any] = [values[start : start + m] for start in range(0, 6 * m, m)]
         if unknown:
             fields = [known(field) for field in fields]
         text = self._text(reply, count) if count else ""
@@ -174,6 +177,7 @@ class ReplyReader:
             fields[2],
             fields[3],
             fields[4],
+            fields[5],
             NAMES[coverage],
             text,
             WITHIN[within],

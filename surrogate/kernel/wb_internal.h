@@ -116,6 +116,7 @@ struct wb_table {
     int vectors; /* triples of outputs whose length is limited */
     const int32_t *locked, *vector_first;
     const double *ends, *scale, *small, *tolerance, *limit, *vector_limit;
+    const double *rig_error; /* (m), NULL for none */
     const double *scene_ends; /* (2, n) of a table cut to a scene, else NULL */
     const int32_t *scene_varying, *scene_slopes;
     wb_solver solver;

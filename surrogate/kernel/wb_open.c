@@ -105,6 +105,7 @@ static void read_space(reader *r) {
     t->small = doubles(r, "space/small", 1, n);
     t->tolerance = doubles(r, "space/tolerance", 1, m);
     t->limit = doubles(r, "space/limit", 1, m);
+    if (exists(r, "space/rig_error")) t->rig_error = doubles(r, "space/rig_error", 1, m);
     if (exists(r, "scene/ends")) {
         t->scene_ends = doubles(r, "scene/ends", 2, (int64_t)2, n);
         t->scene_varying = ints(r, "scene/varying", n);

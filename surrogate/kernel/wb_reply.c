@@ -189,17 +189,21 @@ static void judge_scene(const wb_table *t, wb_reply *reply) {
     }
 }
 
-/* Add the solver's share; take an estimate away that no table could hold. */
+/* Add the solver's and the rig's shares; take an estimate away that no table could hold. */
 void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     if (t->scene_ends) judge_scene(t, reply);
     if (t->solver.none) keep(t, reply);
     else widen(t, o, work, reply);
+    for (int q = 0; q < t->outputs; q++) {
+        reply->measurement[q] = t->rig_error ? t->rig_error[q] : 0.0;
+        reply->error[q] += reply->measurement[q];
+    }
     for (int q = 0; !t->solver.whole && q < t->outputs; q++) /* the solver's error is all there is */
         if (reply->solved >> q & 1) reply->error[q] = NAN;
     if (reply->coverage != WB_COVERED && beyond_limits(t, reply->outputs)) {
         for (int q = 0; q < t->outputs; q++) {
             reply->outputs[q] = reply->error[q] = reply->interpolation[q] = NAN;
-            reply->discretisation[q] = reply->linearity[q] = NAN;
+            reply->discretisation[q] = reply->linearity[q] = reply->measurement[q] = NAN;
         }
         int place = reply->reasons < WB_MOST_REASONS ? reply->reasons++ : WB_MOST_REASONS - 1;
         memset(&reply->reason[place], 0, sizeof reply->reason[place]);
@@ -229,7 +233,7 @@ static void count_unknown(const wb_table *t, wb_reply *reply) {
     for (int q = 0; q < t->outputs; q++) {
         reply->unknown += (isnan(reply->outputs[q]) != 0) + (isnan(reply->error[q]) != 0);
         reply->unknown += (isnan(reply->interpolation[q]) != 0) + (isnan(reply->linearity[q]) != 0);
-        reply->unknown += isnan(reply->discretisation[q]) != 0;
+        reply->unknown += (isnan(reply->discretisation[q]) != 0) + (isnan(reply->measurement[q]) != 0);
     }
 }
 

@@ -90,7 +90,7 @@ typedef struct {
     double value, limit;
 } wb_reason;
 
-/* NaN where unknown. The total error is the sum of the three parts; where the discretisation error
+/* NaN where unknown. The total error is the sum of the four parts; where the discretisation error
  * is not known it is the interpolation error alone, and NaN for outputs in `solved`. */
 typedef struct {
     int32_t coverage; /* WB_COVERED, WB_THIN or WB_OUTSIDE */
@@ -108,6 +108,7 @@ typedef struct {
     double outputs[WB_MOST];
     double error[WB_MOST];
     double interpolation[WB_MOST], discretisation[WB_MOST], linearity[WB_MOST];
+    double measurement[WB_MOST]; /* hysteresis and drift of the measured rows */
     wb_reason reason[WB_MOST_REASONS];
     uint64_t solved; /* bit q: output q is that of a row or an exact fit, not an interpolated one */
 } wb_reply;

@@ -294,9 +294,7 @@ def _level(
     out = left_out(equations, factor, labels)
     anchors = spread.finder.nearest_others(rows, equations.x, labels)
     noise, number = noise_of(equations, factor), numbers(equations.known)
-    # What was found to be noise may be response that the kernel does not follow: bars hold it.
-    unstated = np.asarray((equations.readings[:, factor.outputs] > 0).any(axis=1))
-    stated = np.where(unstated, 0.0, noise)
+    own_noise = noise[factor.rows[rows]]
     squared = np.full(len(rows), np.nan)
     lists = spread.finder.members(equations.x[anchors], labels, labels[rows])
     for place, (row, members) in enumerate(zip(factor.rows[rows], lists, strict=True)):
@@ -309,14 +307,18 @@ def _level(
             prior,
             out.mean_covariances[rows[place]],
         )
-        squared[place] = found[0] + stated[row] + factor.nugget * prior
+        squared[place] = found[0] + factor.nugget * prior
     # With hardly more rows than the mean has terms, rounding leaves no variance to speak of.
     finite = np.isfinite(out.errors[rows]).all(axis=1)
     known = np.flatnonzero((squared > 0) & finite)
     if not len(known):
         return None
     sigma, errors = np.sqrt(squared[known]), out.errors[rows[known]] / np.sqrt(factor.variance)
+    # A reading misses by its own noise besides the error of the mean, whose part this is.
+    variances = out.variances[rows[known]]
+    part = np.maximum(variances - own_noise[known], 0.0) / variances
+    errors = errors * np.sqrt(part)[:, None]
     alone = np.abs(errors) / sigma[:, None]
-    by_value = unstated[factor.rows[rows[known]]][:, None]
-    sizes = np.where(by_value, alone, out.sizes[rows[known]])
+    noisy = (own_noise[known] > 0)[:, None]
+    sizes = np.where(noisy, alone, out.sizes[rows[known]])
     return Level(labels[rows[known]], errors, sizes, sigma)

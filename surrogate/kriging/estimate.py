@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from ..table.rows import Floats
-from .correlation import Hyperparameters, covariance
+from .correlation import Hyperparameters
 from .equations import OUTPUTS, Equations, Scaling
-from .factor import Share, SingularCovarianceError, factorise, shares_of
-from .likelihood import REFUSED, Profile, maximise, maximise_with_noise, profile
+from .factor import Share, factorise, shares_of
+from .likelihood import maximise, maximise_with_noise
+from .reading_noise import reading_noise
 from .settings import KrigingSettings
 
 DECIMALS = 9  # to which two distances are a tie, settled by the rows' own order
@@ -47,10 +47,12 @@ def estimated(
     likelihood is maximised a second time, with what the first time found. Noise that nobody stated
     is one more hyperparameter, first of all outputs together, then of each by itself.
     """
-    limits = settings.likelihood_rows, settings.likelihood_equations
-    chosen = equations.take(spread_rows(equations, *limits))
+    chosen = equations.take(spread_rows(equations, settings.likelihood_equations))
     variance, reading = np.ones(OUTPUTS), np.zeros(OUTPUTS)
     unstated = bool((chosen.readings > 0).any())
+    if unstated:
+        bounds = settings.theta_bounds[0], settings.noise_theta_most
+        settings = replace(settings, theta_bounds=bounds)
     before: Hyperparameters | None = None
     noisy = unstated or bool((chosen.noise > settings.nugget).any())
     for stage in range(1 + noisy):
@@ -59,69 +61,13 @@ def estimated(
         search = maximise_with_noise if unstated and not stage else maximise
         before = search(current, shares, before, settings)
         if unstated:
-            variance, reading = _each_output(equations, scaling, before, variance, settings)
+            variance, reading = reading_noise(equations, scaling, before, variance, settings)
             continue
         for share in shares:
             found = factorise(chosen, before, *share, settings)
             variance[share.outputs] = found.variance
     assert before is not None
     return Estimate(before, variance, reading)
-
-
-def _each_output(
-    equations: Equations,
-    scaling: Scaling,
-    hyperparameters: Hyperparameters,
-    before: Floats,
-    settings: KrigingSettings,
-) -> tuple[Floats, Floats]:
-    """Return each output's process variance and that of one of its readings, (6,) each.
-
-    Of rows as they lie, near each other too: rows spread widely do not tell little noise.
-    """
-    variance, reading = before.copy(), np.zeros(OUTPUTS)
-    ends = np.searchsorted(np.cumsum(equations.known.sum(axis=1)), settings.likelihood_equations)
-    count = max(min(int(ends), len(equations)), 1)
-    chosen = equations.take(np.linspace(0, len(equations) - 1, count).round().astype(np.intp))
-    table = covariance(chosen.x, chosen.known, chosen.x, chosen.known, hyperparameters)
-    for output in np.flatnonzero(~scaling.silent):
-        rows = np.flatnonzero(chosen.measured[:, output])
-        noise = chosen.noise[rows, output] / before[output]
-        own = Share(np.array([output]), rows, noise)
-
-        def likelihood(logarithm: float, own: Share = own) -> Profile:
-            return profile(chosen, hyperparameters, own, float(np.exp(logarithm)), settings, table)
-
-        logarithm = _least_noise(lambda at: likelihood(at).value, settings)
-        variance[output] = likelihood(logarithm).variance[0]
-        reading[output] = np.exp(logarithm) * variance[output]
-    return variance, reading
-
-
-def _least_noise(value: Callable[[float], float], settings: KrigingSettings) -> float:
-    """Return the logarithm of the least noise that is nearly as likely as the most likely.
-
-    What might be response and might be noise is taken for response, whose bars are wider.
-    """
-
-    def less_likely(logarithm: float) -> float:
-        try:
-            return value(logarithm)
-        except SingularCovarianceError:
-            return REFUSED
-
-    bounds, accuracy = settings.ratio_bounds, settings.ratio_accuracy
-    found: Any = minimize_scalar(
-        less_likely, bounds=bounds, method="bounded", options={"xatol": accuracy}
-    )
-    low, high = bounds[0], float(found.x)
-    limit = float(found.fun) + settings.ratio_caution
-    if less_likely(low) <= limit:
-        return low
-    while high - low > accuracy:
-        middle = (low + high) / 2
-        low, high = (low, middle) if less_likely(middle) <= limit else (middle, high)
-    return high
 
 
 def _telling(shares: list[Share], scaling: Scaling) -> list[Share]:
@@ -132,8 +78,8 @@ def _telling(shares: list[Share], scaling: Scaling) -> list[Share]:
     return [share for share in varying if len(share.outputs) and len(share.rows)]
 
 
-def spread_rows(equations: Equations, most_rows: int, most_equations: int) -> NDArray[np.intp]:
-    """Return rows within the limits, each the farthest from those before it, in their own order.
+def spread_rows(equations: Equations, most_equations: int) -> NDArray[np.intp]:
+    """Return rows within the limit, each the farthest from those before it, in their own order.
 
     Shape (k,): indices of the rows.
     """
@@ -141,7 +87,7 @@ def spread_rows(equations: Equations, most_rows: int, most_equations: int) -> ND
     chosen = [int(np.argmin(np.round((equations.x**2).sum(axis=1), DECIMALS)))]
     total = size[chosen[0]]
     distance = np.full(len(equations), np.inf)
-    while len(chosen) < min(len(equations), most_rows):
+    while len(chosen) < len(equations):
         apart = ((equations.x - equations.x[chosen[-1]]) ** 2).sum(axis=1)
         distance = np.minimum(distance, apart)
         place = int(np.argmax(np.round(distance, DECIMALS)))

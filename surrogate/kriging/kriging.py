@@ -123,6 +123,12 @@ class Kriging:
         return f"kriging, one factor over {rows} rows ({equations} equations)"
 
     @property
+    def reading(self) -> Floats:
+        """Noise of one reading, 95 %, (6,), m and rad; NaN where all noise is stated or none."""
+        noise = self.settings.half_width * np.sqrt(self.reading_variance) * self.scaling.spread
+        return np.where(self.reading_variance > 0, noise, np.nan)
+
+    @property
     def knows_errors(self) -> bool:
         """Whether left-out rows show how large errors are, of all outputs."""
         return all(one.known for one in self.inside.calibrations)

@@ -31,12 +31,15 @@ class LeftOutRows(NamedTuple):
         Of the values of the factor's outputs, spreads; NaN of a row that cannot be left out.
     sizes : ndarray, shape (r, q)
         Root mean square of a row's value and slopes, each over the deviation it should have.
+    variances : ndarray, shape (r,), process variances
+        That the values' errors should have, the noise of the row itself included.
     mean_covariances : ndarray, shape (r, 7, 7)
         Of the mean's coefficients without the row's group.
     """
 
     errors: Floats
     sizes: Floats
+    variances: Floats
     mean_covariances: Floats
 
 
@@ -55,6 +58,7 @@ def left_out(equations: Equations, factor: KrigingFactor, labels: NDArray[np.int
     out = LeftOutRows(
         np.full((len(own), len(factor.outputs)), np.nan),
         np.full((len(own), len(factor.outputs)), np.nan),
+        np.full(len(own), np.nan),
         np.full((len(own), PLACES, PLACES), np.nan),
     )
     for label in np.unique(labels):
@@ -87,8 +91,8 @@ def _leave_out(
     start = 0
     for row, size in zip(rows, sizes, strict=True):
         mine = slice(start, start + size)
-        start += size
-        out.errors[row] = missed[mine][0]
+        out.errors[row], out.variances[row] = missed[mine][0], covariance[start, start]
         # what the row's errors are by the covariance that they should have
         squares = missed[mine] * np.linalg.solve(covariance[mine, mine], missed[mine])
         out.sizes[row] = np.sqrt(np.maximum(squares.sum(axis=0) / size / factor.variance, 0.0))
+        start += size

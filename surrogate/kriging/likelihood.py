@@ -38,15 +38,15 @@ class Profile(NamedTuple):
     factor : KrigingFactor
     variance : ndarray, shape (k,), spreads squared
         Process variance of each output.
-    value : float
-        Half the negative log likelihood, mean over the outputs.
+    values : ndarray, shape (k,)
+        Half the negative log likelihood of each output.
     by_noise : float
         Its derivative by the logarithm of a reading's noise, but for what inv(K) tells.
     """
 
     factor: KrigingFactor
     variance: Floats
-    value: float
+    values: Floats
     by_noise: float
 
 
@@ -78,9 +78,9 @@ def profile(
         more = np.maximum(equations.readings[chosen] - 1, 0.0).sum(axis=0).mean()
         scatter = equations.scatter[chosen].sum(axis=0) / ratio
     variance = (count * factor.variance + scatter) / (count + more)
-    value = 0.5 * (count + more) * np.log(variance).mean() - np.log(np.diag(factor.T)).sum()
-    value += 0.5 * more * np.log(ratio) if more else 0.0
-    return Profile(factor, variance, float(value), 0.5 * (more - (scatter / variance).mean()))
+    values = 0.5 * (count + more) * np.log(variance) - np.log(np.diag(factor.T)).sum()
+    values += 0.5 * more * np.log(ratio) if more else 0.0
+    return Profile(factor, variance, values, 0.5 * (more - (scatter / variance).mean()))
 
 
 def reading_parts(equations: Equations, share: Share) -> Floats:
@@ -115,7 +115,7 @@ def negative_log_likelihood(
         except SingularCovarianceError:
             return REFUSED, np.zeros(len(logarithms))
         factor, own, part = found.factor, equations.take(share.rows), len(share.outputs) / outputs
-        value += part * found.value
+        value += part * float(found.values.mean())
         unit = factor.weights / np.sqrt(found.variance * len(share.outputs))
         sensitivity = factor.T.T @ factor.T - unit @ unit.T
         gradient[:PLACES] += (

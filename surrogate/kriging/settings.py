@@ -43,16 +43,28 @@ class KrigingSettings:
     # tenth of that: from little noise the search ends at short lengths that explain all of it.
     ratio_bounds: tuple[float, float] = (-23.0, 4.6)
     ratio_start: float = -4.6
-    # How far the logarithm of one output's noise is searched: a tenth is the best that rows show.
+    # Between its bounds the noise of readings is tried in steps, and interpolated between them by
+    # cubic splines to this accuracy: a tenth of a variance is the best that rows show.
+    ratio_step: float = 1.5
     ratio_accuracy: float = 0.05
     # By how much less likely (logarithm) noise may be for less of it to be taken: half the 95 %
     # quantile of a chi square. With half a unit 66 and 73 % of errors were inside at two of 36
     # noisy tables, at noise of 5 % of the range; with this 74 and 82 %.
     ratio_caution: float = 1.92
+    # Other kernels that are held against the noise of readings: of one length in all loads, 0.5 to
+    # 4 half ranges, with none to nearly all of the term of all loads; and the table's own with so
+    # much of a rough one by each load. By the table's own alone 12 to 28 % of errors were inside
+    # in one output of `hardening`, and 50 to 70 % of those of `kinked` that were covered.
+    noise_thetas: tuple[float, ...] = (1.4, 0.0, -1.4, -2.8)
+    noise_weights: tuple[float, ...] = (-6.0, -1.2, 3.0)
+    noise_rough: tuple[float, ...] = (0.003, 0.03, 0.3)
+    # Most of `theta_bounds` where noise is to be found: below half a half range a kernel of six
+    # loads is noise itself, and bars of a straight response were up to 47 times its errors.
+    noise_theta_most: float = 1.4
     # The likelihood costs the cube of its equations some fifty times over, and is flat: 420
-    # equations of six outputs (60 solved rows, or 100 measured ones) settle seven numbers, in half
-    # a second; with 210 errors were up to twice as large, measured over made-up responses.
-    likelihood_rows: int = 100
+    # equations of six outputs (60 solved rows, or as many measured ones) settle seven numbers, in
+    # half a second; with 210 errors were up to twice as large, measured over made-up responses. Of
+    # measured rows 100 are too few: the noise of readings and short lengths look alike in them.
     likelihood_equations: int = 420
     likelihood_steps: int = 60
     # Steps end where the likelihood's relative change is below this: the bars do not see more.
@@ -74,7 +86,7 @@ class KrigingSettings:
     like_noise: float = 2.0
     # Rows left out at each level of grouping: enough for a 95 % quantile of six outputs, whose tail
     # they share; each costs half a millisecond a level.
-    left_out_rows: int = 96
+    left_out_rows: int = 200
     # Groups of left-out rows: from one level to the next so many times fewer, down to three, whose
     # spread still tells something. Twice as few hold as well, with wider bars for twins.
     group_growth: float = 1.5

@@ -135,7 +135,8 @@ def _space_arrays(table: AnyTable, groups: int) -> Iterator[tuple[str, Array]]:
 
     ``sizes`` (n, m, g); ``range`` and ``ends`` (2, n), ``scale`` and ``small`` (n), N and N·m;
     ``locked`` (n); ``tolerance`` (m), NaN where there is none; ``limit`` (m), and ``vector_limit``
-    of the length of three outputs from ``vector_first``: m and rad.
+    of the length of three outputs from ``vector_first``, and ``rig_error`` (m) where there
+    is one: m and rad.
     """
     span = table.load_range
     yield "space/sizes", np.array([6, 6, groups], dtype=np.int32)
@@ -145,6 +146,8 @@ def _space_arrays(table: AnyTable, groups: int) -> Iterator[tuple[str, Array]]:
     yield "space/small", CLEAN * span.scale
     yield "space/locked", np.isin(np.arange(6), table.locked).astype(np.int32)
     yield "space/tolerance", _six(table.tolerance)
+    if table.rig_error.any():
+        yield "space/rig_error", table.rig_error
     yield "space/limit", np.repeat([TRANSLATION_LIMIT, np.inf], 3)
     yield "space/vector_first", np.array([3], dtype=np.int32)
     yield "space/vector_limit", np.array([LONGEST])

@@ -96,13 +96,12 @@ def test_the_estimate_before_is_the_start_of_the_next() -> None:
     assert reached[1] <= reached[0] + 1e-9
 
 
-def test_no_more_rows_estimate_than_the_limits_allow() -> None:
+def test_no_more_equations_estimate_than_the_limit_allows() -> None:
     few = KrigingSettings()
     sloped = _equations(solved(SMOOTH, spread_wrenches(20, 40, 3)))
     measured = _equations(table(SMOOTH, spread_wrenches(60, 60, 3)))
     for equations in (sloped, measured):
-        chosen = spread_rows(equations, few.likelihood_rows, few.likelihood_equations)
-        assert len(chosen) <= few.likelihood_rows
+        chosen = spread_rows(equations, few.likelihood_equations)
         assert equations.take(chosen).count <= few.likelihood_equations
         assert len(np.unique(chosen)) == len(chosen)
 

@@ -33,6 +33,8 @@ def whole_bar(
     wrench = acting_one(wrench, table.locked)
     if error is not None:
         bars = widened(error, bars, wrench, *_state(table, wrench, answer, method))
+    if bars is not None:
+        bars = tuple(np.add(bars, table.rig_error).tolist())
     if bars is None or table.bars_are_whole:
         return bars
     unknown = solved(table, wrench, None, method)
@@ -97,7 +99,7 @@ def _widened(
 ) -> Floats:
     error = table.solver_error
     if error is None:
-        return found.error
+        return found.error + table.rig_error
     tangents, wrenches = None, acting(wrenches, table.locked)
     if error.needs_tangent:
         tangents = derivatives_at(table, wrenches, tolerance, method)
@@ -109,7 +111,8 @@ def _widened(
         places = np.flatnonzero(beyond)
         for place, tangent in row_tangents(table, wrenches[places], tolerance, method):
             tangents[places[place]] = tangent
-    return widened_many(error, found.error, wrenches, found.displacement, tangents)
+    wide = widened_many(error, found.error, wrenches, found.displacement, tangents)
+    return wide + table.rig_error
 
 
 def _state(
