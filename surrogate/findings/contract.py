@@ -236,7 +236,7 @@ def lever_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
         f"point that the moments are about is {np.linalg.norm(lever):.4g} m from the one whose "
         f"displacement was measured: import with --load-point {load_point} (m) if the "
         "displacements are those of the interface's point, or with --displacement-point "
-        f"{moved_point} if the moments are about it; added to a point that was given"
+        f"{moved_point} if the moments are about it (add it to a point given before)"
     )
     return [RigFinding("lever", message, (), {"lever": lever.tolist(), "asymmetry": before})]
 
