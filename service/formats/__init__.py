@@ -1,8 +1,7 @@
 """Table files: CSV, XLSX, Parquet, JSON and HDF5 to rows in SI with named mistakes, and back.
 
 No HTTP, no ledger. The columns of a file are described in `header` (CSV, XLSX, Parquet),
-`json_table` and `binary_table`, its units in `units`, the frame and points of a rig in `rig`, the
-limits of a row in `table_rows`.
+`json_table` and `binary_table`, its units in `units`, the limits of a row in `table_rows`.
 """
 
 from wrenchbook.service.formats.binary_table import write_hdf5, write_parquet

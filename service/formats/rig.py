@@ -34,9 +34,8 @@ _DONE = (
     "rows without frame, load_point, displacement_point and rig"
 )
 _LOOSE = (
-    "is not measured, and the translation of the displacement_point is that of the interface only "
-    "with the rotation: measure all three rotations, or the translation at the interface's point, "
-    "and leave displacement_point out"
+    "is not measured, and a displacement_point needs all three rotations: measure them, or the "
+    "translation at the interface's point, and leave displacement_point out"
 )
 _LOST = (
     "is not measured, and all axes of the interface need it in this frame: measure all three, or "
@@ -111,8 +110,8 @@ class Rig:
     def as_json(self) -> dict[str, Any]:
         """Return the rig as JSON-able values."""
         arrays = zip(_KEYS[1:], (self.axes, self.load_point, self.displacement_point), strict=True)
-        words = {"name": self.name, "left_handed": bool(np.linalg.det(self.axes) < 0)}
-        return words | {key: array.tolist() for key, array in arrays}
+        left_handed = bool(np.linalg.det(self.axes) < 0)
+        return {"name": self.name, "left_handed": left_handed, **{k: v.tolist() for k, v in arrays}}
 
 
 def rig_text(*parts: str) -> str:
@@ -194,8 +193,7 @@ def _axes(value: Any) -> Array:
             "frame: the rig's axes are not three perpendicular vectors with a length of 1; write "
             "x=-y,y=x,z=z, or nine numbers: the rig's x, y and z axis in the interface's frame"
         )
-    exact = np.array_equal(axes, axes.round())
-    return axes if exact else np.where(np.abs(nearest) < 1e-12, 0.0, nearest)
+    return axes if (axes == axes.round()).all() else np.where(np.abs(nearest) < 1e-12, 0.0, nearest)
 
 
 def _numbers(name: str, value: Any, count: int) -> Array:
@@ -207,6 +205,5 @@ def _numbers(name: str, value: Any, count: int) -> Array:
         numbers = np.empty(0)
     if len(numbers) != count or not (np.abs(numbers) <= _FARTHEST).all():
         example = "0,0,0.05" if count == 3 else "x=-y,y=x,z=z, or the rig's three axes"
-        most = f"up to {_FARTHEST:g} (points are in m)"
-        raise RigError(f"{name}: is not {count} finite numbers {most}; write {example}")
+        raise RigError(f"{name}: is not {count} numbers up to {_FARTHEST:g} (m); write {example}")
     return numbers

@@ -15,7 +15,7 @@ from wrenchbook.service.tables.importing import ImportRequest
 _MOST_COLUMNS = 1000
 WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
 MOST_WAIT_S = 600.0  # a million rows take minutes
-_FRAME = "in the interface's frame, from its point"
+_POINT = "x,y,z from the interface's point in its frame, m: the point that"
 _Text = Annotated[str, Field(max_length=1000)]
 
 
@@ -59,15 +59,10 @@ class ImportQuery(Body):
     ] = 0
     sheet: Annotated[str | None, Field(max_length=200, description="xlsx: its name")] = None
     frame: Annotated[
-        _Text,
-        Field(description=f"the rig's x, y and z axis {_FRAME}: x=-y,y=x,z=z, or nine numbers"),
+        _Text, Field(description="the rig's axes in the interface's: x=-y,y=x,z=z or nine numbers")
     ] = ""
-    load_point: Annotated[
-        _Text, Field(description=f"x,y,z {_FRAME}, m: the point that moments are about")
-    ] = ""
-    displacement_point: Annotated[
-        _Text, Field(description=f"x,y,z {_FRAME}, m: the point whose translation was measured")
-    ] = ""
+    load_point: Annotated[_Text, Field(description=f"{_POINT} moments are about")] = ""
+    displacement_point: Annotated[_Text, Field(description=f"{_POINT} was measured")] = ""
     rig: Annotated[
         str, Field(max_length=MOST_RIG, description="TOML: these three, name; kept with the import")
     ] = ""
