@@ -171,3 +171,31 @@ def test_a_rig_that_cannot_be_read_is_a_mistake_of_the_call(http, measured, quer
     refused = load(http, f"{HEADER}\n{ONE}\n", **query)
     assert refused.status_code == 422
     assert problem in refused.text
+
+
+def test_two_logs_are_joined_before_their_readings_are_taken_to_the_interface(http, measured):
+    add(http, measured)
+    loads = (
+        "time [s],Fx [N],Fy [N],Fz [N],Mx [Nm],My [Nm],Mz [Nm]\n0,0,0,0,0,0,0\n1,100,0,0,0,1,0\n"
+    )
+    moved = "time [s],ux [m]\n0.5,0.001\n"
+    files = {"loads": ("a.csv", loads), "displacements": ("b.csv", moved)}
+    point = {"load_point": "0,0,0.05", "frame": "x=-y,y=x,z=z"}
+    assert http.post(CALL, files=files, params=point).status_code == 200
+    (row,) = sole(http)
+    np.testing.assert_allclose(six(row, LOADS), [0, -50, 0, 3, 0, 0], atol=1e-12)
+    assert (row["uy [m]"], row["ux [m]"]) == ("-0.001", "")
+
+
+def test_rows_of_json_are_taken_to_the_interface_and_their_mistakes_name_their_places(
+    http, measured
+):
+    add(http, measured)
+    good = {"wrench": [1, 0, 0, 0, 0, 0], "displacement": [1e-3, 0, 0, 0, 0, 0]}
+    bad = {"wrench": [1, 0, 0, 0, 0, 0], "displacement": [1e-3, 0, 0, 0, None, 0]}
+    solve = {**good, "source": "fea"}
+    point = {"displacement_point": "0,0,1"}
+    refused = http.post(CALL, json={"rows": [good, bad, solve]}, params=point).json()
+    found = [(one["row"], one["field"]) for one in refused["errors"]]
+    assert found == [(2, "displacement[4]"), (3, "source")]
+    assert http.post(CALL, json={"rows": [good]}, params=point).status_code == 200
