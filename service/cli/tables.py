@@ -54,6 +54,16 @@ _Tare = Annotated[
     int, typer.Option(min=0, help="first rows, whose mean is subtracted from the others")
 ]
 _Sheet = Annotated[str | None, typer.Option(help="sheet of an XLSX file; the first by default")]
+_Frame = Annotated[
+    str | None, typer.Option(help="the rig's axes in the interface's frame, such as x=-y,y=x,z=z")
+]
+_Point = Annotated[
+    str | None,
+    typer.Option(metavar="X,Y,Z", help="of the readings, from the interface's point, m"),
+]
+_Rig = Annotated[
+    Path | None, typer.Option(help="TOML of name, frame and points", exists=True, dir_okay=False)
+]
 _Moved = Annotated[
     Path | None,
     typer.Option(
@@ -95,6 +105,10 @@ def import_table(
     sheet: _Sheet = None,
     displacements: _Moved = None,
     time_offset: _Offset = 0.0,
+    frame: _Frame = None,
+    load_point: _Point = None,
+    displacement_point: _Point = None,
+    rig: _Rig = None,
     note: _Note = None,
     wait_s: _Wait = 10.0,
     as_json: AsJson = False,
@@ -116,6 +130,8 @@ def import_table(
         "mapping": dict(map(_pair, column or ())),
         "ignore": ignore or (),
     }
+    parts = "frame", "load_point", "displacement_point", "rig"
+    options |= zip(parts, (frame, load_point, displacement_point, rig), strict=True)
     with connected(server, data) as client:
         reply = client.import_table(name, file, dry_run=dry_run, decimal=decimal, **options)
     (print_json if as_json else _print_import)(reply)
@@ -183,6 +199,9 @@ def _print_import(reply: dict[str, Any]) -> None:
         render.plain(out, f"Lines above the header left out: {'; '.join(above)}.")
     verb = "would be inserted" if reply["dry_run"] else "inserted"
     out.print(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
+    if rig := reply.get("rig"):  # servers before 0.3 have none
+        axes = "left-handed" if rig["left_handed"] else "right-handed"
+        render.plain(out, f"Readings were taken to the interface from rig {rig['name']}, {axes}.")
     for finding in reply.get("findings", ()):  # servers before 0.3 have none
         out.print(Text(f"{finding['cause']}: {finding['message']}", style="yellow"))
         if finding["rows"]:

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .errors import InvalidArgument, ProblemError, ServerTimeout, ServerUnreachable
 from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
 
@@ -165,7 +167,8 @@ class LibraryCalls:
         **columns
             ``mapping`` (``{"Load cell": "fz [N]"}``), ``ignore``, ``ignore_extra``, ``partial``,
             ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``, ``time_offset_s`` (s),
-            ``wait_s`` (10 s: how long to wait until answers come from the rows).
+            ``wait_s`` (10 s: until answers come from the rows); ``frame`` (a rig's axes, a text or
+            shape (3, 3)), ``load_point``, ``displacement_point`` ((3,), m), ``rig`` (a TOML file).
 
         Returns ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``findings``
         (probable systematic errors: ``{cause, message, rows, count}``), ``rows`` (what became of
@@ -314,6 +317,11 @@ def _import_query(
 ) -> dict[str, Any]:
     """Return the query of an import."""
     mapping, ignore = columns.pop("mapping", None), columns.pop("ignore", ())
+    rig = columns.pop("rig", None)
+    for part in ("frame", "load_point", "displacement_point"):
+        value = columns.get(part)
+        if value is not None and not isinstance(value, str):
+            columns[part] = ",".join(map(repr, np.ravel(value).astype(float).tolist()))
     return {
         "format": None if format_ is None else _known(format_),
         "dry_run": dry_run or None,
@@ -321,6 +329,7 @@ def _import_query(
         "mapping": json.dumps(dict(mapping)) if mapping else None,
         "ignore": list(ignore) or None,
         "filename": filename or None,
+        "rig": Path(rig).read_text("utf-8-sig", "replace") if rig else None,
         **columns,
     }
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from wrenchbook.service.formats.options import Options, ReadReport
-from wrenchbook.service.formats.table_rows import Array, ParsedTable, within_limits
+from wrenchbook.service.formats.table_rows import Array, ParsedTable
 
 GAP_FACTOR = 5.0
 """Times the median interval of the loads: in a longer one samples were lost."""
@@ -24,10 +24,7 @@ _CLOCK = 1e6  # s: clock times count from 1900 or 1970, elapsed ones from the be
 def zeroed(
     pieces: Iterator[ParsedTable], options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
-    """Yield rows less the mean of the first `options.zero_rows` good ones, which are left out.
-
-    The limits are checked after the subtraction.
-    """
+    """Yield rows less the mean of the first `options.zero_rows` good ones, which are left out."""
     if not options.zero_rows:
         yield from pieces
         return
@@ -43,8 +40,7 @@ def zeroed(
             report.zeroed = count
             piece = piece.take(np.arange(len(piece)) >= count)
         wrench, displacement = piece.wrench - offset[0], piece.displacement - offset[1]
-        corrected = replace(piece, wrench=wrench, displacement=displacement)
-        yield within_limits(corrected, options, report)
+        yield replace(piece, wrench=wrench, displacement=displacement)
 
 
 def _means(piece: ParsedTable, count: int) -> tuple[Array, Array]:

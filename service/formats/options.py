@@ -48,6 +48,8 @@ class Options:
         The mean of so many first rows, the zero offset, is subtracted from all others.
     sheet : str or None
         Of an XLSX; the first one if None.
+    rig : str
+        The TOML of the rig of the readings; empty if they are the interface's.
     time_offset_s : float
         Added to the times of displacements to match the clock of the loads, s.
     max_gap_s : float or None
@@ -68,6 +70,7 @@ class Options:
     missing_loads: Literal["zero"] | None = None
     zero_rows: int = 0
     sheet: str | None = None
+    rig: str = ""
     time_offset_s: float = 0.0
     max_gap_s: float | None = None
     load_range: LoadRange | None = None

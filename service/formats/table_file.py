@@ -24,6 +24,7 @@ from wrenchbook.service.formats.findings import FindingsSample
 from wrenchbook.service.formats.json_table import read_json
 from wrenchbook.service.formats.measured_logs import joined_loads, with_loads, zeroed
 from wrenchbook.service.formats.options import Format, Options, ReadReport
+from wrenchbook.service.formats.rig import rigged
 from wrenchbook.service.formats.table_rows import ParsedTable, with_own_setup, within_limits
 from wrenchbook.service.formats.units import FORCE, si_factor
 from wrenchbook.service.formats.xlsx_table import read_xlsx
@@ -155,8 +156,7 @@ def read_table_file(path: Path, options: Options, report: ReadReport) -> Iterato
     report : ReadReport
         Complete after the last piece.
     """
-    pieces = zeroed(_columns(path, options, report), options, report)
-    yield from with_own_setup(pieces, options, report)
+    yield from _corrected(_columns(path, options, report), options, report)
 
 
 def read_logs(
@@ -169,11 +169,21 @@ def read_logs(
     if found is None:
         return
     log = _columns(displacements, replace(options, role="displacements"), report)
-    pieces = with_loads(log, *found, options, report)
-    if options.zero_rows:
-        yield from zeroed(pieces, options, report)
-    else:
-        yield from (within_limits(piece, options, report) for piece in pieces)
+    yield from _corrected(with_loads(log, *found, options, report), options, report)
+
+
+def _corrected(
+    pieces: Iterator[ParsedTable], options: Options, report: ReadReport
+) -> Iterator[ParsedTable]:
+    """Yield the rows of the interface that may be loaded, from readings in SI.
+
+    The order of all corrections: meaning, sign and unit of each column (the readers), the join of
+    two logs by time, the zero offset, the rig's frame, its load point and displacement point. Then
+    come the limits, the setup, and outside of this the findings.
+    """
+    pieces = rigged(zeroed(pieces, options, report), options, report)
+    pieces = (within_limits(piece, options, report) for piece in pieces)
+    yield from with_own_setup(pieces, options, report)
 
 
 def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:

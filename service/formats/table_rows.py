@@ -37,6 +37,7 @@ or a shifted column, is off by more."""
 
 
 FEA = "fea"  # the source of solves
+MEASURED = "measured"  # the source of rows that name none
 
 
 @dataclass(frozen=True)
@@ -123,10 +124,9 @@ def within_limits(
 def good_rows(piece: ParsedTable, good: Array, options: Options, report: ReadReport) -> ParsedTable:
     """Return the rows of a mask, shape (n,), dimensionless, that are within all limits.
 
-    Logs and rows with a zero offset are not checked against limits here, but after they are joined
-    and corrected.
+    Readings that are joined or corrected are not checked here, but as rows of the interface.
     """
-    if options.zero_rows or options.role != "table":
+    if options.zero_rows or options.rig or options.role != "table":
         report.mistakes.settle()
         return piece.take(good)
     return within_limits(piece, options, report, good)

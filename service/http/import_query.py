@@ -5,15 +5,17 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import orjson
-from pydantic import ConfigDict, Field, field_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from wrenchbook.service.formats import MOST_PREVIEW, MOST_ZERO_ROWS, Options
+from wrenchbook.service.formats.rig import MOST_RIG, Rig, rig_text
 from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.tables.importing import ImportRequest
 
 _MOST_COLUMNS = 1000
 WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
 MOST_WAIT_S = 600.0  # a million rows take minutes
+_POINT = "x,y,z from the interface's point in its frame, m: the point that"
 _Text = Annotated[str, Field(max_length=1000)]
 
 
@@ -56,6 +58,14 @@ class ImportQuery(Body):
         int, Field(ge=0, le=MOST_ZERO_ROWS, description="rows whose mean is taken off all others")
     ] = 0
     sheet: Annotated[str | None, Field(max_length=200, description="xlsx: its name")] = None
+    frame: Annotated[
+        _Text, Field(description="the rig's axes in the interface's: x=-y,y=x,z=z or nine numbers")
+    ] = ""
+    load_point: Annotated[_Text, Field(description=f"{_POINT} moments are about")] = ""
+    displacement_point: Annotated[_Text, Field(description=f"{_POINT} was measured")] = ""
+    rig: Annotated[
+        str, Field(max_length=MOST_RIG, description="TOML: these three, name; kept with the import")
+    ] = ""
     time_offset_s: Annotated[
         float, Field(allow_inf_nan=False, description="added to the displacements' times, s")
     ] = 0.0
@@ -79,7 +89,15 @@ class ImportQuery(Body):
             _pairs(text)
         return text
 
-    @field_validator("note", "filename")
+    @model_validator(mode="after")
+    def _has_one_rig(self) -> ImportQuery:
+        parts = rig_text(self.frame, self.load_point, self.displacement_point)
+        if parts and self.rig:
+            raise ValueError("rig has the frame and the points: send either it or these three")
+        Rig.read(self.rig or parts)
+        return self
+
+    @field_validator("note", "filename", "rig")
     @classmethod
     def _can_be_kept(cls, text: str) -> str:
         try:
@@ -101,6 +119,7 @@ class ImportQuery(Body):
             missing_loads=self.missing_loads,
             zero_rows=self.tare,
             sheet=self.sheet,
+            rig=self.rig or rig_text(self.frame, self.load_point, self.displacement_point),
             time_offset_s=self.time_offset_s,
             max_gap_s=self.max_gap_s,
         )

@@ -71,6 +71,7 @@ Imported = TypedDict(
         "format": Annotated[str, text("found from the content")],
         "gzip": bool,
         "import": Annotated[int | None, text("its number, in imports")],
+        "rig": Annotated[dict[str, Any] | None, text("its name, axes, handedness and points, m")],
         "rows": Annotated[
             dict[Literal["read", "loaded", "refused", "tare", "unmatched"], int],
             text("read = loaded + refused + tare + unmatched, but of a dry run"),
@@ -105,6 +106,7 @@ class Import(TypedDict, total=False):
     format: str
     sha256: str
     note: str
+    rig: Annotated[str, text("the TOML of the rig; empty without one")]
 
 
 class Imports(TypedDict, total=False):

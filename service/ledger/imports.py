@@ -24,7 +24,7 @@ HOLD_SECONDS = 0.03
 _FEWEST, _MOST = 100, 4000  # rows of one transaction
 _FIRST = 500
 _PATIENCE_SECONDS = 120.0  # that an import waits for another one
-_COLUMNS = "component, created, who, filename, format, digest, note, rows"
+_COLUMNS = "component, created, who, filename, format, digest, note, rig, rows"
 _QUALIFIED = f"imports.id, {', '.join(f'imports.{name}' for name in _COLUMNS.split(', '))}"
 _PARTS = "FROM import_parts JOIN imports ON imports.id = import WHERE"
 
@@ -40,6 +40,8 @@ class About:
     filename, format, note : str
     digest : str
         SHA-256 of the file, hexadecimal.
+    rig : str
+        The TOML of the rig whose readings the file has; empty if they are the interface's.
     """
 
     who: str = ""
@@ -47,6 +49,7 @@ class About:
     format: str = ""
     digest: str = ""
     note: str = ""
+    rig: str = ""
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,7 @@ class ImportRecord:
     format: str
     digest: str
     note: str
+    rig: str
     rows: int
 
 
@@ -188,8 +192,8 @@ class ImportTable(Database):
 
 def _begin(db: Connection, component: str, about: About) -> int:
     values = (component, time.time())
-    values += (about.who, about.filename, about.format, about.digest, about.note)
-    insert = f"INSERT INTO imports ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, 0)"
+    values += (about.who, about.filename, about.format, about.digest, about.note, about.rig)
+    insert = f"INSERT INTO imports ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, 0)"
     number = db.execute(insert, values).lastrowid
     assert number is not None
     return number

@@ -168,4 +168,6 @@ SCRIPTS = (
     """
     CREATE INDEX rows_of_setup ON rows (component, fingerprint) WHERE fingerprint <> '';
     """,
+    # The rig whose readings an import has: the TOML of its frame and reference points.
+    "ALTER TABLE imports ADD COLUMN rig TEXT NOT NULL DEFAULT ''",
 )

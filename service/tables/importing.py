@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from wrenchbook.service.formats import Options, ReadResult, read_untrusted
+from wrenchbook.service.formats.rig import Rig
 from wrenchbook.service.ledger import About, Ledger, PackedRow, packed_columns
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import export_rows, own_rows, packed_pieces
@@ -63,7 +64,7 @@ def import_files(
         inserted, existing = _counted(ledger, component, read)
     elif not refused:
         packed = packed_pieces(component, read.pieces())
-        about = replace(about, format=report["format"])
+        about = replace(about, format=report["format"], rig=options.rig)
         inserted, existing, number = ledger.import_rows(component.name, packed, about)
     rows = report.pop("rows")
     good = rows.pop("good")
@@ -73,6 +74,7 @@ def import_files(
         "dry_run": request.dry_run,
         "partial": request.partial,
         "import": number,
+        "rig": Rig.read(options.rig).as_json() if options.rig else None,
         "loaded": not refused and not request.dry_run,
         **report,
         "rows": {**rows, "loaded": 0 if refused or request.dry_run else good},

@@ -16,6 +16,7 @@ import numpy as np
 
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.formats import ParsedTable
+from wrenchbook.service.formats.table_rows import MEASURED
 from wrenchbook.service.ledger import (
     ImportRecord,
     Ledger,
@@ -31,7 +32,6 @@ from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Floats, Rows
 
-MEASURED = "measured"
 CONTRACT_WORDS = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
 
 

@@ -99,7 +99,9 @@ def sign_findings(fit: Fit) -> list[RigFinding]:
         "all loads, or all displacements, have the wrong sign. The wrench acts ON the component: "
         "turn the signs of readings of the opposite wrench, with a mapping such as Fz=-fz [N]"
         if whole and len(wrong) > 1
-        else "these loads, or these displacements, have the wrong sign or the axes of another frame"
+        else "these loads, or these displacements, have the wrong sign or the axes of another "
+        "frame (turn one of the two with a mapping such as Fz=-fy [N]; --frame turns both), or "
+        "another reference point (--load-point, --displacement-point)"
     )
     message = f"the loads do negative work ({names}), which no elastic part does: {what}"
     return [RigFinding("sign", message, (), {"loads": [LOADS[k] for k in wrong]})]
@@ -228,11 +230,13 @@ def lever_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
     after = _asymmetry(moved, load_range)
     if before <= ASYMMETRY or after * BETTER > before or (np.diag(moved) <= 0).any():
         return []
-    x, y, z = lever
+    load_point, moved_point = (",".join(f"{one:.4g}" for one in sign * lever) for sign in (-1, 1))
     message = (
         f"the compliance is unsymmetric by {before:.0%}; it is symmetric to {after:.1%} if the "
-        f"moments are about a point at ({x:.4g}, {y:.4g}, {z:.4g}) m from the point whose "
-        "displacement was measured: compute them about that point before the import"
+        f"point that the moments are about is {np.linalg.norm(lever):.4g} m from the one whose "
+        f"displacement was measured: import with --load-point {load_point} (m) if the "
+        "displacements are those of the interface's point, or with --displacement-point "
+        f"{moved_point} if the moments are about it (add it to a point given before)"
     )
     return [RigFinding("lever", message, (), {"lever": lever.tolist(), "asymmetry": before})]
 

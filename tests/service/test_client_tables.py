@@ -143,3 +143,31 @@ def test_import_says_what_became_of_the_rows(stub: Stub, tmp_path: Path):
         assert "Of 9 rows read 5 are the tare, 3 have no load" in run.output
         assert "Columns left out: Temp" in run.output
         assert "still builds its table" in run.output
+
+
+def test_a_rig_is_sent_as_text_from_numbers_and_from_its_file(stub: Stub, client, tmp_path: Path):
+    stub.answers(Answer({"inserted": 1, "existing": 0, "errors": []}))
+    frame = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    client.import_table("bar", "a\nb", frame=frame, load_point=(0, 0, 0.05))
+    query = dict(parse_qsl(stub.seen[-1].path.partition("?")[2]))
+    assert query == {"frame": "0.0,-1.0,0.0,1.0,0.0,0.0,0.0,0.0,1.0", "load_point": "0.0,0.0,0.05"}
+    file = tmp_path / "rig.toml"
+    file.write_text("\ufeffname = 'bench 3'\n", "utf-8")  # as Windows' editor writes it
+    client.import_table("bar", "a\nb", rig=file)
+    assert dict(parse_qsl(stub.seen[-1].path.partition("?")[2])) == {"rig": "name = 'bench 3'\n"}
+
+
+def test_the_import_command_sends_the_rig_and_says_which_was_applied(stub: Stub, tmp_path: Path):
+    counts = {"read": 1, "loaded": 1, "refused": 0, "tare": 0, "unmatched": 0}
+    rig = {"name": "bench 3", "left_handed": True}
+    reply = {"inserted": 1, "existing": 0, "errors": [], "ignored": [], "rows": counts, "rig": rig}
+    stub.answers(Answer({**reply, "dry_run": False, "in_use": True}))
+    file = tmp_path / "table.csv"
+    file.write_text("a\nb\n")
+    options = ["--frame", "x=-y,y=z,z=x", "--load-point", "-0.1,0,0", "--displacement-point=0,0,1"]
+    run = CliRunner().invoke(app, ["import", "bar", str(file), *options, "--server", stub.url])
+    assert run.exit_code == 0, run.output
+    assert "from rig bench 3, left-handed" in run.output
+    query = dict(parse_qsl(stub.seen[-1].path.partition("?")[2]))
+    sent = {"frame": "x=-y,y=z,z=x", "load_point": "-0.1,0,0", "displacement_point": "0,0,1"}
+    assert query == {"filename": "table.csv", **sent}

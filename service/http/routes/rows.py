@@ -112,6 +112,7 @@ def import_body(one: ImportRecord) -> dict[str, Any]:
         "format": one.format,
         "sha256": one.digest,
         "note": one.note,
+        "rig": one.rig,
     }
 
 

@@ -73,7 +73,7 @@ function history(about, imports) {
   const now = el("p", { class: "muted small" }, `The table is at version ${about.table_version}. A version answers and exports as it did then: name it under Query, or under Import & export.`);
   if (!imports.length) return [now, el("p", { class: "empty" }, "Nothing was imported.")];
   const lines = imports.slice(0, 100).map((one) => [
-    one.table_version === null ? "–" : String(one.table_version), count(one.rows), one.filename || one.format, time(one.when), one.who || "–", one.note || "",
+    one.table_version === null ? "–" : String(one.table_version), count(one.rows), one.filename || one.format, time(one.when), one.who || "–", one.note || "", one.rig ? el("details", {}, el("summary", {}, "rig"), el("pre", {}, one.rig)) : "",
   ]);
-  return [now, table(["#version", "#rows", "file", "when", "who", "note"], lines, { scrolls: true })];
+  return [now, table(["#version", "#rows", "file", "when", "who", "note", "rig"], lines, { scrolls: true })];
 }

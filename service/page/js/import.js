@@ -52,6 +52,7 @@ async function check(state) {
   let shown;
   try {
     const told = await post(state, true);
+    state.options.rig.show(told.rig);
     shown = told.errors.length ? mistakes(state, told.errors, told) : ready(state, told);
   } catch (error) {
     if (state.signal.aborted) return;
@@ -64,7 +65,7 @@ async function check(state) {
 function ready(state, told) {
   return [
     note("covered", el("strong", {}, `${state.file.name}: all rows are correct.`), tallies(told)),
-    ...findings(told), preview(told), state.options.columns.draw(told), again(state), el("div", {}, importButton(state, told)),
+    ...findings(told, state.options.rig), preview(told), state.options.columns.draw(told), again(state), el("div", {}, importButton(state, told)),
   ];
 }
 
@@ -88,10 +89,11 @@ function tallies(told) {
 }
 
 // Probable systematic errors of the measurement, each with its rows of the file.
-function findings(told) {
+function findings(told, rig) {
   return (told.findings || []).map((one) => note("thin",
     el("strong", {}, `${one.cause}: `), el("span", {}, `${one.message}.`),
-    one.rows.length ? el("span", {}, `Rows of the file: ${one.rows.slice(0, 20).join(", ")}${one.count > 20 ? ` and ${count(one.count - 20)} more` : ""}.`) : null));
+    one.rows.length ? el("span", {}, `Rows of the file: ${one.rows.slice(0, 20).join(", ")}${one.count > 20 ? ` and ${count(one.count - 20)} more` : ""}.`) : null,
+    rig && one.lever ? rig.corrections(one.lever) : null));
 }
 
 function preview(told) {

@@ -1,6 +1,7 @@
 // What an import is told beside the file: what its columns are, what to leave out, tare.
 
 import { el, field, select } from "./dom.js";
+import { rigOptions } from "./rig_options.js";
 
 const LEFT_OUT = "leave out";
 const COLUMNS = { fx: "N", fy: "N", fz: "N", mx: "N*m", my: "N*m", mz: "N*m", ux: "mm", uy: "mm", uz: "mm", rx: "deg", ry: "deg", rz: "deg" };
@@ -27,7 +28,7 @@ export function importOptions(changed) {
     el("div", { class: "stack" }, zeroLine, extraLine, partialLine,
       el("div", { class: "few" }, field("Tare: number of first rows, whose mean is subtracted", tare), field("Decimal mark (CSV)", decimal), field("Sheet (Excel)", sheet)),
       field("Note, stored with the import", said)));
-  const columns = columnTable();
+  const columns = columnTable(), rig = rigOptions(changed);
   const query = () => {
     const asked = new URLSearchParams();
     if (zero.checked) asked.set("missing_loads", "zero");
@@ -37,10 +38,11 @@ export function importOptions(changed) {
     if (decimal.value) asked.set("decimal", decimal.value);
     if (sheet.value.trim()) asked.set("sheet", sheet.value.trim());
     if (said.value.trim()) asked.set("note", said.value.trim());
+    rig.tell(asked);
     columns.tell(asked);
     return asked;
   };
-  return { root, query, columns };
+  return { root: [root, rig.root], query, columns, rig };
 }
 
 // One input a column of the file: empty is as the file says.

@@ -166,6 +166,39 @@ def test_probable_errors_of_a_measurement_are_shown_before_and_after_its_import(
     browser.named(".note", "a logger writes")
 
 
+def test_the_axes_and_points_of_a_rig_are_drawn_while_they_are_typed(browser, gauged):
+    browser.visit("#/c/gauged/table")
+    browser.one("#rig-options summary").click()
+    browser.type("#rig-frame", "x=-y,y=z,z=x")
+    browser.type("#rig-load-point", "0,0,0.05")
+    words = browser.one("#rig-picture svg").get_attribute("aria-label")
+    assert "the rig's x axis points along −y" in words
+    assert words.endswith("the load point is at 0, 0, 0.05 m")
+    assert "left-handed" in browser.one("#rig-picture").text
+    browser.type("#rig-load-point", "0,0,here")
+    assert "three numbers in metres" in browser.one("#rig-picture").text
+
+
+def test_a_rig_file_is_applied_drawn_and_kept_with_the_import(browser, client, tmp_path):
+    spans = {"force": [600] * 3, "moment": [60] * 3}
+    client.call_json("POST", "/v1/components", {"name": "bench", "title": "B", "range": spans})
+    file = tmp_path / "rig.toml"
+    file.write_text("name = 'bench 3'\nframe = 'x=-y,y=x,z=z'\nload_point = [0, 0, 0.5]\n")
+    browser.visit("#/c/bench/table")
+    browser.one("#rig-options summary").click()
+    browser.one("#rig-file").send_keys(str(file))
+    header = "Fx [N],Fy [N],Fz [N],Mx [Nm],My [Nm],Mz [Nm],ux [mm]"
+    browser.drop(".drop", "bench.csv", f"{header}\n40,0,0,0,0,0,0.1\n")
+    shown = browser.one("#preview tbody tr:last-child").text.split()
+    assert shown[1:7] == ["0", "−40", "0", "20", "0", "0"]
+    assert "x axis points along −y" in browser.one("#rig-picture svg").get_attribute("aria-label")
+    browser.one("#import").click()
+    browser.named(".note", "1 rows are in the table")
+    browser.visit("#/c/bench/entry")
+    browser.named("details summary", "rig").click()
+    assert "name = 'bench 3'" in browser.named("details pre", "bench").text
+
+
 def test_columns_are_named_left_out_and_turned_before_an_import(browser, gauged):
     browser.visit("#/c/gauged/table")
     browser.drop(".drop", "gauged.csv", GAUGED)

@@ -1,0 +1,209 @@
+"""The frame and the reference points of a test rig; readings in them as rows of the interface.
+
+Forces and translations are polar vectors. Moments and rotations are axial ones: left-handed axes
+turn their sign. Points are in the interface's frame, from the interface's point, undeformed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from wrenchbook.service.formats.cells import text_problem
+from wrenchbook.service.formats.column_names import DISPLACEMENT
+from wrenchbook.service.formats.options import Options, ReadReport
+from wrenchbook.service.formats.table_rows import FEA, MEASURED, Array, ParsedTable, Problem
+
+MOST_RIG = 4000  # characters of a TOML: it is sent in a URL
+_MOST_NAME = 100  # characters
+_SKEW = 1e-3  # axes written as 0.707 are perpendicular unit vectors to 2e-4
+_FARTHEST = 100.0  # m: a point given in mm is refused
+_KEYS = ("name", "frame", "load_point", "displacement_point")
+_AXES = dict(zip("xyz", np.eye(3), strict=True))
+_PART = re.compile(r"\s*([xyz])\s*=\s*([+-]?)\s*([xyz])\s*")
+_MARK = ", rig "  # in a row's source, before the rig's name
+_DONE = (
+    "is of the interface already: a solve, a tangent, or imported with a rig before; load such "
+    "rows without frame, load_point, displacement_point and rig"
+)
+_LOOSE = (
+    "is not measured, and a displacement_point needs all three rotations: measure them, or the "
+    "translation at the interface's point, and leave displacement_point out"
+)
+_LOST = (
+    "is not measured, and all axes of the interface need it in this frame: measure all three, or "
+    "leave the frame out and name the columns by the interface's axes"
+)
+
+
+class RigError(ValueError):
+    """A rig cannot be read; the message has the remedy."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Axes and reference points of the readings of a test.
+
+    Attributes
+    ----------
+    axes : numpy.ndarray
+        Shape (3, 3), dimensionless: the rig's x, y and z axis in the interface's frame, one a row.
+    load_point, displacement_point : numpy.ndarray
+        Shape (3,), m: the point that moments are about, and the one whose translation was measured.
+    name : str
+    """
+
+    axes: Array
+    load_point: Array
+    displacement_point: Array
+    name: str = ""
+
+    @classmethod
+    def read(cls, text: str) -> Rig:
+        """Return the rig of a TOML text; RigError if a key or a value is wrong."""
+        try:
+            values = tomllib.loads(text)
+        except (tomllib.TOMLDecodeError, RecursionError) as error:
+            raise RigError(f"the rig is not TOML: {error}") from None
+        if unknown := [key for key in values if key not in _KEYS]:
+            raise RigError(f"the rig has no {unknown[0][:100]!r}; it may have {', '.join(_KEYS)}")
+        name = values.get("name", hashlib.sha256(text.encode()).hexdigest()[:8])
+        if not isinstance(name, str) or len(name) > _MOST_NAME or text_problem(name):
+            raise RigError(f"name: is not a text of at most {_MOST_NAME} characters")
+        loads, moved = (_numbers(key, values.get(key, [0, 0, 0]), 3) for key in _KEYS[2:])
+        return cls(_axes(values.get("frame", "x=x,y=y,z=z")), loads, moved, name.strip())
+
+    @property
+    def turn(self) -> Array:
+        """The matrix that turns six rig components, as rows, to the interface's frame, (6, 6)."""
+        return np.kron(np.diag([1.0, np.sign(np.linalg.det(self.axes))]), self.axes)
+
+    def loads(self, wrench: Array) -> Array:
+        """Return wrenches at the interface's point, (n, 6), from the rig's, N and N·m."""
+        turned = wrench @ self.turn
+        turned[:, 3:] += np.cross(self.load_point, turned[:, :3])
+        return turned
+
+    def displacements(self, moved: Array) -> Array:
+        """Return displacements of the interface's point, (n, 6), from the rig's, m and rad.
+
+        A number that depends on one that was not measured (NaN) is NaN.
+        """
+        turned = _product(moved, self.turn)
+        if self.displacement_point.any():
+            turned[:, :3] -= _swing(turned[:, 3:], self.displacement_point)
+        return turned
+
+    def uncertainties(self, uncertainty: Array) -> Array:
+        """Return 95 % half widths, (n, 6), from the rig's, m and rad, of independent errors."""
+        lever = np.eye(6)
+        lever[3:, :3] = -np.cross(np.eye(3), self.displacement_point)
+        return np.sqrt(_product(uncertainty**2, (self.turn @ lever) ** 2))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the rig as JSON-able values."""
+        arrays = zip(_KEYS[1:], (self.axes, self.load_point, self.displacement_point), strict=True)
+        left_handed = bool(np.linalg.det(self.axes) < 0)
+        return {"name": self.name, "left_handed": left_handed, **{k: v.tolist() for k, v in arrays}}
+
+
+def rig_text(*parts: str) -> str:
+    """Return the TOML of frame, load point and displacement point, of those that are not empty."""
+    pairs = zip(_KEYS[1:], parts, strict=True)
+    return "".join(f"{key} = {json.dumps(text)}\n" for key, text in pairs if text.strip())
+
+
+def rigged(
+    pieces: Iterator[ParsedTable], options: Options, report: ReadReport
+) -> Iterator[ParsedTable]:
+    """Yield rows of the interface from rows of the rig `options.rig`, named in their source."""
+    if not options.rig:
+        yield from pieces
+        return
+    rig = Rig.read(options.rig)
+    for piece in pieces:
+        good = np.ones(len(piece), dtype=bool)
+        for at, name, message in _problems(piece, rig):
+            good[at] = False
+            label = report.label(name) if name in DISPLACEMENT else name
+            report.mistakes.add(int(piece.row[at]), label, message)
+        piece = piece.take(good)
+        known = any(piece.uncertainty.strides)
+        yield replace(
+            piece,
+            wrench=rig.loads(piece.wrench),
+            displacement=rig.displacements(piece.displacement),
+            uncertainty=rig.uncertainties(piece.uncertainty) if known else piece.uncertainty,
+            source=tuple(f"{source or MEASURED}{_MARK}{rig.name}" for source in piece.source),
+        )
+
+
+def _problems(piece: ParsedTable, rig: Rig) -> Iterator[Problem]:
+    """Yield the rows that are of the interface already, and those that cannot be moved to it."""
+    missing = np.isnan(piece.displacement)
+    tangents = np.asarray(np.isfinite(piece.compliance).any(axis=(1, 2)))
+    loose = np.asarray(missing[:, 3:].any(axis=1) & ~missing[:, :3].all(axis=1))
+    loose &= rig.displacement_point.any()
+    lost = np.asarray(np.isnan(_product(piece.displacement, rig.turn)).all(axis=1))
+    for at, (source, setup) in enumerate(zip(piece.source, piece.fingerprint, strict=True)):
+        if source == FEA or setup or tangents[at] or _MARK in source:
+            yield at, "source", _DONE
+        elif loose[at]:
+            yield at, DISPLACEMENT[3 + int(missing[at, 3:].argmax())], _LOOSE
+        elif lost[at]:
+            yield at, DISPLACEMENT[int(missing[at].argmax())], _LOST
+
+
+def _product(values: Array, matrix: Array) -> Array:
+    """Return values @ matrix, (n, 6); NaN only where a factor that is not zero meets a NaN."""
+    unknown = np.isnan(values)
+    found = np.where(unknown, 0.0, values) @ matrix
+    found[unknown @ (matrix != 0.0)] = np.nan
+    return found
+
+
+def _swing(rotation: Array, point: Array) -> Array:
+    """Return (exp(r) - 1) p, (n, 3), m, of rotation vectors (n, 3), rad; no digits cancel."""
+    angle = np.linalg.norm(rotation, axis=1, keepdims=True) / np.pi
+    first = np.cross(rotation, point)
+    return np.sinc(angle) * first + 0.5 * np.sinc(0.5 * angle) ** 2 * np.cross(rotation, first)
+
+
+def _axes(value: Any) -> Array:
+    """Return the rig's axes, (3, 3), of `x=-y,y=x,z=z` or of nine numbers."""
+    if isinstance(value, str) and "=" in value:
+        parts = [_PART.fullmatch(part) for part in value.lower().split(",")]
+        signed = {m[1]: _AXES[m[3]] * (-1.0 if m[2] == "-" else 1.0) for m in parts if m}
+        if len(parts) != 3 or len(signed) != 3:
+            raise RigError(f"frame: {value[:100]!r} is not of the form x=-y,y=x,z=z")
+        axes = np.stack([signed[axis] for axis in "xyz"])
+    else:
+        axes = _numbers("frame", value, 9).reshape(3, 3)
+    left, _, right = np.linalg.svd(axes)
+    nearest = left @ right
+    if np.abs(axes - nearest).max() > _SKEW:
+        raise RigError(
+            "frame: the rig's axes are not three perpendicular vectors with a length of 1; write "
+            "x=-y,y=x,z=z, or nine numbers: the rig's x, y and z axis in the interface's frame"
+        )
+    return axes if (axes == axes.round()).all() else np.where(np.abs(nearest) < 1e-12, 0.0, nearest)
+
+
+def _numbers(name: str, value: Any, count: int) -> Array:
+    """Return the numbers, (count,), of a text or of lists."""
+    try:
+        values = re.split(r"[,;\s]+", value.strip()) if isinstance(value, str) else value
+        numbers = np.array(values, dtype=float).ravel()
+    except (ValueError, TypeError, OverflowError):
+        numbers = np.empty(0)
+    if len(numbers) != count or not (np.abs(numbers) <= _FARTHEST).all():
+        example = "0,0,0.05" if count == 3 else "x=-y,y=x,z=z, or the rig's three axes"
+        raise RigError(f"{name}: is not {count} numbers up to {_FARTHEST:g} (m); write {example}")
+    return numbers

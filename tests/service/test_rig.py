@@ -1,0 +1,142 @@
+"""Readings in a rig's frame and at its points become loads and displacements of the interface."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from wrenchbook.service.formats.rig import Rig, RigError, rig_text
+
+LEFT = "x=-y,y=z,z=x"  # determinant -1
+SEEDS = range(20)
+
+
+def some_rig(seed, handed=None):
+    """Return a rig with axes of any direction, and its random numbers."""
+    rng = np.random.default_rng(seed)
+    axes = Rotation.random(random_state=seed).as_matrix() * (handed or rng.choice([-1, 1]))
+    return Rig(axes, *rng.uniform(-0.5, 0.5, (2, 3))), rng
+
+
+def readings(rng, count=50, turn=0.2):
+    wrench = rng.uniform(-1, 1, (count, 6)) * np.repeat([1000.0, 100.0], 3)
+    return wrench, rng.uniform(-1, 1, (count, 6)) * np.repeat([0.01, turn / 3**0.5], 3)
+
+
+def inverse(rig):
+    back = -np.stack((rig.load_point, rig.displacement_point)) @ rig.axes.T
+    return Rig(rig.axes.T, *back)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_rig_and_its_inverse_give_the_readings_back(seed):
+    rig, rng = some_rig(seed)
+    wrench, moved = readings(rng)
+    back = inverse(rig)
+    np.testing.assert_allclose(back.loads(rig.loads(wrench)), wrench, rtol=0, atol=1e-12 * 1000)
+    found = back.displacements(rig.displacements(moved))
+    np.testing.assert_allclose(found, moved, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_work_of_loads_is_the_same_in_every_frame(seed):
+    rig, rng = some_rig(seed)
+    rig = Rig(rig.axes, np.zeros(3), np.zeros(3))
+    wrench, moved = readings(rng)
+    found = (rig.loads(wrench) * rig.displacements(moved)).sum(axis=1)
+    np.testing.assert_allclose(found, (wrench * moved).sum(axis=1), rtol=1e-12, atol=1e-11)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_work_is_the_same_to_first_order_at_every_point(seed):
+    rig, rng = some_rig(seed)
+    rig = Rig(rig.axes, rig.load_point, rig.load_point)
+    wrench, moved = readings(rng, turn=1e-5)
+    moved[:, :3] *= 1e-3
+    found = (rig.loads(wrench) * rig.displacements(moved)).sum(axis=1)
+    work = (wrench * moved).sum(axis=1)
+    second_order = 1000 * 3**0.5 * 0.9 * 1e-5**2  # |F| |r|² |p|
+    np.testing.assert_allclose(found, work, rtol=0, atol=second_order)
+    assert np.abs(work).max() > 1e3 * second_order
+
+
+def test_in_left_handed_axes_moments_and_rotations_turn_their_sign():
+    rig = Rig.read(rig_text(LEFT, "", ""))
+    assert round(np.linalg.det(rig.axes)) == -1
+    found = rig.loads(np.array([[1.0, 2, 3, 4, 5, 6]]))
+    np.testing.assert_array_equal(found, [[3, -1, 2, -6, 4, -5]])
+    np.testing.assert_array_equal(rig.displacements(np.array([[1.0, 2, 3, 4, 5, 6]])), found)
+
+
+def test_the_moment_of_a_force_is_the_same_computed_in_left_handed_axes_or_after_them():
+    rig = Rig.read(rig_text(LEFT, "", ""))
+    force, lever = np.array([3.0, -1, 2]), np.array([0.1, 0.4, -0.2])
+    (found,) = rig.loads(np.hstack((force, np.cross(lever, force)))[None])
+    np.testing.assert_allclose(found[3:], np.cross(lever @ rig.axes, force @ rig.axes), atol=1e-15)
+
+
+def test_a_force_at_a_load_point_has_the_moment_of_its_lever():
+    rig = Rig.read(rig_text("", "0,0,0.05", ""))
+    found = rig.loads(np.array([[100.0, 0, 0, 0, 1, 0]]))
+    np.testing.assert_allclose(found, [[100, 0, 0, 0, 6, 0]], atol=1e-12)  # 1 + 0.05 * 100
+
+
+@pytest.mark.parametrize("angle", [1e-9, 1e-3, 0.34])
+def test_a_point_beside_the_interface_swings_on_a_circle_around_it(angle):
+    rig = Rig.read(rig_text("", "", "0.5,0,0"))
+    swung = 0.5 * np.array([-2 * np.sin(angle / 2) ** 2, np.sin(angle), 0])  # about z
+    found = rig.displacements(np.array([[*swung, 0, 0, angle]]))
+    np.testing.assert_allclose(found, [[0, 0, 0, 0, 0, angle]], rtol=0, atol=1e-17)
+
+
+def test_a_point_that_turns_about_any_axis_moves_as_scipy_says():
+    rig, rng = some_rig(3)
+    rig = Rig(np.eye(3), rig.load_point, rig.displacement_point)
+    _, moved = readings(rng)
+    swing = Rotation.from_rotvec(moved[:, 3:]).apply(rig.displacement_point)
+    expected = moved[:, :3] - (swing - rig.displacement_point)
+    np.testing.assert_allclose(rig.displacements(moved)[:, :3], expected, rtol=0, atol=1e-15)
+
+
+def test_a_number_that_was_not_measured_leaves_those_of_other_axes():
+    rig = Rig.read(rig_text(LEFT, "", ""))
+    found = rig.displacements(np.array([[1.0, np.nan, 3, 4, 5, np.nan]]))
+    np.testing.assert_array_equal(found, [[3, -1, np.nan, np.nan, 4, -5]])
+
+
+def test_uncertainties_turn_with_their_axes_and_have_that_of_the_lever():
+    rig = Rig.read(rig_text(LEFT, "", "0,0,2"))
+    found = rig.uncertainties(np.array([[3.0, 4, 5, 0.1, 0.2, np.nan]]))
+    # The interface's x is the rig's z, its y the rig's -x; r_y moves u_x by 2 m, r_x u_y.
+    np.testing.assert_allclose(found, [[np.hypot(5, 0.2), np.nan, 4, np.nan, 0.1, 0.2]])
+
+
+def test_axes_written_with_three_digits_are_made_perpendicular():
+    rig = Rig.read("frame = [[0.707, 0.707, 0], [-0.707, 0.707, 0], [0, 0, 1]]")
+    np.testing.assert_allclose(rig.axes @ rig.axes.T, np.eye(3), atol=1e-15)
+    assert (rig.axes == 0).sum() == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("frame = 'x=y,y=z'", "x=-y,y=x,z=z"),
+        ("frame = 'x=y,y=z,z=y'", "perpendicular"),
+        ("frame = [[1, 0, 0], [0, 1, 0], [0, 0, 2]]", "length of 1"),
+        ("frame = '1,2,3'", "is not 9 numbers"),
+        ("frame = true", "is not 9 numbers"),
+        (
+            "load_point = [0, 0]",
+            "load_point: is not 3 numbers up to 100 .m.; write 0,0,0.05",
+        ),
+        ("load_point = [0, 0, nan]", "is not 3 numbers up to"),
+        ("load_point = '0,0,5 cm'", "is not 3 numbers up to"),
+        ("displacement_point = [0, 0, 120]", "up to 100"),
+        ("lever = [0, 0, 1]", "no 'lever'; it may have name, frame, load_point, displ"),
+        ("name = 7", "name: is not a text"),
+        ("frame =", "is not TOML"),
+        ("frame = " + "[" * 3000, "is not TOML"),
+    ],
+)
+def test_a_rig_that_cannot_be_read_is_refused_with_what_to_write(text, problem):
+    with pytest.raises(RigError, match=problem):
+        Rig.read(text)
