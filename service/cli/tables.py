@@ -62,7 +62,14 @@ _Moved = Annotated[
         dir_okay=False,
     ),
 ]
-_Offset = Annotated[float, typer.Option(help="seconds to add to the displacements' times")]
+_Lag = Annotated[
+    str,
+    typer.Option(
+        "--lag",
+        "--time-offset",
+        help="seconds to add to the displacements' times; auto: as the two logs show",
+    ),
+]
 _Wait = Annotated[
     float, typer.Option(help="seconds to wait until answers come from the rows", min=0, max=600)
 ]
@@ -94,7 +101,7 @@ def import_table(
     tare: _Tare = 0,
     sheet: _Sheet = None,
     displacements: _Moved = None,
-    time_offset: _Offset = 0.0,
+    lag: _Lag = "0",
     note: _Note = None,
     wait_s: _Wait = 10.0,
     as_json: AsJson = False,
@@ -111,7 +118,7 @@ def import_table(
         "sheet": sheet,
         "note": note,
         "wait_s": None if wait_s == 10.0 else wait_s,  # the server's default
-        "time_offset_s": time_offset or None,
+        "time_offset_s": None if lag == "0" else lag,
         "displacements": displacements,
         "mapping": dict(map(_pair, column or ())),
         "ignore": ignore or (),
@@ -189,6 +196,9 @@ def _print_import(reply: dict[str, Any]) -> None:
             shown = ", ".join(map(str, finding["rows"][:10]))
             more = " and others" if finding["count"] > 10 else ""
             render.plain(out, f"  rows {shown}{more} of the file")
+    if (clock := reply.get("clock")) and clock["lag_s"] is not None:
+        shown = f"{clock['lag_s']:.4g} +- {clock['uncertainty_s']:.1g}"
+        out.print(f"Lag of the displacements: {shown} s; {clock['applied_s']:.4g} s is applied.")
     rows = reply["rows"]
     others = {"refused": "have mistakes", "tare": "are the tare", "unmatched": "have no load"}
     parts = [f"{rows[word]} {what}" for word, what in others.items() if rows[word]]

@@ -164,7 +164,8 @@ class LibraryCalls:
             A second log, joined by time; `table` is then the log of the loads.
         **columns
             ``mapping`` (``{"Load cell": "fz [N]"}``), ``ignore``, ``ignore_extra``, ``partial``,
-            ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``, ``time_offset_s`` (s),
+            ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``, ``time_offset_s`` (s, or
+            ``"auto"``; ``lag`` is another name),
             ``wait_s`` (10 s: how long to wait until answers come from the rows).
 
         Returns ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``findings``

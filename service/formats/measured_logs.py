@@ -7,13 +7,14 @@ as unmatched. All loads, seven numbers a sample, are in memory.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.service.formats.table_rows import Array, ParsedTable, within_limits
+from wrenchbook.surrogate.findings.clock import Logs, clock_findings, estimate_lag
 
 GAP_FACTOR = 5.0
 """Times the median interval of the loads: in a longer one samples were lost."""
@@ -75,6 +76,35 @@ def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Arr
     return time, np.concatenate([one.wrench for one in parts])
 
 
+def applied_lag(
+    pieces: Sequence[ParsedTable], time: Array, wrench: Array, options: Options, report: ReadReport
+) -> float | None:
+    """Return the seconds to add to the displacements' times; None if `auto` finds none.
+
+    The report gets the lag that the logs show, and a finding if it is not the one that is applied.
+    """
+    auto = options.time_offset_s == "auto"
+    applied = 0.0 if options.time_offset_s == "auto" else options.time_offset_s
+    when = np.concatenate([np.empty(0), *(one.time for one in pieces if one.time is not None)])
+    moved = np.concatenate([np.empty((0, 6)), *(one.displacement for one in pieces)])
+    found = estimate_lag(Logs(time, wrench, when, moved), applied) if len(when) else None
+    if auto and found is None:
+        message = (
+            "the logs do not show by how much their clocks differ, so lag=auto cannot be applied; "
+            "give the seconds to add to the displacements' times"
+        )
+        report.mistakes.ruin(0, "time", message)
+        return None
+    applied = found.seconds if auto and found else applied
+    report.clock = {
+        "applied_s": applied,
+        "lag_s": found and found.seconds,
+        "uncertainty_s": found and found.error,
+    }
+    report.findings += [] if auto else clock_findings(found, applied)
+    return applied
+
+
 def with_loads(
     pieces: Iterator[ParsedTable],
     time: Array,
@@ -95,7 +125,11 @@ def with_loads(
         Of the log of the displacements.
     """
     longest = options.max_gap_s or GAP_FACTOR * float(np.median(np.diff(time)))
-    for piece in pieces:
+    log = list(pieces)
+    lag = None if report.mistakes.whole else applied_lag(log, time, wrench, options, report)
+    if lag is None:
+        return
+    for piece in log:
         assert piece.time is not None
         if len(piece) and (abs(piece.time[0]) > _CLOCK) != (abs(time[0]) > _CLOCK):
             message = (
@@ -103,7 +137,7 @@ def with_loads(
             )
             report.mistakes.ruin(int(piece.row[0]), "time", message)
             return
-        when = piece.time + options.time_offset_s
+        when = piece.time + lag
         after = np.clip(np.searchsorted(time, when, side="right"), 1, len(time) - 1)
         start, end = time[after - 1], time[after]
         on_a_sample = (when == start) | (when == end)
@@ -115,6 +149,6 @@ def with_loads(
     if report.read and report.unmatched == report.read and not report.mistakes:
         message = (
             f"no displacement lies between two loads, whose times are {time[0]:g} to {time[-1]:g} "
-            "s; do the clocks differ? time_offset_s is added to the displacements' times"
+            "s; do the clocks differ? lag (time_offset_s) is added to the displacements' times"
         )
         report.mistakes.ruin(0, "time", message)

@@ -140,7 +140,7 @@ def table_parts(
         good += len(piece)
         if len(piece):
             yield _part(piece)
-    findings = [] if report.mistakes.whole else sample.findings(own)
+    findings = [] if report.mistakes.whole else sample.findings(own, report.findings)
     yield Part({**report.as_json(good, shown), "findings": findings})
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import orjson
-from pydantic import ConfigDict, Field, field_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from wrenchbook.service.formats import MOST_PREVIEW, MOST_ZERO_ROWS, Options
 from wrenchbook.service.http.bodies import Body
@@ -57,7 +57,11 @@ class ImportQuery(Body):
     ] = 0
     sheet: Annotated[str | None, Field(max_length=200, description="xlsx: its name")] = None
     time_offset_s: Annotated[
-        float, Field(allow_inf_nan=False, description="added to the displacements' times, s")
+        Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"],
+        Field(
+            description="added to the displacements' times, s; auto: the lag that the logs show. "
+            "`lag` is another name of it"
+        ),
     ] = 0.0
     max_gap_s: Annotated[
         float | None,
@@ -71,6 +75,13 @@ class ImportQuery(Body):
     ] = WAIT_S
     note: Annotated[str, Field(max_length=10_000, description="kept with the import")] = ""
     filename: Annotated[str, Field(max_length=1000, description="kept with the import")] = ""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lag_is_the_offset(cls, values: Any) -> Any:
+        if isinstance(values, dict) and "lag" in values and "time_offset_s" not in values:
+            return {"time_offset_s" if name == "lag" else name: one for name, one in values.items()}
+        return values
 
     @field_validator("mapping")
     @classmethod

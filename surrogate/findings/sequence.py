@@ -96,7 +96,7 @@ def _hysteresis(found: dict[str, float], response: RobustFit) -> list[RigFinding
     name, part = _largest(found, response)
     message = (
         f"loading and unloading differ by {part:.1%} of the range of {name}: hysteresis of the rig "
-        "(friction, joints), or loads and displacements shifted in time (time_offset_s of joined "
+        "(friction, joints), or loads and displacements shifted in time (lag of joined "
         "logs). The error bars may not hold both branches"
     )
     return [RigFinding("hysteresis", message, (), {"loop": found})]

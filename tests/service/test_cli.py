@@ -293,3 +293,19 @@ def test_resolve_queues_the_wrenches_of_another_setup(stub: Stub, run: Run):
 
 def test_the_command_line_tells_its_version(run: Run):
     assert run("--version")[1] == f"wrenchbook {wrenchbook.__version__}\n"
+
+
+def test_import_sends_a_lag_and_prints_what_the_logs_show(stub: Stub, run: Run, tmp_path: Path):
+    for name in ("loads.csv", "moved.csv"):
+        (tmp_path / name).write_text("time [s]")
+    clock = {"applied_s": 0.351, "lag_s": 0.351, "uncertainty_s": 0.002}
+    counts = {"read": 9, "loaded": 9, "refused": 0, "tare": 0, "unmatched": 0}
+    reply = {"inserted": 9, "existing": 0, "errors": [], "ignored": [], "dry_run": False}
+    stub.answers(Answer({**reply, "in_use": True, "rows": counts, "clock": clock}))
+    logs = (str(tmp_path / "loads.csv"), "--displacements", str(tmp_path / "moved.csv"))
+    status, out, _ = run("import", "plate", *logs, "--lag", "auto")
+    assert status == 0
+    assert "time_offset_s=auto" in stub.seen[0].path
+    assert "Lag of the displacements: 0.351 +- 0.002 s; 0.351 s is applied." in " ".join(
+        out.split()
+    )
