@@ -70,6 +70,13 @@ _Lag = Annotated[
         help="seconds to add to the displacements' times; auto: as the two logs show",
     ),
 ]
+_Import = Annotated[
+    int | None, typer.Argument(metavar="IMPORT", help="number of the import", min=1)
+]
+_Finding = Annotated[
+    str | None, typer.Option(help="cause of a finding: withdraw its rows, not all of the import")
+]
+_Restore = Annotated[bool, typer.Option("--restore", help="bring the rows back instead")]
 _Wait = Annotated[
     float, typer.Option(help="seconds to wait until answers come from the rows", min=0, max=600)
 ]
@@ -125,7 +132,10 @@ def import_table(
     }
     with connected(server, data) as client:
         reply = client.import_table(name, file, dry_run=dry_run, decimal=decimal, **options)
-    (print_json if as_json else _print_import)(reply)
+    if as_json:
+        print_json(reply)
+    else:
+        _print_import(name, reply)
     raise typer.Exit(1 if reply["errors"] and not partial else 0)
 
 
@@ -178,10 +188,45 @@ def _fmu(file: Path, name: str, table: bytes, method: str | None) -> tuple[bytes
     )
 
 
-TABLE_COMMANDS = {"import": import_table, "export": export_table}
+def withdraw(
+    name: Name,
+    number: _Import = None,
+    finding: _Finding = None,
+    restore: _Restore = False,
+    as_json: AsJson = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """Withdraw an import's rows, or those a finding names. Without IMPORT: list the findings."""
+    with connected(server, data) as client:
+        if number is None:
+            warnings = client.component(name)["warnings"]
+            reply: dict[str, Any] = {"findings": [one for one in warnings if "import" in one]}
+        else:
+            reply = client.withdraw_import(name, number, finding, restore=restore)
+    if as_json:
+        print_json(reply)
+    elif number is None:
+        for one in reply["findings"]:
+            _print_finding(name, one, one["import"])
+        if not reply["findings"]:
+            out.print("No findings.")
+    else:
+        out.print(f"{reply['rows']} rows {reply['status']}.")
 
 
-def _print_import(reply: dict[str, Any]) -> None:
+TABLE_COMMANDS = {"import": import_table, "export": export_table, "withdraw": withdraw}
+
+
+def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> None:
+    out.print(Text(f"{finding['cause']}: {finding['message']}", style="yellow"))
+    if number is not None:
+        command = f"wrenchbook withdraw {name} {number} --finding {finding['cause']}"
+        many = finding["count"] or "all"
+        render.plain(out, f"  to withdraw {many} rows of this import: {command}")
+
+
+def _print_import(name: str, reply: dict[str, Any]) -> None:
     """Print how many of a file's rows were loaded, and why others were not."""
     render.row_errors(out, reply["errors"])
     if reply["ignored"]:
@@ -191,7 +236,7 @@ def _print_import(reply: dict[str, Any]) -> None:
     verb = "would be inserted" if reply["dry_run"] else "inserted"
     out.print(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
     for finding in reply.get("findings", ()):  # servers before 0.3 have none
-        out.print(Text(f"{finding['cause']}: {finding['message']}", style="yellow"))
+        _print_finding(name, finding, reply.get("import"))
         if finding["rows"]:
             shown = ", ".join(map(str, finding["rows"][:10]))
             more = " and others" if finding["count"] > 10 else ""

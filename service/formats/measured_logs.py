@@ -2,7 +2,7 @@
 
 Each displacement of two logs is a row; its wrench is the linear interpolation of the loads before
 and after its time. A displacement before, after or in a gap of the loads is no row: it is counted
-as unmatched. All loads, seven numbers a sample, are in memory.
+as unmatched. Both logs, seven numbers a sample, are in memory.
 """
 
 from __future__ import annotations
@@ -79,10 +79,12 @@ def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Arr
 def applied_lag(
     pieces: Sequence[ParsedTable], time: Array, wrench: Array, options: Options, report: ReadReport
 ) -> float | None:
-    """Return the seconds to add to the displacements' times; None if `auto` finds none.
+    """Return the seconds to add to the displacements' times; None after a mistake.
 
     The report gets the lag that the logs show, and a finding if it is not the one that is applied.
     """
+    if report.mistakes.whole:
+        return None
     auto = options.time_offset_s == "auto"
     applied = 0.0 if options.time_offset_s == "auto" else options.time_offset_s
     when = np.concatenate([np.empty(0), *(one.time for one in pieces if one.time is not None)])
@@ -106,7 +108,7 @@ def applied_lag(
 
 
 def with_loads(
-    pieces: Iterator[ParsedTable],
+    pieces: Sequence[ParsedTable],
     time: Array,
     wrench: Array,
     options: Options,
@@ -116,7 +118,7 @@ def with_loads(
 
     Parameters
     ----------
-    pieces : iterator of ParsedTable
+    pieces : sequence of ParsedTable
         The log of the displacements.
     time : ndarray, shape (n,), s
     wrench : ndarray, shape (n, 6), N and N·m
@@ -125,11 +127,8 @@ def with_loads(
         Of the log of the displacements.
     """
     longest = options.max_gap_s or GAP_FACTOR * float(np.median(np.diff(time)))
-    log = list(pieces)
-    lag = None if report.mistakes.whole else applied_lag(log, time, wrench, options, report)
-    if lag is None:
-        return
-    for piece in log:
+    lag = applied_lag(pieces, time, wrench, options, report)
+    for piece in () if lag is None else pieces:
         assert piece.time is not None
         if len(piece) and (abs(piece.time[0]) > _CLOCK) != (abs(time[0]) > _CLOCK):
             message = (

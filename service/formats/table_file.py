@@ -168,7 +168,7 @@ def read_logs(
     report.read, report.format, report.gzip = 0, "", False  # those of the displacements count
     if found is None:
         return
-    log = _columns(displacements, replace(options, role="displacements"), report)
+    log = list(_columns(displacements, replace(options, role="displacements"), report))
     pieces = with_loads(log, *found, options, report)
     if options.zero_rows:
         yield from zeroed(pieces, options, report)

@@ -111,6 +111,21 @@ class Import(TypedDict, total=False):
     format: str
     sha256: str
     note: str
+    findings: Annotated[list[ImportFinding], text("of rows in the table; `rows` are their ids")]
+
+
+ImportEdited = TypedDict(
+    "ImportEdited",
+    {
+        "component": str,
+        "import": int,
+        "status": Literal["withdrawn", "restored"],
+        "rows": Annotated[int, text("how many changed")],
+        "current": Annotated[bool, text("whether answers come from the table without them")],
+        "table_version": int,
+    },
+    total=False,
+)
 
 
 class Imports(TypedDict, total=False):

@@ -168,4 +168,6 @@ SCRIPTS = (
     """
     CREATE INDEX rows_of_setup ON rows (component, fingerprint) WHERE fingerprint <> '';
     """,
+    # Probable systematic errors of an import's rows, as JSON, each with the keys of its rows.
+    "ALTER TABLE imports ADD COLUMN findings TEXT NOT NULL DEFAULT '[]'",
 )

@@ -309,3 +309,25 @@ def test_import_sends_a_lag_and_prints_what_the_logs_show(stub: Stub, run: Run, 
     assert "Lag of the displacements: 0.351 +- 0.002 s; 0.351 s is applied." in " ".join(
         out.split()
     )
+
+
+def test_withdraw_lists_findings_with_the_command_that_withdraws_their_rows(stub: Stub, run: Run):
+    outlier = {"cause": "outlier", "message": "2 rows are far off", "import": 3, "count": 2}
+    stub.answers(Answer({"warnings": [{"where": "mesh", "message": "coarse"}, outlier]}))
+    status, out, _ = run("withdraw", "plate")
+    assert status == 0
+    assert "outlier: 2 rows are far off" in out
+    assert "wrenchbook withdraw plate 3 --finding outlier" in " ".join(out.split())
+    assert "coarse" not in out
+
+
+def test_withdraw_sends_the_import_and_its_finding_and_restores(stub: Stub, run: Run):
+    stub.answers(Answer({"rows": 2, "status": "withdrawn"}), Answer({"rows": 2, "status": "back"}))
+    assert "2 rows withdrawn" in run("withdraw", "plate", "3", "--finding", "outlier")[1]
+    run("withdraw", "plate", "3", "--restore")
+    first, second = stub.seen
+    assert (first.method, first.path) == (
+        "DELETE",
+        "/v1/components/plate/imports/3?finding=outlier",
+    )
+    assert (second.method, second.path) == ("POST", "/v1/components/plate/imports/3/restore")
