@@ -72,7 +72,21 @@ _Moved = Annotated[
         dir_okay=False,
     ),
 ]
-_Offset = Annotated[float, typer.Option(help="seconds to add to the displacements' times")]
+_Lag = Annotated[
+    str,
+    typer.Option(
+        "--lag",
+        "--time-offset",
+        help="seconds to add to the displacements' times; auto: as the two logs show",
+    ),
+]
+_Import = Annotated[
+    int | None, typer.Argument(metavar="IMPORT", help="number of the import", min=1)
+]
+_Finding = Annotated[
+    str | None, typer.Option(help="cause of a finding: withdraw its rows, not all of the import")
+]
+_Restore = Annotated[bool, typer.Option("--restore", help="bring the rows back instead")]
 _Wait = Annotated[
     float, typer.Option(help="seconds to wait until answers come from the rows", min=0, max=600)
 ]
@@ -104,11 +118,11 @@ def import_table(
     tare: _Tare = 0,
     sheet: _Sheet = None,
     displacements: _Moved = None,
-    time_offset: _Offset = 0.0,
     frame: _Frame = None,
     load_point: _Point = None,
     displacement_point: _Point = None,
     rig: _Rig = None,
+    lag: _Lag = "0",
     note: _Note = None,
     wait_s: _Wait = 10.0,
     as_json: AsJson = False,
@@ -125,7 +139,7 @@ def import_table(
         "sheet": sheet,
         "note": note,
         "wait_s": None if wait_s == 10.0 else wait_s,  # the server's default
-        "time_offset_s": time_offset or None,
+        "time_offset_s": None if lag == "0" else lag,
         "displacements": displacements,
         "mapping": dict(map(_pair, column or ())),
         "ignore": ignore or (),
@@ -134,7 +148,10 @@ def import_table(
     options |= zip(parts, (frame, load_point, displacement_point, rig), strict=True)
     with connected(server, data) as client:
         reply = client.import_table(name, file, dry_run=dry_run, decimal=decimal, **options)
-    (print_json if as_json else _print_import)(reply)
+    if as_json:
+        print_json(reply)
+    else:
+        _print_import(name, reply)
     raise typer.Exit(1 if reply["errors"] and not partial else 0)
 
 
@@ -187,10 +204,45 @@ def _fmu(file: Path, name: str, table: bytes, method: str | None) -> tuple[bytes
     )
 
 
-TABLE_COMMANDS = {"import": import_table, "export": export_table}
+def withdraw(
+    name: Name,
+    number: _Import = None,
+    finding: _Finding = None,
+    restore: _Restore = False,
+    as_json: AsJson = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """Withdraw an import's rows, or those a finding names. Without IMPORT: list the findings."""
+    with connected(server, data) as client:
+        if number is None:
+            warnings = client.component(name)["warnings"]
+            reply: dict[str, Any] = {"findings": [one for one in warnings if "import" in one]}
+        else:
+            reply = client.withdraw_import(name, number, finding, restore=restore)
+    if as_json:
+        print_json(reply)
+    elif number is None:
+        for one in reply["findings"]:
+            _print_finding(name, one, one["import"])
+        if not reply["findings"]:
+            out.print("No findings.")
+    else:
+        out.print(f"{reply['rows']} rows {reply['status']}.")
 
 
-def _print_import(reply: dict[str, Any]) -> None:
+TABLE_COMMANDS = {"import": import_table, "export": export_table, "withdraw": withdraw}
+
+
+def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> None:
+    out.print(Text(f"{finding['cause']}: {finding['message']}", style="yellow"))
+    if number is not None:
+        command = f"wrenchbook withdraw {name} {number} --finding {finding['cause']}"
+        many = finding["count"] or "all"
+        render.plain(out, f"  to withdraw {many} rows of this import: {command}")
+
+
+def _print_import(name: str, reply: dict[str, Any]) -> None:
     """Print how many of a file's rows were loaded, and why others were not."""
     render.row_errors(out, reply["errors"])
     if reply["ignored"]:
@@ -203,11 +255,14 @@ def _print_import(reply: dict[str, Any]) -> None:
         axes = "left-handed" if rig["left_handed"] else "right-handed"
         render.plain(out, f"Readings were taken to the interface from rig {rig['name']}, {axes}.")
     for finding in reply.get("findings", ()):  # servers before 0.3 have none
-        out.print(Text(f"{finding['cause']}: {finding['message']}", style="yellow"))
+        _print_finding(name, finding, reply.get("import"))
         if finding["rows"]:
             shown = ", ".join(map(str, finding["rows"][:10]))
             more = " and others" if finding["count"] > 10 else ""
             render.plain(out, f"  rows {shown}{more} of the file")
+    if (clock := reply.get("clock")) and clock["lag_s"] is not None:
+        shown = f"{clock['lag_s']:.4g} +- {clock['uncertainty_s']:.1g}"
+        out.print(f"Lag of the displacements: {shown} s; {clock['applied_s']:.4g} s is applied.")
     rows = reply["rows"]
     others = {"refused": "have mistakes", "tare": "are the tare", "unmatched": "have no load"}
     parts = [f"{rows[word]} {what}" for word, what in others.items() if rows[word]]

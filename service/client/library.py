@@ -166,9 +166,10 @@ class LibraryCalls:
             A second log, joined by time; `table` is then the log of the loads.
         **columns
             ``mapping`` (``{"Load cell": "fz [N]"}``), ``ignore``, ``ignore_extra``, ``partial``,
-            ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``, ``time_offset_s`` (s),
-            ``wait_s`` (10 s: until answers come from the rows); ``frame`` (a rig's axes, a text or
-            shape (3, 3)), ``load_point``, ``displacement_point`` ((3,), m), ``rig`` (a TOML file).
+            ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``, ``time_offset_s`` (s, or
+            ``"auto"``; ``lag`` is another name), ``wait_s`` (10 s: until answers come from the
+            rows); ``frame`` (a rig's axes, a text or shape (3, 3)), ``load_point``,
+            ``displacement_point`` ((3,), m), ``rig`` (a TOML file).
 
         Returns ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``findings``
         (probable systematic errors: ``{cause, message, rows, count}``), ``rows`` (what became of
@@ -244,6 +245,38 @@ class LibraryCalls:
     def restore_row(self, name: str, row: int) -> Call[None]:
         """Take a row back into a component's table; parameters and errors as `invalidate_row`."""
         yield Request("POST", component_path(name, f"table/{int(row)}/restore"))
+
+    @sync_and_async
+    def withdraw_import(
+        self, name: str, number: int, finding: str | None = None, *, restore: bool = False
+    ) -> Call[dict[str, Any]]:
+        """Withdraw the rows of an import, or those that one of its findings names.
+
+        The rows stay in the ledger. Rows that are withdrawn already do not change.
+
+        Parameters
+        ----------
+        number : int
+            Of the import: ``import`` in the reply of `import_table` and in a component's warnings.
+        finding : str, optional
+            The finding's ``cause``; all rows of the import if left out.
+        restore : bool
+            Bring the rows back instead.
+
+        Returns
+        -------
+        dict
+            ``rows``, how many changed; ``current``, whether answers come from the table as it is
+            now; ``table_version``.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such component, import or finding (404).
+        """
+        path = component_path(name, f"imports/{int(number)}{'/restore' if restore else ''}")
+        query = {"finding": finding}
+        return (yield Request("POST" if restore else "DELETE", path, query=query)).json()
 
     @sync_and_async
     def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> Call[dict[str, Any]]:

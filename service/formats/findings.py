@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,8 @@ import numpy as np
 from wrenchbook.service.formats.options import Options
 from wrenchbook.service.formats.table_rows import ParsedTable
 from wrenchbook.surrogate.findings.find import MOST, find
+from wrenchbook.surrogate.findings.finding import RigFinding
 from wrenchbook.surrogate.table.rows import Rows
-
-MOST_ROWS = 100  # of a finding, in a reply
 
 
 class FindingsSample:
@@ -36,11 +36,13 @@ class FindingsSample:
             self._skip += self._stride
         self._stride *= 2
 
-    def findings(self, options: Options) -> list[dict[str, Any]]:
-        """Return findings as JSON-able values; `rows` are places in the file, as of mistakes."""
-        if not self._parts or options.load_range is None:
-            return []
+    def findings(self, options: Options, known: Sequence[RigFinding] = ()) -> list[dict[str, Any]]:
+        """Return findings as JSON-able values; `rows` are places in the file, as of mistakes.
+
+        `known` are those of the join of two logs; rows of a wrong join show nothing else.
+        """
+        if known or not self._parts or options.load_range is None:
+            return [one.body() for one in known]
         wrench, moved, row = (np.concatenate(one) for one in zip(*self._parts, strict=True))
         rows = Rows.of(wrench, moved, seq=row)
-        found = [one.body() for one in find(rows, options.load_range)]
-        return [{**one, "rows": one["rows"][:MOST_ROWS]} for one in found]
+        return [one.body() for one in find(rows, options.load_range)]

@@ -2,18 +2,19 @@
 
 Each displacement of two logs is a row; its wrench is the linear interpolation of the loads before
 and after its time. A displacement before, after or in a gap of the loads is no row: it is counted
-as unmatched. All loads, seven numbers a sample, are in memory.
+as unmatched. Both logs, seven numbers a sample, are in memory.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.service.formats.table_rows import Array, ParsedTable
+from wrenchbook.surrogate.findings.clock import Logs, clock_findings, estimate_lag
 
 GAP_FACTOR = 5.0
 """Times the median interval of the loads: in a longer one samples were lost."""
@@ -71,8 +72,39 @@ def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Arr
     return time, np.concatenate([one.wrench for one in parts])
 
 
+def applied_lag(
+    pieces: Sequence[ParsedTable], time: Array, wrench: Array, options: Options, report: ReadReport
+) -> float | None:
+    """Return the seconds to add to the displacements' times; None after a mistake.
+
+    The report gets the lag that the logs show, and a finding if it is not the one that is applied.
+    """
+    if report.mistakes.whole:
+        return None
+    auto = options.time_offset_s == "auto"
+    applied = 0.0 if options.time_offset_s == "auto" else options.time_offset_s
+    when = np.concatenate([np.empty(0), *(one.time for one in pieces if one.time is not None)])
+    moved = np.concatenate([np.empty((0, 6)), *(one.displacement for one in pieces)])
+    found = estimate_lag(Logs(time, wrench, when, moved), applied) if len(when) else None
+    if auto and found is None:
+        message = (
+            "the logs do not show by how much their clocks differ, so lag=auto cannot be applied; "
+            "give the seconds to add to the displacements' times"
+        )
+        report.mistakes.ruin(0, "time", message)
+        return None
+    applied = found.seconds if auto and found else applied
+    report.clock = {
+        "applied_s": applied,
+        "lag_s": found and found.seconds,
+        "uncertainty_s": found and found.error,
+    }
+    report.findings += [] if auto else clock_findings(found, applied)
+    return applied
+
+
 def with_loads(
-    pieces: Iterator[ParsedTable],
+    pieces: Sequence[ParsedTable],
     time: Array,
     wrench: Array,
     options: Options,
@@ -82,7 +114,7 @@ def with_loads(
 
     Parameters
     ----------
-    pieces : iterator of ParsedTable
+    pieces : sequence of ParsedTable
         The log of the displacements.
     time : ndarray, shape (n,), s
     wrench : ndarray, shape (n, 6), N and N·m
@@ -91,7 +123,8 @@ def with_loads(
         Of the log of the displacements.
     """
     longest = options.max_gap_s or GAP_FACTOR * float(np.median(np.diff(time)))
-    for piece in pieces:
+    lag = applied_lag(pieces, time, wrench, options, report)
+    for piece in () if lag is None else pieces:
         assert piece.time is not None
         if len(piece) and (abs(piece.time[0]) > _CLOCK) != (abs(time[0]) > _CLOCK):
             message = (
@@ -99,7 +132,7 @@ def with_loads(
             )
             report.mistakes.ruin(int(piece.row[0]), "time", message)
             return
-        when = piece.time + options.time_offset_s
+        when = piece.time + lag
         after = np.clip(np.searchsorted(time, when, side="right"), 1, len(time) - 1)
         start, end = time[after - 1], time[after]
         on_a_sample = (when == start) | (when == end)
@@ -111,6 +144,6 @@ def with_loads(
     if report.read and report.unmatched == report.read and not report.mistakes:
         message = (
             f"no displacement lies between two loads, whose times are {time[0]:g} to {time[-1]:g} "
-            "s; do the clocks differ? time_offset_s is added to the displacements' times"
+            "s; do the clocks differ? lag (time_offset_s) is added to the displacements' times"
         )
         report.mistakes.ruin(0, "time", message)

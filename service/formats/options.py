@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from wrenchbook.service.formats.column_names import DISPLACEMENT, UNCERTAINTY, WRENCH
+from wrenchbook.surrogate.findings.finding import RigFinding
 from wrenchbook.surrogate.table.rows import LoadRange
 
 Format = Literal["csv", "xlsx", "parquet", "hdf5", "json"]
@@ -50,8 +51,9 @@ class Options:
         Of an XLSX; the first one if None.
     rig : str
         The TOML of the rig of the readings; empty if they are the interface's.
-    time_offset_s : float
-        Added to the times of displacements to match the clock of the loads, s.
+    time_offset_s : float or "auto"
+        Added to the times of displacements to match the clock of the loads, s; "auto" is the lag
+        that the logs show.
     max_gap_s : float or None
         Longest interval between two loads to interpolate in, s.
     load_range : LoadRange or None
@@ -71,7 +73,7 @@ class Options:
     zero_rows: int = 0
     sheet: str | None = None
     rig: str = ""
-    time_offset_s: float = 0.0
+    time_offset_s: float | Literal["auto"] = 0.0
     max_gap_s: float | None = None
     load_range: LoadRange | None = None
     fingerprint: str | None = None
@@ -186,6 +188,10 @@ class ReadReport:
         Labels of columns that were left out.
     titles : list of str
         Lines above the header.
+    clock : dict
+        Of two logs: the seconds added to the displacements' times, and the lag that the logs show.
+    findings : list of RigFinding
+        Of the whole file.
     read, zeroed, unmatched : int
         Rows of the file; those in the mean of the zero offset; those with no load at their time.
     """
@@ -196,6 +202,8 @@ class ReadReport:
     columns: list[FoundColumn] = field(default_factory=list)
     ignored: list[str] = field(default_factory=list)
     titles: list[str] = field(default_factory=list)
+    clock: dict[str, float | None] | None = None
+    findings: list[RigFinding] = field(default_factory=list)
     read: int = 0
     zeroed: int = 0
     unmatched: int = 0
@@ -230,6 +238,7 @@ class ReadReport:
             "format": self.format,
             "gzip": self.gzip,
             "rows": rows,
+            "clock": self.clock,
             "columns": [
                 {"column": one.label, "name": one.name, "unit": one.unit} for one in self.columns
             ],

@@ -141,7 +141,7 @@ def table_parts(
         good += len(piece)
         if len(piece):
             yield _part(piece)
-    findings = [] if report.mistakes.whole else sample.findings(own)
+    findings = [] if report.mistakes.whole else sample.findings(own, report.findings)
     yield Part({**report.as_json(good, shown), "findings": findings})
 
 
@@ -168,7 +168,7 @@ def read_logs(
     report.read, report.format, report.gzip = 0, "", False  # those of the displacements count
     if found is None:
         return
-    log = _columns(displacements, replace(options, role="displacements"), report)
+    log = list(_columns(displacements, replace(options, role="displacements"), report))
     yield from _corrected(with_loads(log, *found, options, report), options, report)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import orjson
 from pydantic import ConfigDict, Field, field_validator, model_validator
@@ -67,7 +67,11 @@ class ImportQuery(Body):
         str, Field(max_length=MOST_RIG, description="TOML: these three, name; kept with the import")
     ] = ""
     time_offset_s: Annotated[
-        float, Field(allow_inf_nan=False, description="added to the displacements' times, s")
+        Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"],
+        Field(
+            description="added to the displacements' times, s; auto: the lag that the logs show. "
+            "`lag` is another name of it"
+        ),
     ] = 0.0
     max_gap_s: Annotated[
         float | None,
@@ -81,6 +85,13 @@ class ImportQuery(Body):
     ] = WAIT_S
     note: Annotated[str, Field(max_length=10_000, description="kept with the import")] = ""
     filename: Annotated[str, Field(max_length=1000, description="kept with the import")] = ""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lag_is_the_offset(cls, values: Any) -> Any:
+        if isinstance(values, dict) and "lag" in values and "time_offset_s" not in values:
+            return {"time_offset_s" if name == "lag" else name: one for name, one in values.items()}
+        return values
 
     @field_validator("mapping")
     @classmethod

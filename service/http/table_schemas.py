@@ -53,9 +53,11 @@ class PreviewRow(TypedDict, total=False):
 
 
 class ImportFinding(TypedDict, total=False):
-    cause: Annotated[str, text("outlier, sentinel, sign, unit, lever, drift or hysteresis")]
+    cause: Annotated[
+        str, text("outlier, sentinel, sign, unit, lever, asymmetry, drift, hysteresis, clock")
+    ]
     message: Annotated[str, text("the error, its size and the remedy")]
-    rows: Annotated[list[int], text("of the file, worst first, 100 at most; [] if all are meant")]
+    rows: Annotated[list[int], text("of the file, worst first, 500 at most; [] if all are meant")]
     count: Annotated[int, text("how many rows")]
 
 
@@ -79,6 +81,10 @@ Imported = TypedDict(
         "columns": Annotated[
             list[dict[Literal["column", "name", "unit"], str]],
             text("what each column was taken for"),
+        ],
+        "clock": Annotated[
+            dict[Literal["applied_s", "lag_s", "uncertainty_s"], float | None] | None,
+            text("of two logs: seconds added to the displacements' times, and those they show"),
         ],
         "ignored": list[str],
         "above": Annotated[list[str], text("lines of title above the header, left out")],
@@ -107,6 +113,21 @@ class Import(TypedDict, total=False):
     sha256: str
     note: str
     rig: Annotated[str, text("the TOML of the rig; empty without one")]
+    findings: Annotated[list[ImportFinding], text("of rows in the table; `rows` are their ids")]
+
+
+ImportEdited = TypedDict(
+    "ImportEdited",
+    {
+        "component": str,
+        "import": int,
+        "status": Literal["withdrawn", "restored"],
+        "rows": Annotated[int, text("how many changed")],
+        "current": Annotated[bool, text("whether answers come from the table without them")],
+        "table_version": int,
+    },
+    total=False,
+)
 
 
 class Imports(TypedDict, total=False):

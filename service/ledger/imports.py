@@ -4,18 +4,20 @@ The rows are hidden until the last of them is in, so that jobs and other rows ar
 meanwhile. Rows that a killed process has left hidden are deleted.
 """
 
+import json
 import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from wrenchbook.service.files.lock import take
 from wrenchbook.service.ledger import rows
 from wrenchbook.service.ledger.connections import Database
 from wrenchbook.service.ledger.packing import PackedRow
-from wrenchbook.service.ledger.records import Change, ImportRunningError
+from wrenchbook.service.ledger.records import Change, ImportRunningError, UnknownRowError
 from wrenchbook.service.ledger.schema import Connection, sequences
 
 HOLD_SECONDS = 0.03
@@ -26,6 +28,12 @@ _FIRST = 500
 _PATIENCE_SECONDS = 120.0  # that an import waits for another one
 _COLUMNS = "component, created, who, filename, format, digest, note, rig, rows"
 _QUALIFIED = f"imports.id, {', '.join(f'imports.{name}' for name in _COLUMNS.split(', '))}"
+_ENDED = "NOT EXISTS (SELECT 1 FROM import_parts WHERE import = imports.id AND hidden = 1)"
+_ROWS = "FROM import_parts JOIN rows ON rows.seq BETWEEN first AND last WHERE import = ?"
+_IS_WITHDRAWN = (
+    "coalesce((SELECT withdrawn FROM edits WHERE row = rows.seq"
+    " ORDER BY edits.seq DESC LIMIT 1), 0)"
+)
 _PARTS = "FROM import_parts JOIN imports ON imports.id = import WHERE"
 
 
@@ -42,6 +50,9 @@ class About:
         SHA-256 of the file, hexadecimal.
     rig : str
         The TOML of the rig whose readings the file has; empty if they are the interface's.
+    findings : str
+        JSON: a list of findings, each an object with the ``keys`` of its rows, hexadecimal, worst
+        first; none if all rows are meant.
     """
 
     who: str = ""
@@ -50,6 +61,7 @@ class About:
     digest: str = ""
     note: str = ""
     rig: str = ""
+    findings: str = "[]"
 
 
 @dataclass(frozen=True)
@@ -117,8 +129,7 @@ class ImportTable(Database):
     def imports(self, component: str, most: int = 1000) -> list[ImportRecord]:
         """Return the imports of a component that have ended, newest first."""
         select = (
-            f"SELECT id, {_COLUMNS} FROM imports WHERE component = ? AND NOT EXISTS"
-            " (SELECT 1 FROM import_parts WHERE import = imports.id AND hidden = 1)"
+            f"SELECT id, {_COLUMNS} FROM imports WHERE component = ? AND {_ENDED}"
             " ORDER BY id DESC LIMIT ?"
         )
         with self.reading() as db:
@@ -137,6 +148,58 @@ class ImportTable(Database):
         with self.reading() as db:
             found = db.execute(f"SELECT first, last, {_QUALIFIED} {_PARTS} {where}", (component,))
             return [(first, last, ImportRecord(*record)) for first, last, *record in found]
+
+    def findings(self, component: str) -> list[dict[str, Any]]:
+        """Return the findings of a component's imports that have rows in the table, newest first.
+
+        Each is as it was stored, without ``keys``; with ``import`` and ``filename``, and of the
+        rows that are not withdrawn ``rows``, their numbers (empty if all of the import are meant),
+        and ``count``.
+        """
+        select = (
+            f"SELECT id, filename, findings FROM imports WHERE component = ? AND {_ENDED}"
+            " AND findings <> '[]' ORDER BY id DESC"
+        )
+        found = []
+        with self.reading() as db:
+            for number, filename, text in db.execute(select, (component,)).fetchall():
+                for one in _stored(text):
+                    keys = one.pop("keys")
+                    live = _chosen(
+                        db, component, number, keys, withdrawn=False, most=len(keys) or 1
+                    )
+                    if live:
+                        about = {"import": number, "filename": filename}
+                        seqs = live if keys else []
+                        found.append({**one, **about, "rows": seqs, "count": len(seqs)})
+        return found
+
+    def edit_import(
+        self, component: str, number: int, cause: str | None = None, *, withdrawn: bool
+    ) -> int:
+        """Withdraw or restore the rows of an import, or those that its findings of a cause name.
+
+        Returns how many rows changed: those that are as requested already do not count.
+
+        Raises
+        ------
+        UnknownRowError
+            If the component has no such import, or the import no such finding.
+        """
+        select = f"SELECT findings FROM imports WHERE id = ? AND component = ? AND {_ENDED}"
+        with self.writing() as db:
+            found = db.execute(select, (number, component)).fetchone()
+            if found is None:
+                raise UnknownRowError(f"{component!r} has no import {number}")
+            lists = [one["keys"] for one in _stored(found[0]) if one.get("cause") == cause]
+            if cause is not None and not lists:
+                raise UnknownRowError(f"import {number} of {component!r} has no finding {cause!r}")
+            keys = [key for one in lists for key in one] if all(lists) else []
+            seqs = _chosen(db, component, number, keys, withdrawn=not withdrawn)
+            rows.edit_many(db, component, seqs, withdrawn=withdrawn, now=time.time())
+        if seqs:
+            self.notify(Change(component, rows=len(seqs)))
+        return len(seqs)
 
     def drop_abandoned(self) -> None:
         """Delete the hidden rows of imports whose process is gone; nothing while one runs."""
@@ -193,10 +256,41 @@ class ImportTable(Database):
 def _begin(db: Connection, component: str, about: About) -> int:
     values = (component, time.time())
     values += (about.who, about.filename, about.format, about.digest, about.note, about.rig)
-    insert = f"INSERT INTO imports ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, 0)"
+    insert = f"INSERT INTO imports ({_COLUMNS}, findings) VALUES (?, ?, ?, ?, ?, ?, ?, ?, 0, ?)"
+    values += (about.findings,)
     number = db.execute(insert, values).lastrowid
     assert number is not None
     return number
+
+
+def _stored(text: str) -> list[dict[str, Any]]:
+    """Return the findings of an import; none if their text is damaged."""
+    try:
+        return [{"keys": [], **one} for one in json.loads(text)]
+    except (ValueError, TypeError):
+        return []
+
+
+def _chosen(
+    db: Connection,
+    component: str,
+    number: int,
+    keys: Sequence[str],
+    *,
+    withdrawn: bool,
+    most: int = -1,
+) -> list[int]:
+    """Return the rows with some keys, in their order, or all of an import, that are withdrawn."""
+    state = f"AND {_IS_WITHDRAWN} = {int(withdrawn)}"
+    if not keys:
+        select = f"SELECT rows.seq {_ROWS} {state} LIMIT ?"
+        return [seq for (seq,) in db.execute(select, (number, most))]
+    found: dict[bytes, int] = {}
+    wanted = dict.fromkeys(map(bytes.fromhex, keys))
+    for marks, part in rows.in_parts(wanted):
+        select = f"SELECT key, seq FROM rows WHERE key IN ({marks}) AND component = ? {state}"
+        found |= dict(db.execute(select, (*part, component)).fetchall())
+    return [found[key] for key in wanted if key in found]
 
 
 def _add_hidden(db: Connection, number: int, component: str, block: list[PackedRow]) -> int:

@@ -218,6 +218,15 @@ def edit(db: Connection, component: str, seq: int, *, withdrawn: bool, now: floa
     db.execute("INSERT INTO edits VALUES (?, ?, ?, ?, ?)", (number, component, seq, withdrawn, now))
 
 
+def edit_many(
+    db: Connection, component: str, seqs: Sequence[int], *, withdrawn: bool, now: float
+) -> None:
+    """Withdraw or restore rows of a component, of which none is so already."""
+    first = skip(db, len(seqs)) - len(seqs) + 1
+    edits = ((first + k, component, seq, withdrawn, now) for k, seq in enumerate(seqs))
+    db.executemany("INSERT INTO edits VALUES (?, ?, ?, ?, ?)", edits)
+
+
 def skip(db: Connection, count: int = 0, least: int = 0) -> int:
     """Leave out `count` numbers of the sequence, and all up to `least`; return the last of them."""
     db.execute(

@@ -170,4 +170,6 @@ SCRIPTS = (
     """,
     # The rig whose readings an import has: the TOML of its frame and reference points.
     "ALTER TABLE imports ADD COLUMN rig TEXT NOT NULL DEFAULT ''",
+    # Probable systematic errors of an import's rows, as JSON, each with the keys of its rows.
+    "ALTER TABLE imports ADD COLUMN findings TEXT NOT NULL DEFAULT '[]'",
 )

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from wrenchbook.service.formats import Options, ReadResult, read_untrusted
 from wrenchbook.service.formats.rig import Rig
@@ -65,6 +68,7 @@ def import_files(
     elif not refused:
         packed = packed_pieces(component, read.pieces())
         about = replace(about, format=report["format"], rig=options.rig)
+        about = replace(about, findings=_with_keys(component, read))
         inserted, existing, number = ledger.import_rows(component.name, packed, about)
     rows = report.pop("rows")
     good = rows.pop("good")
@@ -79,6 +83,21 @@ def import_files(
         **report,
         "rows": {**rows, "loaded": 0 if refused or request.dry_run else good},
     }
+
+
+def _with_keys(component: Component, read: ReadResult) -> str:
+    """Return the findings of a file as JSON, with the keys of their rows instead of places."""
+    findings = read.report["findings"]
+    named = [row for one in findings for row in one["rows"]]
+    keys: dict[int, str] = {}
+    for piece in read.pieces() if named else ():
+        some = piece.take(np.isin(piece.row, named))
+        for block in packed_pieces(component, iter((some,))):
+            packed = (row[-2].hex() for row in block if isinstance(row[-2], bytes))
+            keys |= zip(some.row.tolist(), packed, strict=True)
+    return json.dumps(
+        [{**one, "rows": [], "keys": [keys[k] for k in one["rows"]]} for one in findings]
+    )
 
 
 def _counted(ledger: Ledger, component: Component, read: ReadResult) -> tuple[int, int]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 Cause = Literal[
-    "sentinel", "outlier", "sign", "unit", "lever", "drift", "hysteresis", "range", "size"
+    "sentinel", "outlier", "sign", "unit", "lever", "asymmetry", "drift", "hysteresis", "clock"
 ]
 MOST_ROWS = 500  # of a finding: a page's list; `count` has their number
 
@@ -18,7 +18,8 @@ class RigFinding:
     Attributes
     ----------
     cause : str
-        "sentinel", "outlier", "sign", "unit", "lever", "drift", "hysteresis", "range" or "size".
+        "sentinel", "outlier", "sign", "unit", "lever", "asymmetry", "drift", "hysteresis" or
+        "clock".
     message : str
         What is wrong, by how much, and what to do.
     rows : tuple of int

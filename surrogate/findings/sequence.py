@@ -135,8 +135,8 @@ def _hysteresis(found: dict[str, float], response: RobustFit) -> list[RigFinding
     name, part = _largest(found, response)
     message = (
         f"loading and unloading differ by {part:.1%} of the range of {name}: hysteresis of the rig "
-        "(friction, joints), or loads and displacements shifted in time (time_offset_s of joined "
-        "logs). The error bars of answers hold both branches"
+        "(friction, joints), or loads and displacements shifted in time (lag of joined logs). The "
+        "error bars of answers hold both branches"
     )
     return [RigFinding("hysteresis", message, (), {"loop": found})]
 

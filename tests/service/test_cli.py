@@ -293,3 +293,41 @@ def test_resolve_queues_the_wrenches_of_another_setup(stub: Stub, run: Run):
 
 def test_the_command_line_tells_its_version(run: Run):
     assert run("--version")[1] == f"wrenchbook {wrenchbook.__version__}\n"
+
+
+def test_import_sends_a_lag_and_prints_what_the_logs_show(stub: Stub, run: Run, tmp_path: Path):
+    for name in ("loads.csv", "moved.csv"):
+        (tmp_path / name).write_text("time [s]")
+    clock = {"applied_s": 0.351, "lag_s": 0.351, "uncertainty_s": 0.002}
+    counts = {"read": 9, "loaded": 9, "refused": 0, "tare": 0, "unmatched": 0}
+    reply = {"inserted": 9, "existing": 0, "errors": [], "ignored": [], "dry_run": False}
+    stub.answers(Answer({**reply, "in_use": True, "rows": counts, "clock": clock}))
+    logs = (str(tmp_path / "loads.csv"), "--displacements", str(tmp_path / "moved.csv"))
+    status, out, _ = run("import", "plate", *logs, "--lag", "auto")
+    assert status == 0
+    assert "time_offset_s=auto" in stub.seen[0].path
+    assert "Lag of the displacements: 0.351 +- 0.002 s; 0.351 s is applied." in " ".join(
+        out.split()
+    )
+
+
+def test_withdraw_lists_findings_with_the_command_that_withdraws_their_rows(stub: Stub, run: Run):
+    outlier = {"cause": "outlier", "message": "2 rows are far off", "import": 3, "count": 2}
+    stub.answers(Answer({"warnings": [{"where": "mesh", "message": "coarse"}, outlier]}))
+    status, out, _ = run("withdraw", "plate")
+    assert status == 0
+    assert "outlier: 2 rows are far off" in out
+    assert "wrenchbook withdraw plate 3 --finding outlier" in " ".join(out.split())
+    assert "coarse" not in out
+
+
+def test_withdraw_sends_the_import_and_its_finding_and_restores(stub: Stub, run: Run):
+    stub.answers(Answer({"rows": 2, "status": "withdrawn"}), Answer({"rows": 2, "status": "back"}))
+    assert "2 rows withdrawn" in run("withdraw", "plate", "3", "--finding", "outlier")[1]
+    run("withdraw", "plate", "3", "--restore")
+    first, second = stub.seen
+    assert (first.method, first.path) == (
+        "DELETE",
+        "/v1/components/plate/imports/3?finding=outlier",
+    )
+    assert (second.method, second.path) == ("POST", "/v1/components/plate/imports/3/restore")

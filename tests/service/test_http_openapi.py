@@ -84,6 +84,8 @@ WRONG = [
     ("post", f"{COMPONENT}/unarchive", "/v1/components/nope/unarchive", {}, 404),
     ("put", f"{COMPONENT}/notes", f"{PLATE}/notes", {"json": {}}, 422),
     ("get", f"{COMPONENT}/imports", "/v1/components/nope/imports", {}, 404),
+    ("delete", f"{COMPONENT}/imports/{{number}}", f"{PLATE}/imports/99", {}, 404),
+    ("post", f"{COMPONENT}/imports/{{number}}/restore", f"{PLATE}/imports/99/restore", {}, 404),
     ("get", f"{COMPONENT}/disagreement", "/v1/components/nope/disagreement", {}, 404),
     ("get", f"{COMPONENT}/demand", "/v1/components/nope/demand", {}, 404),
     ("delete", f"{COMPONENT}/demand", "/v1/components/nope/demand", {}, 404),

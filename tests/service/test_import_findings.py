@@ -83,3 +83,86 @@ def test_without_a_load_range_there_are_no_findings():
     sample = FindingsSample()
     sample.add(table_of(1, 20))
     assert sample.findings(Options()) == []
+
+
+def findings_of(http):
+    """Return what the component warns of its imports."""
+    warnings = http.get("/v1/components/rig").json()["warnings"]
+    return [one for one in warnings if "import" in one]
+
+
+def with_outliers(rig):
+    rows = rig.measured()
+    rows.displacement[[11, 80], 2] += [2 * rig.size[2], -rig.size[2]]
+    return rows
+
+
+def test_findings_stay_visible_after_the_import(http, rig):
+    add(http, rig)
+    reply = load(http, with_outliers(rig), filename="rig.csv").json()
+    (found,) = findings_of(http)
+    assert (found["cause"], found["import"], found["count"]) == ("outlier", reply["import"], 2)
+    assert found["where"] == f"import {reply['import']}"
+    assert found["filename"] == "rig.csv"
+    assert found["message"] == reply["findings"][0]["message"]
+    worst = http.get(f"{CALL}/{found['rows'][0]}").json()
+    assert worst["provenance"]["import"]["id"] == reply["import"]
+    (listed,) = http.get("/v1/components/rig/imports").json()["imports"]
+    assert [one["cause"] for one in listed["findings"]] == ["outlier"]
+
+
+def test_a_finding_whose_rows_are_withdrawn_one_by_one_disappears(http, rig):
+    add(http, rig)
+    load(http, with_outliers(rig))
+    first, second = findings_of(http)[0]["rows"]
+    http.delete(f"{CALL}/{first}")
+    assert [one["rows"] for one in findings_of(http)] == [[second]]
+    http.delete(f"{CALL}/{second}")
+    assert findings_of(http) == []
+    http.post(f"{CALL}/{first}/restore")
+    assert [one["rows"] for one in findings_of(http)] == [[first]]
+
+
+def test_one_call_withdraws_the_rows_that_a_finding_names_and_loses_none(http, rig):
+    add(http, rig)
+    number = load(http, with_outliers(rig)).json()["import"]
+    call, query = f"/v1/components/rig/imports/{number}", {"finding": "outlier"}
+    rows = findings_of(http)[0]["rows"]
+    reply = http.delete(call, params=query).json()
+    assert (reply["rows"], reply["status"], reply["current"]) == (2, "withdrawn", True)
+    assert http.delete(call, params=query).json()["rows"] == 0
+    assert findings_of(http) == []
+    assert http.get("/v1/components/rig").json()["rows"] == len(rig.wrench) - 2
+    assert all(http.get(f"{CALL}/{row}").json()["withdrawn"] for row in rows)
+    assert http.post(f"{call}/restore", params=query).json()["rows"] == 2
+    assert http.get("/v1/components/rig").json()["rows"] == len(rig.wrench)
+
+
+def test_a_finding_of_all_rows_withdraws_the_import_and_no_other(http, rig):
+    add(http, rig)
+    wrong = load(http, rig.measured("all loads with the wrong sign")).json()["import"]
+    load(http, rig.measured())
+    (found,) = findings_of(http)
+    assert (found["cause"], found["import"], found["rows"]) == ("sign", wrong, [])
+    reply = http.delete(f"/v1/components/rig/imports/{wrong}", params={"finding": "sign"}).json()
+    assert reply["rows"] == len(rig.wrench)
+    assert findings_of(http) == []
+    assert http.get("/v1/components/rig").json()["rows"] == len(rig.wrench)
+
+
+@pytest.mark.parametrize("query", [{"finding": "lever"}, {}])
+def test_an_unknown_import_or_finding_is_refused_by_name(http, rig, query):
+    add(http, rig)
+    number = load(http, with_outliers(rig)).json()["import"]
+    call = f"/v1/components/rig/imports/{number if query else number + 1}"
+    reply = http.delete(call, params=query)
+    assert reply.status_code == 404
+    assert ("'lever'" if query else str(number + 1)) in reply.json()["detail"]
+
+
+def test_a_second_import_of_the_same_rows_keeps_the_findings_of_the_first(http, rig):
+    add(http, rig)
+    rows = with_outliers(rig)
+    first = load(http, rows).json()["import"]
+    assert load(http, rows).json()["import"] is None
+    assert [one["import"] for one in findings_of(http)] == [first]

@@ -184,6 +184,7 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
         "warnings": [
             *_warnings(component, own_error, known=table.bars_are_whole),
             *({"where": "rows", "message": one} for one in _of_rows(component, table)),
+            *({"where": f"import {one['import']}", **one} for one in table.findings),
         ],
         "vibration": vibration_of(component.folder),
         "solver_error": _solver_error(component, own_error),

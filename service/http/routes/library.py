@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Path, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
@@ -19,7 +19,13 @@ from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import import_body
-from wrenchbook.service.http.table_schemas import Card, Demand, Disagreement, Imports
+from wrenchbook.service.http.table_schemas import (
+    Card,
+    Demand,
+    Disagreement,
+    ImportEdited,
+    Imports,
+)
 from wrenchbook.service.ledger import About
 from wrenchbook.service.tables.disagreement import disagreement
 from wrenchbook.service.tables.importing import copy_rows
@@ -28,6 +34,10 @@ from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["library"], responses=refused(404, 422))
 CATCH_UP_S = 25.0
+ImportId = Annotated[int, Path(ge=1, lt=2**63, description="the number of the import")]
+Finding = Annotated[
+    str | None, Query(max_length=100, description="cause of a finding: its rows; else all rows")
+]
 MOST_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
 
 
@@ -86,16 +96,40 @@ async def write_notes(name: str, request: Request) -> Response:
 def imports(name: str, workspace: Opened) -> Response:
     found = workspace.ledger.imports(workspace.library[name].name)
     versions = {one.id: last for _, last, one in workspace.ledger.import_spans(name)}
+    findings = workspace.ledger.findings(name)
     rows = [
         {
             **import_body(one),
             "when": iso_time(one.created),
             "rows": one.rows,
             "table_version": versions.get(one.id),
+            "findings": [found for found in findings if found["import"] == one.id],
         }
         for one in found
     ]
     return json_reply({"imports": rows})
+
+
+@router.delete(
+    "/imports/{number}",
+    summary="Withdraw an import's rows, or those that a finding names; nothing is deleted",
+    response_model=ImportEdited,
+)
+def withdraw_import(
+    name: str, number: ImportId, workspace: Opened, finding: Finding = None
+) -> Response:
+    return _edited(workspace, name, number, finding, withdrawn=True)
+
+
+@router.post(
+    "/imports/{number}/restore",
+    summary="Bring withdrawn rows of an import back, or those that a finding names",
+    response_model=ImportEdited,
+)
+def restore_import(
+    name: str, number: ImportId, workspace: Opened, finding: Finding = None
+) -> Response:
+    return _edited(workspace, name, number, finding, withdrawn=False)
 
 
 @router.get(
@@ -123,6 +157,22 @@ def demand(name: str, workspace: Opened) -> Response:
 def forget_demand(name: str, workspace: Opened) -> dict[str, Any]:
     workspace.query_counts.forget(workspace.library[name].name)
     return {"component": name, "asked": 0}
+
+
+def _edited(
+    workspace: Workspace, name: str, number: int, finding: str | None, *, withdrawn: bool
+) -> Response:
+    component = workspace.library[name].name
+    count = workspace.ledger.edit_import(component, number, finding, withdrawn=withdrawn)
+    body = {
+        "component": component,
+        "import": number,
+        "status": "withdrawn" if withdrawn else "restored",
+        "rows": count,
+        "current": workspace.tables.catch_up(component, CATCH_UP_S),
+        "table_version": workspace.ledger.last_seq(component),
+    }
+    return json_reply(body)
 
 
 def _put(request: Request, name: str, **fields: Any) -> Response:

@@ -1,8 +1,9 @@
 // Import: a dropped file is checked first; bad rows are named and can be mended here.
 
-import { caughtUp, of, send, trouble } from "./api.js";
+import { caughtUp, get, of, send, trouble } from "./api.js";
 import { isLines, lineOf, readText, withLine } from "./csv_text.js";
 import { el, note, put, table } from "./dom.js";
+import { findingNote } from "./findings.js";
 import { LOADS, OUTPUTS, count, number, plain, unitOfLoad, unitOfOutput } from "./format.js";
 import { importOptions } from "./import_options.js";
 
@@ -65,7 +66,7 @@ async function check(state) {
 function ready(state, told) {
   return [
     note("covered", el("strong", {}, `${state.file.name}: all rows are correct.`), tallies(told)),
-    ...findings(told, state.options.rig), preview(told), state.options.columns.draw(told), again(state), el("div", {}, importButton(state, told)),
+    ...findings(state, told.findings), preview(told), state.options.columns.draw(told), again(state), el("div", {}, importButton(state, told)),
   ];
 }
 
@@ -88,13 +89,9 @@ function tallies(told) {
   ];
 }
 
-// Probable systematic errors of the measurement, each with its rows of the file.
-function findings(told, rig) {
-  return (told.findings || []).map((one) => note("thin",
-    el("strong", {}, `${one.cause}: `), el("span", {}, `${one.message}.`),
-    one.rows.length ? el("span", {}, `Rows of the file: ${one.rows.slice(0, 20).join(", ")}${one.count > 20 ? ` and ${count(one.count - 20)} more` : ""}.`) : null,
-    rig && one.lever ? rig.corrections(one.lever) : null));
-}
+const findings = (state, found, number) => (found || []).map((one) => el("div", {},
+  findingNote(state.about.name, one, number, state.signal),
+  state.options?.rig && one.lever ? state.options.rig.corrections(one.lever) : null));
 
 function preview(told) {
   if (!told.preview?.length) return null;
@@ -110,9 +107,11 @@ async function load(state) {
   try {
     const told = await post(state, false);
     await caughtUp(state.about.name, state.signal);
+    const kept = told.import ? (await get(`${of(state.about.name)}/imports`, state.signal)).imports.find((one) => one.id === told.import) : null;
     const name = encodeURIComponent(state.about.name);
     put(state.place, note("covered", el("strong", {}, `${count(told.inserted)} rows are in the table.`), told.errors.length || told.existing || told.rows.tare ? tallies(told) : null,
-      el("span", {}, el("a", { href: `#/c/${name}/query` }, "Query it"), ", or see ", el("a", { href: `#/c/${name}/rows` }, "the rows"), ". This is ", el("a", { href: `#/c/${name}/entry` }, `version ${told.table_version}`), ".")), ...findings(told));
+      el("span", {}, el("a", { href: `#/c/${name}/query` }, "Query it"), ", or see ", el("a", { href: `#/c/${name}/rows` }, "the rows"), ". This is ", el("a", { href: `#/c/${name}/entry` }, `version ${told.table_version}`), ".")),
+    ...findings(state, kept?.findings || told.findings, kept?.id));
   } catch (error) { if (!state.signal.aborted) put(state.place, trouble(error)); }
 }
 

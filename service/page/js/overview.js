@@ -3,6 +3,7 @@
 import { caughtUp, get, of, post } from "./api.js";
 import { el, facts, field, note, notify, put, table } from "./dom.js";
 import { listen } from "./events.js";
+import { findingNote } from "./findings.js";
 import { LOADS, count, number, quantity, symbol, unitOfLoad, percent } from "./format.js";
 import { sharesOf } from "./shares.js";
 
@@ -10,9 +11,13 @@ export async function show(root, { name }, signal) {
   put(root, el("p", { class: "muted" }, "…"));
   const about = await get(of(name), signal);
   const glance = el("div", { class: "stack" }, el("p", { class: "muted" }, "…"));
-  const checked = about.warnings.filter((one) => one.where !== "rows");
+  const checked = about.warnings.filter((one) => one.where !== "rows" && !one.import);
   const ofRows = about.warnings.filter((one) => one.where === "rows");
+  const found = about.warnings.filter((one) => one.import);
   put(root,
+    found.length ? el("section", { class: "card", id: "findings" }, el("h2", {}, "Findings of imports"),
+      found.map((one) => el("div", { class: "stack" }, el("p", { class: "muted small" }, `Import ${one.import}${one.filename ? `, ${one.filename}` : ""}`),
+        findingNote(about.name, one, one.import, signal, () => show(root, { name }, signal))))) : null,
     ofRows.length ? note("thin", ofRows.map((one) => el("p", {}, textOf(one))), about.another_setup.wrenches ? resolve(about) : null) : null,
     checked.length ? note("thin", el("strong", {}, "Warnings of the bundle check"), el("ul", {}, checked.map((one) => el("li", {}, textOf(one))))) : null,
     el("div", { class: "halves" },

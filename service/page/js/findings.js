@@ -1,0 +1,27 @@
+// Probable systematic errors of imports, each with its rows and a button that withdraws them.
+
+import { of, send, trouble } from "./api.js";
+import { el, note, notify, put } from "./dom.js";
+import { count } from "./format.js";
+
+const NAMED = 20; // rows that are named; the button withdraws all
+
+// `number` is that of the import, none before it is loaded; `done()` is called after a withdrawal.
+export function findingNote(name, one, number, signal, done = () => {}) {
+  const state = el("div", { "aria-live": "polite" });
+  const withdraw = async (event) => {
+    event.target.disabled = true;
+    try {
+      const reply = await send("DELETE", `${of(name)}/imports/${number}?finding=${encodeURIComponent(one.cause)}`, { signal });
+      notify(`${count((await reply.json()).rows)} rows are withdrawn; they stay in the ledger and can be restored.`);
+      put(state, "Withdrawn.");
+      await done();
+    } catch (error) {
+      event.target.disabled = false;
+      if (!signal.aborted) put(state, trouble(error));
+    }
+  };
+  const rows = one.rows?.length ? `${number ? "Rows" : "Rows of the file"}: ${one.rows.slice(0, NAMED).join(", ")}${one.count > NAMED ? ` and ${count(one.count - NAMED)} more` : ""}.` : null;
+  return note("thin", el("strong", {}, `${one.cause}: `), el("span", {}, `${one.message}.`), rows ? el("span", {}, rows) : null,
+    number ? el("div", {}, el("button", { type: "button", class: "withdraw", onclick: withdraw }, one.count ? `Withdraw ${count(one.count)} ${one.count === 1 ? "row" : "rows"}` : "Withdraw this import")) : null, state);
+}
