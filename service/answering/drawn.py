@@ -77,16 +77,15 @@ def whole_bars(table: ServedTable, wrenches: Floats) -> dict[str, Any]:
 
     ``error`` and its part ``interpolation`` are shape (6,), m and rad, infinite where not known;
     ``within_tolerance`` is the share of wrenches that are covered and whose whole error bar is
-    within the tolerance, None where no bar can be compared.
+    within the tolerance, None where a covered one cannot be compared.
     """
     answers = [table.packed.answer(wrench) for wrench in wrenches.tolist()]
-    within = [one.within_tolerance for one in answers]
-    inside = [one.within_tolerance is True and one.coverage == "covered" for one in answers]
+    within = [one.within_tolerance for one in answers if one.coverage == "covered"]
     return {
         "error": _middle([one.error for one in answers]),
         "interpolation": _middle([one.interpolation for one in answers]),
         "bars_are_whole": table.bars_are_whole,
-        "within_tolerance": None if None in within else float(np.mean(inside)),
+        "within_tolerance": None if None in within else sum(map(bool, within)) / len(answers),
     }
 
 

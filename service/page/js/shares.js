@@ -37,6 +37,6 @@ export function wholeError(glance, about) {
     : known ? `interpolation ${bar(glance.interpolation[k])} + ${solverError(about)} ${bar(Math.max(0, errors[k] - glance.interpolation[k]))}`
       : "interpolation; the discretisation error is not known";
   return el("div", { class: "stack tight" },
-    el("div", { class: "shares" }, el("span", {}, known ? "within tolerance" : "covered"), sharesBar([within, Math.max(0, covered - within), 1 - covered], WHOLE), el("span", {}, `${Math.round(100 * within)} %`)),
+    el("div", { class: "shares" }, el("span", {}, glance.within_tolerance === null && about.has_fea ? "covered" : "within tolerance"), sharesBar([within, Math.max(0, covered - within), 1 - covered], WHOLE), el("span", {}, `${Math.round(100 * within)} %`)),
     errors[k] === null ? null : el("span", { class: "muted small" }, `Error bar ± ${bar(errors[k])}: ${parts}${about.tolerance ? `; tolerance ${bar(about.tolerance.translation)}` : ""}`));
 }
