@@ -57,8 +57,9 @@ function labelOf({ sweep, rows, output, load, rest }) {
   const drawn = rows ? `${rows.shown === 1 ? "1 row lies" : `${rows.shown} rows lie`} on this line` : "rows are not drawn, since other loads act";
   const k = OUTPUTS.indexOf(output), bars = sweep.error.map((one) => one[k] ?? 0);
   const unit = unitOfOutput(output), place = bars.indexOf(Math.max(...bars)), widest = quantity(bars[place], unit, 2), inner = sweep.interpolation[place]?.[k] ?? 0;
+  const unknown = Math.round(100 * sweep.error.filter((one) => one[k] === null).length / sweep.error.length);
   const parts = sweep.bars_are_whole ? ` (interpolation ${quantity(inner, unit, 2)}, ${rest} ${quantity(Math.max(0, bars[place] - inner), unit, 2)})` : "";
-  return `${plain(output)} over ${plain(load)} by ${sweep.method}. The band is its 95 % error bar, ${sweep.bars_are_whole ? "" : "without the discretisation error, which is not known, "}at most ± ${widest}${parts}; ${share} % of the line is covered; ${drawn}.`;
+  return `${plain(output)} over ${plain(load)} by ${sweep.method}. The band is its 95 % error bar, ${sweep.bars_are_whole ? "" : "without the discretisation error, which is not known, "}at most ± ${widest}${parts}${unknown ? `, and not known, nor drawn, on ${unknown} % of the line` : ""}; ${share} % of the line is covered; ${drawn}.`;
 }
 
 function picture(state, shade) {
