@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +70,33 @@ def shares_of(table: ServedTable, wrenches: Floats) -> list[float]:
     """Return what parts of wrenches, (n, 6), N and N·m, are covered, thin and outside."""
     found = table.packed.batch(wrenches)
     return (np.bincount(found.coverage, minlength=3) / len(wrenches)).tolist()
+
+
+def whole_bars(table: ServedTable, wrenches: Floats) -> dict[str, Any]:
+    """Return median error bars over wrenches, (n, 6), N and N·m, and how many are small enough.
+
+    ``error`` and its part ``interpolation`` are shape (6,), m and rad, infinite where not known;
+    ``within_tolerance`` is the share of wrenches that are covered and whose whole error bar is
+    within the tolerance, None where a covered one cannot be compared.
+    """
+    answers = [table.packed.answer(wrench) for wrench in wrenches.tolist()]
+    within = [one.within_tolerance for one in answers if one.coverage == "covered"]
+    return {
+        "error": _middle([one.error for one in answers]),
+        "interpolation": _middle([one.interpolation for one in answers]),
+        "bars_are_whole": table.bars_are_whole,
+        "within_tolerance": None if None in within else sum(map(bool, within)) / len(answers),
+    }
+
+
+def _middle(bars: Sequence[Sequence[float | None] | None]) -> Floats:
+    """Return the median of each output's error bars; an unknown one counts as the largest."""
+    return np.median(np.nan_to_num(six_each(bars), nan=np.inf), axis=0)
+
+
+def six_each(bars: Sequence[Sequence[float | None] | None]) -> Floats:
+    """Return error bars as an array, shape (n, 6), m and rad; NaN where they are not known."""
+    return np.array([one or (None,) * 6 for one in bars], dtype=float)
 
 
 def _ends(load_range: LoadRange) -> tuple[Floats, Floats]:

@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO, Final
+
+import numpy as np
 
 from wrenchbook.fea.bundle.read import BundleError, BundleProblem
 from wrenchbook.service.files.redact import redact
@@ -19,6 +22,7 @@ CHECK: Final = Limits(memory=2048 * MIB, seconds=300.0, output=MAX_BUNDLE_BYTES)
 # Pieces of 1 MiB, the archive's list of files, and a component.toml that is small.
 UNPACK: Final = Limits(memory=256 * MIB, seconds=120.0, output=MAX_BUNDLE_BYTES)
 CHECKER: Final = "wrenchbook.service.library.bundle_zip:checked"
+SURFACE: Final = "wrenchbook.service.library.bundle_zip:surface"
 _NO_REPORT: Final = "The mesh check stopped without an answer ({why})."
 DECK = "deck"
 # Places apart from those of `run`: a check may take minutes. It imports 75 MB, so none stays.
@@ -77,6 +81,19 @@ def check_mesh(folder: Path) -> dict[str, Any]:
     except (ValueError, KeyError, TypeError) as error:
         raise one_problem("mesh", _NO_REPORT.format(why=f"a malformed report: {error}")) from None
     raise BundleError(problems)
+
+
+@lru_cache(maxsize=64)
+def surface_of(folder: Path, _fingerprint: str) -> dict[str, Any]:
+    """Return the outer surface of a bundle's mesh, ``vertices`` in m and ``triangles``.
+
+    Raises
+    ------
+    SandboxError, SandboxBusyError
+        If its mesh cannot be built within the limits of a check, or too many others are built.
+    """
+    (part,) = _checks.run(SURFACE, folder, None, CHECK)
+    return {name: np.array(array) for name, array in part.arrays.items()}
 
 
 def _why_not(error: SandboxError) -> str:

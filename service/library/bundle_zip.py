@@ -11,11 +11,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from wrenchbook.fea.bundle.read import BundleError, BundleProblem, read_bundle
 from wrenchbook.service.sandbox import Part
 from wrenchbook.surrogate.table.hdf5 import TableFileError, leads_out
 
 MAX_BUNDLE_BYTES: Final = 512 * 1024 * 1024  # a mesh of some million cells
+PICTURE_VERTICES: Final = 2000  # a small picture shows no more; 80 kB of JSON
 MOST_FILES: Final = 1000  # a component is its component.toml, a mesh, and what a deck includes
 MOST_PROBLEMS: Final = 1000
 _PIECE: Final = 1 << 20
@@ -65,6 +68,19 @@ def checked(folder: Path) -> Iterator[Part]:
         yield Part({"report": json.dumps(check.report(folder))})
     except OSError as error:  # of the bundle's files, not of this machine's disk
         raise RuntimeError(f"{type(error).__name__}: {error}") from error
+
+
+def surface(folder: Path) -> Iterator[Part]:
+    """Yield the outer surface of a bundle's mesh: ``vertices`` (v, 3), ``triangles`` (t, 3)."""
+    component = importlib.import_module("wrenchbook.fea.component")
+    recovery = importlib.import_module("wrenchbook.fea.recovery.surface")
+    reader = importlib.import_module("wrenchbook.fea.mesh.io.read")
+    bundle = read_bundle(folder)
+    source, deck = bundle.mesh, bundle.deck
+    mesh = component.mesh_of(source) if source else reader.read_mesh(deck and deck.file, "m")
+    found = recovery.surface_of(mesh, PICTURE_VERTICES)
+    points = np.round(mesh.points[found.nodes], 6)  # µm: short JSON
+    yield Part({}, {"vertices": points, "triangles": found.triangles})
 
 
 def extract(archive: Path, target: Path) -> Path:

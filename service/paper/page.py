@@ -8,9 +8,10 @@ from typing import Any
 import plotly.graph_objects as go
 
 from wrenchbook.service.paper.part import OUTPUTS
-from wrenchbook.service.report.page import LAYOUT, STYLE, section_html
+from wrenchbook.service.report.page import STYLE, section_html
 from wrenchbook.service.report.text import ReportSection
 
+LAYOUT = {"template": "plotly_white", "height": 460, "margin": {"t": 20, "r": 20}}
 # Colours that remain apart for the colour-blind (Okabe and Ito 2008).
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 _LOOKS: dict[str, dict[str, Any]] = {

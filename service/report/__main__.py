@@ -18,7 +18,8 @@ from wrenchbook.service.files.durable import write_whole_bytes
 from wrenchbook.service.jobs.attempt import PROGRESS, Progress, write_whole
 from wrenchbook.service.report.measure import measure
 from wrenchbook.service.report.page import as_page
-from wrenchbook.service.report.text import as_markdown
+from wrenchbook.service.report.queue import CANCEL
+from wrenchbook.service.report.text import advice_of, as_markdown, summary_of
 from wrenchbook.surrogate.table.hdf5 import read_table
 
 ORDER, FAILURE = "order.json", "failure.json"
@@ -36,10 +37,9 @@ def main(folder: Path) -> int:
             meta.load_range,
             order["wrenches"],
             order["seed"],
-            lambda fraction, message: write_whole(
-                folder / PROGRESS, asdict(Progress(fraction, message))
-            ),
+            lambda fraction, message: _tell(folder, Progress(fraction, message)),
         )
+        report |= {"summary": summary_of(report), "advice": advice_of(report)}
         report["made"] = datetime.now(UTC).isoformat(timespec="seconds")
         report["table_version"] = meta.last_seq
         for name, text in (("report.md", as_markdown(report)), ("report.html", as_page(report))):
@@ -50,6 +50,13 @@ def main(folder: Path) -> int:
         write_whole(folder / FAILURE, {"message": f"{type(error).__name__}: {error}"})
         return 1
     return 0
+
+
+def _tell(folder: Path, progress: Progress) -> None:
+    """Write the progress; end the process if the report was cancelled."""
+    if (folder / CANCEL).exists():
+        sys.exit(1)
+    write_whole(folder / PROGRESS, asdict(progress))
 
 
 if __name__ == "__main__":

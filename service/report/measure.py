@@ -237,13 +237,21 @@ def _scale(reference: Array) -> Array:
 
 
 def worst(entry: dict[str, Any]) -> float:
-    """Return the largest relative RMS error of an entry; infinite if nothing was answered.
+    """Return the largest relative RMS error of an entry against the finest mesh.
 
-    A table's is against solves on its own mesh, which is what it looks up; a mesh's against the
-    finest.
+    Infinite if nothing was answered.
     """
-    found = entry.get("lookup_error", entry["error"])["rms_relative"]
-    return float("inf") if None in found else max(found)
+    return _largest(entry["error"])
+
+
+def lookup(table: dict[str, Any]) -> float:
+    """Return `worst` of a table against solves on its own mesh: its interpolation error."""
+    return _largest(table["lookup_error"])
+
+
+def _largest(error: dict[str, list[float | None]]) -> float:
+    known = [one for one in error["rms_relative"] if one is not None]
+    return max(known) if len(known) == len(error["rms_relative"]) else float("inf")
 
 
 def mesh_error(report: dict[str, Any]) -> float | None:

@@ -16,7 +16,7 @@ from wrenchbook.service.jobs.attempt import write_whole
 from wrenchbook.service.library.component import Component
 
 FILES = {"json": "report.json", "md": "report.md", "html": "report.html"}
-_LOCK = "lock"
+_LOCK, CANCEL = "lock", "cancel"
 State = Literal["none", "running", "done", "failed"]
 
 
@@ -69,7 +69,8 @@ class Reports:
                 return
             order = {"bundle": str(component.folder), "table": str(table)}
             write_whole(folder / "order.json", {**order, "wrenches": wrenches, "seed": seed})
-            (folder / "failure.json").unlink(missing_ok=True)
+            for left in ("failure.json", CANCEL, "progress.json"):
+                (folder / left).unlink(missing_ok=True)
             environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
             try:
                 with (folder / "log.txt").open("wb") as log:
@@ -83,6 +84,18 @@ class Reports:
                     )
             finally:
                 os.close(descriptor)
+
+    def cancel(self, name: str) -> None:
+        """Stop making a component's report; the report before stays.
+
+        The process ends at once if this process started it, else after its current solve.
+        """
+        with self._lock:
+            if self._is_alive(name):
+                (self._folder / name / CANCEL).touch()
+            if (making := self._making.pop(name, None)) is not None:
+                making.terminate()
+                making.wait()
 
     def state(self, name: str) -> Making:
         """Return how far a component's report is."""

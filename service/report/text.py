@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from wrenchbook.service.report.measure import mesh_error, name_of, worst
+from wrenchbook.service.report.measure import lookup, mesh_error, name_of
 
 OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 
@@ -31,15 +31,14 @@ def summary_of(report: dict[str, Any]) -> str:
     return (
         f"{wrenches['compared']} of {wrenches['asked']} random full wrenches (seed "
         f"{wrenches['seed']}), none of them in the table, which has {report['rows']} rows. Errors "
-        "are RMS over the range of each output: a table's against solves on its own mesh, a mesh's "
-        "against the finest one."
+        "are RMS over the range of each output. The plots show all errors against the finest mesh."
     )
 
 
 def advice_of(report: dict[str, Any]) -> str:
     """Return advice on the table in one sentence."""
     table = default_entry(report)
-    error, mesh, name = worst(table), mesh_error(report), report["component"]
+    error, mesh, name = lookup(table), mesh_error(report), report["component"]
     sentence = f"the table ({name_of(table)}) errs by {100 * error:.2g} % of the range"
     if mesh is not None and error <= mesh:
         return (
@@ -127,11 +126,12 @@ def _tables(report: dict[str, Any]) -> ReportSection:
             *_percents(entry["lookup_error"]["rms_relative"]),
             f"{entry['covered']:.0%}",
         )
-        for entry in sorted(report["tables"], key=lambda entry: (entry["rows"], worst(entry)))
+        for entry in sorted(report["tables"], key=lambda entry: (entry["rows"], lookup(entry)))
     )
     head = ("method", "rows", "FEA spent, s", "build, s", "p50, µs", "p99, µs", "MB", *OUTPUTS)
     note = (
-        "Errors against solves on the table's own mesh. Neither beaten in error nor in run time: "
+        "Errors against solves on the table's own mesh. Beaten neither in error against the finest "
+        "mesh nor in run time: "
         f"{'; '.join(report['pareto'])}."
     )
     return ReportSection("Tables", note, (*head, "covered"), lines)

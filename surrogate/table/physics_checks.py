@@ -14,34 +14,49 @@ from scipy.spatial import KDTree
 
 from .axes import CLEAN
 from .compliance import ComplianceFit
-from .rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
+from .rows import LOADS, OUTPUTS, Floats, LoadRange, Rows, Tolerance
 
 # Shares of an output's largest value: what passes for zero, for equal, for linear.
 ZERO, LINEAR = 1e-3, 1e-2
 ASYMMETRY = 5e-2  # turning loads make tangents unsymmetric by as much as the rotation
 NEGATIVE = 1e-6
 TANGENT = 0.5  # part of the step between neighbours that their mean tangent may miss
+NEAR = 1.0  # half load ranges: over longer steps a tangent changes by more than `TANGENT`
 NEGLIGIBLE = 1e-2  # of the largest translation or rotation: outputs below it are not judged
 MOST_NAMED = 50
 
 
-def check_physics(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str, Any]:
-    """Return all checks of the rows that hold every output, as JSON-able values."""
+def check_physics(
+    rows: Rows, load_range: LoadRange, fit: ComplianceFit, tolerance: Tolerance | None = None
+) -> dict[str, Any]:
+    """Return all checks of the rows that hold every output, as JSON-able values.
+
+    Deviations below the uncertainty of a row, and below the tolerance, break no law: by default
+    the tolerance is `ZERO` of the largest translation or rotation.
+    """
     whole = rows.take(np.isfinite(rows.displacement).all(axis=1))
     if not len(whole):
         return {"rows_checked": 0, "ok": None, "checks": {}}
-    stored = np.nan_to_num(whole.uncertainty)
+    stored = np.nan_to_num(whole.uncertainty) + _noise(whole, tolerance)
     checks = {
         "zero_at_zero_load": _zero(whole, load_range, stored),
         "symmetric": _symmetric(whole, load_range, fit),
         "positive": _positive(whole, load_range, fit),
         "linear": _linear(whole, fit),
         "work": _work(whole, load_range, stored),
-        "tangents": _tangents(whole, load_range),
+        "tangents": _tangents(whole, load_range, stored),
     }
     # Being nonlinear breaks no law.
     broken = [check for name, check in checks.items() if name != "linear" and check["ok"] is False]
     return {"rows_checked": len(whole), "ok": not broken, "checks": checks}
+
+
+def _noise(rows: Rows, tolerance: Tolerance | None) -> Floats:
+    """Return deviations that are no evidence, shape (6,), m and rad."""
+    if tolerance is not None:
+        return np.repeat([tolerance.translation, tolerance.rotation], 3)
+    largest = np.abs(rows.displacement).max(axis=0)
+    return ZERO * np.repeat([largest[:3].max(), largest[3:].max()], 3)
 
 
 def _sizes(rows: Rows) -> Floats:
@@ -165,21 +180,25 @@ def _work(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
     }
 
 
-def _tangents(rows: Rows, load_range: LoadRange) -> dict[str, Any]:
+def _tangents(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
     """Check that the mean of two neighbours' tangents leads from one to the other."""
     there = np.flatnonzero(np.isfinite(rows.compliance).all(axis=(1, 2)))
     some = rows.take(there)
     pairs = _neighbours(some, load_range) if len(there) > 1 else np.empty((0, 2), dtype=int)
     if not len(pairs):
         return {"ok": None, "reason": "fewer than two rows bring a tangent", "rows": []}
-    first, second = pairs.T
-    step = some.wrench[second] - some.wrench[first]
+    apart = some.wrench[pairs[:, 1]] - some.wrench[pairs[:, 0]]
+    near = np.linalg.norm(apart / load_range.scale, axis=1) <= NEAR
+    if not near.any():
+        return {"ok": None, "reason": "no two rows with a tangent are neighbours", "rows": []}
+    (first, second), step = pairs[near].T, apart[near]
     mean = (some.compliance[first] + some.compliance[second]) / 2
     moved = some.displacement[second] - some.displacement[first]
     missed = np.abs(moved - np.einsum("pij,pj->pi", mean, step))
     allowed = TANGENT * np.abs(moved) + 0.05 * _sizes(some)
+    allowed += stored[there][first] + stored[there][second]
     over = (missed > allowed).any(axis=1)
-    blamed = np.bincount(pairs[over].reshape(-1), minlength=len(some))
+    blamed = np.bincount(pairs[near][over].reshape(-1), minlength=len(some))
     wrong = blamed > 1 if (blamed > 1).any() else blamed > 0
     return {
         "ok": not over.any(),

@@ -106,6 +106,8 @@ WRONG = [
     ("delete", f"{COMPONENT}/table/{{row}}", f"{PLATE}/table/99", {}, 404),
     ("post", f"{COMPONENT}/table/{{row}}/restore", f"{PLATE}/table/99/restore", {}, 404),
     ("get", f"{COMPONENT}/glance", "/v1/components/nope/glance", {}, 404),
+    ("get", f"{COMPONENT}/surface", "/v1/components/nope/surface", {}, 404),
+    ("delete", f"{COMPONENT}/report", "/v1/components/nope/report", {}, 404),
     ("get", f"{COMPONENT}/drawing", "/v1/components/nope/drawing", {}, 404),
     ("get", f"{COMPONENT}/response", "/v1/components/nope/response?load=fz", {}, 404),
     ("delete", "/v1/keys/{name}", "/v1/keys/nobody", {}, 409),

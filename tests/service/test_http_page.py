@@ -169,6 +169,27 @@ def test_an_empty_table_is_outside_at_a_glance(http):
     assert http.get("/v1/components/plate_thin/glance").json()["whole"] == [0.0, 0.0, 1.0]
 
 
+def test_a_glance_has_the_whole_error_bar_and_its_interpolation_part(rig):
+    told = rig.get(f"{RIG}/glance").json()
+    assert told["interpolation"] == told["error"]  # measured rows: no discretisation error
+    assert told["within_tolerance"] is None or told["within_tolerance"] <= told["whole"][0]
+
+
+def test_a_response_has_the_interpolation_part_of_its_band(rig):
+    told = rig.get(f"{RIG}/response?load=fz&points=5").json()
+    assert told["interpolation"] == told["error"]
+
+
+def test_the_surface_of_an_unsolved_part_is_there_to_draw(http):
+    told = http.get("/v1/components/plate_thin/surface").json()
+    assert len(told["triangles"]) > 100
+    assert max(map(max, told["triangles"])) < len(told["vertices"]) <= 2000
+
+
+def test_a_measured_component_has_no_surface(rig):
+    assert rig.get(f"{RIG}/surface").status_code == 404
+
+
 @pytest.mark.parametrize("call", ["glance", "drawing", "response?load=fx"])
 def test_what_is_drawn_of_an_unknown_component_is_404(http, call):
     assert http.get(f"/v1/components/nope/{call}").status_code == 404

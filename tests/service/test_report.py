@@ -11,7 +11,7 @@ from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.service.library.library import SHIPPED
-from wrenchbook.service.report.measure import errors, measure, pareto
+from wrenchbook.service.report.measure import errors, measure, mesh_error, pareto, worst
 from wrenchbook.service.report.page import as_page
 from wrenchbook.service.report.text import as_markdown
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
@@ -60,6 +60,24 @@ def test_the_page_needs_nothing_from_elsewhere(report):
     assert page.startswith("<!doctype html>")
     assert "<script src=" not in page
     assert "Error against run time" in page
+
+
+def test_tables_and_meshes_are_compared_with_one_reference(report):
+    table = next(e for e in report["tables"] if e["method"] == "linear" and e["rows"] == 13)
+    assert worst(table) == max(table["error"]["rms_relative"])
+    assert worst(table) == pytest.approx(mesh_error(report), rel=1e-6)  # its rows are exact
+
+
+def test_the_page_of_a_report_fits_a_telephone_and_a_mail(report):
+    page = as_page(report)
+    assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in page
+    assert len(page.encode()) < 1_500_000
+
+
+def test_figures_of_a_report_cannot_end_its_script(report):
+    page = as_page({**report, "title": "</script><b>"})
+    assert page.count("</script>") == 2
+    assert "<b>" not in page
 
 
 def test_the_markdown_names_every_method_and_mesh(report):
@@ -113,6 +131,17 @@ def test_a_report_is_made_over_http(http, monkeypatch):
     assert body.status_code == 200, body.text
     assert body.json()["wrenches"]["compared"] == 3
     assert "text/html" in http.get(call, params={"format": "html"}).headers["content-type"]
+
+
+def test_a_cancelled_report_is_not_a_failed_one(http, monkeypatch):
+    monkeypatch.delenv("WRENCHBOOK_SOLVE")
+    call = "/v1/components/plate_thin/report"
+    solve = {"force": [0, 0, -900], "moment": [0, 0, 0], "wait_s": 60}
+    assert http.post("/v1/components/plate_thin/solve", json=solve).status_code == 200
+    until(lambda: http.post(call, params={"wrenches": 1000}).status_code != 409)
+    assert http.get(call, params={"format": "state"}).json()["state"] == "running"
+    assert http.delete(call).json()["state"] == "none"
+    assert http.delete(call).status_code == 200  # none is made
 
 
 def test_a_report_of_a_table_without_a_setup_is_409(http):

@@ -78,6 +78,22 @@ def test_tangents_that_are_unsymmetric_negative_or_lead_elsewhere_are_named() ->
     assert 10 in told["tangents"]["rows"]
 
 
+def test_rows_too_far_apart_for_their_tangents_are_not_called_broken() -> None:
+    far = 2 * np.eye(6)[[2, 2, 4]] * [[1.0], [-1.0], [1.0]] * HIGH
+    stiff = np.stack([MATRIX, 0.1 * MATRIX, 3 * MATRIX])
+    rows = Rows.of(far, far @ MATRIX.T, compliance=stiff)
+    told = check_physics(rows, RANGE, fit_compliance(rows, RANGE, linear=False))
+    assert told["checks"]["tangents"]["ok"] is None
+    assert told["checks"]["tangents"]["reason"] == "no two rows with a tangent are neighbours"
+
+
+def test_noise_of_a_thousandth_of_the_largest_displacement_breaks_no_law() -> None:
+    largest = np.repeat([np.abs(LINEAR[:, :3]).max(), np.abs(LINEAR[:, 3:]).max()], 3)
+    noise = 5e-4 * largest * np.random.default_rng(1).uniform(-1, 1, LINEAR.shape)
+    told = checks(LINEAR + noise)["checks"]
+    assert (told["zero_at_zero_load"]["ok"], told["work"]["ok"]) == (True, True)
+
+
 def test_a_load_a_guide_holds_is_told_to_have_no_influence() -> None:
     held = MATRIX.copy()
     held[[1, 3]] = held[:, [1, 3]] = 0

@@ -60,6 +60,6 @@ def _compliance(name: str, table: ServedTable) -> Response:
         "error": fit.error.tolist(),
         "rows": [f"{name} [{unit}]" for name, unit in zip(OUTPUTS, OUTPUT_UNITS, strict=True)],
         "columns": [f"{name} [{unit}]" for name, unit in zip(LOADS, LOAD_UNITS, strict=True)],
-        **check_physics(table.rows, table.load_range, fit),
+        **check_physics(table.rows, table.load_range, fit, table.tolerance),
     }
     return json_reply(body)

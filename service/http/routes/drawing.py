@@ -10,10 +10,19 @@ from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from wrenchbook.service.answering.drawn import grid_of, sample_of, shares_of, sweep_of
+from wrenchbook.service.answering.drawn import (
+    grid_of,
+    sample_of,
+    shares_of,
+    six_each,
+    sweep_of,
+    whole_bars,
+)
 from wrenchbook.service.http.openapi import refused
+from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.replies import COVERAGE, json_reply
 from wrenchbook.service.http.routes import Opened
+from wrenchbook.service.library.arrival import surface_of
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.table.axes import AXES
 from wrenchbook.surrogate.table.rows import CLEAN, LOADS, OUTPUTS, Rows
@@ -29,7 +38,10 @@ Moment = Annotated[float, Query(allow_inf_nan=False, description="N·m")]
 Places = NDArray[np.intp]
 
 
-@router.get("/glance", summary="What parts of the load range are covered, thin and outside")
+@router.get(
+    "/glance",
+    summary="Covered, thin and outside parts of the range, and whole error bars",
+)
 async def glance(name: str, workspace: Opened) -> Response:
     table = workspace.tables.surrogate(name)
     return json_reply(await run_in_threadpool(_glance, name, table))
@@ -37,9 +49,20 @@ async def glance(name: str, workspace: Opened) -> Response:
 
 def _glance(name: str, table: ServedTable) -> dict[str, Any]:
     axes = {axis.name: shares_of(table, grid_of(table.load_range, axis)) for axis in AXES}
-    whole = shares_of(table, sample_of(table.load_range))
+    sample = sample_of(table.load_range)
     about = {"component": name, "table_version": table.version, "shares": COVERAGE}
-    return {**about, "whole": whole, "axes": axes}
+    whole = {"whole": shares_of(table, sample), **whole_bars(table, sample)}
+    return {**about, **whole, "axes": axes}
+
+
+@router.get("/surface", summary="The undeformed surface, for a picture: at most 2000 vertices, m")
+def surface(name: str, workspace: Opened) -> Response:
+    component = workspace.library[name]
+    if not component.has_fea:
+        why = f"{name!r} has measured rows and no mesh, so there is nothing to draw."
+        raise HttpProblemError(404, "no-mesh", "The component has no mesh", why)
+    found = surface_of(component.folder, component.fingerprint)
+    return json_reply({"component": name, **found})
 
 
 @router.get("/drawing", summary="Rows to draw, at most `most`, and the coverage of a grid")
@@ -135,6 +158,9 @@ def _sweep(name: str, table: ServedTable, load: str, at: Any, points: int) -> di
         "outputs": OUTPUTS,
         "displacement": found.outputs,
         "error": found.errors,
+        "interpolation": six_each(
+            [table.packed.answer(wrench).interpolation for wrench in wrenches.tolist()]
+        ),
         "bars_are_whole": table.bars_are_whole,
         "coverage": found.coverage.tolist(),
     }

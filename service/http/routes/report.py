@@ -53,6 +53,13 @@ def make_report(
     return _state(workspace, name)
 
 
+@router.delete("", summary="Stop making a report; the latest one stays")
+def cancel_report(name: str, workspace: Opened) -> Response:
+    _ = workspace.library[name]
+    workspace.reports.cancel(name)
+    return _state(workspace, name)
+
+
 @router.get(
     "",
     summary="The latest report; 202 while the first one is being made",

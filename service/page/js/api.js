@@ -22,11 +22,20 @@ export function setKey(text) {
   else sessionStorage.removeItem(KEY);
 }
 
+let pending = 0;
+
+// A bar under the header shows that calls are pending, 0.3 s after they began (base.css).
+function counted(change) {
+  pending += change;
+  document.body.classList.toggle("busy", pending > 0);
+}
+
 export async function send(method, path, { json, body, headers = {}, signal, quiet } = {}) {
   const sent = { ...headers };
   if (json !== undefined) sent["Content-Type"] = "application/json";
   if (key()) sent.Authorization = `Bearer ${key()}`;
   let reply;
+  if (!quiet) counted(1);
   try {
     reply = await fetch(new URL(path, base), {
       method, headers: sent, body: json === undefined ? body : JSON.stringify(json), signal,
@@ -34,6 +43,8 @@ export async function send(method, path, { json, body, headers = {}, signal, qui
   } catch (error) {
     if (error.name === "AbortError") throw error;
     throw new Problem(0, { title: "No connection", detail: "The server does not answer. Is it running?" });
+  } finally {
+    if (!quiet) counted(-1);
   }
   if (reply.ok) return reply;
   const told = await reply.json().catch(() => ({}));

@@ -2,18 +2,26 @@
 
 import { get, of } from "./api.js";
 import { el, facts, note, pill, put } from "./dom.js";
+import { emptyTable } from "./empty.js";
 import { LOADS, OUTPUTS, count, number, percent, symbol } from "./format.js";
 
 const CHECKS = {
   zero_at_zero_load: ["The displacement at zero load is zero", (one) => one.reason],
   symmetric: ["The compliance is symmetric (Maxwell, Betti)", (one) => `asymmetry ${percent(one.asymmetry)} of ${percent(one.allowed)} allowed`],
   positive: ["Loads do positive work", (one) => `smallest over largest eigenvalue ${number(one.smallest_over_largest_eigenvalue, 3)}`],
-  linear: ["The response is linear (one 6 × 6 compliance)", (one) => one.says],
+  linear: ["The response is linear (one 6 × 6 compliance)", (one) => one.says || one.reason],
   work: ["Work does not decrease from row to row", (one) => `${count(one.pairs_that_give_work_back ?? 0)} pairs of rows lose work`],
-  tangents: ["Tangents agree with neighbouring rows", (one) => one.largest_miss !== undefined && one.largest_miss !== null ? `largest deviation ${percent(one.largest_miss)}` : one.reason],
+  tangents: ["Tangents agree with neighbouring rows", (one) => one.largest_miss === undefined || one.largest_miss === null ? one.reason : `largest deviation ${percent(one.largest_miss)} of the range${one.ok ? "" : ": solve wrenches between these rows; if the deviation stays, a tangent is wrong"}`],
 };
 
+// Checks whose failure breaks no law: strong curvature between rows bends tangents too.
+const FAILED = { linear: ["no", "thin"], tangents: ["deviates", "thin"] };
+
 export async function show(root, about, signal) {
+  if (!about.rows) {
+    put(root, emptyTable(about, "There are no rows to check yet."));
+    return;
+  }
   const told = await get(`${of(about.name)}/compliance`, signal);
   const beside = await get(`${of(about.name)}/disagreement`, signal).catch(() => null);
   put(root,
@@ -53,7 +61,7 @@ function checks(told) {
   if (!told.rows_checked) return el("p", { class: "muted" }, "There are no rows with all six outputs to check.");
   const lines = Object.entries(told.checks).map(([name, one]) => {
     const [title, words] = CHECKS[name] || [name, () => ""];
-    const verdict = one.ok === null ? pill("unknown", "") : one.ok ? pill("holds", "ok") : pill(name === "linear" ? "no" : "broken", name === "linear" ? "thin" : "wrong");
+    const verdict = one.ok === null ? pill("unknown", "") : one.ok ? pill("holds", "ok") : pill(...(FAILED[name] || ["broken", "wrong"]));
     const rows = one.rows?.length && name !== "linear" ? el("span", { class: "muted small" }, `rows ${one.rows.slice(0, 12).join(", ")}${one.rows.length > 12 ? " …" : ""}`) : null;
     return el("tr", {}, el("td", {}, verdict), el("td", { class: "whole" }, title), el("td", { class: "muted small whole" }, words(one) || ""), el("td", { class: "whole" }, rows));
   });

@@ -1,4 +1,4 @@
-// One component: its heading, and a tab for each thing to do with it.
+// One component: its heading, and a tab for each thing to do with it. Measured ones have no solves.
 
 import { get, listed, of } from "./api.js";
 import { el, pill, put } from "./dom.js";
@@ -8,12 +8,12 @@ const BUILDING_MS = 3000; // between tries of a table that is being built
 const TABS = [
   ["overview", "Overview", "overview.js"],
   ["query", "Query", "query.js"],
-  ["shape", "Shape", "shape.js"],
+  ["shape", "Shape", "shape.js", "solved"],
   ["rows", "Rows", "rows.js"],
   ["response", "Response", "response.js"],
   ["checks", "Checks", "checks.js"],
-  ["report", "Report", "report.js"],
-  ["jobs", "Jobs", "component_jobs.js"],
+  ["report", "Report", "report.js", "solved"],
+  ["jobs", "Jobs", "component_jobs.js", "solved"],
   ["table", "Import & export", "table.js"],
   ["demand", "Demand", "demand.js"],
   ["entry", "Entry", "entry.js"],
@@ -23,7 +23,8 @@ export async function show(root, [name, tab = "overview"], signal) {
   // The library's entry is told at once; all there is to say of a large table takes seconds.
   const { components } = await listed(signal);
   const about = components.find((one) => one.name === name) || await get(of(name), signal);
-  const [, text, file] = TABS.find(([one]) => one === tab) || TABS[0];
+  const there = TABS.filter(([, , , needs]) => !needs || about.has_fea);
+  const [chosenTab, text, file] = there.find(([one]) => one === tab) || there[0];
   document.title = `${name}: ${text} · wrenchbook`;
   const body = el("div", { class: "stack" }), byTab = document.activeElement?.closest(".tabs");
   put(root,
@@ -33,7 +34,7 @@ export async function show(root, [name, tab = "overview"], signal) {
         el("h1", {}, name),
         el("p", { class: "muted" }, about.title)),
       el("div", { class: "line" }, awayPill(about.archived), pill(about.has_fea ? (about.linear ? "linear" : "finite elements") : "measured", ""))),
-    tabs(name, tab),
+    tabs(name, chosenTab, there),
     body);
   const chosen = document.querySelector(".tabs [aria-current]");
   chosen?.scrollIntoView({ block: "nearest", inline: "center" });
@@ -55,8 +56,8 @@ function awayPill(archived) {
   return made;
 }
 
-function tabs(name, chosen) {
-  const links = TABS.map(([one, text]) => el("a", {
+function tabs(name, chosen, there) {
+  const links = there.map(([one, text]) => el("a", {
     href: `#/c/${encodeURIComponent(name)}/${one}`, "aria-current": one === chosen ? "page" : null,
   }, text));
   return el("nav", { class: "tabs", "aria-label": `Views of ${name}` }, links);

@@ -2,6 +2,7 @@
 
 import { Problem, get, of, send } from "./api.js";
 import { el, notify, pill, put, table } from "./dom.js";
+import { empty, linkTo } from "./empty.js";
 import { count, plain, wrench, LOADS, unitOfLoad } from "./format.js";
 import { choice } from "./dom.js";
 import { box } from "./load_box.js";
@@ -20,7 +21,7 @@ export async function show(root, about, signal) {
     return;
   }
   if (!told.cells?.length) {
-    put(root, el("p", { class: "empty" }, "All queries were covered."));
+    put(root, empty("All queries were covered.", linkTo(about, "query", "Ask a query")));
     return;
   }
   const place = el("div", { class: "plot", id: "demand" });

@@ -16,7 +16,7 @@ export async function listen(component, signal, hear) {
     try {
       const query = component ? `?component=${encodeURIComponent(component)}` : "";
       const headers = last ? { "Last-Event-ID": last } : {};
-      const reply = await send("GET", `v1/events${query}`, { headers, signal: AbortSignal.any([signal, hidden.signal]) });
+      const reply = await send("GET", `v1/events${query}`, { headers, signal: AbortSignal.any([signal, hidden.signal]), quiet: true });
       pause = FIRST_MS;
       for await (const event of parts(reply.body)) {
         last = event.id || last;

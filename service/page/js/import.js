@@ -120,7 +120,7 @@ function mistakes(state, errors, told) {
   const byRow = new Map();
   for (const one of errors) byRow.set(one.row, [...(byRow.get(one.row) || []), one]);
   const shown = [...byRow].slice(0, MENDED), edits = new Map();
-  const mend = () => { for (const [row, input] of edits) state.text = withLine(state.text, row, input.value); };
+  const mend = () => { for (const [row, input] of edits) state.text = withLine(state.text, row, input.value.replace(/[\r\n]+/g, " ")); };
   const named = `${count(byRow.size)} ${byRow.size === 1 ? "row has a mistake" : "rows have mistakes"}`;
   return [
     note("outside", el("strong", {}, `${state.file.name}: ${named}; nothing was loaded.`), told.inserted ? tallies(told) : null,
@@ -133,11 +133,22 @@ function mistakes(state, errors, told) {
   ];
 }
 
+// Mistakes of one row that differ by the column's name alone, together: each sentence is there once.
+function alike(list) {
+  const found = new Map();
+  for (const one of list) {
+    const words = one.field ? one.message.replaceAll(`${one.field} [`, "[") : one.message;
+    found.set(words, [...(found.get(words) || []), one]);
+  }
+  return [...found.values()];
+}
+
 function mistake(state, row, list, edits) {
-  const words = el("ul", {}, list.map((one) => el("li", {}, one.field ? el("code", {}, one.field) : null, one.field ? ": " : "", one.message)));
+  const words = el("ul", {}, alike(list).map((group) => el("li", {}, group.flatMap((one, k) => (one.field ? [k ? ", " : "", el("code", {}, one.field)] : [])), group[0].field ? ": " : "", group[0].message)));
   const title = el("strong", {}, row === 0 ? "The file" : state.text ? `Line ${row}` : `Row ${row}`);
   if (!state.text || row === 0) return el("div", { class: "note" }, title, words);
-  const input = el("input", { value: lineOf(state.text, row), class: "mono", "aria-label": `Line ${row}`, spellcheck: "false" });
+  const line = lineOf(state.text, row); // wrapped: its last cell is seen too
+  const input = el("textarea", { value: line, class: "line-of-file", rows: Math.min(12, 1 + Math.ceil(line.length / 40)), "aria-label": `Line ${row}`, spellcheck: "false" });
   edits.set(row, input);
   return el("div", { class: "note" }, title, words, input);
 }

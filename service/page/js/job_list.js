@@ -1,27 +1,32 @@
-// Jobs with live progress; cancel, retry, the log of a failed one.
+// Jobs with live progress, those that run first; cancel, retry, the log of a failed one.
 
 import { get, post, send, trouble } from "./api.js";
 import { el, note, notify, pill, put, save } from "./dom.js";
+import { empty as emptyState } from "./empty.js";
 import { listen } from "./events.js";
 import { seconds, time, wrench } from "./format.js";
 
-const SHOWN = 50;
+const SHOWN = 50, NEWEST = 20; // jobs: of a page; whose solve times are averaged
 
 export async function jobList(root, component, signal) {
-  const list = { root: el("tbody", {}), rows: new Map(), withName: !component, signal };
+  const list = { running: el("tbody", { class: "running" }), root: el("tbody", {}), rows: new Map(), withName: !component, means: new Map(), signal };
   const status = { value: "" };
   const older = el("button", { type: "button", hidden: true }, "Older jobs");
   let following = null;
   const load = async (path, fresh) => {
     const page = await get(path, signal);
-    if (fresh) { list.rows.clear(); put(list.root); }
-    for (const job of page.jobs) list.root.append(rowOf(list, job));
+    const running = fresh && !status.value ? (await get(query("running"), signal)).jobs : [];
+    if (fresh) { list.rows.clear(); put(list.root); put(list.running); }
+    for (const job of [...running, ...page.jobs]) if (!list.rows.has(job.id)) place(list, rowOf(list, job), true);
+    if (fresh) waitingTime(page.jobs.find((job) => job.status === "waiting"), queue, signal);
     following = page.next;
     older.hidden = !following;
     empty.hidden = list.rows.size > 0;
   };
-  const query = () => `v1/jobs?limit=${SHOWN}${component ? `&component=${encodeURIComponent(component)}` : ""}${status.value ? `&status=${status.value}` : ""}`;
-  const empty = el("p", { class: "empty", hidden: true }, "No jobs.");
+  const query = (kind = status.value) => `v1/jobs?limit=${SHOWN}${component ? `&component=${encodeURIComponent(component)}` : ""}${kind ? `&status=${kind}` : ""}`;
+  const empty = emptyState("No jobs.", component ? el("a", { class: "button", href: `#/c/${encodeURIComponent(component)}/query` }, "Ask a query") : el("a", { class: "button", href: "#/" }, "Go to the library"));
+  empty.hidden = true;
+  const queue = el("p", { class: "muted small", id: "queue", "aria-live": "polite" });
   const fresh = () => load(query(), true).catch((error) => { if (!signal.aborted) put(root, trouble(error)); });
   older.addEventListener("click", () => load(following.replace(/^\//, ""), false));
   const filter = el("select", { "aria-label": "Which jobs", onchange: (event) => { status.value = event.target.value; fresh(); } },
@@ -29,8 +34,8 @@ export async function jobList(root, component, signal) {
   const cancelAll = el("button", { type: "button", class: "small", onclick: () => cancelWaiting(component) }, "Cancel all waiting jobs");
   const head = ["job", component ? null : "component", "state", "wrench", "took", ""].filter((one) => one !== null);
   put(root,
-    el("div", { class: "line ends" }, el("label", { class: "line" }, "Show", filter), cancelAll),
-    el("table", { class: "folds jobs" }, el("thead", {}, el("tr", {}, head.map((one) => el("th", { scope: "col" }, one)))), list.root),
+    el("div", { class: "line ends" }, el("label", { class: "line" }, "Show", filter), cancelAll), queue,
+    el("table", { class: "folds jobs" }, el("thead", {}, el("tr", {}, head.map((one) => el("th", { scope: "col" }, one)))), list.running, list.root),
     empty, older);
   await fresh();
   listen(component, signal, (kind, body) => hear(list, kind, body, fresh, status));
@@ -42,7 +47,7 @@ function hear(list, kind, body, fresh, status) {
   if (kind !== "job") return;
   const row = list.rows.get(body.id);
   if (row) change(list, row, { ...row.job, ...body });
-  else if (!status.value) get(`v1/jobs/${body.id}`, list.signal).then((job) => { if (!list.rows.has(job.id)) list.root.prepend(rowOf(list, job)); }).catch(() => {});
+  else if (!status.value) get(`v1/jobs/${body.id}`, list.signal).then((job) => { if (!list.rows.has(job.id)) place(list, rowOf(list, job), false); }).catch(() => {});
 }
 
 async function cancelWaiting(component) {
@@ -54,11 +59,47 @@ function rowOf(list, job) {
   const row = { root: el("tr", { id: `job-${job.id}` }), job };
   list.rows.set(job.id, row);
   change(list, row, job);
-  return row.root;
+  return row;
 }
 
+// Jobs that run are above all others; `last` is of older jobs, added below.
+function place(list, row, last) {
+  const body = row.job.status === "running" ? list.running : list.root;
+  if (last) body.append(row.root); else body.prepend(row.root);
+}
+
+// When the newest waiting job, and so the queue, is expected to be solved.
+async function waitingTime(job, place_, signal) {
+  put(place_);
+  if (!job) return;
+  const { waiting } = await get(`v1/jobs/${job.id}`, signal).catch(() => ({}));
+  if (!waiting) return;
+  const left = waiting.expected_s === null || waiting.solve_s === null ? "" : `; all are solved in about ${rough(waiting.expected_s + waiting.solve_s)}`;
+  put(place_, `${waiting.ahead + 1} waiting${left}.`);
+}
+
+// What a solve of a component took on average, s, of its newest; null if there is none.
+function meanOf(list, component) {
+  if (!list.means.has(component)) {
+    list.means.set(component, get(`v1/jobs?component=${encodeURIComponent(component)}&status=done&limit=${NEWEST}`, list.signal)
+      .then(({ jobs }) => (jobs.length ? jobs.reduce((sum, job) => sum + job.seconds, 0) / jobs.length : null)).catch(() => null));
+  }
+  return list.means.get(component);
+}
+
+async function expected(list, job, place_) {
+  const mean = await meanOf(list, job.component), ran = (Date.now() - new Date(job.started)) / 1000;
+  if (mean !== null) place_.textContent = ran < mean ? `about ${rough(mean - ran)} left` : `longer than the mean of ${rough(mean)}`;
+}
+
+const rough = (value) => (value < 120 ? `${Math.max(1, Math.round(value))} s` : `${Math.round(value / 60)} min`);
+
 function change(list, row, job) {
+  const moves = row.root.isConnected && (row.job.status === "running") !== (job.status === "running");
   row.job = job;
+  if (moves) place(list, row, false);
+  const left = el("span", {});
+  if (job.status === "running" && job.started) expected(list, job, left);
   const running = job.status === "running";
   const fraction = job.progress?.fraction;
   put(row.root,
@@ -68,7 +109,7 @@ function change(list, row, job) {
       running ? el("progress", { max: "1", value: fraction ?? 0, "aria-label": `Job ${job.id}` }) : null,
       job.status === "failed" && job.error ? el("span", { class: "small" }, job.error.message) : null)),
     el("td", { class: "small whole" }, job.force ? wrench(job.force, job.moment) : ""),
-    el("td", { class: "muted small" }, job.seconds ? seconds(job.seconds) : ""),
+    el("td", { class: "muted small" }, job.seconds ? seconds(job.seconds) : left),
     el("td", {}, actions(list, row, job)));
 }
 

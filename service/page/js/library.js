@@ -1,10 +1,12 @@
-// The library: each component with what its table covers.
+// The library: each component with its picture and the share of its range within the tolerance.
 
 import { get, listed, of } from "./api.js";
 import { el, pill, put, note } from "./dom.js";
+import { empty } from "./empty.js";
 import { listen } from "./events.js";
 import { count } from "./format.js";
-import { sharesOf } from "./shares.js";
+import { paint } from "./picture.js";
+import { wholeError } from "./shares.js";
 
 const AT_ONCE = 4; // glances asked for at a time
 const BUILDING_MS = 3000; // between looks at a table that is being built
@@ -15,8 +17,10 @@ export async function show(root, _, signal, archived = false) {
   const list = el("div", { class: "cards" }, [...cards.values()].map((one) => one.root));
   const search = el("input", {
     type: "search", placeholder: "Search", "aria-label": "Search the library",
-    oninput: () => filter(components, cards, search.value),
+    oninput: () => { none.hidden = filter(components, cards, search.value) > 0 || !components.length; },
   });
+  const none = empty("No component matches.", el("button", { type: "button", onclick: () => { search.value = ""; search.dispatchEvent(new Event("input")); } }, "Clear the search"));
+  none.hidden = true;
   const box = el("input", { type: "checkbox", checked: archived, id: "archived", onchange: async () => {
     await show(root, _, signal, box.checked);
     document.getElementById("archived")?.focus();
@@ -25,10 +29,10 @@ export async function show(root, _, signal, archived = false) {
   put(root,
     el("div", { class: "head" },
       el("div", {}, el("h1", {}, "Library"),
-        el("p", { class: "muted" }, "Deformable components, and the share of each load range that the table answers within the tolerance.")),
+        el("p", { class: "muted" }, "Deformable components, and the share of each load range whose whole error bar, interpolation and discretisation, is within the tolerance. An empty table is filled by its first query, or by an import of measured rows.")),
       el("div", { class: "line" }, el("div", { class: "search" }, search), away, el("a", { class: "button", href: "#/add" }, "Add a component"))),
     broken.length ? note("outside", el("strong", {}, "Not usable"), broken.map((one) => el("span", {}, `${one.name}: ${one.reason}`))) : null,
-    components.length ? list : el("p", { class: "empty" }, "No components yet."));
+    components.length ? list : empty("No components yet.", el("a", { class: "button first", href: "#/add" }, "Add a component")), none);
   listen(null, signal, (kind, body) => {
     if (kind === "table" && cards.has(body.component)) refresh(body.component, cards, signal, body.rows);
   });
@@ -36,6 +40,10 @@ export async function show(root, _, signal, archived = false) {
   const workers = Array.from({ length: AT_ONCE }, async () => {
     for (let name = names.shift(); name; name = names.shift()) await refresh(name, cards, signal);
   });
+  const drawn = components.filter((one) => one.has_fea).map((one) => one.name);
+  workers.push(...[0, 1].map(async () => { // two at once: the server builds each mesh in a process
+    for (let name = drawn.shift(); name && !signal.aborted; name = drawn.shift()) await paint(cards.get(name).picture, name, signal);
+  }));
   await Promise.all(workers);
 }
 
@@ -43,11 +51,12 @@ function card(one) {
   const kind = !one.has_fea ? "measured" : one.linear ? "linear" : "finite elements";
   const rows = el("span", { class: "muted small" }, rowsText(one.rows));
   const covered = el("div", { class: "muted small" }, "…");
+  const picture = el("canvas", { class: "part", role: "img", "aria-label": `The part ${one.name}`, hidden: true });
   const root = el("a", { class: "card", href: `#/c/${encodeURIComponent(one.name)}` },
     el("div", { class: "line ends" }, el("h2", {}, one.name), el("span", { class: "line" }, one.archived ? pill("archived", "thin") : null, pill(kind, ""))),
-    el("p", { class: "small" }, one.title),
+    picture, el("p", { class: "small" }, one.title),
     covered, rows);
-  return { root, rows, covered, all: one.rows, has_fea: one.has_fea };
+  return { root, rows, covered, picture, about: one, all: one.rows, has_fea: one.has_fea };
 }
 
 const rowsText = (rows) => (rows === 1 ? "1 row" : `${count(rows)} rows`);
@@ -56,11 +65,11 @@ async function refresh(name, cards, signal, rows) {
   const shown = cards.get(name);
   if (rows !== undefined) { shown.rows.textContent = rowsText(rows); shown.all = rows; }
   if (!shown.all) { // none, or none yet
-    put(shown.covered, shown.has_fea ? "The table is empty: the first query starts a solve." : "The table is empty: import measured rows.");
+    put(shown.covered, "empty table");
     return;
   }
   try {
-    put(shown.covered, sharesOf(await get(`${of(name)}/glance`, signal)));
+    put(shown.covered, wholeError(await get(`${of(name)}/glance`, signal), shown.about));
     shown.covered.className = "";
   } catch (error) {
     if (signal.aborted) return;
@@ -71,9 +80,12 @@ async function refresh(name, cards, signal, rows) {
 }
 
 function filter(components, cards, text) {
+  let found = 0;
   const words = text.toLowerCase().split(/\s+/).filter(Boolean);
   for (const one of components) {
     const said = `${one.name} ${one.title} ${one.notes}`.toLowerCase();
     cards.get(one.name).root.hidden = !words.every((word) => said.includes(word));
+    found += cards.get(one.name).root.hidden ? 0 : 1;
   }
+  return found;
 }

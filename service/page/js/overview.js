@@ -37,7 +37,7 @@ async function cover(place, about, signal) {
   const parts = [];
   if (rows) {
     parts.push(sharesOf(await get(`${of(about.name)}/glance`, signal)));
-    parts.push(el("p", { class: "muted small" }, "Share of the load range, and of each axis' three loads, that the table answers within the tolerance."));
+    parts.push(el("p", { class: "muted small" }, "Share of the load range, and of each axis' three loads, whose interpolation error is within the tolerance; the discretisation error is apart."));
   } else parts.push(el("p", {}, "The table has no rows yet."));
   if (about.has_fea) parts.push(fill(about));
   else parts.push(el("p", {}, el("a", { href: `#/c/${about.name}/table` }, "Import measured rows"), "."));

@@ -2,20 +2,21 @@
 
 import { Problem, get, of, send, trouble } from "./api.js";
 import { el, field, note, put, save, table } from "./dom.js";
+import { emptyTable } from "./empty.js";
 import { count, percent, quantity, seconds } from "./format.js";
-import { draw } from "./plot.js";
+import { PLOTS, lookup, nameOf, show as plot, took, worst } from "./report_plots.js";
 
-const LOOKS = { kriging: ["accent", "circle", "solid"], griddata: ["outside", "square", "dash"], additive: ["query", "diamond", "longdashdot"], tangent: ["covered", "triangle-up", "dashdot"], linear: ["query", "x", "dot"], nearest: ["muted", "cross", "longdash"], FEA: ["ink", "diamond", "dot"] };
-const LOOK_S = 1000; // between looks at how far it is
+const LOOK_MS = 1000; // between looks at how far it is
 
 export async function show(root, about, signal) {
-  if (!about.has_fea) {
-    put(root, el("p", { class: "empty" }, "This component has no finite-element setup, so there is no reference to report against."));
+  if (!about.rows) {
+    put(root, emptyTable(about));
     return;
   }
-  const body = el("div", { class: "stack" }), state = el("div", { "aria-live": "polite" });
+  const body = el("div", { class: "stack" }), state = el("div", { class: "stack", "aria-live": "polite", id: "making" });
   put(root, el("section", { class: "card" }, order(about, state, body, signal), state), body);
-  await latest(about, state, body, signal);
+  latest(body, about, signal); // stays while a new one is made
+  if (await follow(about, state, signal)) await latest(body, about, signal);
 }
 
 function order(about, state, body, signal) {
@@ -24,27 +25,41 @@ function order(about, state, body, signal) {
     event.preventDefault();
     try {
       await send("POST", `${of(about.name)}/report?wrenches=${wrenches.value}`, { signal });
-      await latest(about, state, body, signal);
+      if (await follow(about, state, signal)) await latest(body, about, signal);
     } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
   };
   return el("form", { class: "line bottom", onsubmit: make },
-    field("Wrenches to compare", wrenches), el("button", {}, "Make the report"),
+    field("Wrenches to compare", wrenches), el("button", { class: "first" }, "Make the report"),
     el("span", { class: "muted small" }, "Each wrench is solved on three meshes; this takes minutes."));
 }
 
-async function latest(about, state, body, signal) {
-  for (;;) {
-    const now = await get(`${of(about.name)}/report?format=state`, signal);
-    if (now.state === "running") put(state, el("progress", { max: "1", value: now.fraction }), el("span", { class: "muted small" }, now.message));
-    else if (now.state === "failed") put(state, note("outside", "The report could not be made: ", now.message));
-    else put(state);
-    if (now.state !== "running") break;
-    await new Promise((done) => setTimeout(done, LOOK_S));
-    if (signal.aborted) return;
+// Shows how far a report is until it is made; returns whether a new one is there.
+async function follow(about, state, signal) {
+  let now = await get(`${of(about.name)}/report?format=state`, signal);
+  const ran = now.state === "running";
+  const bar = el("progress", { max: "1", "aria-label": "The report" }), words = el("span", { class: "muted small" });
+  const cancel = el("button", { type: "button", class: "small", id: "cancel-report", onclick: async () => {
+    cancel.disabled = true;
+    await send("DELETE", `${of(about.name)}/report`, { signal });
+  } }, "Cancel");
+  const make = state.parentElement.querySelector("form button");
+  make.disabled = ran;
+  if (ran) put(state, bar, el("div", { class: "line ends" }, words, cancel));
+  while (now.state === "running") {
+    bar.value = now.fraction;
+    words.textContent = cancel.disabled ? "cancelling" : now.message;
+    await new Promise((done) => setTimeout(done, LOOK_MS));
+    if (signal.aborted) return false;
+    now = await get(`${of(about.name)}/report?format=state`, signal);
   }
+  make.disabled = false;
+  put(state, now.state === "failed" ? note("outside", "The report could not be made: ", now.message) : null);
+  return ran && now.state === "done";
+}
+
+async function latest(body, about, signal) {
   try {
-    const told = await get(`${of(about.name)}/report`, signal);
-    await page(body, about, told, signal);
+    page(body, about, await get(`${of(about.name)}/report`, signal));
   } catch (error) {
     if (signal.aborted) return;
     if (error instanceof Problem && error.status === 404) put(body, el("p", { class: "empty" }, "No report yet."));
@@ -52,53 +67,30 @@ async function latest(about, state, body, signal) {
   }
 }
 
-const worst = (entry) => {
-  const found = (entry.lookup_error || entry.error).rms_relative;
-  return found.includes(null) ? Infinity : Math.max(...found);
-};
-const took = (entry) => (entry.method ? entry.query_us_p50 * 1e-6 : entry.seconds_p50);
-const nameOf = (entry) => (entry.method ? `${entry.method}, ${entry.rows} rows` : `FEA, ${entry.level} mesh`);
-
-async function page(body, about, told, signal) {
-  const place = el("div", { class: "plot low" });
+function page(body, about, told) {
+  if (!told.tables) { // the first one is being made
+    put(body, el("p", { class: "empty" }, "The first report is being made."));
+    return;
+  }
   const entries = [...told.tables, ...told.fea.slice(0, -1)];
   const lines = entries.map((entry) => [
-    nameOf(entry) + (told.pareto.includes(nameOf(entry)) ? " ★" : ""), percent(worst(entry)), timeOf(took(entry)),
+    nameOf(entry) + (told.pareto.includes(nameOf(entry)) ? " ★" : ""), percent(worst(entry)), entry.method ? percent(lookup(entry)) : "–", timeOf(took(entry)),
     entry.method ? percent(entry.covered, 3) : "–",
-    entry.inside_error_bar ? percent(Math.min(...entry.inside_error_bar.filter((one) => one !== null)), 3) : "–",
+    least(entry.inside_error_bar || []),
   ]);
-  const keys = Object.keys(LOOKS).filter((name) => groups(told).has(name));
+  const places = Object.entries(PLOTS).map(([name, [title]]) => [name, title, el("div", { id: `plot-${name}` })]);
   put(body,
-    el("section", { class: "card" }, el("h2", {}, "Error against run time of one answer"), place,
-      el("ul", { class: "key-of-marks" }, keys.map((name) => { const mark = el("i", {}); mark.style.background = `var(--${LOOKS[name][0]})`; return el("li", {}, mark, name); })),
-      el("p", { class: "muted small" }, `${told.wrenches.compared} of ${told.wrenches.asked} random wrenches, none of them in the table, which has ${count(told.rows)} rows. Errors are RMS over the range of the worst output.`)),
+    el("section", { class: "card" }, told.advice ? el("p", {}, el("strong", {}, told.advice)) : null,
+      el("p", { class: "muted small" }, `${told.wrenches.compared} of ${told.wrenches.asked} random wrenches, none of them in the table, which has ${count(told.rows)} rows. Errors are RMS over the range of the worst output, all against the finest mesh.`)),
+    places.map(([, title, place]) => el("section", { class: "card" }, el("h2", {}, title), place)),
     el("section", { class: "card" }, el("h2", {}, "Figures"),
-      table(["", "#error", "#one answer", "#covered", "#inside the error bar"], lines, { scrolls: true }),
+      table(["", "#error", "#of it interpolation", "#one answer", "#covered", "#inside the error bar"], lines, { scrolls: true }),
       el("div", { class: "line" }, el("span", { class: "muted small" }, "★ nothing else is both better and faster"), files(about))));
-  await draw(place, (shade) => front(told, shade), signal, "Error against run time, both logarithmic; the figures are in the table below.");
+  for (const [name, , place] of places) plot(place, name, told);
 }
 
+const least = (shares) => (shares.some((one) => one !== null) ? percent(Math.min(...shares.filter((one) => one !== null)), 3) : "–");
 const timeOf = (value) => (value < 1 ? quantity(value, "s") : seconds(value));
-
-function groups(told) {
-  const found = new Map();
-  for (const entry of told.tables) found.set(entry.method, [...(found.get(entry.method) || []), entry]);
-  return found.set("FEA", told.fea.slice(0, -1));
-}
-
-function front(told, shade) {
-  const data = [...groups(told)].map(([name, entries]) => {
-    const shown = entries.filter((entry) => worst(entry) > 0 && worst(entry) < Infinity);
-    const [colour, symbol, dash] = LOOKS[name] || LOOKS.nearest;
-    return {
-      mode: "markers+lines", name, x: shown.map(took), y: shown.map((entry) => 100 * worst(entry)), text: shown.map(nameOf),
-      marker: { size: 10, symbol, color: shade[colour] }, line: { color: shade[colour], dash, width: 1.5 },
-      hovertemplate: "%{text}<br>%{y:.3~g} %, %{x:.3~s}s<extra></extra>",
-    };
-  });
-  const log = { type: "log", exponentformat: "power", dtick: 1 };
-  return { data, layout: { xaxis: { ...log, title: { text: "run time of one answer, s" } }, yaxis: { ...log, title: { text: "largest RMS error, % of the range" } }, margin: { l: 60, r: 12, t: 12, b: 48 } } };
-}
 
 function files(about) {
   const take = (format, ending) => async () => {

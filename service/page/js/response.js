@@ -2,16 +2,18 @@
 
 import { get, of, trouble } from "./api.js";
 import { choice, el, note, put } from "./dom.js";
+import { emptyTable } from "./empty.js";
 import { LOADS, OUTPUTS, plain, prefixOf, quantity, symbol, unitOfLoad, unitOfOutput } from "./format.js";
 import { draw, faint } from "./plot.js";
+import { solverError } from "./shares.js";
 import { wrenchForm } from "./wrench_form.js";
 
 export async function show(root, about, signal) {
   if (!about.rows) {
-    put(root, el("p", { class: "empty" }, "The table has no rows yet."));
+    put(root, emptyTable(about));
     return;
   }
-  const state = { load: "fz", output: "uz", at: LOADS.map(() => 0), sweep: null, rows: null, drawing: null };
+  const state = { load: "fz", output: "uz", at: LOADS.map(() => 0), sweep: null, rows: null, drawing: null, rest: solverError(about) };
   const place = el("div", { class: "plot low", id: "response" });
   const told = el("p", { class: "muted small", "aria-live": "polite" });
   const load = async () => {
@@ -33,7 +35,7 @@ export async function show(root, about, signal) {
     el("div", { class: "line bottom" },
       choice("load", "Along", symbols(LOADS), state.load, (value) => { state.load = value; load(); }),
       choice("output", "Output", symbols(OUTPUTS), state.output, (value) => { state.output = value; again(); })),
-    place, told,
+    place, about.has_fea ? bands(about) : null, told,
     el("details", {}, el("summary", {}, "The other five loads"),
       el("div", { class: "stack" }, note("", "Rows are drawn only if all five are zero."), others.form))));
   await load();
@@ -49,27 +51,31 @@ async function ask(about, state, signal) {
   Object.assign(state, { sweep, rows });
 }
 
-function labelOf({ sweep, rows, output, load }) {
+function labelOf({ sweep, rows, output, load, rest }) {
   const thin = sweep.coverage.filter((one) => one > 0).length;
   const share = Math.round(100 * (1 - thin / sweep.coverage.length));
   const drawn = rows ? `${rows.shown === 1 ? "1 row lies" : `${rows.shown} rows lie`} on this line` : "rows are not drawn, since other loads act";
   const k = OUTPUTS.indexOf(output), bars = sweep.error.map((one) => one[k] ?? 0);
-  const widest = quantity(Math.max(...bars), unitOfOutput(output), 2);
-  return `${plain(output)} over ${plain(load)} by ${sweep.method}. The band is its 95 % error bar, ${sweep.bars_are_whole ? "" : "without the discretisation error, which is not known, "}at most ± ${widest}; ${share} % of the line is covered; ${drawn}.`;
+  const unit = unitOfOutput(output), place = bars.indexOf(Math.max(...bars)), widest = quantity(bars[place], unit, 2), inner = sweep.interpolation[place]?.[k] ?? 0;
+  const unknown = Math.round(100 * sweep.error.filter((one) => one[k] === null).length / sweep.error.length);
+  const parts = sweep.bars_are_whole ? ` (interpolation ${quantity(inner, unit, 2)}, ${rest} ${quantity(Math.max(0, bars[place] - inner), unit, 2)})` : "";
+  return `${plain(output)} over ${plain(load)} by ${sweep.method}. The band is its 95 % error bar, ${sweep.bars_are_whole ? "" : "without the discretisation error, which is not known, "}at most ± ${widest}${parts}${unknown ? `, and not known, nor drawn, on ${unknown} % of the line` : ""}; ${share} % of the line is covered; ${drawn}.`;
 }
 
 function picture(state, shade) {
   const { sweep, rows, output, load } = state;
   const k = OUTPUTS.indexOf(output);
-  const values = sweep.displacement.map((one) => one[k]), bars = sweep.error.map((one) => one[k]);
+  const values = sweep.displacement.map((one) => one[k]), bars = sweep.error.map((one) => one[k]), inner = sweep.interpolation.map((one) => one[k]);
   const largest = values.reduce((a, b) => Math.max(a, Math.abs(b ?? 0)), 0);
   const [scale, prefix] = prefixOf(largest);
-  const line = (offset) => values.map((one, place) => (one === null ? null : (one + offset * (bars[place] ?? 0)) / scale));
+  const line = (offset, width = bars) => values.map((one, place) => (one === null ? null : (one + offset * (width[place] ?? 0)) / scale));
   const hover = `%{x:.4~g} ${unitOfLoad(load)}: %{y:.5~g} ${prefix}${unitOfOutput(output)}<extra></extra>`;
   const band = { x: sweep.at, mode: "lines", line: { width: 0 }, hoverinfo: "skip" };
   const data = [
     { ...band, y: line(1) },
-    { ...band, y: line(-1), fill: "tonexty", fillcolor: faint(shade.accent, 0.22) },
+    { ...band, y: line(-1), fill: "tonexty", fillcolor: faint(shade.query, 0.2) },
+    { ...band, y: line(1, inner) },
+    { ...band, y: line(-1, inner), fill: "tonexty", fillcolor: faint(shade.accent, 0.4) },
     { x: sweep.at, y: line(0), mode: "lines", line: { color: shade.accent, width: 2 }, hovertemplate: hover },
   ];
   if (rows) {
@@ -81,6 +87,16 @@ function picture(state, shade) {
     yaxis: { title: { text: `${marked(output)}, ${prefix}${unitOfOutput(output)}` } },
     shapes: uncovered(sweep, shade), margin: { l: 56, r: 12, t: 12, b: 44 },
   } };
+}
+
+// The band is drawn in two: what more rows lower, and what a finer mesh lowers.
+function bands(about) {
+  const one = (colour, text) => {
+    const mark = el("i", { class: "square" });
+    mark.style.background = `var(--${colour})`;
+    return el("li", {}, mark, text);
+  };
+  return el("ul", { class: "key-of-marks" }, one("accent", "interpolation error: more rows lower it"), one("query", `${solverError(about)} error: a finer mesh ${about.linear ? "or nonlinear = true " : ""}lowers it`));
 }
 
 const marked = (name) => `${plain(name)[0]}<sub>${name[1]}</sub>`;

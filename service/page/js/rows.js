@@ -3,6 +3,7 @@
 import { asked } from "./asked.js";
 import { get, of, trouble } from "./api.js";
 import { choice, el, note, put, table } from "./dom.js";
+import { emptyTable } from "./empty.js";
 import { LOADS, count, number, percent, plain, symbol, unitOfLoad } from "./format.js";
 import { box } from "./load_box.js";
 import { draw } from "./plot.js";
@@ -12,7 +13,7 @@ const AXES = [["x", "axis x"], ["y", "axis y"], ["z", "axis z"]];
 
 export async function show(root, about, signal) {
   if (!about.rows) {
-    put(root, el("p", { class: "empty" }, "The table has no rows yet."));
+    put(root, emptyTable(about));
     return;
   }
   const stage = el("div", { class: "stack" });

@@ -5,7 +5,7 @@ import { choice, el, facts, field, note, pill, put, save, select } from "./dom.j
 import { LOADS, number, quantity, stress, symbol } from "./format.js";
 import { draw } from "./plot.js";
 import { column, extent, lengths, lines, moved, outline } from "./surface.js";
-import { figure } from "./view3d.js";
+import { NARROW, figure } from "./view3d.js";
 import { lastWrench, wrenchForm } from "./wrench_form.js";
 
 const MM = 1000;
@@ -64,7 +64,7 @@ async function stageOf(stage, about, wrench, shape, signal) {
     el("div", { class: "line bottom ends" }, choice("colour", "Colour", SHOWN(), "size", (value) => { state.colour = value; drawing?.again(); }), download(about, wrench)),
     measured(shape, sizes, largest));
   set(state.factor, false);
-  drawing = await draw(place, (shade) => picture(shape, sizes, state, shade, view.camera()), signal, said(about, largest));
+  drawing = await draw(place, (shade) => picture(shape, sizes, state, shade, view.camera(), place.clientWidth < NARROW), signal, said(about, largest));
   view.hold(drawing);
 }
 
@@ -91,7 +91,8 @@ function sourceOf(shape) {
   return `interpolated between ${shape.rows.length} solves`;
 }
 
-function picture(shape, sizes, { factor, colour, edges }, shade, camera) {
+// Where the screen is narrow the colour bar is below the part, else it would lie over it.
+function picture(shape, sizes, { factor, colour, edges }, shade, camera, narrow) {
   const points = moved(shape.vertices, shape.displacement, factor);
   const values = (colour === "size" ? sizes : column(shape.displacement, Number(colour), 1)).map((one) => one * MM);
   const corners = [0, 1, 2].map((k) => shape.triangles.map((one) => one[k]));
@@ -99,12 +100,12 @@ function picture(shape, sizes, { factor, colour, edges }, shade, camera) {
     type: "mesh3d", x: column(points, 0, MM), y: column(points, 1, MM), z: column(points, 2, MM),
     i: corners[0], j: corners[1], k: corners[2], intensity: values, colorscale: "Viridis", flatshading: false,
     lighting: { ambient: 0.62, diffuse: 0.55, specular: 0.08, roughness: 0.8 }, hovertemplate: "%{x:.4~g}, %{y:.4~g}, %{z:.4~g} mm<extra></extra>",
-    colorbar: { title: { text: "mm", side: "top" }, thickness: 12, len: 0.7, x: 1, xanchor: "right", tickfont: { color: shade.muted }, outlinewidth: 0 },
+    colorbar: { title: { text: "mm", side: narrow ? "bottom" : "top" }, thickness: 12, tickfont: { color: shade.muted }, outlinewidth: 0, ...(narrow ? { orientation: "h", len: 0.9, x: 0.5, y: 0, yanchor: "bottom" } : { len: 0.7, x: 1, xanchor: "right" }) },
   };
   const before = { type: "scatter3d", mode: "lines", ...lines(shape.vertices, edges, MM), line: { color: shade.muted, width: 3 }, hoverinfo: "skip", connectgaps: false };
   const after = { ...before, ...lines(points, edges, MM), line: { color: shade.ink, width: 3 } };
   const axis = (name) => ({ title: { text: `${name}, mm` }, nticks: 5 });
-  return { data: [body, before, after], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: { ...axis("z"), nticks: 4 }, aspectmode: "data", domain: { x: [0, 0.9], y: [0, 1] }, camera }, uirevision: "same" } };
+  return { data: [body, before, after], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: { ...axis("z"), nticks: 4 }, aspectmode: "data", domain: narrow ? { x: [0, 1], y: [0.2, 1] } : { x: [0, 0.9], y: [0, 1] }, camera }, uirevision: "same" } };
 }
 
 // Only points are moved: colours and triangles stay as they are.

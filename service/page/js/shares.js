@@ -1,13 +1,15 @@
 // What part of the load range is covered, thin and outside, as a bar with its figure.
 
 import { el } from "./dom.js";
+import { quantity } from "./format.js";
 
 const NAMES = ["covered", "thin", "outside"];
+const WHOLE = ["within the tolerance", "beyond it by the discretisation error", "not covered by the rows"];
 
-export function sharesBar(shares) {
-  const said = NAMES.map((name, place) => `${Math.round(100 * shares[place])} % ${name}`).join(", ");
-  const parts = NAMES.map((name, place) => {
-    const part = el("i", { class: name });
+export function sharesBar(shares, names = NAMES) {
+  const said = names.map((name, place) => `${Math.round(100 * shares[place])} % ${name}`).join(", ");
+  const parts = NAMES.map((_, place) => {
+    const part = el("i", { class: NAMES[place] });
     part.style.flex = String(shares[place]);
     return shares[place] > 0 ? part : null;
   });
@@ -20,4 +22,21 @@ export function sharesOf(glance, withAxes = true) {
   return el("div", { class: "shares" }, lines.map(([name, shares]) => [
     el("span", {}, name), sharesBar(shares), el("span", {}, `${Math.round(100 * shares[0])} %`),
   ]));
+}
+
+// What the rest of an error bar is, after interpolation: a linear analysis errs too.
+export const solverError = (about) => (about.linear ? "discretisation and linearity" : "discretisation");
+
+// The share of the load range whose whole error bar is within the tolerance, and that bar's parts.
+export function wholeError(glance, about) {
+  const [covered] = glance.whole, within = glance.within_tolerance ?? covered;
+  const known = !about.has_fea || glance.bars_are_whole, errors = glance.error.slice(0, 3);
+  const k = errors.reduce((best, one, place) => ((one ?? 0) > (errors[best] ?? 0) ? place : best), 0);
+  const bar = (value) => quantity(value, "m", 2);
+  const parts = !about.has_fea ? "interpolation"
+    : known ? `interpolation ${bar(glance.interpolation[k])} + ${solverError(about)} ${bar(Math.max(0, errors[k] - glance.interpolation[k]))}`
+      : "interpolation; the discretisation error is not known";
+  return el("div", { class: "stack tight" },
+    el("div", { class: "shares" }, el("span", {}, glance.within_tolerance === null && about.has_fea ? "covered" : "within tolerance"), sharesBar([within, Math.max(0, covered - within), 1 - covered], WHOLE), el("span", {}, `${Math.round(100 * within)} %`)),
+    errors[k] === null ? null : el("span", { class: "muted small" }, `Error bar ± ${bar(errors[k])}: ${parts}${about.tolerance ? `; tolerance ${bar(about.tolerance.translation)}` : ""}`));
 }

@@ -2,7 +2,7 @@
 
 import { el } from "./dom.js";
 
-const NARROW = 600; // px
+export const NARROW = 600; // px
 const STEP = Math.PI / 12;
 // Where a drawing is first looked at from; farther away where the screen is narrow.
 export const START = { eye: { x: 1.45, y: -1.6, z: 1 }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: -0.16 } };

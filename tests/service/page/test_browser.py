@@ -117,8 +117,8 @@ def test_bad_rows_of_a_measured_file_are_named_mended_imported_and_exported(
     assert "Line 4" in told
     assert "Line 6" in told
     assert client.component("rig")["rows"] == 0
-    browser.type("input[aria-label='Line 4']", "0,0,-200,0,0,0,0,0,-0.2,0,0,0")
-    browser.type("input[aria-label='Line 6']", "0,0,-400,0,0,0,0,0,-0.4,0,0,0")
+    browser.type("[aria-label='Line 4']", "0,0,-200,0,0,0,0,0,-0.2,0,0,0")
+    browser.type("[aria-label='Line 6']", "0,0,-400,0,0,0,0,0,-0.4,0,0,0")
     browser.one("#check-again").click()
     browser.one("#import").click()
     browser.named(".note", "6 rows are in the table")

@@ -1,0 +1,48 @@
+// A small picture of a part: its undeformed surface, shaded, seen from the front, the right and above.
+
+import { get, of } from "./api.js";
+import { colours } from "./plot.js";
+import { normals } from "./surface.js";
+
+const SIZE = [320, 150]; // CSS pixels
+const surfaces = new Map();
+const RIGHT = [0.82, 0.57, 0], UP = [-0.26, 0.37, 0.89], TOWARDS = [0.51, -0.73, 0.46];
+const LIGHT = [0.2, -0.5, 0.84];
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+
+// Draws a part on a canvas, which stays hidden where there is no mesh to draw.
+export async function paint(canvas, name, signal) {
+  if (!surfaces.has(name)) surfaces.set(name, await get(`${of(name)}/surface`, signal).catch(() => null));
+  if (!surfaces.get(name)?.triangles.length) {
+    surfaces.delete(name);
+    return;
+  }
+  const { vertices, triangles } = surfaces.get(name);
+  const flat = vertices.map((point) => [dot(point, RIGHT), -dot(point, UP), dot(point, TOWARDS)]);
+  const facing = normals(vertices, triangles);
+  const order = triangles.map((corners, k) => [corners, facing[k], corners.reduce((sum, one) => sum + flat[one][2], 0)])
+    .filter(([, normal]) => dot(normal, TOWARDS) > 0).sort((one, other) => one[2] - other[2]);
+  canvas.hidden = false;
+  const draw = () => fill(canvas, flat, order);
+  draw();
+  window.addEventListener("theme", draw, { signal });
+}
+
+function fill(canvas, flat, order) {
+  const [low, high] = [Math.min, Math.max].map((end) => [0, 1].map((k) => end(...flat.map((one) => one[k]))));
+  const ratio = window.devicePixelRatio || 1, [width, height] = SIZE;
+  [canvas.width, canvas.height] = [width * ratio, height * ratio];
+  const scale = 0.92 * Math.min(width / (high[0] - low[0] || 1), height / (high[1] - low[1] || 1));
+  const at = (one) => [0, 1].map((k) => SIZE[k] / 2 + scale * (flat[one][k] - (low[k] + high[k]) / 2));
+  const pen = canvas.getContext("2d"), [red, green, blue] = colours().accent.match(/[\d.]+/g).map(Number);
+  pen.scale(ratio, ratio);
+  for (const [corners, normal] of order) {
+    const light = 0.45 + 0.55 * Math.max(0, dot(normal, LIGHT));
+    pen.fillStyle = pen.strokeStyle = `rgb(${[red, green, blue].map((one) => Math.round(one * light + 60 * light)).join()})`;
+    pen.beginPath();
+    for (const one of corners) pen.lineTo(...at(one));
+    pen.closePath();
+    pen.fill();
+    pen.stroke(); // closes the seams between triangles
+  }
+}

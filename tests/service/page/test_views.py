@@ -1,0 +1,204 @@
+"""Views of the page, each test named after what a visitor saw of it."""
+
+import json
+
+import pytest
+
+from tests.service.page.test_browser import LOADS, PLATE, ask
+from wrenchbook.service.client.errors import ProblemError
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
+REPORT = "/v1/components/plate_thin/report"
+
+
+@pytest.fixture(scope="module")
+def plate(client):
+    """`plate_thin` with a few rows and a report."""
+    for force in ([0, 0, -900.0], [0, 0, 900.0], [500.0, 0, 0]):
+        client.solve("plate_thin", force, [0, 0, 0], wait_s=120)
+    return client
+
+
+@pytest.fixture(scope="module")
+def rig(client):
+    """A component for measured rows, without any."""
+    spans = {"force": [600] * 3, "moment": [60] * 3}
+    about = {"name": "unmeasured", "title": "A rig without rows", "range": spans}
+    client.call_json("POST", "/v1/components", about)
+    return client
+
+
+def begun(client):
+    """Begin a report, and return whether the table's file is there for it."""
+    try:
+        return client.call("POST", f"{REPORT}?wrenches=3")
+    except ProblemError:  # 409: no rows yet
+        return None
+
+
+@pytest.fixture(scope="module")
+def reported(plate, chromium):
+    """A plate whose report is made."""
+    chromium.until(lambda: begun(plate), "the table's file")
+    state = f"{REPORT}?format=state"
+    chromium.until(lambda: plate.call_json("GET", state)["state"] == "done", "the report")
+    return plate
+
+
+def test_tables_and_meshes_of_a_report_are_drawn_against_one_reference(browser, reported):
+    told = reported.call_json("GET", REPORT)
+    browser.visit(f"{PLATE}/report")
+    browser.named("strong", told["advice"])
+    browser.one("#plot-front[data-drawn]")
+    assert "all against the finest mesh" in browser.named("p", "random wrenches").text
+    assert "error of the mesh itself" in browser.one("#plot-front svg").text
+    named = browser.run("return document.querySelector('#plot-front path title').textContent")
+    entry = next(e for e in told["tables"] if named.startswith(f"{e['method']}, {e['rows']} rows"))
+    share = float(f"{100 * max(entry['error']['rms_relative']):.2g}")
+    assert f": {share:g} %" in named
+    assert browser.mistakes() == []
+
+
+def test_the_90_and_95_percent_lines_of_a_report_have_names(browser, reported):
+    browser.visit(f"{PLATE}/report")
+    browser.one("#plot-calibration[data-drawn]")
+    told = browser.one("#plot-calibration svg").text
+    assert "95 % (nominal)" in told
+    assert "90 % (accepted)" in told
+
+
+def test_a_report_saved_as_html_draws_its_plots_without_a_server(browser, reported, tmp_path):
+    file = tmp_path / "report.html"
+    file.write_bytes(reported.call("GET", f"{REPORT}?format=html").content)
+    browser.resize(390, 800)
+    browser.driver.get(file.as_uri())
+    browser.until(lambda: len(browser.all("[data-drawn]")) == 3)
+    assert browser.run("return document.documentElement.scrollWidth") <= 390
+    assert browser.mistakes() == []
+
+
+def test_the_old_report_stays_while_a_new_one_is_made_which_can_be_cancelled(browser, reported):
+    browser.visit(f"{PLATE}/report")
+    before = browser.one("#plot-front[data-drawn]")
+    browser.type("input[type=number]", "1000")
+    browser.named("button", "Make the report").click()
+    cancel = browser.one("#cancel-report")
+    assert before.is_displayed()
+    cancel.click()
+    browser.until(lambda: not browser.all("#cancel-report"), "the end of the report")
+    assert browser.one("#plot-front[data-drawn]")
+    assert reported.call_json("GET", f"{REPORT}?format=state")["state"] == "done"
+
+
+def test_cards_show_the_part_and_an_error_bar_with_its_discretisation_error(browser, plate):
+    browser.visit("#/")
+    card = browser.named("a.card", "plate_thin")
+    browser.until(lambda: card.find_elements("css selector", "canvas.part:not([hidden])"))
+    seen = (
+        "return arguments[0].querySelector('canvas').getContext('2d').getImageData(160, 75, 1, 1)"
+    )
+    assert browser.run(f"{seen}.data[3]", card) > 0
+    assert "within tolerance" in card.text
+
+
+def test_the_band_of_a_response_is_split_by_cause(browser, plate):
+    browser.visit(f"{PLATE}/response")
+    browser.drawn("#response")
+    assert "interpolation error" in browser.one(".key-of-marks").text
+    assert "discretisation error" in browser.one(".key-of-marks").text
+    bands = browser.run(
+        "return document.querySelector('#response').data.filter((one) => one.fill).length"
+    )
+    assert bands == 2
+
+
+def test_the_last_cell_of_a_long_bad_line_is_seen(browser, rig):
+    row = ",".join(["0.123456789012"] * 11 + ["minus 0.2"])
+    header = f"{LOADS},ux [mm],uy [mm],uz [mm],rx [deg],ry [deg],rz [deg]"
+    browser.resize(390, 800)
+    browser.visit("#/c/unmeasured/table")
+    browser.drop(".drop", "bad.csv", f"{header}\n{row}\n")
+    line = browser.one("[aria-label='Line 2']")
+    assert line.get_attribute("value") == row
+    for size in ("Width", "Height"):
+        hidden = f"return arguments[0].scroll{size} - arguments[0].client{size}"
+        assert browser.run(hidden, line) <= 0
+
+
+def test_a_mistake_of_six_columns_is_one_sentence(browser, rig):
+    browser.visit("#/c/unmeasured/table")
+    browser.drop(".drop", "bare.csv", "a,b,c,d,e,g\n1,2,3,4,5,6\n")
+    told = browser.one("#mistakes").text
+    assert told.count("is not a column of a table") == 1
+    assert "a, b, c, d, e, g" in told
+
+
+def test_a_call_that_takes_long_shows_that_it_works(browser, plate):
+    browser.visit(f"{PLATE}/query")
+    browser.one("input[name=fx]")
+    browser.run("window.fetch = () => new Promise((done) => { window.answer = done; })")
+    ask(browser, fz=-900)
+    bar = "return getComputedStyle(document.querySelector('.top'), '::after')"
+    browser.until(lambda: browser.run(f"{bar}.opacity") == "1", "the bar")
+    browser.run("window.answer(new Response('{}', {status: 500}))")
+    browser.until(lambda: browser.run(f"{bar}.content") == "none", "the end of the bar")
+
+
+def test_the_colour_bar_does_not_lie_over_the_part_on_a_telephone(browser, plate):
+    browser.resize(390, 800)
+    browser.visit(f"{PLATE}/shape")
+    browser.drawn("#shape")
+    bar, scene = browser.run(
+        "const full = document.querySelector('#shape')._fullLayout;"
+        "return [document.querySelector('#shape')._fullData[0].colorbar, full.scene.domain]"
+    )
+    assert (bar["orientation"], bar["y"], bar["yanchor"]) == ("h", 0, "bottom")
+    assert scene["y"][0] >= 0.2
+
+
+def job(number, status, **more):
+    """Return a job as the server lists it."""
+    about = {"id": number, "status": status, "component": "plate_thin", "attempt": 1}
+    loads = {"force": [0, 0, float(number)], "moment": [0, 0, 0]}
+    return {**about, **loads, "seconds": None, "started": None, "error": None, **more}
+
+
+def test_jobs_that_run_are_above_waiting_ones_with_the_time_they_have_left(browser, plate):
+    done = job(1, "done", seconds=600.0)
+    running = job(2, "running", started="SOON", progress={"fraction": 0.5, "message": "step 3"})
+    waiting = [job(number, "waiting") for number in (4, 3)]
+    single = {**waiting[0], "waiting": {"ahead": 1, "expected_s": 540.0, "solve_s": 600.0}}
+    lists = {
+        "status=running": {"jobs": [running], "next": None},
+        "status=done": {"jobs": [done], "next": None},
+        "jobs/4": single,
+        "jobs?": {"jobs": [*waiting, running, done], "next": None},
+    }
+    browser.visit("#/")
+    browser.named("a.card", "plate_thin")
+    browser.run(
+        "const lists = JSON.parse(arguments[0].replaceAll('SOON', new Date().toISOString()));"
+        "const own = window.fetch; window.fetch = (to, how) => {"
+        " const key = Object.keys(lists).find((one) => String(to).includes(one));"
+        " return key ? Promise.resolve(new Response(JSON.stringify(lists[key]))) : own(to, how); }",
+        json.dumps(lists),
+    )
+    browser.go("#/jobs")
+    browser.one("#job-4")
+    assert [one.get_attribute("id") for one in browser.all("tr[id]")][:2] == ["job-2", "job-4"]
+    browser.named("#job-2", "about 10 min left")
+    assert browser.named("#queue", "waiting").text == "2 waiting; all are solved in about 19 min."
+
+
+@pytest.mark.parametrize("view", ["overview", "rows", "response", "checks", "entry"])
+def test_an_empty_view_has_the_button_that_ends_it(browser, rig, view):
+    browser.visit(f"#/c/unmeasured/{view}")
+    link = browser.one("main a[href='#/c/unmeasured/table']:not(.tabs a)")
+    assert "Import" in link.text
+
+
+def test_a_measured_component_has_no_tabs_of_solves(browser, rig):
+    browser.visit("#/c/unmeasured")
+    tabs = browser.one(".tabs").text.split("\n")
+    assert not {"Shape", "Report", "Jobs"} & set(tabs)
+    assert "Query" in tabs
