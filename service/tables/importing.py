@@ -15,6 +15,9 @@ from wrenchbook.service.formats import Options, ReadResult, read_untrusted
 from wrenchbook.service.ledger import About, Ledger, PackedRow, packed_columns
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import export_rows, own_rows, packed_pieces
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.surrogate.findings.find import MOST
+from wrenchbook.surrogate.table.compliance import fit_compliance
 
 
 @dataclass(frozen=True)
@@ -66,8 +69,7 @@ def import_files(
         inserted, existing = _counted(ledger, component, read)
     elif not refused:
         packed = packed_pieces(component, read.pieces())
-        findings = _with_keys(component, read)
-        about = replace(about, format=report["format"], findings=findings)
+        about = replace(about, format=report["format"], findings=_with_keys(component, read))
         inserted, existing, number = ledger.import_rows(component.name, packed, about)
     rows = report.pop("rows")
     good = rows.pop("good")
@@ -81,6 +83,19 @@ def import_files(
         **report,
         "rows": {**rows, "loaded": 0 if refused or request.dry_run else good},
     }
+
+
+def solved_compliance(component: Component, table: ServedTable) -> list[list[float]] | None:
+    """Return the compliance (6, 6), SI, of a component's solves; None if it has none.
+
+    Columns of loads that they do not tell are zero.
+    """
+    if not component.has_fea or not table.sources.get("fea"):
+        return None
+    rows = table.rows
+    solved = rows.take(np.flatnonzero(rows.source == "fea")[:MOST])
+    fit = fit_compliance(solved, component.load_range, linear=component.linear)
+    return np.where(fit.known, fit.matrix, 0.0).tolist()
 
 
 def _with_keys(component: Component, read: ReadResult) -> str:
