@@ -45,4 +45,6 @@ class FindingsSample:
             return [one.body() for one in known]
         wrench, moved, row = (np.concatenate(one) for one in zip(*self._parts, strict=True))
         rows = Rows.of(wrench, moved, seq=row)
-        return [one.body() for one in find(rows, options.load_range)]
+        solved = None if options.solved is None else np.array(options.solved)
+        found = find(rows, options.load_range, solved, linear=options.linear)
+        return [one.body() for one in found]

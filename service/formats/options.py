@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
@@ -60,6 +60,10 @@ class Options:
         Of the component, N and N·m: loads far beyond it are mistakes.
     fingerprint : str or None
         Of the component's setup: solves of any other are mistakes.
+    solved : sequence of sequences of float, or None
+        Compliance (6, 6), SI, of the component's solves: findings compare rows with it.
+    linear : bool
+        Whether the component is.
     role : {"table", "loads", "displacements"}
         A table has loads and displacements; a log has one of them, and times.
     """
@@ -77,6 +81,8 @@ class Options:
     max_gap_s: float | None = None
     load_range: LoadRange | None = None
     fingerprint: str | None = None
+    solved: Sequence[Sequence[float]] | None = None
+    linear: bool = True
     role: Role = "table"
 
     def as_json(self) -> dict[str, Any]:

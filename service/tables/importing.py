@@ -16,6 +16,9 @@ from wrenchbook.service.formats.rig import Rig
 from wrenchbook.service.ledger import About, Ledger, PackedRow, packed_columns
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import export_rows, own_rows, packed_pieces
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.surrogate.findings.find import MOST
+from wrenchbook.surrogate.table.compliance import fit_compliance
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,19 @@ def import_files(
         **report,
         "rows": {**rows, "loaded": 0 if refused or request.dry_run else good},
     }
+
+
+def solved_compliance(component: Component, table: ServedTable) -> list[list[float]] | None:
+    """Return the compliance (6, 6), SI, of a component's solves; None if it has none.
+
+    Columns of loads that they do not tell are zero.
+    """
+    if not component.has_fea or not table.sources.get("fea"):
+        return None
+    rows = table.rows
+    solved = rows.take(np.flatnonzero(rows.source == "fea")[:MOST])
+    fit = fit_compliance(solved, component.load_range, linear=component.linear)
+    return np.where(fit.known, fit.matrix, 0.0).tolist()
 
 
 def _with_keys(component: Component, read: ReadResult) -> str:

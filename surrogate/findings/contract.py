@@ -13,10 +13,13 @@ from .response import RobustFit
 
 SIGNIFICANT = 0.05  # of the largest entry of its block, in moved distance: smaller ones are unsure
 DEVIATIONS = 6.0  # of a fitted entry: surely not zero
+TIE = 0.1  # of a logarithm: factors of two quantities that explain the same
+SCALE = 1.5  # times: a calibration is wrong by more, finite elements by less
 FAR = 3.0  # times: units differ by more, parts of one kind by less
 AGREE = 1.6  # times: how far the entries of one wrong unit may be apart
 BETTER = 3.0  # times the asymmetry that a lever must explain
 ASYMMETRY = 0.05  # as `table.physics_checks`: rotations make tangents unsymmetric by as much
+UNEXPLAINED = 0.1  # of the largest energy: noise of 1 % and rotations make less
 SMALL, LARGE = 0.02, 5.0  # of the range: loads that a table was surely not meant for
 LENGTH = 0.1  # m: no part that answers by small rotations moves so far without a remark
 UNITS = {
@@ -68,11 +71,20 @@ def linear_fit(rows: Rows, load_range: LoadRange, response: RobustFit) -> Fit:
             np.abs(found[1:]) > DEVIATIONS * np.hypot(error, noise)[1:]
         )
         loads[used] |= sure_terms[1:]
-    for outputs in (slice(0, 3), slice(3, 6)):
-        for columns in (slice(0, 3), slice(3, 6)):
-            block = np.abs(matrix[outputs, columns])
-            sure[outputs, columns] &= block > SIGNIFICANT * block.max(initial=0.0)
-    return Fit(matrix / load_range.scale, sure, loads)
+    return Fit(matrix / load_range.scale, sure & _is_large(matrix), loads)
+
+
+def solved_fit(compliance: Floats, load_range: LoadRange) -> Fit:
+    """Return a compliance of solves (6, 6), SI, as a fit; columns of zeros are not known."""
+    sure = _is_large(compliance * load_range.scale)
+    return Fit(compliance, sure, np.asarray(compliance.any(axis=0)))
+
+
+def _is_large(moved: Floats) -> NDArray[np.bool_]:
+    """Return which displacements by full loads (6, 6) are not small beside others of their kind."""
+    size = np.abs(moved)
+    blocks = size.reshape(2, 3, 2, 3).max(axis=(1, 3)) * SIGNIFICANT
+    return np.asarray(size > np.kron(blocks, np.ones((3, 3))))
 
 
 def _linear(x: Floats, y: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
@@ -105,6 +117,28 @@ def sign_findings(fit: Fit) -> list[RigFinding]:
     )
     message = f"the loads do negative work ({names}), which no elastic part does: {what}"
     return [RigFinding("sign", message, (), {"loads": [LOADS[k] for k in wrong]})]
+
+
+def turned_findings(fit: Fit, solved: Fit | None) -> list[RigFinding]:
+    """Return a finding of the loads, or the displacements, whose sign is not that of the solves."""
+    if solved is None:
+        return []
+    both = fit.sure & solved.sure
+    turned = both & (fit.matrix * solved.matrix < 0)
+    for names, axis in ((LOADS, 0), (OUTPUTS, 1)):
+        count = turned.sum(axis=axis)
+        wrong = (count > 0) & (count == both.sum(axis=axis))
+        if not wrong.any() or count[wrong].sum() < turned.sum():
+            continue
+        found = [names[k] for k in np.flatnonzero(wrong)]
+        whole = wrong.sum() == both.any(axis=axis).sum()
+        what = "all loads, or all displacements," if whole else ", ".join(found)
+        message = (
+            f"{what} have the opposite sign of the solves: the wrench acts ON the component, in "
+            "the interface's axes. Turn the sign with a mapping such as Fz=-fz [N]"
+        )
+        return [RigFinding("sign", message, (), {"quantities": found})]
+    return []
 
 
 def range_findings(rows: Rows, load_range: LoadRange) -> list[RigFinding]:
@@ -140,10 +174,13 @@ def size_findings(rows: Rows, response: RobustFit) -> list[RigFinding]:
     return [RigFinding("unit", message, (), {"quantity": "translations", "factor": 1000.0})]
 
 
-def unit_findings(fit: Fit, solved: Fit | None) -> list[RigFinding]:
-    """Return a finding where compliances are in another unit than solves, or than their mirror."""
+def unit_findings(fit: Fit, solved: Fit | None, *, linear: bool) -> list[RigFinding]:
+    """Return a finding where compliances are in another unit than solves, or than their mirror.
+
+    The secants of a part that is not `linear` differ with the size of the loads.
+    """
     if solved is not None:
-        return _against_solves(fit, solved)
+        return _against_solves(fit, solved, SCALE if linear else FAR)
     # Maxwell and Betti: what a moment moves is what that force turns.
     moved, turned = fit.matrix[:3, 3:], fit.matrix[3:, :3].T
     sure = fit.sure[:3, 3:] & fit.sure[3:, :3].T
@@ -157,7 +194,7 @@ def unit_findings(fit: Fit, solved: Fit | None) -> list[RigFinding]:
     return [RigFinding("unit", message, (), {"quantity": "translations", "factor": factor})]
 
 
-def _against_solves(fit: Fit, solved: Fit) -> list[RigFinding]:
+def _against_solves(fit: Fit, solved: Fit, least: float) -> list[RigFinding]:
     blocks = {}
     for name, part in {
         ("translations", "forces"): (slice(0, 3), slice(0, 3)),
@@ -184,11 +221,18 @@ def _against_solves(fit: Fit, solved: Fit) -> list[RigFinding]:
         ]
         best.append((float(np.abs(left).max()), quantity, float(np.exp(factor))))
     missed, quantity, factor = min(best)
-    if max(factor, 1 / factor) <= FAR or missed > np.log(FAR):
+    size = float(abs(np.log(factor)))
+    if size <= np.log(least) or missed > min(size / 3, np.log(FAR)):
         return []
+    what = "unit" if size > np.log(FAR) else "calibration"
+    others = "".join(
+        f", or the {name} {times:.3g} times"
+        for far, name, times in best
+        if name != quantity and far - missed < TIE
+    )
     message = (
-        f"the {quantity} are {factor:.3g} times those of the solves at the same loads: check their "
-        f"unit{named_unit(factor)}"
+        f"the {quantity} are {factor:.3g} times those of the solves{others}: check their "
+        f"{what}{named_unit(factor)}"
     )
     return [RigFinding("unit", message, (), {"quantity": quantity, "factor": factor})]
 
@@ -239,6 +283,26 @@ def lever_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
         f"{moved_point} if the moments are about it (add it to a point given before)"
     )
     return [RigFinding("lever", message, (), {"lever": lever.tolist(), "asymmetry": before})]
+
+
+def asymmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
+    """Return a finding where a compliance is unsymmetric and no lever makes it symmetric."""
+    if not fit.loads.all():
+        return []
+    energies = fit.matrix * np.outer(load_range.scale, load_range.scale)
+    measured = fit.matrix.any(axis=1)
+    skew = np.abs(energies - energies.T) * (fit.sure | fit.sure.T) * np.outer(measured, measured)
+    size = float(skew.max() / np.abs(energies).max())
+    if size <= UNEXPLAINED:
+        return []
+    first, second = np.unravel_index(int(np.argmax(skew)), skew.shape)
+    message = (
+        f"the compliance is unsymmetric by {size:.0%}, most of all {OUTPUTS[first]} by "
+        f"{LOADS[second]} and {OUTPUTS[second]} by {LOADS[first]}, and no lever explains it: check "
+        "that loads and displacements are in one frame, the load cell's crosstalk, and that the "
+        "displacement of the rig itself is not measured"
+    )
+    return [RigFinding("asymmetry", message, (), {"asymmetry": size})]
 
 
 def _skewness(matrix: Floats, load_range: LoadRange) -> Floats:

@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 from weakref import WeakValueDictionary
@@ -38,7 +39,7 @@ from wrenchbook.service.tables.exporting import (
     check_units,
     export_table,
 )
-from wrenchbook.service.tables.importing import import_files
+from wrenchbook.service.tables.importing import import_files, solved_compliance
 from wrenchbook.service.tables.packed_files import setup_of
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
@@ -200,7 +201,9 @@ async def import_table(
 ) -> Response:
     component = workspace.library[name]
     _check_kind(request)
-    options, wish = query.options(), query.wish()
+    wish, table = query.wish(), workspace.tables.surrogate(name)
+    solved = await run_in_threadpool(solved_compliance, component, table)
+    options = replace(query.options(), solved=solved, linear=component.linear)
     async with received(request) as sent:
         key = permission_of(request.scope).key
         about = About(

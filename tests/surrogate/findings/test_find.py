@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.surrogate.findings.rigs import CAUSES, DIRECTED, Rig
 from wrenchbook.surrogate.findings.find import find
-from wrenchbook.surrogate.table.rows import Rows
+from wrenchbook.surrogate.table.rows import LOADS, Rows
 
 SEEDS = range(4200, 4210)
 CLEAN = range(4300, 4350)
@@ -59,9 +60,9 @@ def test_the_lever_is_that_of_the_measurement():
 )
 def test_solves_name_the_quantity_whose_unit_is_wrong(columns, factor, quantity):
     rig = Rig(9, ("random",))
-    rows, solved = rig.measured(), Rows.of(rig.wrench, rig.displacement)
+    rows = rig.measured()
     rows.displacement[:, columns] *= factor
-    found = [one for one in find(rows, rig.range, solved) if one.cause == "unit"]
+    found = [one for one in find(rows, rig.range, rig.compliance) if one.cause == "unit"]
     assert quantity in [one.numbers["quantity"] for one in found]
 
 
@@ -79,3 +80,54 @@ def test_a_handful_of_rows_and_none_have_no_finding():
     rows = rig.measured()
     assert causes_of(rows.take(np.arange(5)), rig) == []
     assert causes_of(rows.take(np.arange(0)), rig) == []
+
+
+@pytest.mark.parametrize("factor", [1.8, 0.5])
+def test_solves_name_a_load_cell_with_another_scale(factor):
+    rigs = [Rig(seed) for seed in SEEDS]
+    named = 0
+    for rig in rigs:
+        rows = rig.measured()
+        rows.wrench[:, :3] *= factor
+        found = [one for one in find(rows, rig.range, rig.compliance) if one.cause == "unit"]
+        named += [one.numbers["quantity"] for one in found] == ["forces"]
+    assert named >= 9
+
+
+@pytest.mark.parametrize("load", range(6))
+def test_solves_name_the_load_or_displacement_with_the_wrong_sign(load):
+    named = 0
+    for rig in (Rig(seed) for seed in SEEDS):
+        rows = rig.measured()
+        rows.wrench[:, load] *= -1
+        found = [one for one in find(rows, rig.range, rig.compliance) if one.cause == "sign"]
+        named += [one.numbers.get("quantities") for one in found] == [[LOADS[load]]]
+    assert named >= 9
+
+
+def test_fifty_clean_measurements_agree_with_their_solves():
+    found = {
+        seed: causes_of(Rig(seed).measured(), Rig(seed), solved=Rig(seed).compliance)
+        for seed in CLEAN
+    }
+    assert {seed: causes for seed, causes in found.items() if causes} == {}
+
+
+def test_the_message_of_a_lever_has_its_length():
+    rig = Rig(8, ("random",))
+    rows, lever = rig.measured(), np.array([0.12, -0.05, 0.08])
+    rows.wrench[:, 3:] += np.cross(lever, rows.wrench[:, :3])
+    (found,) = find(rows, rig.range)
+    length = float(found.message.split("a lever of ")[1].split(" m")[0])
+    assert abs(length - np.linalg.norm(lever)) < 0.02
+
+
+def test_loads_in_another_frame_than_displacements_are_an_asymmetry():
+    named = []
+    for rig in (Rig(seed) for seed in SEEDS):
+        rows = rig.measured()
+        axis = rig.rng.normal(size=3)
+        turn = Rotation.from_rotvec(np.radians(40) * axis / np.linalg.norm(axis)).as_matrix()
+        rows.wrench[:] = rows.wrench @ np.kron(np.eye(2), turn).T
+        named += [causes_of(rows, rig)]
+    assert sum("asymmetry" in causes for causes in named) >= 9, named
