@@ -17,14 +17,13 @@ from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.replies import InverseError
 from wrenchbook.surrogate.packed.writer import write
 
-README = Path(__file__).parents[3] / "README.md"
+PAGE = Path(__file__).parents[3] / "data" / "docs" / "how-to" / "c.md"
 
 
 @pytest.fixture(scope="module")
 def program_text():
-    """The program of the README's section."""
-    section = README.read_text().split("## From C and C++")[1]
-    return section.split("```c\n")[1].split("```")[0]
+    """The program of the page on C and C++."""
+    return PAGE.read_text().split("```c\n")[1].split("```")[0]
 
 
 def same_bits(one, other):
