@@ -167,9 +167,12 @@ class LibraryCalls:
             ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``, ``time_offset_s`` (s),
             ``wait_s`` (10 s: how long to wait until answers come from the rows).
 
-        Returns ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``findings``
-        (probable systematic errors: ``{cause, message, rows, count}``), ``rows`` (what became of
-        each), ``columns``, ``ignored``, ``table_version`` and ``in_use``.
+        Returns
+        -------
+        dict
+            ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``findings``
+            (probable systematic errors: ``{cause, message, rows, count}``), ``rows`` (what became
+            of each), ``columns``, ``ignored``, ``table_version`` and ``in_use``.
 
         Raises
         ------
