@@ -26,11 +26,20 @@ def http() -> str:
         document = create_app(Settings(Path(folder), solvers=0)).openapi()
     calls = [
         _call(method, path, call)
-        for path, methods in document["paths"].items()
+        for path, methods in sorted(document["paths"].items(), key=_place)
         for method, call in methods.items()
     ]
     schemas = [_schema(*pair) for pair in sorted(document["components"]["schemas"].items())]
     return "\n".join(["", "## Calls", "", *calls, "## Schemas", "", *schemas])
+
+
+def _place(path: tuple[str, dict]) -> int:
+    """Put the calls of a component first, those for other protocols and operators last."""
+    return (
+        0
+        if path[0].startswith("/v1/components/{name}/displacement")
+        else (1 if path[0].startswith("/v1/") else 2)
+    )
 
 
 def _call(method: str, path: str, call: dict) -> str:
@@ -48,10 +57,17 @@ def _call(method: str, path: str, call: dict) -> str:
         lines += [f"Body `{kind}`: {_type(body.get('schema', {}))}", ""]
         lines += _fields(body.get("schema", {}))
     replies = [
-        (status, reply["description"], ", ".join(f"`{kind}`" for kind in reply.get("content", ())))
+        (status, reply["description"], ", ".join(map(_content, reply.get("content", {}).items())))
         for status, reply in call["responses"].items()
     ]
     return "\n".join(lines + _table(("status", "reply", "content"), replies))
+
+
+def _content(content: tuple[str, dict]) -> str:
+    """Return a content type, and the type of its body where the document names one."""
+    kind, body = content
+    words = _type(body["schema"]) if body.get("schema") else ""
+    return f"`{kind}`" + (f": {words}" if words not in ("", "any") else "")
 
 
 def _schema(name: str, schema: dict) -> str:
