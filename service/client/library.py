@@ -170,17 +170,16 @@ class LibraryCalls:
         Returns
         -------
         dict
-            ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``findings``
-            (probable systematic errors: ``{cause, message, rows, count}``), ``rows`` (what became
-            of each), ``columns``, ``ignored``, ``table_version`` and ``in_use``.
+            ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``columns``,
+            ``findings`` (``{cause, message, rows, count}``), ``rows`` (what became of each),
+            ``ignored``, ``table_version`` and ``in_use``.
 
         Raises
         ------
         ValueError, ProblemError
             If it is a file that is not read; if rows have mistakes (422), which ``errors`` names.
         """
-        content, filename = _table_file(table)
-        kind = BINARY
+        (content, filename), kind = _table_file(table), BINARY
         if displacements is not None:
             logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
             kind, content = _form(logs)

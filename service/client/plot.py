@@ -2,6 +2,26 @@
 
 `response` and `coverage` query a `Table` in this process, or with `component` a `Client`. Every
 function draws into `axes`, or into a new figure's, and returns them.
+
+Parameters
+----------
+source : Table or Client
+    What answers; a client needs `component`, and queues nothing.
+load, first, second : str
+    Loads, of ``fx fy fz mx my mz``.
+wrench : array_like, optional
+    The other loads, shape (6,), N and N·m; zero if not given.
+method : str, optional
+    The method that answers; the table's own if not given.
+axes : matplotlib.axes.Axes, optional
+    Where to draw.
+
+Raises
+------
+ValueError
+    If there is no such load or output, or a client has no `component`.
+MissingPackage
+    If matplotlib is not installed.
 """
 
 from __future__ import annotations
@@ -40,36 +60,13 @@ def response(
 ) -> Any:
     """Draw an output and its 95 % error band along one load, from end to end of its range.
 
-    Parameters
-    ----------
-    source : Table or Client
-        What answers; a client needs `component`.
-    load : str
-        One of ``fx fy fz mx my mz``.
-    output : str
-        One of ``ux uy uz rx ry rz``.
-    component : str, optional
-        The component whose table the client queries; nothing is queued.
-    wrench : array_like, optional
-        The other loads, shape (6,), N and N·m; zero if not given.
-    method : str, optional
-        The method that answers; the table's own if not given.
-    count : int
-        Number of wrenches.
-    axes : matplotlib.axes.Axes, optional
-        Where to draw.
+    Parameters and errors are those of the module; `output` is one of ``ux uy uz rx ry rz``, and
+    `count` is the number of wrenches.
 
     Returns
     -------
     matplotlib.axes.Axes
         N or N·m over m or rad. Answers that are not covered are dashed.
-
-    Raises
-    ------
-    ValueError
-        If there is no such load or output, or a client has no `component`.
-    MissingPackage
-        If matplotlib is not installed.
     """
     along, out = _index(load, NAMES), _index(output, OUTPUTS)
     low, high = _load_range(source, component)
@@ -104,7 +101,7 @@ def coverage(
 ) -> Any:
     """Draw where in the plane of two loads the table covers the wrench.
 
-    Parameters, units and errors are those of `response`; `first` and `second` are two loads, and
+    Parameters and errors are those of the module; `first` and `second` are two loads, and
     `count` is the number of wrenches along each.
 
     Returns
