@@ -156,10 +156,10 @@ class LibraryCalls:
         Parameters
         ----------
         table : path, str or bytes
-            A file's path, or its content; a text of one line that is no JSON is a path. CSV, XLSX,
-            Parquet, HDF5 or JSON, each gzipped or not: the content decides.
+            A path (a text of one line that is no JSON), or the content: CSV, XLSX, Parquet, HDF5 or
+            JSON, gzipped or not.
         dry_run : bool
-            Only check: mistakes come back in ``errors`` instead of as a ProblemError.
+            Only check: mistakes are in ``errors``, no ProblemError.
         displacements : path, optional
             A second log, joined by time; `table` is then the log of the loads.
         **columns
@@ -171,8 +171,7 @@ class LibraryCalls:
         -------
         dict
             ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``columns``,
-            ``findings`` (``{cause, message, rows, count}``), ``rows`` (what became of each),
-            ``ignored``, ``table_version`` and ``in_use``.
+            ``findings``, ``rows``, ``ignored``, ``table_version`` and ``in_use``.
 
         Raises
         ------
