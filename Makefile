@@ -36,6 +36,10 @@ $(VENV)/.installed-dev: $(VENV)/.installed requirements-dev.lock
 	$(PIP) install --require-hashes -r requirements-dev.lock
 	@touch $@
 
+$(VENV)/.installed-docs: $(VENV)/.installed requirements-docs.lock
+	$(PIP) install --require-hashes -r requirements-docs.lock
+	@touch $@
+
 demo: setup  ## query, solve and fill of a plate with finite elements, about five minutes
 	$(BIN)/wrenchbook demo
 
@@ -48,7 +52,7 @@ test: $(VENV)/.installed-dev  ## the test suite
 test-fast: $(VENV)/.installed-dev  ## the tests without the slow ones: servers, browser, engines
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
 
-check: lint types arch test  ## all checks of CI: lint, types, import rules, tests
+check: lint types arch $(VENV)/.installed-docs test  ## all checks of CI: lint, types, import rules, tests
 
 # rules and format by ruff
 lint: $(VENV)/.installed-dev
@@ -69,6 +73,9 @@ house: $(VENV)/.installed-dev
 
 messages: $(VENV)/.installed-dev  ## print all error messages: where each appears, its text and what to do
 	$(BIN)/python -m tests.messages
+
+docs: $(VENV)/.installed-docs  ## the documentation as a site: build/docs/index.html
+	$(BIN)/python -m sphinx -q -W --keep-going -c data/docs . build/docs
 
 format: $(VENV)/.installed-dev  ## format the code by ruff
 	$(BIN)/ruff check --fix .
@@ -126,6 +133,8 @@ lock: $(VENV)/.installed-dev
 	$(BIN)/uv $(LOCK) --extra dev -c requirements.lock -o requirements-dev.lock
 	$(BIN)/uv pip compile pyproject.toml $(LOCKED) --extra cluster \
 		-c requirements.lock -c requirements-dev.lock -o requirements-cluster.lock
+	$(BIN)/uv pip compile pyproject.toml $(LOCKED) --extra docs \
+		-c requirements.lock -c requirements-dev.lock -o requirements-docs.lock
 	echo "ziglang>=0.14" | $(BIN)/uv pip compile - $(LOCKED) -o requirements-zig.lock
 
 clean:  ## remove .venv and caches

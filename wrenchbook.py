@@ -23,6 +23,8 @@ Recorder, Recording, Envelope, Started
     Wrenches of a loop, sent without waiting; the recorded ones; extremes; queued solves.
 DeformedShape, Stress
     A deformed surface, and its largest von Mises stress.
+plot
+    Figures of a response with its error band, of coverage and of a deformed part.
 WrenchbookError
     The base of all errors: InvalidArgument, MissingPackage, ProblemError, RecorderError,
     SceneError, ServerTimeout, ServerUnreachable, TableError, MountError (SensorError,
@@ -71,6 +73,7 @@ if TYPE_CHECKING:
         TableError,
         WrenchbookError,
         conventions,
+        plot,
     )
     from .service.client.async_client import AsyncClient
     from .service.client.mount import (
@@ -124,6 +127,7 @@ _HOME = {
     "TableError": "service.client",
     "WrenchbookError": "service.client",
     "conventions": "service.client.conventions",
+    "plot": "service.client.plot",
 }
 __all__ = [
     "AsyncClient",
@@ -160,6 +164,7 @@ __all__ = [
     "TableError",
     "WrenchbookError",
     "conventions",
+    "plot",
 ]
 
 

@@ -158,10 +158,10 @@ class LibraryCalls:
         Parameters
         ----------
         table : path, str or bytes
-            A file's path, or its content; a text of one line that is no JSON is a path. CSV, XLSX,
-            Parquet, HDF5 or JSON, each gzipped or not: the content decides.
+            A path (a text of one line that is no JSON), or the content: CSV, XLSX, Parquet, HDF5 or
+            JSON, gzipped or not.
         dry_run : bool
-            Only check: mistakes come back in ``errors`` instead of as a ProblemError.
+            Only check: mistakes are in ``errors``, no ProblemError.
         displacements : path, optional
             A second log, joined by time; `table` is then the log of the loads.
         **columns
@@ -171,17 +171,18 @@ class LibraryCalls:
             rows); ``frame`` (a rig's axes, a text or shape (3, 3)), ``load_point``,
             ``displacement_point`` ((3,), m), ``rig`` (a TOML file).
 
-        Returns ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``findings``
-        (probable systematic errors: ``{cause, message, rows, count}``), ``rows`` (what became of
-        each), ``columns``, ``ignored``, ``table_version`` and ``in_use``.
+        Returns
+        -------
+        dict
+            ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``columns``,
+            ``findings``, ``rows``, ``ignored``, ``table_version`` and ``in_use``.
 
         Raises
         ------
         ValueError, ProblemError
             If it is a file that is not read; if rows have mistakes (422), which ``errors`` names.
         """
-        content, filename = _table_file(table)
-        kind = BINARY
+        (content, filename), kind = _table_file(table), BINARY
         if displacements is not None:
             logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
             kind, content = _form(logs)

@@ -1,0 +1,103 @@
+"""Sphinx settings of the documentation, which `make docs` builds.
+
+The source folder is the root of the checkout, so that a link from a page to a README or a file is
+the same on the site as in the checkout. Nothing in a built page is loaded from another host.
+"""
+
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from docutils.nodes import SkipNode
+from docutils.utils.math.latex2mathml import tex2mathml
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT), str(Path(__file__).parent)]
+
+import generated  # noqa: E402
+
+import wrenchbook  # noqa: E402
+
+project = "wrenchbook"
+author = "the wrenchbook maintainers"
+release = version = wrenchbook.__version__
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+root_doc = "data/docs/index"
+include_patterns = ["data/docs/**.md", "data/docs/**.ipynb", "**README.md", "CHANGELOG.md"]
+exclude_patterns = [".*", "**/.*", "build", "dist", "tests", "wrenchbook-data"]
+default_role = "code"
+suppress_warnings = ["misc.highlighting_failure"]  # replies with "..." in them
+
+# Prose is MyST Markdown.
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist"]
+myst_heading_anchors = 4
+
+# Notebooks are executed by each build, with a server that the build starts.
+nb_execution_mode = os.environ.get("WRENCHBOOK_NOTEBOOKS", "force")
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+
+# The library's reference is its docstrings.
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+napoleon_use_ivar = True
+
+html_theme = "furo"
+html_title = f"wrenchbook {release}"
+html_favicon = "../../service/page/icon.svg"
+html_extra_path = ["site"]
+html_copy_source = False
+html_show_sourcelink = False
+html_math_renderer = "mathml"
+
+
+def inline_formula(translator, node):
+    """Write a formula as MathML, which browsers show without a script."""
+    translator.body.append(tex2mathml(node.astext()))
+    raise SkipNode
+
+
+def displayed_formula(translator, node):
+    """Write a formula in lines of its own."""
+    formula = tex2mathml(node.astext(), as_block=True)
+    translator.body.append(f'<div class="math">{formula}</div>\n')
+    raise SkipNode
+
+
+def append_generated(app, docname, source):
+    """Append to pages of the reference what the program itself describes."""
+    if docname in generated.PAGES:
+        source[0] += generated.PAGES[docname]()
+
+
+def start_server(app):
+    """Start a server with an empty data directory, and name it to the notebooks."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    app.data = tempfile.TemporaryDirectory()
+    program = [sys.executable, str(ROOT / "wrenchbook.py"), "serve", "--port", str(port)]
+    app.server = subprocess.Popen([*program, "--data", app.data.name], stdout=subprocess.DEVNULL)
+    os.environ["WRENCHBOOK_SERVER"] = f"http://127.0.0.1:{port}"
+    os.environ["PYTHONPATH"] = str(ROOT)
+
+
+def end_server(app, error):
+    """End the server of the notebooks."""
+    app.server.terminate()
+    app.server.wait()
+    app.data.cleanup()
+
+
+def setup(app):
+    """Register the functions above with Sphinx."""
+    app.add_html_math_renderer("mathml", (inline_formula, None), (displayed_formula, None))
+    app.connect("source-read", append_generated)
+    if nb_execution_mode != "off":
+        app.connect("builder-inited", start_server)
+        app.connect("build-finished", end_server)

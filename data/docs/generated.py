@@ -1,0 +1,118 @@
+"""Markdown of the reference that the program itself describes: its HTTP calls and its commands."""
+
+import json
+import tempfile
+from pathlib import Path
+
+import typer
+import typer.cli
+
+from wrenchbook.service.cli.main import app as program
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.workspace import Settings
+
+
+def cli() -> str:
+    """Return the commands, their arguments and options."""
+    command = typer.main.get_command(program)
+    context = typer.Context(command, info_name="wrenchbook")
+    text = typer.cli.get_docs_for_click(obj=command, ctx=context, name="wrenchbook")
+    return "\n" + text.partition("\n")[2]
+
+
+def http() -> str:
+    """Return the calls of the OpenAPI document: what each takes and replies, and the schemas."""
+    with tempfile.TemporaryDirectory() as folder:
+        document = create_app(Settings(Path(folder), solvers=0)).openapi()
+    calls = [
+        _call(method, path, call)
+        for path, methods in sorted(document["paths"].items(), key=_place)
+        for method, call in methods.items()
+    ]
+    schemas = [_schema(*pair) for pair in sorted(document["components"]["schemas"].items())]
+    return "\n".join(["", "## Calls", "", *calls, "## Schemas", "", *schemas])
+
+
+def _place(path: tuple[str, dict]) -> int:
+    """Put the calls of a component first, those for other protocols and operators last."""
+    return (
+        0
+        if path[0].startswith("/v1/components/{name}/displacement")
+        else (1 if path[0].startswith("/v1/") else 2)
+    )
+
+
+def _call(method: str, path: str, call: dict) -> str:
+    lines = [f"### {method.upper()} {path}", "", f"**{call.get('summary', '')}**", ""]
+    lines += [call.get("description", ""), ""]
+    if call.get("parameters"):
+        lines += _table(
+            ("parameter", "in", "type", ""),
+            [
+                (f"`{one['name']}`", one["in"], _type(one["schema"]), _text(one))
+                for one in call["parameters"]
+            ],
+        )
+    for kind, body in call.get("requestBody", {}).get("content", {}).items():
+        lines += [f"Body `{kind}`: {_type(body.get('schema', {}))}", ""]
+        lines += _fields(body.get("schema", {}))
+    replies = [
+        (status, reply["description"], ", ".join(map(_content, reply.get("content", {}).items())))
+        for status, reply in call["responses"].items()
+    ]
+    return "\n".join(lines + _table(("status", "reply", "content"), replies))
+
+
+def _content(content: tuple[str, dict]) -> str:
+    """Return a content type, and the type of its body where the document names one."""
+    kind, body = content
+    words = _type(body["schema"]) if body.get("schema") else ""
+    return f"`{kind}`" + (f": {words}" if words not in ("", "any") else "")
+
+
+def _schema(name: str, schema: dict) -> str:
+    lines = [f"### {name}", "", schema.get("description", ""), ""]
+    return "\n".join(lines + _fields(schema))
+
+
+def _fields(schema: dict) -> list[str]:
+    needed = schema.get("required", ())
+    rows = [
+        (f"`{name}`", _type(one), "required" if name in needed else _default(one), _text(one))
+        for name, one in schema.get("properties", {}).items()
+    ]
+    return _table(("field", "type", "default", ""), rows) if rows else []
+
+
+def _type(schema: dict) -> str:
+    """Return a JSON type in words; a named schema is a link to its heading."""
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return f"[{name}](#{name.lower()})"
+    if several := schema.get("anyOf") or schema.get("oneOf") or schema.get("allOf"):
+        return " or ".join(dict.fromkeys(map(_type, several)))
+    if "enum" in schema or "const" in schema:
+        return ", ".join(
+            f"`{json.dumps(one)}`" for one in schema.get("enum", [schema.get("const")])
+        )
+    if schema.get("type") == "array":
+        return f"array of {_type(schema.get('items', {}))}"
+    return schema.get("format") or schema.get("type", "any")
+
+
+def _default(schema: dict) -> str:
+    return f"`{json.dumps(schema['default'])}`" if "default" in schema else ""
+
+
+def _text(described: dict) -> str:
+    return described.get("description", "")
+
+
+def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+    lines = [head, tuple("---" for _ in head), *rows]
+    cells = [[" ".join(cell.split()).replace("|", r"\|") for cell in line] for line in lines]
+    return [f"| {' | '.join(line)} |" for line in cells] + [""]
+
+
+PAGES = {"data/docs/reference/cli": cli, "data/docs/reference/http": http}
+"""The pages that the functions' text is appended to."""

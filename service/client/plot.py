@@ -1,0 +1,210 @@
+"""Figures of tables and deformed parts with matplotlib, which the extra ``plot`` brings.
+
+`response` and `coverage` query a `Table` in this process, or with `component` a `Client`. Every
+function draws into `axes`, or into a new figure's, and returns them.
+
+Parameters
+----------
+source : Table or Client
+    What answers; a client needs `component`, and queues nothing.
+load, first, second : str
+    Loads, of ``fx fy fz mx my mz``.
+wrench : array_like, optional
+    The other loads, shape (6,), N and N·m; zero if not given.
+method : str, optional
+    The method that answers; the table's own if not given.
+axes : matplotlib.axes.Axes, optional
+    Where to draw.
+
+Raises
+------
+ValueError
+    If there is no such load or output, or a client has no `component`.
+MissingPackage
+    If matplotlib is not installed.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .deformed import DeformedShape
+from .errors import InvalidArgument, MissingPackage
+from .notebook import DISPLACEMENT_COLUMNS, WRENCH_COLUMNS
+from .replies import COVERAGE, Displacements, Vector
+from .table import Table
+from .wrenches import NAMES, one_wrench
+
+if TYPE_CHECKING:
+    from . import Client
+
+OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
+COLOURS = ("#4c9f70", "#f0c05a", "#c9594c")  # of COVERAGE
+LARGEST = 0.1  # drawn displacement over the part's size, if no scale is given
+
+
+def response(
+    source: Table | Client,
+    load: str,
+    output: str,
+    *,
+    component: str | None = None,
+    wrench: ArrayLike | None = None,
+    method: str | None = None,
+    count: int = 201,
+    axes: Any = None,
+) -> Any:
+    """Draw an output and its 95 % error band along one load, from end to end of its range.
+
+    Parameters and errors are those of the module; `output` is one of ``ux uy uz rx ry rz``, and
+    `count` is the number of wrenches.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        N or N·m over m or rad. Answers that are not covered are dashed.
+    """
+    along, out = _index(load, NAMES), _index(output, OUTPUTS)
+    low, high = _load_range(source, component)
+    wrenches = np.tile(np.zeros(6) if wrench is None else one_wrench(wrench), (count, 1))
+    wrenches[:, along] = np.linspace(low[along], high[along], count)
+    answers = _answers(source, component, wrenches, method)
+    value, error = answers.displacements[:, out], answers.errors[:, out]
+    axes = _pyplot().figure().add_subplot() if axes is None else axes
+    axes.fill_between(
+        wrenches[:, along], value - error, value + error, alpha=0.25, label="95 % error band"
+    )
+    covered = answers.covered
+    for chosen, line, label in ((covered, "-", "covered"), (~covered, "--", "not covered")):
+        if chosen.any():
+            axes.plot(wrenches[:, along], np.where(chosen, value, np.nan), f"C0{line}", label=label)
+    axes.set(xlabel=WRENCH_COLUMNS[along], ylabel=DISPLACEMENT_COLUMNS[out])
+    axes.set_title(f"{answers.component}, table version {answers.table_version}")
+    axes.legend()
+    return axes
+
+
+def coverage(
+    source: Table | Client,
+    first: str,
+    second: str,
+    *,
+    component: str | None = None,
+    wrench: ArrayLike | None = None,
+    method: str | None = None,
+    count: int = 61,
+    axes: Any = None,
+) -> Any:
+    """Draw where in the plane of two loads the table covers the wrench.
+
+    Parameters and errors are those of the module; `first` and `second` are two loads, and
+    `count` is the number of wrenches along each.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The plane, N or N·m, in the colours of ``covered``, ``thin`` and ``outside``.
+    """
+    across, up = _index(first, NAMES), _index(second, NAMES)
+    if across == up:
+        raise InvalidArgument(f"coverage needs two different loads, both are {first!r}")
+    low, high = _load_range(source, component)
+    x, y = (np.linspace(low[k], high[k], count) for k in (across, up))
+    wrenches = np.tile(np.zeros(6) if wrench is None else one_wrench(wrench), (count * count, 1))
+    wrenches[:, across], wrenches[:, up] = (part.ravel() for part in np.meshgrid(x, y))
+    answers = _answers(source, component, wrenches, method)
+    codes = (answers.coverage[:, None] == np.array(COVERAGE)).argmax(axis=1)
+    pyplot = _pyplot()
+    axes = pyplot.figure().add_subplot() if axes is None else axes
+    shown = axes.pcolormesh(
+        x,
+        y,
+        codes.reshape(count, count),
+        cmap=pyplot.matplotlib.colors.ListedColormap(COLOURS),
+        vmin=-0.5,
+        vmax=len(COVERAGE) - 0.5,
+    )
+    bar = axes.figure.colorbar(shown, ax=axes, ticks=range(len(COVERAGE)))
+    bar.set_ticklabels([f"{word} {np.mean(codes == k):.0%}" for k, word in enumerate(COVERAGE)])
+    axes.set(xlabel=WRENCH_COLUMNS[across], ylabel=WRENCH_COLUMNS[up])
+    axes.set_title(f"{answers.component}, table version {answers.table_version}")
+    return axes
+
+
+def deformed(shape: DeformedShape, *, scale: float | None = None, axes: Any = None) -> Any:
+    """Draw a deformed part, coloured by the length of the displacement.
+
+    Parameters
+    ----------
+    shape : DeformedShape
+        What `Client.deformed` returned.
+    scale : float, optional
+        Exaggeration of the displacement, dimensionless; by default the largest displacement is
+        drawn as a tenth of the part.
+    axes : mpl_toolkits.mplot3d.axes3d.Axes3D, optional
+        Where to draw: axes with ``projection="3d"``.
+
+    Returns
+    -------
+    mpl_toolkits.mplot3d.axes3d.Axes3D
+        The part, m.
+
+    Raises
+    ------
+    MissingPackage
+        If matplotlib is not installed.
+    """
+    pyplot = _pyplot()
+    length = np.linalg.norm(shape.displacement, axis=1)
+    size = np.ptp(shape.vertices, axis=0).max()
+    if scale is None:
+        scale = LARGEST * size / length.max() if length.max() else 1.0
+    axes = pyplot.figure().add_subplot(projection="3d") if axes is None else axes
+    at = shape.deformed(scale)
+    drawn = axes.plot_trisurf(*at.T, triangles=shape.triangles, cmap="viridis")
+    drawn.set_array(length[shape.triangles].mean(axis=1))
+    drawn.autoscale()
+    axes.figure.colorbar(drawn, ax=axes, label="displacement [m]", shrink=0.7)
+    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    axes.set_title(f"displacement drawn {scale:.3g} times, {shape.coverage}")
+    axes.set_aspect("equal")
+    return axes
+
+
+def _pyplot() -> Any:
+    try:
+        return importlib.import_module("matplotlib.pyplot")
+    except ModuleNotFoundError as error:
+        raise MissingPackage(
+            "wrenchbook.plot needs the package 'matplotlib', which is not installed: "
+            "pip install 'wrenchbook[plot]'",
+            name="matplotlib",
+        ) from error
+
+
+def _index(name: str, names: tuple[str, ...]) -> int:
+    if name not in names:
+        raise InvalidArgument(f"{name!r} is none of {', '.join(names)}")
+    return names.index(name)
+
+
+def _load_range(source: Table | Client, component: str | None) -> Vector:
+    """Return the lowest and the highest loads, shape (2, 6), N and N·m."""
+    if isinstance(source, Table):
+        return source.arrays()["space/range"]
+    if component is None:
+        raise InvalidArgument("a client answers for many components: name one with component=")
+    spans = source.component(component)["range"]
+    return np.concatenate([spans["force"], spans["moment"]]).T
+
+
+def _answers(
+    source: Table | Client, component: str | None, wrenches: Vector, method: str | None
+) -> Displacements:
+    if isinstance(source, Table):
+        return source.batch(wrenches, method=method)
+    return source.displacements(str(component), wrenches, on_thin="estimate", method=method)

@@ -1,0 +1,158 @@
+"""README and documentation: links resolve, Python blocks run, commands exist, the site builds.
+
+A block below the line ``<!-- not run: REASON -->`` is left out. The Python blocks of a page run in
+one namespace against a server whose solver is a stand-in.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import typer
+
+import wrenchbook
+from tests.service.live import served
+from wrenchbook.service.cli.main import app
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "data/docs"
+PAGES = [
+    *(ROOT / name for name in ("README.md", "CHANGELOG.md")),
+    *(
+        file
+        for room in ("fea", "surrogate", "service")
+        for file in ROOT.glob(f"{room}/**/README.md")
+    ),
+    *DOCS.glob("**/*.md"),
+]
+RUN = sorted(DOCS.glob("tutorials/*.md"))
+FENCE = re.compile(r"(?P<before>[^\n]*)\n+^```(?P<kind>\w*)[^\n]*\n(?P<text>.*?)^```", re.M | re.S)
+
+
+def shown(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def blocks(page: Path, *kinds: str) -> Iterator[tuple[int, str]]:
+    """The line and the text of the page's code blocks, without those that are not run."""
+    text = page.read_text()
+    for found in FENCE.finditer("\n" + text):
+        if found["kind"] in kinds and not re.match(r"<!-- not run: \S", found["before"]):
+            yield text[: found.start("text") - 1].count("\n") + 1, found["text"]
+
+
+def anchors(page: Path) -> set[str]:
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
+    slugs, found = (
+        re.findall(r"^#+ (.*)$", text, re.M),
+        set(re.findall(r"^\((\S+)\)=$", text, re.M)),
+    )
+    for slug in slugs:
+        words = re.sub(r"[^\w\- ]", "", slug.strip().lower().replace("`", ""))
+        found.add(words.replace(" ", "-"))
+    return found
+
+
+def broken_links(page: Path) -> list[str]:
+    text = re.sub(r"^```.*?^```|`[^`\n]*`", "", page.read_text(), flags=re.M | re.S)
+    broken = []
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        path, _, anchor = link.partition("#")
+        target = page.parent / path if path else page
+        if re.match(r"[a-z]+:", link) or (path and path.endswith(".ipynb")):
+            continue
+        if not target.exists() or (
+            anchor and target.suffix == ".md" and anchor not in anchors(target)
+        ):
+            broken.append(link)
+    return broken
+
+
+def commands(page: Path) -> Iterator[tuple[int, list[str]]]:
+    for line, text in blocks(page, "sh", "shell", "bash", "console"):
+        for one in text.replace("\\\n", " ").splitlines():
+            words = one.removeprefix("$ ").strip()
+            if words.startswith("wrenchbook "):
+                words = re.split(r" [|>&;]|;", words)[0]
+                yield line, shlex.split(words, comments=True)[1:]
+
+
+def parse(words: list[str]) -> None:
+    """Parse a command line as far as that its command and options exist."""
+    command = typer.main.get_command(app)
+    context = typer.Context(command, info_name="wrenchbook")
+    while hasattr(command, "commands") and words and not words[0].startswith("-"):
+        command = command.commands[words.pop(0)]
+        context = typer.Context(command, info_name=command.name, parent=context)
+    _, rest, _ = command.make_parser(context).parse_args(list(words))
+    assert not rest, f"arguments too many: {rest}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=shown)
+def test_every_link_of_a_page_leads_to_a_file_and_a_heading(page):
+    assert broken_links(page) == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=shown)
+def test_the_commands_of_a_page_exist_with_their_options(page):
+    for line, words in commands(page):
+        try:
+            parse(words)
+        except Exception as error:  # of click, whose copy typer carries
+            pytest.fail(f"{shown(page)}:{line}: wrenchbook {shlex.join(words)}: {error!r}")
+
+
+@pytest.mark.parametrize("page", RUN, ids=shown)
+def test_the_python_blocks_of_a_tutorial_run_one_after_the_other(page, tmp_path, monkeypatch):
+    monkeypatch.setenv("WRENCHBOOK_SOLVE", "stand_in:quick")
+    monkeypatch.setenv("PYTHONPATH", f"{ROOT / 'tests/service'}:{ROOT}")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    with served(tmp_path / "workspace", solvers=2) as client:
+        namespace: dict = {"__name__": "tutorial"}
+        for line, text in blocks(page, "python"):
+            text = "\n" * line + text.replace("http://127.0.0.1:8000", client.url)
+            exec(compile(text, shown(page), "exec"), namespace)
+
+
+def test_the_reference_has_every_public_name():
+    text = (DOCS / "reference/python.md").read_text()
+    modules = {"conventions", "plot"}
+    assert [
+        name
+        for name in wrenchbook.__all__
+        if not re.search(rf":: wrenchbook\.(service\.client\.)?{name}$", text, re.M)
+    ] == []
+    assert modules <= set(wrenchbook.__all__)
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning_and_loads_nothing_from_another_host(tmp_path):
+    missing = [name for name in ("sphinx", "myst_nb", "furo") if not importlib.util.find_spec(name)]
+    if missing and not os.environ.get("CI"):
+        pytest.skip(f"{', '.join(missing)} not installed: make docs installs them")
+    subprocess.run(
+        [sys.executable, "-m", "sphinx", "-q", "-W", "-c", DOCS, ROOT, tmp_path / "site"],
+        check=True,
+    )
+    loaded = re.compile(
+        r"<(?:script|img|iframe|source)\b[^>]*\bsrc=[\"']?(?:https?:)?//[^\"'>]*"
+        r"|<link\b[^>]*\brel=[\"'](?:stylesheet|preload|icon|preconnect)[^>]*href=[\"'](?:https?:)?//[^>]*"
+    )
+    pages = [*(tmp_path / "site").rglob("*.html")]
+    assert len(pages) > 10
+    assert [found for page in pages for found in loaded.findall(page.read_text())] == []
+    styles = [*(tmp_path / "site").rglob("*.css")]
+    assert [
+        page.name
+        for page in styles
+        if re.search(r"url\([\"']?(?:https?:)?//|@import [\"'](?:https?:)?//", page.read_text())
+    ] == []
