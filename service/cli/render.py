@@ -22,8 +22,8 @@ POLL_S = 0.2
 def answer_table(answer: Displacement) -> Table:
     """Lay out one answer with its error bar."""
     over = [_OVER] if answer.covered and answer.within_tolerance is False else []
-    said = "\n".join([answer.reason, *over, *answer.raw.get("notes", ())]).strip()
-    table = Table(title=_headline(answer), title_justify="left", caption=escape(said) or None)
+    notes = "\n".join([answer.reason, *over, *answer.raw.get("notes", ())]).strip()
+    table = Table(title=_headline(answer), title_justify="left", caption=escape(notes) or None)
     for heading in ("", "value", "error bar", "unit"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
     for place, name in enumerate(DISPLACEMENT_NAMES):
