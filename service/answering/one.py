@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from time import perf_counter_ns
 from typing import Any
@@ -82,11 +83,13 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
                 await _name_awaited(workspace, query, outcome)
         if outcome.coverage == "covered" or query.on_thin == "estimate":
             return outcome
-        refuse_uncovered(query, outcome, solved=workspace.library.as_read(name).has_fea)
+        refuse_uncovered(query, table, outcome, solved=workspace.library.as_read(name).has_fea)
     return await _submitted(workspace, query, outcome)
 
 
-def refuse_uncovered(query: Query, outcome: Outcome, *, solved: bool = False) -> None:
+def refuse_uncovered(
+    query: Query, table: ServedTable, outcome: Outcome, *, solved: bool = False
+) -> None:
     """Refuse an answer that is not covered if the request takes no other.
 
     Parameters
@@ -103,6 +106,8 @@ def refuse_uncovered(query: Query, outcome: Outcome, *, solved: bool = False) ->
         solve = "'queue' or 'wait' to have it solved, or " if solved else ""
         raise NotCoveredError(
             f"{outcome.reason}. Ask with on_thin {solve}'estimate' for the best guess.",
+            query.tolerance or table.tolerance,
+            reason=outcome.reason,
             coverage=outcome.coverage,
         )
 
@@ -222,6 +227,7 @@ def _unanswered(name: str, table: ServedTable) -> Outcome:
 
 async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     """Have the wrench solved as the query wants it, and take the solve's row if it is there."""
+    outcome.began = time.time()
     query = _acting(workspace.library.as_read(outcome.component), query)
     if query.on_thin != "solve":
         wrench = np.array([query.wrench])

@@ -41,7 +41,7 @@ def write_outcome(outcome: Outcome, *, derivatives: bool = False) -> Response:
     if outcome.error_parts is not None:
         fields["error_parts"] = outcome.error_parts
     if outcome.job is not None:
-        fields["job"] = job_link(outcome.job)
+        fields["job"] = job_link(outcome.job, outcome.began)
     if not outcome.unsolved:
         return json_reply(fields)
     job = fields.setdefault("job", None)

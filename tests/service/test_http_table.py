@@ -404,6 +404,24 @@ def test_rows_that_are_being_built_are_never_no_rows(rig, slow_build, call, on_t
     assert after.status_code == 200
 
 
+@pytest.mark.parametrize("call", ["displacement", "displacements"])
+def test_a_rejection_has_its_reason_and_the_tolerance_that_was_applied(rig, call):
+    """A 409 said neither why the table does not cover a wrench nor by which tolerance."""
+    load(rig, as_csv(measured(40)))
+    wrench = {"force": [0, 0, -5], "moment": [1, 2, 0]}
+    body = wrench if call == "displacement" else {"wrenches": [[0, 0, -5, 1, 2, 0]]}
+    limit = {"translation": 1e-12, "rotation": 2e-12}
+    reply = rig.post(
+        f"/v1/components/rig/{call}", json={**body, "on_thin": "reject", "tolerance": limit}
+    )
+    problem = reply.json()
+    assert reply.status_code == 409
+    assert problem["tolerance"] == limit
+    assert problem["reason"]
+    assert problem["reason"] in problem["detail"]
+    assert "Tolerance: 1e-12 m, 2e-12 rad." in problem["detail"]
+
+
 def test_an_import_waits_no_longer_than_it_may(rig, slow_build):
     assert load(rig, as_csv(measured(5)), wait_s=0.05).json()["in_use"] is False
 
