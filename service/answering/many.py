@@ -52,9 +52,8 @@ def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcom
     table = workspace.surrogate(name)
     outcome = answered_many(name, table, batch)
     thin = np.flatnonzero(outcome.coverage)
-    if len(thin) and not table.row_count:
-        workspace.rows_being_built(name, table)
     if len(thin):
+        workspace.rows_being_built(name, table, batch.on_thin)
         component = workspace.library.as_read(name)
         span, batch = component.load_range, _acting(component, batch)
         workspace.query_counts.note_batch(name, span, batch.wrenches, outcome.coverage)

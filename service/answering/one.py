@@ -47,6 +47,8 @@ def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | N
     if outcome.coverage != "covered":
         if query.on_thin != "estimate" or table.needs_compliance:
             return None
+        if not table.row_count or workspace.tables.is_extended(name):
+            return None  # rows that are being built are part of the reason
         _note(workspace, query, outcome)
     return outcome
 
@@ -75,9 +77,10 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
         if query.detail:
             tell_parts(workspace, table, query, outcome)
         if outcome.coverage != "covered":
-            if not table.row_count:
-                rows = await run_in_threadpool(workspace.rows_being_built, name, table)
-                outcome.reason = rows or outcome.reason
+            how = name, table, query.on_thin
+            rows = await run_in_threadpool(workspace.rows_being_built, *how)
+            known = outcome.reason if table.row_count or not rows else ""
+            outcome.reason = also(known, rows)
             _note(workspace, query, outcome)
             if table.needs_compliance:
                 await _name_awaited(workspace, query, outcome)

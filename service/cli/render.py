@@ -121,6 +121,8 @@ def component_table(components: Sequence[dict[str, Any]]) -> Table:
         rows, others = str(one["rows"]), one.get("another_setup", {}).get("rows")
         if others:
             rows += f" (and {others} of another setup)"
+        if pending := one.get("pending_rows"):  # servers before 0.3 have none
+            rows += f" ({pending} more are being built)"
         table.add_row(one["name"], escape(one["title"]), rows, kind, force, moment)
     return table
 
