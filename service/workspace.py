@@ -159,23 +159,29 @@ class Workspace:
         places = RowIndex(rows.wrench, component.load_range.scale).places(wrenches)
         return np.where(places < 0, 0, rows.seq[places])
 
-    def rows_being_built(self, name: str, table: ServedTable) -> str:
-        """Return how many rows an empty table will have in a moment, in words; "" if none.
+    def pending_rows(self, name: str, table: ServedTable) -> int:
+        """Return how many rows the next version adds to a table, `MOST_UNBUILT` at most."""
+        with suppress(LedgerUnavailableError):
+            changes = self.ledger.row_changes(name, table.version, MOST_UNBUILT)
+            return len(own_rows(self.library[name], changes.rows))
+        return 0  # an answer needs no ledger
+
+    def rows_being_built(self, name: str, table: ServedTable, on_thin: str) -> str:
+        """Return how many rows a table will have more in a moment, in words; "" if none.
 
         Raises
         ------
         TableBehindError
-            If there are some, and no solve can answer in their place.
+            If there are some, no solve can answer in their place, and the table has no rows or
+            the request takes no estimate.
         """
-        component = self.library[name]
-        changes = self.ledger.row_changes(name, table.version, MOST_UNBUILT)
-        count = len(own_rows(component, changes.rows))
+        component, count = self.library[name], self.pending_rows(name, table)
         if not count:
             return ""
         rows = (
             f"{MOST_UNBUILT} or more rows are" if count == MOST_UNBUILT else f"{count} row(s) are"
         )
-        if not component.has_fea:
+        if not component.has_fea and not (table.row_count and on_thin == "estimate"):
             raise TableBehindError.unbuilt(name, f"{rows} being built")
         return f"{rows} being built: the table answers from them soon"
 

@@ -52,15 +52,14 @@ def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcom
     table = workspace.surrogate(name)
     outcome = answered_many(name, table, batch)
     thin = np.flatnonzero(outcome.coverage)
-    if len(thin) and not table.row_count:
-        workspace.rows_being_built(name, table)
     if len(thin):
+        workspace.rows_being_built(name, table, batch.on_thin)
         component = workspace.library.as_read(name)
         span, batch = component.load_range, _acting(component, batch)
         workspace.query_counts.note_batch(name, span, batch.wrenches, outcome.coverage)
     if not len(thin) or batch.on_thin == "estimate":
         return outcome
-    refuse_thin(batch, thin)
+    refuse_thin(batch, table, thin)
     rows = workspace.unbuilt_rows(name, batch.wrenches[thin])
     for index, row in zip(thin[rows > 0].tolist(), rows[rows > 0].tolist(), strict=True):
         _take_row(workspace, batch, outcome, index, row)
@@ -86,7 +85,7 @@ def answered_many(name: str, table: ServedTable, batch: BatchQuery) -> BatchOutc
     return outcome
 
 
-def refuse_thin(batch: BatchQuery, thin: Places) -> None:
+def refuse_thin(batch: BatchQuery, table: ServedTable, thin: Places) -> None:
     """Refuse a batch that wants no wrench but covered ones.
 
     Raises
@@ -95,9 +94,13 @@ def refuse_thin(batch: BatchQuery, thin: Places) -> None:
         If ``on_thin`` is ``reject``.
     """
     if batch.on_thin == "reject":
+        first = batch.wrenches[thin[0]].tolist()
+        reason = table.packed.answer(first, six(batch.tolerance), batch.method).reason
         raise NotCoveredError(
             f"{len(thin)} of {len(batch.wrenches)} wrenches are not covered, the first is number "
-            f"{thin[0]}. Ask with on_thin 'queue', 'wait' or 'estimate'.",
+            f"{thin[0]}: {reason}. Ask with on_thin 'queue', 'wait' or 'estimate'.",
+            batch.tolerance or table.tolerance,
+            reason=reason,
             uncovered=thin.tolist(),
         )
 

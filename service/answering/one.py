@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from time import perf_counter_ns
 from typing import Any
@@ -48,6 +49,8 @@ def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | N
     if outcome.coverage != "covered":
         if query.on_thin != "estimate" or table.needs_compliance:
             return None
+        if not table.row_count or workspace.tables.is_extended(name):
+            return None  # rows that are being built are part of the reason
         _note(workspace, query, outcome)
     return outcome
 
@@ -76,19 +79,22 @@ async def answer_or_submit(workspace: Workspace, name: str, query: Query) -> Out
         if query.detail:
             tell_parts(workspace, table, query, outcome)
         if outcome.coverage != "covered":
-            if not table.row_count:
-                rows = await run_in_threadpool(workspace.rows_being_built, name, table)
-                outcome.reason = rows or outcome.reason
+            how = name, table, query.on_thin
+            rows = await run_in_threadpool(workspace.rows_being_built, *how)
+            known = outcome.reason if table.row_count or not rows else ""
+            outcome.reason = also(known, rows)
             _note(workspace, query, outcome)
             if table.needs_compliance:
                 await _name_awaited(workspace, query, outcome)
         if outcome.coverage == "covered" or query.on_thin == "estimate":
             return outcome
-        refuse_uncovered(query, outcome, solved=workspace.library.as_read(name).has_fea)
+        refuse_uncovered(query, table, outcome, solved=workspace.library.as_read(name).has_fea)
     return await _submitted(workspace, query, outcome)
 
 
-def refuse_uncovered(query: Query, outcome: Outcome, *, solved: bool = False) -> None:
+def refuse_uncovered(
+    query: Query, table: ServedTable, outcome: Outcome, *, solved: bool = False
+) -> None:
     """Refuse an answer that is not covered if the request takes no other.
 
     Parameters
@@ -105,6 +111,8 @@ def refuse_uncovered(query: Query, outcome: Outcome, *, solved: bool = False) ->
         solve = "'queue' or 'wait' to have it solved, or " if solved else ""
         raise NotCoveredError(
             f"{outcome.reason}. Ask with on_thin {solve}'estimate' for the best guess.",
+            query.tolerance or table.tolerance,
+            reason=outcome.reason,
             coverage=outcome.coverage,
         )
 
@@ -236,6 +244,7 @@ def _unanswered(name: str, table: ServedTable) -> Outcome:
 
 async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     """Have the wrench solved as the query wants it, and take the solve's row if it is there."""
+    outcome.began = time.time()
     query = _acting(workspace.library.as_read(outcome.component), query)
     if query.on_thin != "solve":
         wrench = np.array([query.wrench])

@@ -42,7 +42,7 @@ async def answer_at(workspace: Workspace, name: str, query: Query, version: int)
     if query.detail:
         tell_parts(workspace, table, query, outcome)
     if outcome.coverage != "covered":
-        refuse_uncovered(query, outcome)
+        refuse_uncovered(query, table, outcome)
         if query.on_thin == "queue":
             outcome.unsolved, outcome.reason = True, also(outcome.reason, NOT_QUEUED)
     return outcome
@@ -56,7 +56,7 @@ async def answer_many_at(
     outcome = await run_in_threadpool(answered_many, name, table, batch)
     thin = np.flatnonzero(outcome.coverage)
     if len(thin):
-        refuse_thin(batch, thin)
+        refuse_thin(batch, table, thin)
         if batch.on_thin == "queue":
             why = "table-version"
             outcome.jobs = [QueuedWrench(at, None, own=False, reason=why) for at in thin.tolist()]

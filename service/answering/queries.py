@@ -82,6 +82,8 @@ class Outcome:
         Whether a solve was asked for and has not answered: ask again later.
     job : Job or None
         The solve that answers or will answer; None if none is queued.
+    began : float or None
+        When the request that has the job began, s since the epoch; later jobs are its own.
     row : int or None
         The ledger's number of the row that a solve gave.
     notes : list of str
@@ -113,6 +115,7 @@ class Outcome:
     reason: str = ""
     unsolved: bool = False
     job: JobRecord | None = None
+    began: float | None = None
     row: int | None = None
     notes: list[str] = field(default_factory=list)
     axes: list[dict[str, Any]] | None = None

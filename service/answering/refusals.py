@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from wrenchbook.service.ledger import JobRecord
+from wrenchbook.surrogate.table.rows import Tolerance
 
 
 class RefusedError(Exception):
@@ -22,7 +23,16 @@ class RefusedError(Exception):
 
 
 class NotCoveredError(RefusedError):
-    """The table does not cover the wrench, and the query takes no other answer."""
+    """The table does not cover the wrench, and the query takes no other answer.
+
+    Its facts have the tolerance that was applied, m and rad; null where there is none.
+    """
+
+    def __init__(self, message: str, limit: Tolerance | None, **facts: Any) -> None:
+        if limit is not None:
+            message = f"{message} Tolerance: {limit.translation:g} m, {limit.rotation:g} rad."
+            facts["tolerance"] = {"translation": limit.translation, "rotation": limit.rotation}
+        super().__init__(message, **{"tolerance": None, **facts})
 
 
 class BeyondRangeError(RefusedError):

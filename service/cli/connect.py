@@ -11,11 +11,30 @@ from typing import Annotated, Any
 
 import typer
 
+from wrenchbook.fea.bundle.read import FILE_NAME
+from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.client import Client
 
 DEFAULT_SERVER = "http://127.0.0.1:8000"
+COMPLETION_S = 2.0  # a shell waits for it at each tab
 
-Name = Annotated[str, typer.Argument(help="name of the component")]
+
+def component_names(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the components that begin so, of --data or of the server; none on any failure."""
+    try:
+        if data := ctx.params.get("data"):
+            known = {path.parent.name for path in Path(data).glob(f"components/*/{FILE_NAME}")}
+            known |= {path.parent.name for path in SHIPPED.glob(f"*/{FILE_NAME}")}
+        else:
+            with Client(ctx.params.get("server") or DEFAULT_SERVER, timeout=COMPLETION_S) as client:
+                client.retry_s = 0.0
+                known = {one["name"] for one in client.components()}
+    except Exception:  # a shell that completes a word has no place for a message
+        return []
+    return sorted(name for name in known if name.startswith(incomplete))
+
+
+Name = Annotated[str, typer.Argument(help="name of the component", autocompletion=component_names)]
 Server = Annotated[
     str, typer.Option(envvar="WRENCHBOOK_SERVER", help="address of a running server")
 ]

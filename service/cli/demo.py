@@ -96,9 +96,9 @@ def _compare(out: Console, client: Client) -> str | None:
     rounds = [client.solve(COMPONENT, wrench[:3], wrench[3:]) for wrench in wrenches]
     jobs = render.follow(out, client, [_job(order) for order in rounds], SOLVE_S * CHECKED)
     compared = [
-        (answer, beside, job)
-        for answer, beside, job in zip(answers, plain, _in_order(jobs, rounds), strict=True)
-        if job.status == "done" and answer.vector is not None and beside.vector is not None
+        (answer, plain_answer, job)
+        for answer, plain_answer, job in zip(answers, plain, _in_order(jobs, rounds), strict=True)
+        if job.status == "done" and answer.vector is not None and plain_answer.vector is not None
     ]
     failed = sum(job.status == "failed" for job in jobs)
     if failed:
@@ -133,12 +133,12 @@ def _random_wrenches(component: dict) -> np.ndarray:
 
 
 def _error_table(compared: Sequence[tuple[Displacement, Displacement, Job]]) -> Table:
-    """Lay out the table's errors against FEA per output, and griddata's beside them."""
+    """Lay out the table's errors against FEA per output, and griddata's next to them."""
     body, plain, bars = (
         np.array(rows)
         for rows in (
             [answer.vector for answer, _, _ in compared],
-            [beside.vector for _, beside, _ in compared],
+            [plain_answer.vector for _, plain_answer, _ in compared],
             [answer.error_vector for answer, _, _ in compared],
         )
     )
@@ -151,7 +151,7 @@ def _error_table(compared: Sequence[tuple[Displacement, Displacement, Job]]) -> 
         table.add_column(heading, justify="right" if heading else "left")
     for place, name in enumerate(DISPLACEMENT_NAMES):
         one, unit = error[:, place], "m" if place < 3 else "rad"
-        rms, beside = (np.sqrt(np.mean(e[:, place] ** 2)) for e in (error, other))
+        rms, plain_rms = (np.sqrt(np.mean(e[:, place] ** 2)) for e in (error, other))
         table.add_row(
             f"{name}, {unit}",
             f"{span[place]:.2e}",
@@ -159,7 +159,7 @@ def _error_table(compared: Sequence[tuple[Displacement, Displacement, Job]]) -> 
             f"{one.max():.2e}",
             f"{rms / span[place]:.3%}",
             f"{np.mean(one <= bars[:, place]):.0%}",
-            f"{beside / span[place]:.1%}",
+            f"{plain_rms / span[place]:.1%}",
         )
     table.caption = "griddata: what interpolation between the same rows misses, RMS/range"
     return table

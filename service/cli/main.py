@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated, Any, cast
 
 import typer
+from typer.core import TyperCommand
 
 import wrenchbook
 from wrenchbook.service.cli import plan_table, render
@@ -37,6 +38,21 @@ app = typer.Typer(
     help="Displacements of deformable components from tables of finite-element results.",
 )
 out = Screen()
+
+
+class NumbersCommand(TyperCommand):
+    """A command with options of several numbers; one that has too few is named."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Refuse an option of n numbers that another option follows before the n-th."""
+        for option in self.params:
+            for name in set(option.opts) & set(args) if option.nargs > 1 else ():
+                place = args.index(name) + 1
+                given = args[place : place + option.nargs]
+                for count, word in enumerate(given):
+                    if word.startswith("--"):
+                        ctx.fail(f"{name} needs {option.nargs} numbers; {word} follows {count}")
+        return super().parse_args(ctx, args)
 
 
 def print_version(chosen: bool) -> None:
@@ -114,7 +130,7 @@ MomentRange = Annotated[
 ]
 
 
-@app.command()
+@app.command(cls=NumbersCommand)
 def query(
     name: Name,
     force: Force = ZERO,
@@ -156,7 +172,7 @@ def query(
     _print_answer(answer, as_json, data)
 
 
-@app.command()
+@app.command(cls=NumbersCommand)
 def solve(
     name: Name,
     force: Force = ZERO,
@@ -176,7 +192,7 @@ def solve(
     _print_answer(answer, as_json, data)
 
 
-@app.command()
+@app.command(cls=NumbersCommand)
 def deformed(
     name: Name,
     file: Annotated[Path, typer.Argument(help="file to write: .glb, .vtu or .json")],
@@ -193,7 +209,7 @@ def deformed(
     typer.echo(f"{file}: {len(content)} bytes")
 
 
-@app.command()
+@app.command(cls=NumbersCommand)
 def fill(
     name: Name,
     budget: Budget = 100,

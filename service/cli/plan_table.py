@@ -18,10 +18,10 @@ def show(out: Console, plans: Mapping[str, ComponentPlan]) -> None:
     out.print(plan_table(plans))
     for name, plan in plans.items():
         out.print(f"{name}: {plan.reason}.", markup=False, highlight=False)
-        told: dict[str, list[str]] = {}
+        numbers_of: dict[str, list[str]] = {}
         for number, origin in plan.saves_from.items():
-            told.setdefault(origin, []).append(number)
-        for origin, numbers in told.items():
+            numbers_of.setdefault(origin, []).append(number)
+        for origin, numbers in numbers_of.items():
             out.print(f"  {', '.join(numbers)}: {origin}.", markup=False, highlight=False)
 
 
@@ -44,9 +44,9 @@ def plan_table(plans: Mapping[str, ComponentPlan]) -> Table:
 
 def _axes(plan: ComponentPlan) -> str:
     """Name each axis with its loads and how many of these vary."""
-    told = plan.axes.items()
+    axes = plan.axes.items()
     return (
-        "\n".join(f"{a}: {' '.join(one['inputs'])}, {one['dimensions']}-D" for a, one in told)
+        "\n".join(f"{a}: {' '.join(one['inputs'])}, {one['dimensions']}-D" for a, one in axes)
         or "none"
     )
 
@@ -63,13 +63,13 @@ def _bounds(plan: ComponentPlan) -> str:
 
 def _saved(plan: ComponentPlan) -> str:
     """Name what the scene's table needs less than the whole."""
-    told = plan.saves
-    if told["build_s"] is None:
+    saves = plan.saves
+    if saves["build_s"] is None:
         return "not known yet"
     return "\n".join(
         (
-            f"{told['build_s']:.2g} s building",
-            f"{told['memory_bytes'] / 1e6:.2g} MB",
-            f"{told['us_per_answer']:.2g} µs an answer",
+            f"{saves['build_s']:.2g} s building",
+            f"{saves['memory_bytes'] / 1e6:.2g} MB",
+            f"{saves['us_per_answer']:.2g} µs an answer",
         )
     )

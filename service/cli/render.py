@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -17,13 +19,14 @@ from wrenchbook.service.client import Client, Displacement, Job, ProblemError
 from wrenchbook.service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
 
 POLL_S = 0.2
+INTERRUPTED = 130  # exit status of shells: 128 + SIGINT
 
 
 def answer_table(answer: Displacement) -> Table:
     """Lay out one answer with its error bar."""
     over = [_OVER] if answer.covered and answer.within_tolerance is False else []
-    said = "\n".join([answer.reason, *over, *answer.raw.get("notes", ())]).strip()
-    table = Table(title=_headline(answer), title_justify="left", caption=escape(said) or None)
+    notes = "\n".join([answer.reason, *over, *answer.raw.get("notes", ())]).strip()
+    table = Table(title=_headline(answer), title_justify="left", caption=escape(notes) or None)
     for heading in ("", "value", "error bar", "unit"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
     for place, name in enumerate(DISPLACEMENT_NAMES):
@@ -118,6 +121,8 @@ def component_table(components: Sequence[dict[str, Any]]) -> Table:
         rows, others = str(one["rows"]), one.get("another_setup", {}).get("rows")
         if others:
             rows += f" (and {others} of another setup)"
+        if pending := one.get("pending_rows"):  # servers before 0.3 have none
+            rows += f" ({pending} more are being built)"
         table.add_row(one["name"], escape(one["title"]), rows, kind, force, moment)
     return table
 
@@ -174,6 +179,25 @@ def bar(out: Console) -> Progress:
     )
 
 
+@contextmanager
+def cancelled_on_interrupt(client: Client, jobs: Sequence[Job]) -> Iterator[None]:
+    """Cancel the open jobs that this command queued if Ctrl-C ends the wait for them."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        own = [job for job in jobs if job.raw.get("new")]
+        count = 0
+        for job in own:
+            with suppress(ProblemError):  # 409: it has ended
+                count += client.cancel(job).status == "cancelled"
+        others = len(jobs) - len(own)
+        rest = f"; {others} that were queued before go on" if others else ""
+        plain(
+            Console(stderr=True), f"Interrupted: {count} solve(s) of this command cancelled{rest}."
+        )
+        raise typer.Exit(INTERRUPTED) from None
+
+
 def follow(
     out: Console, client: Client, jobs: Sequence[Job], seconds: float, pace: Pace | None = None
 ) -> list[Job]:
@@ -188,7 +212,7 @@ def follow(
     """
     deadline = time.monotonic() + seconds
     done: dict[int, Job] = {}
-    with bar(out) as progress:
+    with cancelled_on_interrupt(client, jobs), bar(out) as progress:
         task = progress.add_task("solving", total=len(jobs), note="")
         while len(done) < len(jobs):
             for job in jobs:
@@ -252,10 +276,11 @@ def fill(
     spent, pace = 0, Pace(budget)
     while spent < budget:
         order = client.fill(name, budget=min(round_size, budget - spent), **options)
-        plain(out, f"{order.stage}: {order.reason}")
-        if not order.jobs:
-            break
-        ended = follow(out, client, order.jobs, seconds, pace)
+        with cancelled_on_interrupt(client, order.jobs):
+            plain(out, f"{order.stage}: {order.reason}")
+            if not order.jobs:
+                break
+            ended = follow(out, client, order.jobs, seconds, pace)
         pace.ended = spent = spent + len(ended)
         now = client.component(name)
         parts = f"{spent} solves", pace.note(), f"{now['rows']} rows", error_bars(now["coverage"])

@@ -107,9 +107,9 @@ def settings_of(
     origins |= {name: f"{PREFIX}{name.upper()}" for name in environment}
     found = {}
     for name in fields:
-        spoken = name in given
-        value = ctx.params[name] if spoken else getattr(values, name)
-        found[name] = Setting(value, "command line" if spoken else origins[name])
+        explicit = name in given
+        value = ctx.params[name] if explicit else getattr(values, name)
+        found[name] = Setting(value, "command line" if explicit else origins[name])
     return found
 
 

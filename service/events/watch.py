@@ -1,7 +1,7 @@
 """Turns what changes in a workspace into events, whichever process changed it.
 
 It looks at the state and tells the differences, several times a second while somebody listens:
-so jobs that another process has claimed or ended are told like this server's own.
+so jobs that another process has claimed or ended are reported like this server's own.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from wrenchbook.service.workspace import Workspace
 _log = logging.getLogger(__name__)
 
 LOOK_S = 0.25  # between looks: what people and simulators wait for is no faster
-FIRST_LOOK_S = 10.0  # as long as a ledger may be busy; later the caller is told to come again
+FIRST_LOOK_S = 10.0  # as long as a ledger may be busy; later the caller must retry
 LINGER_S = 300.0  # looked on after the last listener left: it may only be connecting again
-ONE_BY_ONE = 50  # changed jobs told one by one at a time; more are told as a number
+ONE_BY_ONE = 50  # changed jobs reported one by one; more are reported as a number
 
 Notice = tuple[str, str | None, dict[str, Any]]
 
@@ -71,9 +71,9 @@ class Watch:
                 await self._task
 
     async def listen(self, component: str | None, last_id: str | None) -> Listener:
-        """Return a listener who is told all that changes after its greeting.
+        """Return a listener that receives all changes after its greeting.
 
-        A first look comes before the greeting: what changes from then on is told, and nothing
+        A first look comes before the greeting: what changes from then on is sent, and nothing
         that changes between the two is lost.
 
         Raises
@@ -103,8 +103,8 @@ class Watch:
         while self.feed.listeners or loop.time() - used < LINGER_S:
             self._wake.clear()
             try:
-                self._seen, told = await run_in_threadpool(look, self._workspace, self._seen)
-                for event in told:
+                self._seen, notices = await run_in_threadpool(look, self._workspace, self._seen)
+                for event in notices:
                     self.feed.publish(*event)
                 self._looked.set()
             except LedgerError:
@@ -114,7 +114,7 @@ class Watch:
                 await asyncio.sleep(1.0)
             if self.feed.listeners:
                 used = loop.time()
-            await asyncio.sleep(LOOK_S / 5)  # changes that come together are told together
+            await asyncio.sleep(LOOK_S / 5)  # changes that come together are sent together
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._wake.wait(), LOOK_S)
         self.feed.forget()
@@ -126,7 +126,7 @@ def look(workspace: Workspace, seen: Seen | None) -> tuple[Seen, list[Notice]]:
     ledger = workspace.ledger
     before = seen or Seen()
     now = Seen(ledger.version(), before.newest_job, before.jobs, table_versions(workspace))
-    told = _of_tables(workspace, before, now) if seen else []
+    notices = _of_tables(workspace, before, now) if seen else []
     changed: list[JobRecord] = []
     if now.ledger != before.ledger:
         jobs = ledger.unfinished(before.newest_job if seen else None)
@@ -137,7 +137,7 @@ def look(workspace: Workspace, seen: Seen | None) -> tuple[Seen, list[Notice]]:
         changed = [*ended, *changed] if seen else []
         now.jobs = {job.id: (*_state(job), 0.0) for job in jobs if not job.is_final}
     progressed = _progressed(workspace, before, now)
-    return now, [*_of_jobs(changed), *progressed, *told]
+    return now, [*_of_jobs(changed), *progressed, *notices]
 
 
 def table_versions(workspace: Workspace) -> dict[str, int]:
@@ -172,29 +172,29 @@ def _of_jobs(changed: list[JobRecord]) -> list[Notice]:
     of_component: dict[str, list[JobRecord]] = {}
     for job in sorted(changed, key=lambda job: job.id):
         of_component.setdefault(job.component, []).append(job)
-    told: list[Notice] = []
+    notices: list[Notice] = []
     for name, jobs in of_component.items():
         if len(jobs) > ONE_BY_ONE:
             body = {"component": name, "count": len(jobs), "url": f"/v1/jobs?component={name}"}
-            told.append(("jobs", name, body))
+            notices.append(("jobs", name, body))
         else:
-            told += [("job", name, job_event(job)) for job in jobs]
-    return told
+            notices += [("job", name, job_event(job)) for job in jobs]
+    return notices
 
 
 def _of_tables(workspace: Workspace, before: Seen, now: Seen) -> list[Notice]:
-    told: list[Notice] = []
+    notices: list[Notice] = []
     for name, version in now.versions.items():
         if version != before.versions.get(name):
             rows = workspace.tables.surrogate(name).row_count
             body = {"component": name, "table_version": version, "rows": rows}
-            told.append(("table", name, body))
-    return told
+            notices.append(("table", name, body))
+    return notices
 
 
 def _progressed(workspace: Workspace, before: Seen, now: Seen) -> list[Notice]:
     """Tell how far running jobs are where that has changed."""
-    told: list[Notice] = []
+    notices: list[Notice] = []
     running = [number for number, state in now.jobs.items() if state[0] == "running"]
     for number in running[:ONE_BY_ONE]:
         job = workspace.ledger.job(number)
@@ -205,5 +205,5 @@ def _progressed(workspace: Workspace, before: Seen, now: Seen) -> list[Notice]:
         now.jobs[number] = (*_state(job), fraction)
         if fraction != last:
             about = {"fraction": fraction, "message": progress.message}
-            told.append(("job", job.component, job_event(job, progress=about)))
-    return told
+            notices.append(("job", job.component, job_event(job, progress=about)))
+    return notices

@@ -11,9 +11,13 @@ from starlette.responses import Response
 from wrenchbook.service.ledger import JobRecord
 
 
-def job_link(job: JobRecord) -> dict[str, Any]:
-    """Return the short form of a job, as displacement answers carry it."""
-    return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}"}
+def job_link(job: JobRecord, since: float | None = None) -> dict[str, Any]:
+    """Return the short form of a job, as displacement answers carry it.
+
+    `since`, the start of the request that queued it, s, adds whether the job is the request's own.
+    """
+    own = {} if since is None else {"new": job.created >= since}
+    return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}", **own}
 
 
 def next_page(response: Response, path: str, query: Mapping[str, Any]) -> str:

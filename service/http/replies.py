@@ -43,7 +43,7 @@ def write_outcome(outcome: Outcome, *, derivatives: bool = False) -> Response:
     if outcome.error_of_a_reading is not None:
         fields["error_of_a_reading"] = outcome.error_of_a_reading
     if outcome.job is not None:
-        fields["job"] = job_link(outcome.job)
+        fields["job"] = job_link(outcome.job, outcome.began)
     if not outcome.unsolved:
         return json_reply(fields)
     job = fields.setdefault("job", None)

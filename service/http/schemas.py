@@ -65,6 +65,7 @@ class JobLink(TypedDict, total=False):
     id: int
     status: JobStatus
     url: str
+    new: Annotated[bool, text("whether this request queued it; false: it was queued before")]
 
 
 class WrenchJob(TypedDict, total=False):

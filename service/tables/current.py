@@ -86,6 +86,10 @@ class CurrentTables(ABC):
         """Return the tables that answer now, by component."""
         return self._tables.copy()
 
+    def is_extended(self, name: str) -> bool:
+        """Return whether a newer version of a table is known to be built."""
+        return False
+
     def written(self, name: str) -> float | None:
         """Return when a component's file was written, seconds since the epoch; None without."""
         return self._files.written(name)

@@ -115,6 +115,10 @@ class Tables(CurrentTables):
         """Return the components that have no table yet since the start: they answer 503."""
         return [name for name in self._builders.busy() if name not in self._tables]
 
+    def is_extended(self, name: str) -> bool:
+        """Return whether a newer version of a table is being built."""
+        return name in self._builders.busy()
+
     def notify(self) -> None:
         """Look at the ledger now rather than at the next poll."""
         self._wake.set()

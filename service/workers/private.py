@@ -40,7 +40,12 @@ def private_server(folder: Path, solvers: int) -> Iterator[Client]:
     key = secrets.token_urlsafe(32)
     with tempfile.TemporaryFile("w+") as log:
         server = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=log, text=True, env=os.environ | {OWN_KEY: key}
+            command,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+            env=os.environ | {OWN_KEY: key},
+            process_group=0,  # Ctrl-C ends the command, which then cancels its jobs at the server
         )
         try:
             with Client(_address(server, log), timeout=START_S, key=key) as client:

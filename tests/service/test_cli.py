@@ -14,6 +14,7 @@ import wrenchbook
 from tests.service.stub_server import Answer, Stub, running_stub
 from tests.service.test_client_calls import COVERED, QUEUED
 from wrenchbook.service.cli.main import main
+from wrenchbook.service.client import Client, ProblemError
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -113,6 +114,23 @@ def test_a_refusal_is_one_message_with_each_mistake_and_status_1(stub: Stub, run
     )
 
 
+def test_a_rejected_query_prints_its_reason_and_the_tolerance(stub: Stub, run: Run):
+    limit = {"translation": 1e-6, "rotation": 1e-5}
+    problem = {
+        "title": "The table does not cover this",
+        "detail": "error bar of uz. Tolerance: 1e-06 m, 1e-05 rad.",
+        "tolerance": limit,
+    }
+    for _ in range(2):
+        stub.answers(Answer(problem, status=409, kind="application/problem+json"))
+    status, out, says = run("query", "plate", "--on-thin", "reject")
+    assert (status, out) == (1, "")
+    assert "error bar of uz. Tolerance: 1e-06 m, 1e-05 rad." in says
+    with Client(stub.url) as client, pytest.raises(ProblemError) as refused:
+        client.displacement("plate", [0, 0, 1], [0, 0, 0], on_thin="reject")
+    assert refused.value.body["tolerance"] == limit
+
+
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [
@@ -122,6 +140,11 @@ def test_a_refusal_is_one_message_with_each_mistake_and_status_1(stub: Stub, run
         (("query", "bar", "--force", "nan", "0", "0"), 1, "fx is nan, not finite"),
         (("query", "bar", "--on-thin", "maybe"), 1, "on_thin must be one of queue, wait"),
         (("query", "bar", "--force", "1", "2"), 2, "'--force' requires 3 arguments"),
+        (
+            ("query", "bar", "--force", "1", "2", "--moment", "0", "0", "1"),
+            2,
+            "--force needs 3 numbers; --moment follows 2",
+        ),
         (
             ("fill", "bar", "--tolerance-translation", "1e-6"),
             2,
@@ -331,3 +354,29 @@ def test_withdraw_sends_the_import_and_its_finding_and_restores(stub: Stub, run:
         "/v1/components/plate/imports/3?finding=outlier",
     )
     assert (second.method, second.path) == ("POST", "/v1/components/plate/imports/3/restore")
+
+
+def completions(monkeypatch: pytest.MonkeyPatch, words: str) -> list[str]:
+    """Run a shell's completion of the last word in a process, and return the candidates."""
+    face = Path(__file__).parents[2] / "wrenchbook.py"
+    monkeypatch.setenv("_WRENCHBOOK_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", f"wrenchbook {words}")
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split())))
+    run = subprocess.run(
+        [sys.executable, "-P", str(face)], capture_output=True, text=True, check=False
+    )
+    assert run.stderr == ""
+    return run.stdout.split()
+
+
+def test_a_shell_completes_the_components_of_the_server(stub: Stub, monkeypatch):
+    stub.answers(Answer({"components": [{"name": "plate"}, {"name": "bar"}]}))
+    assert completions(monkeypatch, f"query --server {stub.url} pl") == ["plate"]
+
+
+def test_a_shell_completes_the_components_of_a_data_directory(monkeypatch, tmp_path: Path):
+    assert "plate_thin" in completions(monkeypatch, f"export --data {tmp_path} plate_")
+
+
+def test_a_completion_without_a_server_is_empty_and_quiet(monkeypatch):
+    assert completions(monkeypatch, "query --server http://127.0.0.1:9 p") == []

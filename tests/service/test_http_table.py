@@ -404,6 +404,66 @@ def test_rows_that_are_being_built_are_never_no_rows(rig, slow_build, call, on_t
     assert after.status_code == 200
 
 
+@pytest.mark.parametrize("before", [0, 40])
+def test_a_component_and_its_readiness_have_the_rows_that_are_being_built(rig, slow_build, before):
+    """The library and the component had no word of rows that an import had just loaded."""
+    if before:
+        slow_build.set()
+        load(rig, as_csv(measured(before)))
+        slow_build.clear()
+    load(rig, as_csv(measured(30, seed=8)), wait_s=0)
+    listed = {one["name"]: one for one in rig.get("/v1/components").json()["components"]}
+    for card in (listed["rig"], rig.get("/v1/components/rig").json()):
+        assert (card["rows"], card["pending_rows"]) == (before, 30)
+    ready = rig.get("/health/ready", params={"component": "rig"})
+    assert ready.status_code == (200 if before else 503)
+    assert ready.json()["tables"] == {"rig": "ready" if before else "building"}
+    assert ready.json()["pending_rows"] == {"rig": 30}
+    slow_build.set()
+
+
+@pytest.mark.parametrize("call", ["displacement", "displacements"])
+def test_an_older_table_answers_by_its_own_version_while_rows_are_added(rig, slow_build, call):
+    """While a table grew, a refusal said to load more rows."""
+    slow_build.set()
+    version = load(rig, as_csv(measured(40))).json()["table_version"]
+    slow_build.clear()
+    load(rig, as_csv(measured(30, seed=8)), wait_s=0)
+    wrench = {"force": [0, 0, -5], "moment": [1, 2, 0]}
+    body = wrench if call == "displacement" else {"wrenches": [[0, 0, -5, 1, 2, 0]]}
+    limit = {"tolerance": {"translation": 1e-12, "rotation": 1e-12}}
+    path = f"/v1/components/rig/{call}"
+    estimate = rig.post(path, json={**body, **limit, "on_thin": "estimate"})
+    assert (estimate.status_code, estimate.json()["table_version"]) == (200, version)
+    if call == "displacement":
+        assert "30 row(s) are being built" in estimate.json()["reason"]
+    for on_thin in ("queue", "wait", "reject"):
+        reply = rig.post(path, json={**body, **limit, "on_thin": on_thin})
+        assert reply.status_code == 503
+        assert "30 row(s) are being built" in reply.json()["detail"]
+        assert "oad more rows" not in reply.json()["detail"]
+        assert int(reply.headers["Retry-After"]) > 0
+    slow_build.set()
+
+
+@pytest.mark.parametrize("call", ["displacement", "displacements"])
+def test_a_rejection_has_its_reason_and_the_tolerance_that_was_applied(rig, call):
+    """A 409 said neither why the table does not cover a wrench nor by which tolerance."""
+    load(rig, as_csv(measured(40)))
+    wrench = {"force": [0, 0, -5], "moment": [1, 2, 0]}
+    body = wrench if call == "displacement" else {"wrenches": [[0, 0, -5, 1, 2, 0]]}
+    limit = {"translation": 1e-12, "rotation": 2e-12}
+    reply = rig.post(
+        f"/v1/components/rig/{call}", json={**body, "on_thin": "reject", "tolerance": limit}
+    )
+    problem = reply.json()
+    assert reply.status_code == 409
+    assert problem["tolerance"] == limit
+    assert problem["reason"]
+    assert problem["reason"] in problem["detail"]
+    assert "Tolerance: 1e-12 m, 2e-12 rad." in problem["detail"]
+
+
 def test_an_import_waits_no_longer_than_it_may(rig, slow_build):
     assert load(rig, as_csv(measured(5)), wait_s=0.05).json()["in_use"] is False
 

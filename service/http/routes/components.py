@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
@@ -155,6 +156,7 @@ async def fill(name: str, request: Request, workspace: Opened) -> Response:
 
 def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
     """Design one round of solves on the newest table and accept them."""
+    began = time.time()
     limit = Tolerance(**order.tolerance.model_dump()) if order.tolerance else None
     need = None
     if order.range is not None or order.outputs is not None:
@@ -166,7 +168,7 @@ def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
     )
     return {
         "component": name,
-        "jobs": [job_link(job) for job in jobs],
+        "jobs": [job_link(job, began) for job in jobs],
         "stage": design.stage,
         "reason": fewer + design.reason,
     }
@@ -247,6 +249,7 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
             {"translation": limit.translation, "rotation": limit.rotation} if limit else None
         ),
         "rows": table.row_count,
+        "pending_rows": workspace.pending_rows(component.name, table),
         "solved": solved,
         "measured": table.row_count - solved,
         "another_setup": {"rows": table.other_rows, "wrenches": table.other_wrenches},

@@ -28,7 +28,8 @@ async def live() -> dict[str, str]:
     "/health/ready",
     summary="Whether jobs are accepted and solved, and which tables answer",
     description="`status` is `ready`, `building` while tables are built, or `not ready` (503; see "
-    "`faults`). `tables` has `ready`, `building` or `broken` for each component. With `component`, "
+    "`faults`). `tables` has `ready`, `building` or `broken` for each component; "
+    "`pending_rows` the rows, 500 at most, that are being built into a table. With `component`, "
     "`ready` and the status code are of its table.",
     responses=answers(dict[str, Any], "ready, or tables are built")
     | answers(dict[str, Any], "not ready; see faults", 503)
@@ -39,6 +40,9 @@ def ready(
     component: Annotated[str | None, Query(description="only this component's table")] = None,
 ) -> JSONResponse:
     faults, broken, tables = workspace.faults(), workspace.broken(), table_states(workspace)
+    pending = _pending(workspace)
+    empty = [name for name in pending if not workspace.tables.present()[name].row_count]
+    tables |= dict.fromkeys((name for name in empty if tables[name] == "ready"), "building")
     building = [name for name, state in tables.items() if state == "building"]
     if component is not None:
         tables = {component: tables.get(component) or _unknown(workspace, component)}
@@ -50,6 +54,7 @@ def ready(
         "faults": faults,
         "broken": broken,
         "building": building,
+        "pending_rows": pending,
         "tables": tables,
     }
     served = not faults and (component is None or body["ready"])
@@ -69,6 +74,17 @@ def table_states(workspace: Workspace) -> dict[str, TableState]:
         else "ready"
         for name in names
     }
+
+
+def _pending(workspace: Workspace) -> dict[str, int]:
+    """Return how many rows are being built into each table that lacks some."""
+    names, present = set(workspace.library.names()), workspace.tables.present()
+    found = {
+        name: workspace.pending_rows(name, table)
+        for name, table in present.items()
+        if name in names
+    }
+    return {name: count for name, count in found.items() if count}
 
 
 def _unknown(workspace: Workspace, name: str) -> TableState:

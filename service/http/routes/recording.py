@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -239,8 +240,10 @@ async def _started(
     order: Body = read_body(kind, await read_limited(request.receive))
     state = request.app.state
     how = state.workspace, state.recording_store, name
+    began = time.time()
     started = await run_in_threadpool(start, *how, **order.model_dump())
-    body = {"component": name, **vars(started), "jobs": [job_link(job) for job in started.jobs]}
+    links = [job_link(job, began) for job in started.jobs]
+    body = {"component": name, **vars(started), "jobs": links}
     return json_reply(body, 202 if started.jobs else 200)
 
 
