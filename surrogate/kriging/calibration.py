@@ -294,7 +294,6 @@ def _level(
     out = left_out(equations, factor, labels)
     anchors = spread.finder.nearest_others(rows, equations.x, labels)
     noise, number = noise_of(equations, factor), numbers(equations.known)
-    own_noise = noise[factor.rows[rows]]
     squared = np.full(len(rows), np.nan)
     lists = spread.finder.members(equations.x[anchors], labels, labels[rows])
     for place, (row, members) in enumerate(zip(factor.rows[rows], lists, strict=True)):
@@ -313,12 +312,19 @@ def _level(
     known = np.flatnonzero((squared > 0) & finite)
     if not len(known):
         return None
-    sigma, errors = np.sqrt(squared[known]), out.errors[rows[known]] / np.sqrt(factor.variance)
-    # A reading misses by its own noise besides the error of the mean, whose part this is.
-    variances = out.variances[rows[known]]
-    part = np.maximum(variances - own_noise[known], 0.0) / variances
-    errors = errors * np.sqrt(part)[:, None]
-    alone = np.abs(errors) / sigma[:, None]
-    noisy = (own_noise[known] > 0)[:, None]
-    sizes = np.where(noisy, alone, out.sizes[rows[known]])
-    return Level(labels[rows[known]], errors, sizes, sigma)
+    sigma, known_rows = np.sqrt(squared[known]), rows[known]
+    own_noise = noise[factor.rows[known_rows]]
+    errors = out.errors[known_rows] / np.sqrt(factor.variance)
+    errors = _of_the_mean(errors, out.variances[known_rows], own_noise)
+    by_value = np.abs(errors) / sigma[:, None]
+    sizes = np.where((own_noise > 0)[:, None], by_value, out.sizes[known_rows])
+    return Level(labels[known_rows], errors, sizes, sigma)
+
+
+def _of_the_mean(errors: Floats, variances: Floats, noise: Floats) -> Floats:
+    """Return the part of left-out errors (k, q) that is not the left-out readings' own noise.
+
+    A reading misses its answer by its own noise besides the error of the mean, and both variances
+    add up to that of its error: variances and noise have shape (k,), process variances.
+    """
+    return errors * np.sqrt(np.maximum(variances - noise, 0.0) / variances)[:, None]
