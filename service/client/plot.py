@@ -162,7 +162,7 @@ def deformed(shape: DeformedShape, *, scale: float | None = None, axes: Any = No
     length = np.linalg.norm(shape.displacement, axis=1)
     size = np.ptp(shape.vertices, axis=0).max()
     if scale is None:
-        scale = LARGEST * size / length.max() if length.max() else 1.0
+        scale = float(LARGEST * size / length.max()) if length.max() else 1.0
     axes = pyplot.figure().add_subplot(projection="3d") if axes is None else axes
     at = shape.deformed(scale)
     drawn = axes.plot_trisurf(*at.T, triangles=shape.triangles, cmap="viridis")
