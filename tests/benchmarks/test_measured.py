@@ -43,7 +43,8 @@ def judged(table: object, wrenches: np.ndarray, *true: np.ndarray) -> list[float
     outside = [(one > found.errors)[covered].mean() for one in errors if covered.any()]
     bars = np.median(found.errors[known], axis=0)
     ratio = np.median(bars / np.median(errors[0][known], axis=0)) if known.any() else np.nan
-    return [covered.mean(), np.mean(outside) if outside else np.nan, float(ratio)]
+    mean = float(np.mean(outside)) if outside else np.nan
+    return [float(covered.mean()), mean, float(ratio)]
 
 
 def means(found: list[list[float]]) -> list[float]:
