@@ -131,11 +131,10 @@ def import_table(
 ) -> None:
     """Load a table from a file: all of its rows, or none and every mistake."""
     check_readable(file)  # before a server is called or started
+    words = "partial", "ignore_extra", "tare", "frame", "load_point", "displacement_point", "rig"
+    given = partial, ignore_extra, tare, frame, load_point, displacement_point, rig
     options: dict[str, Any] = {
-        "partial": partial or None,
-        "ignore_extra": ignore_extra or None,
         "missing_loads": "zero" if missing_loads_zero else None,
-        "tare": tare or None,
         "sheet": sheet,
         "note": note,
         "wait_s": None if wait_s == 10.0 else wait_s,  # the server's default
@@ -144,14 +143,10 @@ def import_table(
         "mapping": dict(map(_pair, column or ())),
         "ignore": ignore or (),
     }
-    parts = "frame", "load_point", "displacement_point", "rig"
-    options |= zip(parts, (frame, load_point, displacement_point, rig), strict=True)
+    options |= {word: value or None for word, value in zip(words, given, strict=True)}
     with connected(server, data) as client:
         reply = client.import_table(name, file, dry_run=dry_run, decimal=decimal, **options)
-    if as_json:
-        print_json(reply)
-    else:
-        _print_import(name, reply)
+    print_json(reply) if as_json else _print_import(name, reply)
     raise typer.Exit(1 if reply["errors"] and not partial else 0)
 
 
