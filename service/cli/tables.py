@@ -159,6 +159,7 @@ def export_table(
     translation: _Unit = None,
     rotation: _Unit = None,
     table_version: _Version = None,
+    as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
@@ -166,6 +167,8 @@ def export_table(
     printed, fmu = str(file) == "-", file.suffix.lower() == ".fmu"
     if method is not None and not fmu:
         raise typer.BadParameter("--method is for .fmu files: other formats hold rows only")
+    if printed and as_json:
+        raise typer.BadParameter("--json describes a written file: name one instead of -")
     format_ = "csv" if printed else "packed" if fmu else table_format(file)
     names = ("force", "moment", "translation", "rotation")
     pairs = zip(names, (force, moment, translation, rotation), strict=True)
@@ -180,7 +183,8 @@ def export_table(
     if fmu:
         content, message = _fmu(file, name, content, method)
     write_whole_bytes(file, content)
-    out.print(message)
+    report = {"file": file, "bytes": len(content), "message": message}
+    print_json(report) if as_json else out.print(message)
 
 
 def _fmu(file: Path, name: str, table: bytes, method: str | None) -> tuple[bytes, str]:
