@@ -45,7 +45,9 @@ Data = Annotated[
 BeyondRange = Annotated[
     bool, typer.Option("--beyond-range", help="also solve wrenches outside the load range")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="print the server's reply as JSON")]
+AsJson = Annotated[
+    bool, typer.Option("--json", help="print JSON on stdout, and progress on stderr")
+]
 
 
 @contextmanager
@@ -63,5 +65,5 @@ def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Clie
 
 
 def print_json(reply: Any) -> None:
-    """Print a reply as JSON."""
-    sys.stdout.write(json.dumps(reply, indent=2) + "\n")
+    """Print a reply as JSON; paths are texts."""
+    sys.stdout.write(json.dumps(reply, indent=2, default=str) + "\n")

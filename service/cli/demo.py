@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -30,11 +31,11 @@ SOLVE_S = 300.0
 WRENCH = ((150.0, -100.0, -900.0), (20.0, 30.0, 5.0))
 
 
-def run(out: Console, keep: Path | None = None) -> int:
-    """Run the demonstration; return the exit status, 0 if all of it worked."""
+def run(out: Console, keep: Path | None = None) -> dict[str, Any]:
+    """Run the demonstration; return its figures, with ``failed``: why, or None if all worked."""
     from wrenchbook.service.workers.private import private_server
 
-    started = time.monotonic()
+    started, complaint = time.monotonic(), None
     room = nullcontext(str(keep)) if keep else tempfile.TemporaryDirectory(prefix="wrenchbook-")
     with room as folder, private_server(Path(folder), SOLVERS) as client:
         steps = (_ask_an_empty_table, _solve_it, _fill, _refine, _compare)
@@ -44,9 +45,13 @@ def run(out: Console, keep: Path | None = None) -> int:
             complaint = step(out, client)
             if complaint:
                 out.print(f"[red]The demonstration failed:[/red] {complaint}")
-                return 1
-    out.print(f"Done in {time.monotonic() - started:.0f} s.")
-    return 0
+                break
+        answer, component = client.displacement(COMPONENT, *WRENCH), client.component(COMPONENT)
+    seconds = time.monotonic() - started
+    if complaint is None:
+        out.print(f"Done in {seconds:.0f} s.")
+    figures = {"component": COMPONENT, "rows": component["rows"], "answer": answer.raw}
+    return {"failed": complaint, "seconds": round(seconds, 3), **figures}
 
 
 def _ask_an_empty_table(out: Console, client: Client) -> str | None:
@@ -72,8 +77,7 @@ def _solve_it(out: Console, client: Client) -> str | None:
 
 def _fill(out: Console, client: Client) -> str | None:
     """Fill the table where its error bar is largest."""
-    spent = render.fill(out, client, COMPONENT, BUDGET, {})
-    if not spent:
+    if not render.fill(out, client, COMPONENT, BUDGET, {})["spent"]:
         return "no solve was spent"
     out.print(render.method_line(client.component(COMPONENT)), highlight=False)
     return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from typing import Annotated, Any
 
@@ -41,7 +42,7 @@ def jobs(
     out = Screen()
     with connected(server, data) as client:
         if follow:
-            follow_jobs(out, client, component)
+            follow_jobs(out, client, component, as_json=as_json)
             return
         found: list[Job] = client.jobs(component, status, limit, after)
     if as_json:
@@ -53,9 +54,14 @@ def jobs(
 
 
 def follow_jobs(
-    out: Console, client: Client, component: str | None, timeout_s: float | None = None
+    out: Console,
+    client: Client,
+    component: str | None,
+    timeout_s: float | None = None,
+    *,
+    as_json: bool = False,
 ) -> None:
-    """Print the open jobs, then a line for each event, until Ctrl-C.
+    """Print the open jobs, then a line for each event, until Ctrl-C; as JSON only the events.
 
     Parameters
     ----------
@@ -64,6 +70,9 @@ def follow_jobs(
     """
     shown = False
     for event in client.events(component, timeout_s=timeout_s):
+        if as_json:
+            print(json.dumps({"event": event.kind, **event.body}), flush=True)
+            continue
         if not shown:  # events arrive from here on, so none is missed after the list
             out.print(job_table(_open_jobs(client, component)))
             shown = True

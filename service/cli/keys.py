@@ -35,10 +35,12 @@ def add(
     scope: ScopeName = "write",
     rate: Rate = RATE,
     megabytes: Megabytes = MEGABYTES,
+    as_json: AsJson = False,
     data: Folder = DEFAULT_DATA,
 ) -> None:
     """Make a key and print it once."""
-    typer.echo(Keyring(data).add(name, scope, rate=rate, megabytes=megabytes))
+    key = Keyring(data).add(name, scope, rate=rate, megabytes=megabytes)
+    print_json({"name": name, "scope": scope, "key": key}) if as_json else typer.echo(key)
     typer.echo(f"The key {name} for {scope}; it is not stored and not shown again.", err=True)
 
 
@@ -57,16 +59,19 @@ def list_(as_json: AsJson = False, data: Folder = DEFAULT_DATA) -> None:
 
 
 @keys.command("revoke")
-def revoke(name: KeyName, data: Folder = DEFAULT_DATA) -> None:
+def revoke(name: KeyName, as_json: AsJson = False, data: Folder = DEFAULT_DATA) -> None:
     """Revoke a key; servers refuse it within a second."""
     Keyring(data).revoke(name)
-    typer.echo(f"The key {name} is revoked.")
+    if as_json:
+        print_json({"name": name, "revoked": True})
+    else:
+        typer.echo(f"The key {name} is revoked.")
 
 
-def make_first_key(data: Path) -> None:
-    """Make an admin key in a data directory without keys, and print it once."""
+def make_first_key(data: Path, *, err: bool = False) -> None:
+    """Make an admin key in a data directory without keys, and print it once, on stderr if `err`."""
     keyring = Keyring(data)
     if len(keyring):
         return
     secret = keyring.add(FIRST, "admin")
-    typer.echo(f"The first key, for admin, shown this once: {secret}")
+    typer.echo(f"The first key, for admin, shown this once: {secret}", err=err)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,6 +15,7 @@ from rich.text import Text
 
 from wrenchbook.fea.bundle.read import FILE_NAME
 from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.service.cli.connect import AsJson, print_json
 from wrenchbook.service.cli.keys import make_first_key
 from wrenchbook.service.cli.screen import Screen
 from wrenchbook.service.files.program import child_command, usable_cores
@@ -105,15 +108,18 @@ def serve(
     first_key: FirstKey = False,
     config: Config = None,
     show_settings: ShowSettings = False,
+    as_json: AsJson = False,
 ) -> None:
     """Serve the API and solve what is queued."""
     from wrenchbook.service.cli.settings import settings_of, shown
 
     found = settings_of(ctx, serve, config)
-    if show_settings:
+    if show_settings and as_json:
+        print_json({name: vars(setting) for name, setting in found.items()})
+    elif show_settings:
         typer.echo(shown(found), nl=False)
     else:
-        _serve(**{name: setting.value for name, setting in found.items()})
+        _serve(**{name: setting.value for name, setting in found.items()}, as_json=as_json)
 
 
 def _serve(**options: Any) -> None:
@@ -132,7 +138,7 @@ def _serve(**options: Any) -> None:
         raise typer.BadParameter(str(error)) from error
     _make_folder(Path(options["data"]))
     if options["first_key"]:
-        make_first_key(options["data"])
+        make_first_key(options["data"], err=options["as_json"])
     require_keys(options["host"], options["data"])
     try:
         supervise(options)
@@ -169,6 +175,7 @@ def work(
     solvers: Annotated[int, typer.Option(min=1, help="solves at once; by default one a core")] = (
         CORES
     ),
+    as_json: AsJson = False,
 ) -> None:
     """Solve the queued jobs of a data directory, next to its server, until SIGINT or SIGTERM."""
     import signal
@@ -182,7 +189,9 @@ def work(
     workspace = Workspace(Settings(data, solvers))
     try:
         workspace.start_solving()
-        print(f"solving for {data} with {solvers} solvers", flush=True)
+        ready = {"data": str(data), "solvers": solvers, "pid": os.getpid()}
+        line = f"solving for {data} with {solvers} solvers"
+        print(json.dumps(ready) if as_json else line, flush=True)
         stop.wait()
     finally:
         workspace.close()
@@ -192,11 +201,15 @@ def demo(
     keep: Annotated[
         Path | None, typer.Option(help="keep the data directory in this folder")
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Show query, solve and fill of a plate with finite elements; about five minutes."""
     from wrenchbook.service.cli.demo import run
 
-    raise typer.Exit(run(Screen(), keep))
+    figures = run(Screen(stderr=as_json), keep)
+    if as_json:
+        print_json(figures)
+    raise typer.Exit(1 if figures["failed"] else 0)
 
 
 def validate(
@@ -222,6 +235,7 @@ def validate(
         list[str] | None,
         typer.Option(help="with --with: Fx,Fy,Fz,Mx,My,Mz in N and N·m; repeatable"),
     ] = None,
+    as_json: AsJson = False,
     data: Folder = DEFAULT_DATA,
 ) -> None:
     """Verify the solver against closed forms, published numbers and CalculiX; minutes for all.
@@ -229,18 +243,19 @@ def validate(
     `paper` runs the coupling paper's bar, spring and robot on a plate, MuJoCo and service included.
     """
     # In a process of its own: this one never imports the finite elements.
+    flags = ["--json"] * as_json
     if other is not None:
-        loads = [f"--wrench={one}" for one in wrench or ()]
+        flags += [f"--wrench={one}" for one in wrench or ()]
         bundle = str(_bundle_named(topic, data))
-        words = child_command("wrenchbook.fea.validation.second_opinion", *loads, "--", bundle)
+        words = child_command("wrenchbook.fea.validation.second_opinion", *flags, "--", bundle)
         raise typer.Exit(subprocess.run(words, check=False).returncode)
     if wrench:
         raise typer.BadParameter("--wrench goes with --with ccx")
     if topic == "paper":
-        raise typer.Exit(_validate_paper(out or DEFAULT_PAPER, quick, markdown))
+        raise typer.Exit(_validate_paper(out or DEFAULT_PAPER, quick, markdown, as_json))
     if out is not None or quick:
         raise typer.BadParameter("--out and --quick go with the topic paper")
-    words = child_command("wrenchbook.fea.validation", topic, *(["--markdown"] * markdown))
+    words = child_command("wrenchbook.fea.validation", topic, *flags, *["--markdown"] * markdown)
     raise typer.Exit(subprocess.run(words, check=False).returncode)
 
 
@@ -256,7 +271,7 @@ def _bundle_named(name: str, data: Path) -> Path:
     )
 
 
-def _validate_paper(out: Path, quick: bool, markdown: bool) -> int:
+def _validate_paper(out: Path, quick: bool, markdown: bool, as_json: bool) -> int:
     """Reproduce the paper in a process of its own; return its exit status."""
     if markdown:
         raise typer.BadParameter("--markdown is for the other topics: paper writes a page and JSON")
@@ -267,12 +282,17 @@ def _validate_paper(out: Path, quick: bool, markdown: bool) -> int:
             "validate paper runs MuJoCo, which is not installed: pip install 'wrenchbook[mujoco]'"
         )
     words = child_command("wrenchbook.service.paper", *(["--quick"] * quick), "--", str(out))
-    return subprocess.run(words, check=False).returncode
+    if not as_json:
+        return subprocess.run(words, check=False).returncode
+    status = subprocess.run(words, check=False, stdout=sys.stderr).returncode
+    if (found := out / "paper.json").is_file():
+        sys.stdout.write(found.read_text() + "\n")
+    return status
 
 
 def check(
     bundle: Annotated[Path, typer.Argument(help="folder of the component bundle")],
-    as_json: Annotated[bool, typer.Option("--json", help="print the report as JSON")] = False,
+    as_json: AsJson = False,
     mass: Annotated[
         float | None, typer.Option(help="mass at the interface, kg, for the natural frequency")
     ] = None,

@@ -187,7 +187,7 @@ def solve(
     with connected(server, data) as client:
         answer = client.solve(name, force, moment, beyond_range=beyond_range)
         if answer.job is not None and answer.job.status != "done":
-            render.follow(out, client, [answer.job], wait_s)
+            render.follow(Screen(stderr=as_json), client, [answer.job], wait_s)
             answer = client.solve(name, force, moment, beyond_range=beyond_range)
     _print_answer(answer, as_json, data)
 
@@ -198,6 +198,7 @@ def deformed(
     file: Annotated[Path, typer.Argument(help="file to write: .glb, .vtu or .json")],
     force: Force = ZERO,
     moment: Moment = ZERO,
+    as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
@@ -206,7 +207,10 @@ def deformed(
     with connected(server, data) as client:
         content = client.deformed_file(name, force, moment, form)
     file.write_bytes(content)
-    typer.echo(f"{file}: {len(content)} bytes")
+    if as_json:
+        print_json({"file": file, "bytes": len(content)})
+    else:
+        typer.echo(f"{file}: {len(content)} bytes")
 
 
 @app.command(cls=NumbersCommand)
@@ -223,6 +227,7 @@ def fill(
     ] = None,
     translation: Former = None,
     rotation: Former = None,
+    as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
@@ -235,7 +240,9 @@ def fill(
         span = {"force": _pairs(force_range), "moment": _pairs(moment_range)}
     options = {"tolerance": tolerance, "range": span, "outputs": output or None}
     with connected(server, data) as client:
-        render.fill(out, client, name, budget, options)
+        filled = render.fill(Screen(stderr=as_json), client, name, budget, options)
+    if as_json:
+        print_json(filled)
 
 
 @app.command()
@@ -271,7 +278,7 @@ def report(
     """Compare error and run time of methods, table sizes and three meshes; takes minutes."""
     with connected(server, data) as client:
         client.make_report(name, wrenches)
-        render.follow_report(out, client, name)
+        render.follow_report(Screen(stderr=as_json), client, name)
         if html is not None:
             html.write_bytes(client.report(name, "html"))
         content = client.report(name, "json" if as_json else "md")

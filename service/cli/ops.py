@@ -18,6 +18,7 @@ _out = Screen()
 
 def backup(
     file: Annotated[Path, typer.Argument(help="the backup to write", dir_okay=False)],
+    as_json: AsJson = False,
     data: Folder = DEFAULT_DATA,
 ) -> None:
     """Write a data directory into one file; a server may use it meanwhile."""
@@ -25,6 +26,9 @@ def backup(
 
     manifest = back_up(data, file)
     size = sum(length for length, _ in manifest.files.values())
+    if as_json:
+        print_json({"file": file, "files": len(manifest.files), "bytes": size})
+        return
     plain(_out, f"{file}: {len(manifest.files)} files, {size / 1e6:.1f} MB, read again and whole.")
 
 
@@ -34,11 +38,15 @@ def restore(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="move existing files of the data directory aside")
     ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Make a data directory from a backup."""
     from wrenchbook.service.ops.restore import restore as run
 
     manifest, aside = run(file, data, overwrite=overwrite)
+    if as_json:
+        print_json({"data": data, "files": len(manifest.files), "former": aside})
+        return
     start = f"wrenchbook serve{_data_option(data)}"
     plain(_out, f"{data}: {len(manifest.files)} files restored. Start it with: {start}")
     if aside is not None:

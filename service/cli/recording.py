@@ -43,15 +43,16 @@ def recording(
 ) -> None:
     """Show, solve or delete the wrenches that simulators have recorded (LM_direct)."""
     _check(start, clear)
-    out = Screen()
     with connected(server, data) as client:
         if clear:
-            out.print(f"{client.clear_recording(name)} wrenches forgotten.")
+            count = client.clear_recording(name)
+            _print_cleared(f"{count} wrenches forgotten.", count, as_json)
         elif start:
-            _follow(out, client, client.start_recording(name, budget, beyond_range=beyond_range))
+            started = client.start_recording(name, budget, beyond_range=beyond_range)
+            _follow(client, started, as_json)
         else:
             found = client.recording(name)
-            print_json(found.raw) if as_json else _show_recording(out, name, found)
+            print_json(found.raw) if as_json else _show_recording(Screen(), name, found)
 
 
 def envelope(
@@ -65,27 +66,28 @@ def envelope(
 ) -> None:
     """Show, solve or delete the extreme wrenches that simulators have recorded (LM_max)."""
     _check(start, clear)
-    out = Screen()
     with connected(server, data) as client:
         if clear:
-            out.print(f"The envelope of {client.clear_envelope(name)} wrenches is forgotten.")
+            count = client.clear_envelope(name)
+            _print_cleared(f"The envelope of {count} wrenches is forgotten.", count, as_json)
         elif start:
-            _follow(out, client, client.start_envelope(name, beyond_range=beyond_range))
+            _follow(client, client.start_envelope(name, beyond_range=beyond_range), as_json)
         else:
             found = client.envelope(name)
-            print_json(found.raw) if as_json else _show_envelope(out, found)
+            print_json(found.raw) if as_json else _show_envelope(Screen(), found)
 
 
 def resolve(
     name: Name,
     budget: Budget = None,
     beyond_range: BeyondRange = False,
+    as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
     """Solve again the wrenches of rows that an earlier setup of the component has."""
     with connected(server, data) as client:
-        _follow(Screen(), client, client.resolve(name, budget, beyond_range=beyond_range))
+        _follow(client, client.resolve(name, budget, beyond_range=beyond_range), as_json)
 
 
 def _check(start: bool, clear: bool) -> None:
@@ -93,9 +95,17 @@ def _check(start: bool, clear: bool) -> None:
         raise typer.BadParameter("give --start or --clear, not both")
 
 
-def _follow(out: Console, client: Client, started: Started) -> None:
-    if started.jobs:
-        render.follow(out, client, list(started.jobs), WAIT_S)
+def _print_cleared(message: str, count: int, as_json: bool) -> None:
+    print_json({"cleared": count}) if as_json else Screen().print(message)
+
+
+def _follow(client: Client, started: Started, as_json: bool) -> None:
+    out, jobs = Screen(stderr=as_json), list(started.jobs)
+    if jobs:
+        jobs = render.follow(out, client, jobs, WAIT_S)
+    if as_json:
+        print_json({**vars(started), "jobs": [job.raw for job in jobs]})
+        return
     done = started.solved + started.covered
     out.print(f"{len(started.jobs)} solves; {done} wrenches were solved or covered before.")
     if started.reason:

@@ -263,17 +263,17 @@ def fill(
     options: dict[str, Any],
     round_size: int = 24,
     seconds: float = 3600.0,
-) -> int:
-    """Fill a table round by round, with a bar each; return how many solves were spent.
+) -> dict[str, Any]:
+    """Fill a table round by round, with a bar each; `options` are those of `Client.fill`.
 
-    `options` are those of `Client.fill`, without the budget.
+    Returns the solves ``spent`` and ``failed``, ``rows``, and the last ``stage`` and ``reason``.
 
     Raises
     ------
     RuntimeError
         If a round does not end in time.
     """
-    spent, pace = 0, Pace(budget)
+    spent, failures, pace, order = 0, 0, Pace(budget), None
     while spent < budget:
         order = client.fill(name, budget=min(round_size, budget - spent), **options)
         with cancelled_on_interrupt(client, order.jobs):
@@ -286,6 +286,7 @@ def fill(
         parts = f"{spent} solves", pace.note(), f"{now['rows']} rows", error_bars(now["coverage"])
         plain(out, "; ".join(filter(None, parts)))
         failed = [job for job in ended if job.status == "failed"]
+        failures += len(failed)
         for job in failed:
             plain(out, f"job {job.id} failed: {_state(job)}", style="red")
         if len(failed) == len(ended):
@@ -296,7 +297,9 @@ def fill(
     out.print(f"{spent} solves; {name} has {now['rows']} rows.")
     for line in own_error_lines(now):
         plain(out, f"warning: {line}", style="yellow")
-    return spent
+    assert order is not None  # a budget is positive
+    counts = {"component": name, "spent": spent, "failed": failures, "rows": now["rows"]}
+    return {**counts, "stage": order.stage, "reason": order.reason}
 
 
 __all__ = [

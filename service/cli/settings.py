@@ -46,7 +46,7 @@ OTHERS = frozenset(
         "WORKER_FOLDER",
     ]
 )
-_NOT_SETTINGS = frozenset({"ctx", "config", "show_settings"})
+_NOT_SETTINGS = frozenset({"ctx", "config", "show_settings", "as_json"})
 
 
 @dataclass(frozen=True)

@@ -131,11 +131,10 @@ def import_table(
 ) -> None:
     """Load a table from a file: all of its rows, or none and every mistake."""
     check_readable(file)  # before a server is called or started
+    words = "partial", "ignore_extra", "tare", "frame", "load_point", "displacement_point", "rig"
+    given = partial, ignore_extra, tare, frame, load_point, displacement_point, rig
     options: dict[str, Any] = {
-        "partial": partial or None,
-        "ignore_extra": ignore_extra or None,
         "missing_loads": "zero" if missing_loads_zero else None,
-        "tare": tare or None,
         "sheet": sheet,
         "note": note,
         "wait_s": None if wait_s == 10.0 else wait_s,  # the server's default
@@ -144,14 +143,10 @@ def import_table(
         "mapping": dict(map(_pair, column or ())),
         "ignore": ignore or (),
     }
-    parts = "frame", "load_point", "displacement_point", "rig"
-    options |= zip(parts, (frame, load_point, displacement_point, rig), strict=True)
+    options |= {word: value or None for word, value in zip(words, given, strict=True)}
     with connected(server, data) as client:
         reply = client.import_table(name, file, dry_run=dry_run, decimal=decimal, **options)
-    if as_json:
-        print_json(reply)
-    else:
-        _print_import(name, reply)
+    print_json(reply) if as_json else _print_import(name, reply)
     raise typer.Exit(1 if reply["errors"] and not partial else 0)
 
 
@@ -164,6 +159,7 @@ def export_table(
     translation: _Unit = None,
     rotation: _Unit = None,
     table_version: _Version = None,
+    as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
@@ -171,6 +167,8 @@ def export_table(
     printed, fmu = str(file) == "-", file.suffix.lower() == ".fmu"
     if method is not None and not fmu:
         raise typer.BadParameter("--method is for .fmu files: other formats hold rows only")
+    if printed and as_json:
+        raise typer.BadParameter("--json describes a written file: name one instead of -")
     format_ = "csv" if printed else "packed" if fmu else table_format(file)
     names = ("force", "moment", "translation", "rotation")
     pairs = zip(names, (force, moment, translation, rotation), strict=True)
@@ -185,7 +183,8 @@ def export_table(
     if fmu:
         content, message = _fmu(file, name, content, method)
     write_whole_bytes(file, content)
-    out.print(message)
+    report = {"file": file, "bytes": len(content), "message": message}
+    print_json(report) if as_json else out.print(message)
 
 
 def _fmu(file: Path, name: str, table: bytes, method: str | None) -> tuple[bytes, str]:

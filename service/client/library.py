@@ -158,17 +158,17 @@ class LibraryCalls:
         Parameters
         ----------
         table : path, str or bytes
-            A path (a text of one line that is no JSON), or the content: CSV, XLSX, Parquet, HDF5 or
-            JSON, gzipped or not.
+            A path (a text of one line that is no JSON) or the content, gzipped or not: CSV, XLSX,
+            Parquet, HDF5, JSON. With `displacements` the log of the loads.
         dry_run : bool
             Only check: mistakes are in ``errors``, no ProblemError.
         displacements : path, optional
-            A second log, joined by time; `table` is then the log of the loads.
+            A second log, joined by time.
         **columns
             ``mapping`` (``{"Load cell": "fz [N]"}``), ``ignore``, ``ignore_extra``, ``partial``,
-            ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``, ``time_offset_s`` (s, or
-            ``"auto"``; ``lag`` is another name), ``wait_s`` (10 s: until answers come from the
-            rows); ``frame`` (a rig's axes, a text or shape (3, 3)), ``load_point``,
+            ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``, ``time_offset_s`` or
+            ``lag`` (s, or ``"auto"``), ``wait_s`` (10 s: until answers come from the rows),
+            ``frame`` (a rig's axes, a text or shape (3, 3)), ``load_point``,
             ``displacement_point`` ((3,), m), ``rig`` (a TOML file).
 
         Returns
@@ -180,12 +180,9 @@ class LibraryCalls:
         Raises
         ------
         ValueError, ProblemError
-            If it is a file that is not read; if rows have mistakes (422), which ``errors`` names.
+            If the file cannot be read; if rows have mistakes (422), which ``errors`` names.
         """
-        (content, filename), kind = _table_file(table), BINARY
-        if displacements is not None:
-            logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
-            kind, content = _form(logs)
+        kind, content, filename = _table_body(table, displacements)
         query = _import_query(format, dry_run, decimal, filename, columns)
         path, wait_s = component_path(name, "table"), _IMPORT_S + float(columns.get("wait_s") or 0)
         return (yield Request("POST", path, content, kind, query, wait_s=wait_s)).json()
@@ -366,6 +363,17 @@ def _import_query(
         "rig": Path(rig).read_text("utf-8-sig", "replace") if rig else None,
         **columns,
     }
+
+
+def _table_body(
+    table: str | bytes | Path, displacements: str | Path | None
+) -> tuple[str, bytes, str]:
+    """Return the media type, the content and the file name of an import."""
+    content, filename = _table_file(table)
+    if displacements is None:
+        return BINARY, content, filename
+    logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
+    return *_form(logs), filename
 
 
 def _table_file(table: str | bytes | Path) -> tuple[bytes, str]:

@@ -48,10 +48,9 @@ def import_files(
     request: ImportRequest,
     about: About,
 ) -> dict[str, Any]:
-    """Read a file, or two logs, and load its rows unless something is wrong.
+    """Read one table, or the logs of the loads and the displacements, and load its rows.
 
-    `files` are one table, or the log of the loads and that of the displacements; load range and
-    fingerprint are the component's; those of `options` are ignored.
+    Load range and fingerprint are the component's, not those of `options`.
 
     Returns the members of a reply: ``inserted``, ``existing``, ``errors``, ``rows`` and so on;
     ``loaded`` is whether rows were loaded.

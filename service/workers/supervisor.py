@@ -6,6 +6,7 @@ neither tables nor the ledger.
 
 from __future__ import annotations
 
+import json
 import logging
 import multiprocessing
 import os
@@ -87,8 +88,8 @@ class Supervisor(multiprocess.Multiprocess):
     builder, web : Config
         Of the two kinds of process.
     bound : socket
-    address : str
-        Printed once all processes have started.
+    ready : str
+        The line that is printed once all processes have started.
 
     Attributes
     ----------
@@ -96,9 +97,9 @@ class Supervisor(multiprocess.Multiprocess):
         Why the server ends without a signal; empty while it does not.
     """
 
-    def __init__(self, builder: Config, web: Config, bound: socket.socket, address: str) -> None:
+    def __init__(self, builder: Config, web: Config, bound: socket.socket, ready: str) -> None:
         super().__init__(web, [bound])
-        self._builder_config, self._address = builder, address
+        self._builder_config, self._ready = builder, ready
         self._builder = Worker(builder, [])
         self.failed = ""
 
@@ -114,7 +115,7 @@ class Supervisor(multiprocess.Multiprocess):
             waiting = [one for one in waiting if not one.is_ready(LOOK_S)]
             time.sleep(LOOK_S)
         if not waiting:
-            print(f"wrenchbook serves {self._address}", flush=True)
+            print(self._ready, flush=True)
 
     def keep_subprocess_alive(self) -> None:
         """Replace processes that have ended or do not answer a ping."""
@@ -190,7 +191,11 @@ def supervise(options: Mapping[str, Any]) -> None:
         )
         for name in (BUILDER, WEB_WORKER)
     )
-    supervisor = Supervisor(builder, web, bound, address)
+    ready = f"wrenchbook serves {address}"
+    if options.get("as_json"):
+        about = {"address": address, "data": str(options["data"]), "pid": os.getpid()}
+        ready = json.dumps(about)
+    supervisor = Supervisor(builder, web, bound, ready)
     supervisor.run()
     if supervisor.failed:
         raise WorkerFailedError(supervisor.failed)

@@ -1,0 +1,210 @@
+"""Every command prints JSON on stdout with --json, and all else on stderr."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from tests.service.stub_server import Answer, Stub, running_stub
+from tests.service.test_cli import EXTREMES, QUEUED_NONE, RECORDED
+from tests.service.test_client_calls import COVERED
+from wrenchbook.service.cli import local
+from wrenchbook.service.cli.main import app, main
+from wrenchbook.service.keys import Keyring
+from wrenchbook.service.ledger import Ledger
+
+Run = Callable[..., tuple[int, str]]
+ROOT = Path(__file__).parents[2]
+
+COVERAGE = {"method": "kriging", "method_reason": "", "axes": []}
+COMPONENT = {"name": "plate", "rows": 7, "coverage": COVERAGE, "warnings": []}
+FILLED = {
+    "component": "plate", "jobs": [], "stage": "met", "reason": "all is covered", "rows": 7,
+    "coverage": "covered",
+}  # fmt: skip
+IMPORTED = {"inserted": 1, "existing": 0, "errors": [], "dry_run": False}
+REPORTED = {"state": "done", "fraction": 1.0, "message": ""}
+
+COMMANDS = {
+    "query": (["plate"], [COVERED]),
+    "solve": (["plate"], [COVERED]),
+    "deformed": (["plate", "FOLDER/part.glb"], [b"glTF"]),
+    "fill": (["plate"], [FILLED, COMPONENT]),
+    "report": (["plate"], [REPORTED, REPORTED, {"title": "plate"}]),
+    "compliance": (["plate"], [{"matrix": []}]),
+    "components": ([], [{"components": [COMPONENT]}]),
+    "jobs": ([], [{"jobs": []}]),
+    "recording": (["plate"], [RECORDED]),
+    "recording --start": (["plate"], [QUEUED_NONE]),
+    "recording --clear": (["plate"], [{"cleared": 5}]),
+    "envelope": (["plate"], [EXTREMES]),
+    "envelope --start": (["plate"], [QUEUED_NONE]),
+    "envelope --clear": (["plate"], [{"cleared": 5}]),
+    "resolve": (["plate"], [QUEUED_NONE]),
+    "import": (["plate", "FOLDER/table.csv"], [IMPORTED]),
+    "export": (["plate", "FOLDER/out.csv"], [b"fx,fy\n"]),
+    "withdraw": (["plate"], [COMPONENT]),
+    "keys add": (["ann", "--data", "FOLDER"], []),
+    "keys list": (["--data", "FOLDER"], []),
+    "keys revoke": (["bob", "--data", "FOLDER"], []),
+    "backup": (["FOLDER/kept.backup", "--data", "FOLDER/data"], []),
+    "restore": (["FOLDER/whole.backup", "--data", "FOLDER/again"], []),
+    "doctor": (["--data", "FOLDER/data"], []),
+    "serve --show-settings": (["--data", "FOLDER/data"], []),
+}
+OTHERS = {"serve", "work", "demo", "validate", "plan", "check"}  # tests here, plan: test_cli
+
+
+def leaves(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
+    """Yield each command of a tree with its words."""
+    children = getattr(command, "commands", None)
+    if children is None:
+        yield " ".join(path), command
+    for word, child in (children or {}).items():
+        yield from leaves(child, (*path, word))
+
+
+@pytest.fixture
+def stub() -> Iterator[Stub]:
+    with running_stub() as running:
+        yield running
+
+
+@pytest.fixture
+def run(
+    stub: Stub, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str]]:
+    monkeypatch.setenv("WRENCHBOOK_SERVER", stub.url)
+
+    def command(*words: str) -> tuple[int, str]:
+        monkeypatch.setattr(sys, "argv", ["wrenchbook", *words])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        printed = capfd.readouterr()
+        return int(ended.value.code or 0), printed.out or printed.err
+
+    return command
+
+
+def test_every_command_has_the_option_json():
+    tree = typer.main.get_command(app)
+    names = [
+        name
+        for name, command in leaves(tree)
+        if not any("--json" in option.opts for option in command.params)
+    ]
+    assert names == []
+
+
+def test_every_command_is_run_with_json_by_a_test():
+    tree = {name for name, _ in leaves(typer.main.get_command(app))}
+    run_here = {name.partition(" --")[0] for name in COMMANDS} | OTHERS
+    assert tree - run_here == set()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "table.csv").write_text("fx,ux\n1,2\n")
+    Keyring(tmp_path).add("bob", "read")
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", [name for name, (_, replies) in COMMANDS.items() if replies])
+def test_a_command_of_a_server_prints_one_json_document(
+    stub: Stub, run: Run, folder: Path, command: str
+):
+    words, replies = COMMANDS[command]
+    stub.answers(*(Answer(reply) for reply in replies or ()))
+    given = [word.replace("FOLDER", str(folder)) for word in words]
+    status, out = run(*command.split(), *given, "--json")
+    assert (status, type(json.loads(out))) in ((0, dict), (0, list))
+
+
+def test_keys_are_printed_as_json(run: Run, folder: Path):
+    where = "--data", str(folder), "--json"
+    added = json.loads(run("keys", "add", "ann", *where)[1])
+    assert (added["name"], added["scope"], bool(added["key"])) == ("ann", "write", True)
+    assert [key["name"] for key in json.loads(run("keys", "list", *where)[1])] == ["ann", "bob"]
+    assert json.loads(run("keys", "revoke", "bob", *where)[1]) == {"name": "bob", "revoked": True}
+
+
+def test_a_backup_and_its_restore_are_described_as_json(run: Run, tmp_path: Path):
+    data, file, again = (str(tmp_path / name) for name in ("data", "whole.backup", "again"))
+    assert json.loads(run("doctor", "--data", data, "--json")[1])["findings"] is not None
+    Path(data).mkdir(exist_ok=True)
+    Ledger(Path(data) / "ledger.sqlite").close()
+    made = run("backup", file, "--data", data, "--json")
+    assert json.loads(made[1])["file"] == file
+    restored = json.loads(run("restore", file, "--data", again, "--json")[1])
+    assert (restored["data"], restored["former"]) == (again, None)
+
+
+def test_an_export_to_stdout_and_json_exclude_each_other(run: Run):
+    status, out = run("export", "plate", "-", "--json")
+    assert (status, "name one instead of -" in " ".join(out.split())) == (2, True)
+
+
+def test_followed_jobs_are_a_json_document_a_line(stub: Stub, run: Run, monkeypatch):
+    from wrenchbook.service.client import Client, Event
+
+    happened = [Event("hello", {"boot": 1}, "1"), Event("job", {"id": 7, "status": "done"}, "2")]
+    monkeypatch.setattr(Client, "events", lambda *_, **__: iter(happened))
+    lines = run("jobs", "--follow", "--json")[1].splitlines()
+    assert [json.loads(line)["event"] for line in lines] == ["hello", "job"]
+    assert json.loads(lines[1])["id"] == 7
+    assert stub.seen == []
+
+
+def test_a_demo_prints_its_figures_as_json(run: Run, monkeypatch):
+    figures = {"failed": None, "seconds": 1.5, "rows": 7}
+    monkeypatch.setattr("wrenchbook.service.cli.demo.run", lambda *_: figures)
+    assert (lambda status, out: (status, json.loads(out)))(*run("demo", "--json")) == (0, figures)
+
+
+def test_a_validation_prints_its_findings_as_json(run: Run):
+    status, out = run("validate", "patch", "--json")
+    assert (status, {row["topic"] for row in json.loads(out)}) == (0, {"patch"})
+
+
+def test_the_paper_prints_its_json_and_nothing_of_its_table(run: Run, monkeypatch, tmp_path: Path):
+    (tmp_path / "paper.json").write_text('{"summary": "all bands"}')
+    table = [sys.executable, "-c", "print('a table')"]
+    monkeypatch.setattr(local, "child_command", lambda *_: table)
+    monkeypatch.setattr(local.importlib.util, "find_spec", lambda _: True)
+    _, out = run("validate", "paper", "--out", str(tmp_path), "--json")
+    assert json.loads(out) == {"summary": "all bands"}
+
+
+def test_a_check_of_a_bundle_is_printed_as_json(run: Run):
+    bundle = ROOT / "data" / "components" / "plate_thin"
+    status, out = run("check", str(bundle), "--json")
+    assert (status, isinstance(json.loads(out), dict)) == (0, True)
+
+
+def test_settings_are_printed_as_json(run: Run, tmp_path: Path):
+    shown = json.loads(run("serve", "--data", str(tmp_path), "--show-settings", "--json")[1])
+    assert shown["data"] == {"value": str(tmp_path), "origin": "command line"}
+    assert "as_json" not in shown
+
+
+@pytest.mark.parametrize("command", [["serve", "--port", "0", "--solvers", "0"], ["work"]])
+def test_a_server_prints_one_json_line_when_it_is_ready(tmp_path: Path, command: list[str]):
+    words = [sys.executable, str(ROOT / "wrenchbook.py"), *command, "--data", str(tmp_path)]
+    with subprocess.Popen([*words, "--json"], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            ready = json.loads(process.stdout.readline())
+            assert (ready["data"], ready["pid"]) == (str(tmp_path), process.pid)
+            assert ("address" in ready) == (command[0] == "serve")
+        finally:
+            os.kill(process.pid, signal.SIGTERM)
+        assert process.stdout.read() == ""
