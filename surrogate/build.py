@@ -85,7 +85,7 @@ class AnyTable:
         """Return how the table covers the load range, as JSON-able values."""
         summary = self.thinnest.coverage_summary() | {
             "rig_error": self.rig_error.tolist(),
-            "noise_of_a_reading": self.reading.tolist(),
+            "noise_of_a_reading": [None if one != one else one for one in self.reading.tolist()],
         }
         if not self.rows.partial:
             return summary

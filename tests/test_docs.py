@@ -112,8 +112,6 @@ def test_the_commands_of_a_page_exist_with_their_options(page):
 
 @pytest.mark.parametrize("page", RUN, ids=shown)
 def test_the_python_blocks_of_a_tutorial_run_one_after_the_other(page, tmp_path, monkeypatch):
-    monkeypatch.setenv("WRENCHBOOK_SOLVE", "stand_in:quick")
-    monkeypatch.setenv("PYTHONPATH", f"{ROOT / 'tests/service'}:{ROOT}")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "data").symlink_to(ROOT / "data")
     with served(tmp_path / "workspace", solvers=2) as client:
@@ -121,6 +119,9 @@ def test_the_python_blocks_of_a_tutorial_run_one_after_the_other(page, tmp_path,
         for line, text in blocks(page, "python"):
             text = "\n" * line + text.replace("http://127.0.0.1:8000", client.url)
             exec(compile(text, shown(page), "exec"), namespace)
+        for value in namespace.values():
+            if isinstance(value, wrenchbook.Client):
+                value.close()
 
 
 def test_the_reference_has_every_public_name():

@@ -20,7 +20,12 @@ def test_ctrl_c_cancels_the_solves_of_a_fill_and_no_others(tmp_path: Path):
         words = [sys.executable, "-P", str(FACE), "fill", "plate", "--budget", "3"]
         words += ["--server", client.url]
         with subprocess.Popen(
-            words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            words,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            # A shell starts its background commands with SIGINT ignored, and children inherit it.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         ) as command:
             assert command.stdout is not None
             assert command.stdout.readline()  # the round: its solves are queued

@@ -34,7 +34,8 @@ def whole_bar(
     if error is not None:
         bars = widened(error, bars, wrench, *_state(table, wrench, answer, method))
     if bars is not None:
-        bars = tuple(np.add(bars, table.rig_error).tolist())
+        both = zip(bars, table.rig_error.tolist(), strict=True)
+        bars = tuple(None if bar is None else bar + rig for bar, rig in both)
     if bars is None or table.bars_are_whole:
         return bars
     unknown = solved(table, wrench, None, method)
