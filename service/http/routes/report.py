@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
@@ -13,7 +14,7 @@ from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.submission import NoSetupError
-from wrenchbook.service.workspace import Workspace
+from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 
 router = APIRouter(
     prefix="/v1/components/{name}/report", tags=["report"], responses=refused(404, 422)
@@ -25,6 +26,7 @@ _MEDIA_TYPES = {
     "html": "text/html; charset=utf-8",
 }
 
+LOOK_S = 0.05  # between two looks at the file of a table
 _MAKING = answers(dict[str, Any], "being made", 202)
 
 
@@ -46,11 +48,20 @@ def make_report(
             f"{name!r} has no finite-element setup, so there is no reference to report against. "
             "GET .../coverage tells what its rows know."
         )
+    _wait_for_file(workspace, name)
     try:
         workspace.reports.make(component, wrenches, seed)
     except FileNotFoundError as error:
         raise HttpProblemError(409, "no-rows", "The table has no rows", str(error)) from None
     return _state(workspace, name)
+
+
+def _wait_for_file(workspace: Workspace, name: str) -> None:
+    """Return once a table with rows is in its file, which the builder writes after the rows."""
+    deadline, tables = time.monotonic() + CATCH_UP_S, workspace.tables
+    if tables.caught_up(name, CATCH_UP_S).row_count:
+        while tables.written(name) is None and time.monotonic() < deadline:
+            time.sleep(LOOK_S)
 
 
 @router.delete("", summary="Stop making a report; the latest one stays")

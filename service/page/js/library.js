@@ -2,7 +2,7 @@
 
 import { get, listed, of } from "./api.js";
 import { el, pill, put, note } from "./dom.js";
-import { empty } from "./empty.js";
+import { beingBuilt, empty } from "./empty.js";
 import { listen } from "./events.js";
 import { count } from "./format.js";
 import { paint } from "./picture.js";
@@ -65,7 +65,7 @@ async function refresh(name, cards, signal, rows) {
   const shown = cards.get(name);
   if (rows !== undefined) { shown.rows.textContent = rowsText(rows); shown.all = rows; }
   if (!shown.all) { // none, or none yet
-    put(shown.covered, "empty table");
+    put(shown.covered, shown.about.pending_rows ? `${beingBuilt(shown.about.pending_rows)} …` : "empty table");
     return;
   }
   try {

@@ -3,6 +3,7 @@
 import { caughtUp, get, of, post } from "./api.js";
 import { el, facts, field, note, notify, put, table } from "./dom.js";
 import { listen } from "./events.js";
+import { beingBuilt } from "./empty.js";
 import { findingNote } from "./findings.js";
 import { LOADS, count, number, quantity, symbol, unitOfLoad, percent } from "./format.js";
 import { sharesOf } from "./shares.js";
@@ -38,7 +39,7 @@ async function cover(place, about, signal) {
   if (rows) {
     parts.push(sharesOf(await get(`${of(about.name)}/glance`, signal)));
     parts.push(el("p", { class: "muted small" }, "Share of the load range, and of each axis' three loads, whose interpolation error is within the tolerance; the discretisation error is apart."));
-  } else parts.push(el("p", {}, "The table has no rows yet."));
+  } else parts.push(el("p", {}, about.pending_rows ? `${beingBuilt(about.pending_rows)} …` : "The table has no rows yet."));
   if (about.has_fea) parts.push(fill(about));
   else parts.push(el("p", {}, el("a", { href: `#/c/${about.name}/table` }, "Import measured rows"), "."));
   put(place, parts);
