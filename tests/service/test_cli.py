@@ -346,7 +346,8 @@ def test_a_refused_import_names_the_options_of_the_command_line(
     shown = " ".join(err.split())
     assert status == 1
     assert "Say --partial; a log alone: --displacements FILE" in shown
-    assert "say --missing-loads-zero" in shown and "missing_loads" not in shown
+    assert "say --missing-loads-zero" in shown
+    assert "missing_loads" not in shown
 
 
 def test_withdraw_lists_findings_with_the_command_that_withdraws_their_rows(stub: Stub, run: Run):

@@ -221,7 +221,8 @@ def test_a_displacement_column_that_is_ignored_is_missing():
 def test_a_log_of_loads_alone_is_refused_with_the_way_to_send_its_displacements():
     log = (Path(__file__).parents[2] / "data/tables/ati_loads.csv").read_text()
     message = only_error(read_csv(log)).message
-    assert "no displacement column" in message and "displacements=FILE" in message
+    assert "no displacement column" in message
+    assert "displacements=FILE" in message
 
 
 def test_all_mistakes_of_a_header_come_at_once():
