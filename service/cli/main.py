@@ -318,7 +318,7 @@ def main() -> None:
     except ProblemError as error:
         err = Screen(stderr=True)
         render.plain(err, error.title, style="red")
-        render.plain(err, error.detail)
+        render.plain(err, render.in_cli_words(error.detail))
         render.body_errors(err, error.errors)
         sys.exit(1)
     except (ServerUnreachable, OSError, RuntimeError, ValueError) as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -153,13 +154,34 @@ def _state(job: Job) -> str:
 def row_errors(out: Console, errors: Sequence[dict[str, Any]]) -> None:
     """Print the mistakes of a table file, one a line."""
     for error in errors:
-        plain(out, f"row {error['row']}, {error['field']}: {error['message']}")
+        plain(out, f"row {error['row']}, {error['field']}: {in_cli_words(error['message'])}")
 
 
 def body_errors(out: Console, errors: Sequence[dict[str, Any]]) -> None:
     """Print the mistakes a problem answer lists, one a line."""
     for error in errors:
-        plain(out, f"  {error.get('loc', '')}: {error.get('msg', '')}")
+        plain(out, in_cli_words(f"  {error.get('loc', '')}: {error.get('msg', '')}"))
+
+
+_CLI_WORDS = {
+    r"missing_loads=zero": "--missing-loads-zero",
+    r"partial=true": "--partial",
+    r"displacements=FILE": "--displacements FILE",
+    r"lag \(time_offset_s\)": "--lag SECONDS",
+    r"\b(tare|decimal|lag)=": r"--\1 ",
+    r"\bsheet=NAME": "--sheet NAME",
+    r"\bignore_extra\b": "--ignore-extra",
+    r"\bname it in ignore\b": "name it with --ignore",
+    r"\bby ignore or mapping\b": "by --ignore or --column",
+    r"\bwith mapping\b": "with --column 'LABEL=fz [N]'",
+}
+
+
+def in_cli_words(text: str) -> str:
+    """Return a message of an import with the CLI's options for those of the HTTP query."""
+    for pattern, option in _CLI_WORDS.items():
+        text = re.sub(pattern, option, text)
+    return text
 
 
 def plain(out: Console, text: str, style: str | None = None) -> None:
@@ -310,6 +332,7 @@ __all__ = [
     "component_table",
     "fill",
     "follow",
+    "in_cli_words",
     "job_table",
     "method_line",
     "row_errors",

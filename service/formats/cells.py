@@ -8,6 +8,8 @@ from datetime import UTC, datetime
 from decimal import Decimal
 
 _QUOTED = 40  # characters of a cell in a message
+NO_VALUE = "#NO VALUE: "
+"""Stands before the place of a formula that a program wrote without its value."""
 # Formats of loggers in addition to ISO 8601. Day and month may be swapped: only differences count,
 # and a log rarely runs over midnight.
 _CLOCK_FORMATS = (
@@ -64,6 +66,11 @@ def number_problem(cell: str, comma: bool) -> str:
         return "is empty; write 0 for no load"
     if cell.lower().lstrip("+-") in ("nan", "inf", "infinity"):
         return f"{quoted(cell)} is not finite; leave the row out"
+    if cell.startswith(NO_VALUE):
+        return (
+            f"the formula in {cell.removeprefix(NO_VALUE)} has no stored value: open and save the "
+            "file in a spreadsheet program"
+        )
     if cell.startswith("#"):
         return f"{quoted(cell)} is a spreadsheet's error; correct the formula or leave the row out"
     if not cell.isascii() and any(map(str.isdecimal, cell)):

@@ -238,11 +238,14 @@ class _ColumnNames:
         if len(fits) == 1:
             return next(iter(fits.values()))
         if len(fits) > 1:
-            raise UnitError(f"can be {' or '.join(sorted(fits))}; say which with mapping")
+            raise UnitError(f"can be {' or '.join(sorted(fits))}; name one with mapping")
         # With brackets, or as a bare name, the label names a column and its unit is the mistake.
         if problem and (split(label)[1] or any(not unit for _, unit, _ in readings(label))):
             raise problem
         raise _UnknownColumnError(_unknown(_name(label).lower()))
+
+
+_ALONE = "; a log of loads alone: send the log of its displacements too, as displacements=FILE"
 
 
 class _UnknownColumnError(UnitError):
@@ -291,9 +294,9 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
         needed.append(("load", WRENCH))
     for what, names in needed:
         if not named & set(names):
-            yield f"no {what} column; name at least one of " + ", ".join(
-                f"{name} [{quantity_of(name).examples[0]}]" for name in names
-            )
+            columns = ", ".join(f"{name} [{quantity_of(name).examples[0]}]" for name in names)
+            alone = _ALONE if what == "displacement" and options.role == "table" else ""
+            yield f"no {what} column; name at least one of {columns}{alone}"
     absent = [name for name in WRENCH if name not in named]
     may_miss = options.missing_loads == "zero" or options.role == "displacements"
     if absent and len(absent) < 6 and not may_miss:

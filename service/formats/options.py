@@ -229,7 +229,8 @@ class ReadReport:
         if self.format not in ("json", "hdf5"):
             return next((one.label for one in self.columns if one.name == name), name)
         keys = {"wrench": WRENCH, "displacement": DISPLACEMENT, "uncertainty": UNCERTAINTY}
-        return next(f"{key}[{names.index(name)}]" for key, names in keys.items() if name in names)
+        found = (f"{key}[{names.index(name)}]" for key, names in keys.items() if name in names)
+        return next(found, name)
 
     def as_json(self, good: int, preview: list[dict[str, Any]]) -> dict[str, Any]:
         """Return the report as in the HTTP reply, with the number of good rows and a preview."""

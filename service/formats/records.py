@@ -279,9 +279,9 @@ class _Conversion:
         columns = self._header.columns
         for at in np.flatnonzero(np.isnan(displacement).all(axis=1)).tolist():
             if self._good[at]:
-                label = next(columns[name].label for name in DISPLACEMENT if name in columns)
+                labels = [columns[name].label for name in DISPLACEMENT if name in columns]
                 message = "no displacement is given; a row needs at least one"
-                self._refuse(at, label, message)
+                self._refuse(at, labels[0] if labels else "displacement", message)
 
     def _check_tangents(self, compliance: Array) -> None:
         missing = np.isnan(compliance)

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from wrenchbook.service.formats.cells import NO_VALUE
 from wrenchbook.service.formats.column_names import Layout, WritableRows
 from wrenchbook.service.formats.header import Header
 from wrenchbook.service.formats.options import Options, ReadReport
@@ -118,7 +119,7 @@ def _sheet(path: Path, file: BinaryIO, name: str | None) -> Any:
     found = [sheet for sheet in book.worksheets if name is None or sheet.title == name]
     if not found:
         known = ", ".join(sheet.title for sheet in book.worksheets)
-        raise NoSheetError(f"there is no sheet {name!r}; it has {known or 'none'}")
+        raise NoSheetError(f"there is no sheet {name!r}; it has {known or 'none'}: say sheet=NAME")
     if name is None and len(found) > 1 and found[0].title == ABOUT_SHEET:
         return found[1]
     return found[0]
@@ -130,6 +131,7 @@ def _records(sheet: Any) -> Iterator[Record]:
     with warnings.catch_warnings(), sheet._get_source() as source:
         warnings.simplefilter("ignore")
         parser = _digits_parser(
+            sheet.title,
             source,
             sheet._shared_strings,
             data_only=True,
@@ -171,9 +173,12 @@ def _record_problem(cells: list[str], header: Header) -> str:
     return ""
 
 
-def _digits_parser(*args: Any, **options: Any) -> Any:
-    """Return openpyxl's parser of a sheet; the value of a number is its digits in the file."""
-    from openpyxl.worksheet._reader import VALUE_TAG, WorkSheetParser
+def _digits_parser(title: str, *args: Any, **options: Any) -> Any:
+    """Return openpyxl's parser of a sheet; the value of a number is its digits in the file.
+
+    A formula without a value gets its place in `title` after `NO_VALUE`.
+    """
+    from openpyxl.worksheet._reader import FORMULA_TAG, VALUE_TAG, WorkSheetParser
 
     class _DigitsParser(WorkSheetParser):
         def parse_row(self, row: Any) -> tuple[int, list[dict[str, Any]]]:
@@ -181,9 +186,12 @@ def _digits_parser(*args: Any, **options: Any) -> Any:
             return super().parse_row(row)
 
         def parse_cell(self, element: Any) -> dict[str, Any]:
+            has_formula = element.find(FORMULA_TAG) is not None  # the parser clears the element
             cell = super().parse_cell(element)
             if cell["data_type"] == "n" and cell["value"] is not None:
                 cell["value"] = element.findtext(VALUE_TAG)
+            elif cell["value"] is None and cell["data_type"] == "n" and has_formula:
+                cell["value"] = f"{NO_VALUE}{title}!{element.get('r')}"
             return cell
 
     return _DigitsParser(*args, **options)

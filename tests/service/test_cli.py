@@ -334,6 +334,22 @@ def test_import_sends_a_lag_and_prints_what_the_logs_show(stub: Stub, run: Run, 
     )
 
 
+def test_a_refused_import_names_the_options_of_the_command_line(
+    stub: Stub, run: Run, tmp_path: Path
+):
+    (tmp_path / "loads.csv").write_text("time [s]")
+    message = "no column for mz; if these loads were zero, say missing_loads=zero"
+    error = {"row": 1, "field": "header", "message": message, "loc": "row 1", "msg": message}
+    detail = "Say partial=true; a log alone: displacements=FILE"
+    stub.answers(Answer({"title": "Mistakes", "detail": detail, "errors": [error]}, 422))
+    status, _, err = run("import", "plate", str(tmp_path / "loads.csv"))
+    shown = " ".join(err.split())
+    assert status == 1
+    assert "Say --partial; a log alone: --displacements FILE" in shown
+    assert "say --missing-loads-zero" in shown
+    assert "missing_loads" not in shown
+
+
 def test_withdraw_lists_findings_with_the_command_that_withdraws_their_rows(stub: Stub, run: Run):
     outlier = {"cause": "outlier", "message": "2 rows are far off", "import": 3, "count": 2}
     stub.answers(Answer({"warnings": [{"where": "mesh", "message": "coarse"}, outlier]}))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -215,6 +216,13 @@ def test_a_column_tx_in_one_unit_does_not_stand_for_the_other_quantity():
 def test_a_displacement_column_that_is_ignored_is_missing():
     table = read_csv("fx [N],ux [mm]\n1,2\n", ignore=("ux",))
     assert "no displacement column" in only_error(table).message
+
+
+def test_a_log_of_loads_alone_is_refused_with_the_way_to_send_its_displacements():
+    log = (Path(__file__).parents[2] / "data/tables/ati_loads.csv").read_text()
+    message = only_error(read_csv(log)).message
+    assert "no displacement column" in message
+    assert "displacements=FILE" in message
 
 
 def test_all_mistakes_of_a_header_come_at_once():

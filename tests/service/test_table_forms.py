@@ -386,6 +386,23 @@ def test_a_file_of_empty_lines_is_refused_as_soon_as_there_are_too_many(begin, l
     assert any("1,000 lines without a row" in one.message for one in told.mistakes.listed())
 
 
+def test_a_formula_without_a_stored_value_is_named_by_its_sheet_and_cell():
+    book = openpyxl.Workbook()
+    book.active.title = "Run 3"
+    for row in (["fz [N]", "uz [m]"], [1, 1e-6], [2, "=B2*2"]):
+        book.active.append(row)
+    content = io.BytesIO()
+    book.save(content)
+    (error,) = read(content.getvalue())[1].mistakes.listed()
+    assert (error.row, error.field) == (3, "uz [m]")
+    assert "the formula in Run 3!B3 has no stored value" in error.message
+
+
+def test_a_sheet_that_is_not_there_is_answered_with_the_names_of_the_others():
+    message = error_of(BOOK, replace(ZERO, sheet="Run 9"))
+    assert "there is no sheet 'Run 9'; it has table" in message
+
+
 @pytest.mark.parametrize("write", [write_xlsx, write_parquet, None])
 def test_a_table_without_rows_is_written(write):
     none = _ROWS.take(np.zeros(2, dtype=bool))
