@@ -242,12 +242,12 @@ class _Refinement:
         worst = float(np.quantile(losses, ENOUGH))
         if self.tolerance is not None and within >= ENOUGH:
             reason = (
-                f"the table's error bars of {within:.0%} of a sample of the range are within the "
+                f"the interpolation error of {within:.0%} of a sample of the range is within the "
                 "tolerance"
             )
             return Design(np.empty((0, 6)), "met", reason)
         unit = "the tolerance" if self.tolerance is not None else "the outputs' range"
-        reason = f"95 % of the error bars are at most {worst:.3g} times {unit}"
+        reason = f"95 % of the interpolation errors are at most {worst:.3g} times {unit}"
         if not np.isfinite(worst):
             reason = "the rows do not yet show how large errors are"
         return Design(self._chosen(budget), "refine", reason)

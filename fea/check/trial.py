@@ -91,7 +91,7 @@ def deflection_warnings(
     if free.any() and (moved <= allowed)[free].all():
         message = (
             f"moves the interface by {moved[:3].max():.2g} m and {moved[3:].max():.2g} rad at "
-            f"most, within the tolerance: the part is rigid for its users. {_UNITS}"
+            f"most, less than the tolerance: the part is rigid for its users. {_UNITS}"
         )
         problems.append(BundleProblem("range", message))
     return problems

@@ -101,7 +101,7 @@ class Round:
     Parameters
     ----------
     jobs : tuple of Job
-        The solves queued; none when the table meets the tolerance.
+        The solves queued; none when the interpolation error meets the tolerance.
     stage : str
         ``first``, ``refine`` or ``met``.
     reason : str

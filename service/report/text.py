@@ -51,7 +51,7 @@ def advice_of(report: dict[str, Any]) -> str:
             f"More rows help: {sentence}, and {over} exceeds the tolerance; wrenchbook fill {name}."
         )
     mesh_part = f", its mesh by {100 * mesh:.2g} %" if mesh is not None else ""
-    within = " and is within the tolerance, so that it needs no more rows" * bool(
+    within = "; its interpolation error is within the tolerance: it needs no more rows" * bool(
         report["tolerance"]
     )
     return f"The table decides: {sentence}{mesh_part}{within}."

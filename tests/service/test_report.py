@@ -1,6 +1,7 @@
 import io
 import json
 import zipfile
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from wrenchbook.fea.solve import Solver
 from wrenchbook.service.library.library import SHIPPED
 from wrenchbook.service.report.measure import errors, measure, mesh_error, pareto, worst
 from wrenchbook.service.report.page import as_page
-from wrenchbook.service.report.text import as_markdown
+from wrenchbook.service.report.text import advice_of, as_markdown, default_entry
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 
@@ -84,6 +85,17 @@ def test_the_markdown_names_every_method_and_mesh(report):
     text = as_markdown(report)
     for word in ("griddata", "linear", "nearest", "coarse", "own", "fine (reference)"):
         assert word in text
+
+
+def test_the_advice_says_within_the_tolerance_of_the_interpolation_error_alone(report):
+    figures = deepcopy(report)
+    table, own = default_entry(figures), figures["fea"][1]
+    table["lookup_error"] |= {"rms_relative": [0.02] * 6, "p95": [1e-6] * 6}
+    own["error"]["rms_relative"] = [0.01] * 6
+    figures["tolerance"] = [1e-6] * 6  # the error of the mesh comes on top of it
+    assert advice_of(figures).endswith(
+        "its mesh by 1 %; its interpolation error is within the tolerance: it needs no more rows."
+    )
 
 
 def test_errors_are_rms_quantile_and_largest():

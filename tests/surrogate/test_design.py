@@ -158,6 +158,13 @@ def test_pending_wrenches_that_will_meet_the_tolerance_end_a_fill() -> None:
     assert next_wrenches(FILLED, 60, tolerance=tolerance, pending=asked.wrenches).stage == "met"
 
 
+def test_a_fill_that_ends_says_within_the_tolerance_of_the_interpolation_error_alone() -> None:
+    reason = next_wrenches(FILLED, 60, tolerance=Tolerance(1.0, 1.0)).reason
+    assert reason == (
+        "the interpolation error of 100% of a sample of the range is within the tolerance"
+    )
+
+
 def test_a_table_without_tangents_is_filled_with_clean_and_full_wrenches() -> None:
     surrogate = build(table(smooth, FIRST / HIGH), RANGE)
     asked = next_wrenches(surrogate, 30).wrenches

@@ -143,7 +143,7 @@ def _add_table_only(workspace: Workspace, body: TableOnlyComponent) -> Component
 @router.post(
     "/{name}/fill",
     summary="Queue the solves that lower the table's error most",
-    responses=answers(Queued, "the table is within the tolerance")
+    responses=answers(Queued, "the interpolation error is within the tolerance")
     | answers(Queued, "solves are queued", 202)
     | refused(404, 409, 422),
     openapi_extra=takes(FillBody),
