@@ -113,7 +113,7 @@ def _finer(folder: Path) -> Path:
     bundle = shutil.copytree(SHIPPED / COMPONENT, folder / f"{COMPONENT}_finer")
     about = bundle / "component.toml"
     text = about.read_text().replace(f'name = "{COMPONENT}"', f'name = "{bundle.name}"')
-    times = re.compile(r"^(cells|rings) = (\d+)", re.MULTILINE)
+    times = re.compile(r"^(cells|rings|corner_cells) = (\d+)", re.MULTILINE)
     about.write_text(times.sub(lambda one: f"{one[1]} = {FINER * int(one[2])}", text))
     return bundle
 
