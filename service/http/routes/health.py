@@ -29,7 +29,7 @@ async def live() -> dict[str, str]:
     summary="Whether jobs are accepted and solved, and which tables answer",
     description="`status` is `ready`, `building` while tables are built, or `not ready` (503; see "
     "`faults`). `tables` has `ready`, `building` or `broken` for each component; "
-    "`pending_rows` the rows, 500 at most, that are being built into a table. With `component`, "
+    "`pending_rows` the rows that are being built into a table. With `component`, "
     "`ready` and the status code are of its table.",
     responses=answers(dict[str, Any], "ready, or tables are built")
     | answers(dict[str, Any], "not ready; see faults", 503)
