@@ -325,10 +325,19 @@ def test_the_deformed_plate_shows_the_parts_of_its_error_bar(browser, plate):
     browser.visit(f"{PLATE}/shape")
     browser.drawn("#shape")
     ask(browser, "Show", fz=-900)  # the row's own wrench: between rows one row tells no bar
+    browser.until(lambda: "discretisation" in browser.one("dl.facts").text)
+    assert re.search(r"interpolation .*m, discretisation \d", browser.one("dl.facts").text)
+
+
+def test_a_shape_beyond_the_tolerance_by_its_mesh_names_the_cause(browser, client, tmp_path):
+    client.add_component(bundle(tmp_path, "strict", translation=1e-15))
+    client.solve("strict", [0, 0, -60.0], [0, 0, 0], wait_s=120)
+    browser.visit("#/c/strict/shape")
+    browser.drawn("#shape")
+    ask(browser, "Show", fz=-60)
     browser.named(
         ".note.thin", "An error bar exceeds the tolerance because of the discretisation error"
     )
-    assert re.search(r"interpolation .*m, discretisation \d", browser.one("dl.facts").text)
 
 
 @pytest.fixture(scope="module")
