@@ -50,7 +50,7 @@ _QUANTITY: dict[str, Quantity] = {
 _SYNONYMS = {
     "f": ("f", "force", "kraft"),
     "m": ("m", "moment", "torque", "t", "drehmoment"),
-    "u": ("u", "disp", "displacement", "translation", "trans", "t", "deflection"),
+    "u": ("u", "d", "disp", "displacement", "translation", "trans", "t", "deflection"),
     "r": ("r", "rot", "rotation", "theta", "phi"),
 }
 _NAMES: dict[str, set[str]] = {}
@@ -65,6 +65,7 @@ _HALF_WIDTH = ("err", "error", "unc", "uncertainty", "u95")
 _STANDARD = ("std", "sd", "sigma")
 _BRACKETED = re.compile(r"(?P<name>[^\[\](]*?)\s*(?:\[(?P<a>[^\[\]]*)\]|\((?P<b>[^()\[\]]*)\))?")
 _GAP = re.compile(r"[\s_./-]+")
+_RATE = re.compile(r"(?i)(time|zeit)\s+\d+ - [^\[\]()]+")  # catman: Zeit  1 - Standardmessrate
 
 
 def quantity_of(name: str) -> Quantity:
@@ -106,6 +107,9 @@ def readings(label: str) -> Iterator[tuple[str, str, Decimal]]:
     if len(label) > MOST_LABEL:
         return
     name, unit = split(label)
+    if _RATE.fullmatch(name):
+        yield TIME_COLUMN, unit, Decimal(1)
+        return
     if name.lower() in (*TEXTS, *COMPLIANCE):
         yield name.lower(), unit, Decimal(1)
         return

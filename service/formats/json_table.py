@@ -1,5 +1,7 @@
 """JSON tables: ``{"units": "SI", "rows": [{"wrench": [6], "displacement": [6], ...}]}``.
 
+Objects of columns, a list of them or one a line, are read by `json_records`.
+
 A displacement that was not measured is null, but not all six. A row may have ``uncertainty`` (six
 numbers, null where unknown), ``compliance`` (the tangent, six lists of six numbers: a line for each
 of ux uy uz rx ry rz, over fx fy fz mx my mz), ``source``, ``note`` and ``fingerprint``. Always SI.
@@ -14,7 +16,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -29,25 +30,26 @@ from wrenchbook.service.formats.column_names import (
     WRENCH,
     WritableRows,
 )
+from wrenchbook.service.formats.json_reader import JsonError, JsonReader
+from wrenchbook.service.formats.json_records import is_records, read_json_records
 from wrenchbook.service.formats.options import MOST_LISTED, Options, ReadReport
 from wrenchbook.service.formats.table_rows import Array, ParsedTable, good_rows, known_column
 from wrenchbook.service.formats.units import vanished
 
 PIECE = 20_000  # rows at once
-_BLANKS = re.compile(r"[ \t\n\r]*")
 _TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_version")
 _ROW_KEYS = ("wrench", "displacement", "uncertainty", "compliance", *TEXTS, *ORIGIN)
 _NO_TABLE = 'is not a table; write {"rows": [{"wrench": [6 numbers], "displacement": [6]}]}'
 
 
-class JsonError(ValueError):
-    """The text is no JSON, or no object; the message has the place."""
-
-
 def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of a JSON file piece by piece; `report` gets the mistakes."""
     try:
-        yield from _pieces(_JsonReader(_text_of(path)), options, report)
+        text = _text_of(path)
+        if is_records(text):
+            yield from read_json_records(text, options, report)
+        else:
+            yield from _pieces(JsonReader(text, _parsed_float), options, report)
     except ValueError as error:
         report.mistakes.ruin(report.read + 1 if report.read else 0, "file", str(error))
 
@@ -75,7 +77,7 @@ def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Itera
     yield "]}"
 
 
-def _pieces(reader: _JsonReader, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+def _pieces(reader: JsonReader, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     piece, listed = _JsonRows(), False
     if reader.peek() != "{":
         reader.value()
@@ -249,88 +251,6 @@ class _Vanished(float):
 def _parsed_float(text: str) -> float:
     number = float(text)
     return _Vanished(number) if vanished(text, number) else number
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return an object; raises ValueError if a key stands twice."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        keys = [key for key, _ in pairs]
-        raise ValueError(_twice(next(key for key in keys if keys.count(key) > 1)))
-    return found
-
-
-def _twice(key: str) -> str:
-    return f"the key {key!r} stands twice in one object; keep one"
-
-
-class _JsonReader:
-    """The text of a JSON file, decoded one value at a time."""
-
-    def __init__(self, text: str) -> None:
-        self._decoder = json.JSONDecoder(parse_float=_parsed_float, object_pairs_hook=_unique)
-        self._text, self._at = text, 0
-
-    def members(self) -> Iterator[str]:
-        """Yield the keys of an object; the caller takes the value of each."""
-        keys = set[str]()
-        for key in self._values("{", "}"):
-            if not isinstance(key, str):
-                raise JsonError(f"is not JSON: a key is no text before {self._place()}")
-            if key in keys:
-                raise JsonError(_twice(key))
-            keys.add(key)
-            self._expect(":")
-            yield key
-
-    def items(self) -> Iterator[Any]:
-        """Yield the values of a list."""
-        return self._values("[", "]")
-
-    def _values(self, start: str, end: str) -> Iterator[Any]:
-        self._expect(start)
-        if self.peek() == end:
-            self._expect(end)
-            return
-        while True:
-            yield self.value()
-            if self._expect("," + end) == end:
-                return
-
-    def value(self) -> Any:
-        """Return the next value; raises JsonError."""
-        self.peek()
-        try:
-            value, self._at = self._decoder.raw_decode(self._text, self._at)
-        except RecursionError as error:
-            raise JsonError("is not JSON of a table: it is nested too deeply") from error
-        except ValueError as error:
-            reason = error.msg if isinstance(error, json.JSONDecodeError) else str(error)
-            raise JsonError(f"is not JSON: {reason} after {self._place()}") from error
-        return value
-
-    def peek(self) -> str:
-        """Return the next character that is no blank, empty at the end."""
-        found = _BLANKS.match(self._text, self._at)
-        self._at = found.end() if found else self._at
-        return self._text[self._at : self._at + 1]
-
-    def end(self) -> None:
-        """Raise JsonError if there is more text."""
-        if self.peek():
-            raise JsonError(f"is not JSON: there is more behind its end, at {self._place()}")
-
-    def _expect(self, characters: str) -> str:
-        """Take the next character, which is one of some."""
-        found = self.peek()
-        if not found or found not in characters:
-            expected = " or ".join(f"'{one}'" for one in characters)
-            raise JsonError(f"is not JSON: {expected} is missing at {self._place()}")
-        self._at += 1
-        return found
-
-    def _place(self) -> str:
-        return f"character {self._at:,}"
 
 
 def _row_dicts(table: WritableRows) -> list[dict[str, Any]]:

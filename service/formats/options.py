@@ -226,7 +226,7 @@ class ReadReport:
 
     def label(self, name: str) -> str:
         """Return the label of a column in the file: ``Fz [kN]``; ``wrench[2]`` in JSON and HDF5."""
-        if self.format not in ("json", "hdf5"):
+        if self.columns or self.format not in ("json", "hdf5"):
             return next((one.label for one in self.columns if one.name == name), name)
         keys = {"wrench": WRENCH, "displacement": DISPLACEMENT, "uncertainty": UNCERTAINTY}
         found = (f"{key}[{names.index(name)}]" for key, names in keys.items() if name in names)

@@ -72,6 +72,20 @@ def test_a_german_spreadsheet_export_reads_the_same():
         assert table.row.tolist() == [5, 7]  # lines of the file, as an editor counts
 
 
+def test_a_catman_export_is_read():
+    """Titles, a line of names with a rate after the time, a line of units."""
+    text = (
+        "catmanAP 5.5\tWaage.tst\nDatum: 3.5.2026\tKanäle: 3\n"
+        "Zeit  1 - Standardmessrate\tFz\tdz\n"
+        "s\tkN\tmm\n"
+        "0\t-0,5\t-0,125\n0,02\t-0,7\t-0,175\n"
+    )
+    table = read_csv(text)
+    assert table.errors == ()
+    assert np.allclose(table.wrench[:, 2], [-500, -700])
+    assert np.allclose(table.displacement[:, 2], [-1.25e-4, -1.75e-4])
+
+
 def test_tabs_old_line_ends_quotes_and_round_brackets_are_read():
     table = read_csv(
         '"fx (kN)"\tux (mm)\tuy (mm)\tuz (mm)\trx (mrad)\try (mrad)\trz (mrad)\tnote\r'

@@ -104,3 +104,40 @@ def test_a_row_with_two_wrenches_is_refused_rather_than_loaded_with_the_last():
     text = json.dumps({"rows": [ROW]}).replace('{"wrench"', doubled)
     (error,) = read_json(text).errors
     assert "the key 'wrench' stands twice in one object" in error.message
+
+
+ROWS = [
+    {"Fx [N]": 0, "Fy [N]": 0, "Fz [kN]": -0.5 * k, "Mx [Nm]": 0, "My [Nm]": 0, "Mz [Nm]": 0}
+    | {"dx [mm]": 0, "dy [mm]": 0, "dz [mm]": -0.1 * k, "rx [deg]": 0, "ry [deg]": 0}
+    | {"rz [deg]": None if k == 2 else 0}
+    for k in (1, 2)
+]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [json.dumps(ROWS), "\n".join(map(json.dumps, ROWS)), json.dumps(ROWS, indent=1) + "\n"],
+    ids=["records", "lines", "indented"],
+)
+def test_records_of_named_columns_are_read_with_their_units(text: str):
+    """A list of objects, and an object a line, were refused."""
+    table = read_json(text)
+    assert table.errors == ()
+    np.testing.assert_allclose(table.wrench[:, 2], [-500, -1000])
+    np.testing.assert_allclose(table.displacement[:, 2], [-1e-4, -2e-4])
+    assert np.isnan(table.displacement[1, 5])
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('[{"Fx": 1}, {"Fx": 1, "Fq": 2}]', "Fq"),
+        ('[{"Fx": {"0": 1}}]', "to_json(orient='records')"),
+        ('{"Fx": 1}\n{"Fx": tr', "is not JSON"),
+        ('[{"Fx": true}]', "neither a number nor a text"),
+    ],
+)
+def test_records_that_are_no_table_say_why(text: str, says: str):
+    table = read_json(text)
+    assert not len(table.wrench)
+    assert any(says in error.message for error in table.errors)
