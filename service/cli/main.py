@@ -319,7 +319,7 @@ def main() -> None:
         err = Screen(stderr=True)
         render.plain(err, error.title, style="red")
         render.plain(err, render.in_cli_words(error.detail))
-        render.body_errors(err, error.errors)
+        render.body_errors(err, error)
         sys.exit(1)
     except (ServerUnreachable, OSError, RuntimeError, ValueError) as error:
         render.plain(Screen(stderr=True), str(error), style="red")

@@ -17,6 +17,7 @@ from rich.table import Table
 
 from wrenchbook.service.cli.pace import Pace, error_bars
 from wrenchbook.service.client import Client, Displacement, Job, ProblemError
+from wrenchbook.service.client.errors import mistake_line
 from wrenchbook.service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
 
 POLL_S = 0.2
@@ -151,16 +152,16 @@ def _state(job: Job) -> str:
     return f"{progress.get('fraction', 0):.0%} {progress.get('message', '')}" if progress else ""
 
 
-def row_errors(out: Console, errors: Sequence[dict[str, Any]]) -> None:
-    """Print the mistakes of a table file, one a line."""
-    for error in errors:
-        plain(out, f"row {error['row']}, {error['field']}: {in_cli_words(error['message'])}")
+def row_errors(out: Console, reply: dict[str, Any]) -> None:
+    """Print the mistakes of a table file, one cause a line."""
+    for cause in reply.get("causes", reply["errors"]):  # servers before 0.3 have no causes
+        plain(out, in_cli_words(mistake_line(cause)))
 
 
-def body_errors(out: Console, errors: Sequence[dict[str, Any]]) -> None:
-    """Print the mistakes a problem answer lists, one a line."""
-    for error in errors:
-        plain(out, in_cli_words(f"  {error.get('loc', '')}: {error.get('msg', '')}"))
+def body_errors(out: Console, error: ProblemError) -> None:
+    """Print the mistakes a problem answer lists, one cause a line."""
+    for one in error.body.get("causes", error.errors):
+        plain(out, in_cli_words(f"  {mistake_line(one)}"))
 
 
 _CLI_WORDS = {

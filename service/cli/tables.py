@@ -245,7 +245,7 @@ def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> No
 
 def _print_import(name: str, reply: dict[str, Any]) -> None:
     """Print how many of a file's rows were loaded, and why others were not."""
-    render.row_errors(out, reply["errors"])
+    render.row_errors(out, reply)
     if reply["ignored"]:
         render.plain(out, f"Columns left out: {', '.join(reply['ignored'])}.")
     if above := reply.get("above"):  # servers before 0.2 leave it out

@@ -64,9 +64,10 @@ class ProblemError(WrenchbookError):
         lines = [f"{self.status} {self.title}"]
         if self.detail:
             lines[0] += f": {self.detail}"
-        lines += [f"  {_line(error)}" for error in self.errors[:_SHOWN]]
-        if len(self.errors) > _SHOWN:
-            lines.append(f"  and {len(self.errors) - _SHOWN} more")
+        mistakes = self.body.get("causes", self.errors)
+        lines += [f"  {mistake_line(one)}" for one in mistakes[:_SHOWN]]
+        if len(mistakes) > _SHOWN:
+            lines.append(f"  and {len(mistakes) - _SHOWN} more")
         return "\n".join(lines)
 
 
@@ -80,8 +81,10 @@ class ServerTimeout(WrenchbookError, TimeoutError):  # noqa: N818 (as above)
     """The server, or a job, took longer than the timeout."""
 
 
-def _line(error: dict[str, Any]) -> str:
-    """Lay out one mistake of a body or of a table."""
+def mistake_line(error: dict[str, Any]) -> str:
+    """Lay out one mistake of a body, or one or all of a cause of a table."""
     if "row" in error:
-        return f"row {error['row']}, {error.get('field', '')}: {error.get('message', '')}"
+        count = error.get("count", 1)
+        more = f" ({count} rows)" if count > 1 else ""
+        return f"row {error['row']}, {error.get('field', '')}: {error.get('message', '')}{more}"
     return f"{error.get('loc', '')}: {error.get('msg', '')}"

@@ -174,8 +174,9 @@ class LibraryCalls:
         Returns
         -------
         dict
-            ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``columns``,
-            ``findings``, ``rows``, ``ignored``, ``table_version`` and ``in_use``.
+            ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``causes``
+            (with ``count`` and ``rows``), ``columns``, ``findings``, ``rows``, ``ignored``,
+            ``table_version`` and ``in_use``.
 
         Raises
         ------

@@ -32,11 +32,33 @@ _FORMULA = re.compile(r"'*\s*[=+\-@\t\r\n|%＝＋－＠]")
 _GUARDED = re.compile(r"''*\s*[=+\-@\t\r\n|%＝＋－＠]")
 
 
-def number_text(cell: str, comma: bool) -> str | None:
+_GROUPED = re.compile(
+    r"[+-]?[1-9]\d{0,2}(?P<gap>[.,'\u2019 \u00a0\u2009\u202f])\d{3}(?P<more>(?P=gap)\d{3})*"
+    r"(?:(?!(?P=gap))(?P<mark>[.,])\d*)?"
+)
+_DECIMAL_MARK = re.compile(r"[+-]?\d*([.,])\d*(?:[eE][+-]?\d+)?")
+"""A number with a mark between thousands: 1,234.5 and 1 234 567."""
+
+
+def number_text(cell: str, comma: bool, declared: bool = False) -> str | None:
     """Return the text of a number with a decimal point, or None if the cell is no number.
 
-    ``float`` reads the text; nan and inf are included.
+    ``float`` reads the text; nan and inf are included. Marks between thousands are left out.
+
+    Parameters
+    ----------
+    cell : str
+    comma : bool
+        Whether the decimal mark is a comma.
+    declared : bool
+        Whether the sender declared it: then 1,234 beside a decimal point is 1234. Otherwise it
+        may also be a wrong decimal mark.
     """
+    grouped = _GROUPED.fullmatch(cell)
+    if grouped and (declared or grouped["gap"] not in ".," or grouped["mark"] or grouped["more"]):
+        if grouped["gap"] == (mark := "," if comma else ".") or grouped["mark"] not in (None, mark):
+            return None
+        cell = cell.replace(grouped["gap"], "")
     # Python alone reads 1_000 and digits of other scripts. In a file with decimal commas, 1.234
     # may mean 1234.
     if "_" in cell or not cell.strip().isascii() or (comma and "." in cell):
@@ -51,7 +73,16 @@ def number_text(cell: str, comma: bool) -> str | None:
 
 def is_number(cell: str) -> bool:
     """Return whether a cell is a number with either decimal mark."""
-    return number_text(cell.replace(",", "."), False) is not None
+    return any(number_text(cell, comma, declared=True) is not None for comma in (False, True))
+
+
+def decimal_mark(cell: str) -> str | None:
+    """Return the mark, ``.`` or ``,``, that can only be a number's decimal one; None if none is."""
+    if grouped := _GROUPED.fullmatch(cell):
+        other = {".": ",", ",": "."}.get(grouped["gap"]) if grouped["more"] else None
+        return grouped["mark"] or other
+    found = _DECIMAL_MARK.fullmatch(cell)
+    return found[1] if found else None
 
 
 def quoted(cell: str) -> str:
@@ -78,8 +109,10 @@ def number_problem(cell: str, comma: bool) -> str:
     if number_text(cell, comma) is not None:
         return f"{quoted(cell)} is too large a number"
     if "," in cell or (comma and "." in cell):
-        mark = "comma" if comma else "point"
-        return f"{quoted(cell)}: the file has a decimal {mark}; write no other mark, no thousands"
+        mark, name = (",", "comma") if comma else (".", "point")
+        text = number_text(cell, comma, declared=True)
+        meant = f", or say decimal={mark} for {text}" if text is not None else ""
+        return f"{quoted(cell)}: the file has a decimal {name}; write no other mark{meant}"
     if number_text(cell.split()[0], comma) is not None:
         return f"{quoted(cell)} is not a number alone; the unit stands in the header only"
     return f"{quoted(cell)} is not a number"

@@ -1,8 +1,9 @@
 """CSV tables: encodings, delimiters, decimal marks, comments, and mistakes by line and column.
 
 Fields are parted by ``,``, ``;``, tab or ``|``, with the latter three the decimal mark may be a
-comma. If all marks in the numbers may part thousands (``1,234``), the file is refused: a guess
-would be wrong by a factor of 1000. Lines that begin with ``#`` are comments. Blank lines count in
+comma. Marks between thousands are left out (``1,234.5``, ``1 234``, ``1.234.567``). If all marks in
+the numbers may part thousands (``1,234``), the file is refused: a guess would be wrong by a factor
+of 1000. Lines that begin with ``#`` are comments. Blank lines count in
 the numbers of lines.
 """
 
@@ -18,7 +19,7 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import BinaryIO
 
-from wrenchbook.service.formats.cells import guard_formula, number_text
+from wrenchbook.service.formats.cells import decimal_mark, guard_formula, number_text
 from wrenchbook.service.formats.column_names import NUMBERS, TIME_COLUMN, Layout, WritableRows
 from wrenchbook.service.formats.header import Header, read_head
 from wrenchbook.service.formats.options import Mistakes, Options, ReadReport
@@ -48,7 +49,6 @@ _IN_BRACKETS = re.compile(r"\[[^\]]*\]|\([^)]*\)|\"[^\"]*\"")
 _LINE_END = re.compile(r"\r\n|\r|\n")
 # 1,234 is 1.234 with a decimal comma and 1234 with a comma between thousands.
 _EITHER_MARK = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}")
-_DECIMAL_MARK = re.compile(r"[+-]?\d*([.,])\d*(?:[eE][+-]?\d+)?")
 _NO_CSV = (
     "cannot be read as CSV ({}); is a quotation mark left open? Within a quoted text a quotation "
     "mark is written twice"
@@ -83,7 +83,9 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         return _record_problem(cells, header, delimiter)
 
     if options.decimal is not None or delimiter == ",":
-        cell_format = CellFormat(options.decimal == ",", guarded=True)
+        cell_format = CellFormat(
+            options.decimal == ",", declared=options.decimal is not None, guarded=True
+        )
     else:
         cell_format = replace(_format_in(records(), options), guarded=True)
     yield from read_records(records(), options, report, cell_format, check)
@@ -305,8 +307,8 @@ def _marks(rows: TextRows, header: Header) -> tuple[set[str], tuple[int, str, st
             text = cells[column.index].strip() if len(cells) > column.index else ""
             if _EITHER_MARK.fullmatch(text):
                 doubtful = doubtful or (line, column.label, text)
-            elif marked := _DECIMAL_MARK.fullmatch(text):
-                sure.add(marked[1])
+            elif mark := decimal_mark(text):
+                sure.add(mark)
                 if len(sure) == 2:
                     return sure, doubtful
     return sure, doubtful

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
@@ -24,6 +25,9 @@ MOST_MISTAKES = 100 * MOST_LISTED
 """Reading stops after so many: 8.8 KB of gzip can hold six million, 78 s of processor time."""
 
 _MOST_FIELD = 200  # characters: a key of a row can have a million
+_MOST_CAUSES = 100
+_MOST_ROWS_SHOWN = 10
+_VALUE = re.compile(r"'[^']*'|[-+\d][\w.+-]*")  # differs between two mistakes of one cause
 _MOST_KEPT = 20 * MOST_LISTED  # until they are sorted at the end of a piece
 
 
@@ -137,6 +141,7 @@ class Mistakes:
 
     def __init__(self) -> None:
         self._kept: list[FileMistake] = []
+        self._causes: dict[tuple[str, str], MistakeCause] = {}
         self.count = 0
         self.whole = False
 
@@ -149,8 +154,14 @@ class Mistakes:
     def add(self, row: int, field: str, message: str) -> None:
         """Add a mistake of a row."""
         self.count += 1
+        mistake = FileMistake(row, field[:_MOST_FIELD], message)
         if len(self._kept) < _MOST_KEPT:
-            self._kept.append(FileMistake(row, field[:_MOST_FIELD], message))
+            self._kept.append(mistake)
+        key = (mistake.field, _VALUE.sub("", message))
+        if key in self._causes or len(self._causes) < _MOST_CAUSES:
+            cause = self._causes.setdefault(key, MistakeCause(mistake))
+            cause.count += 1
+            cause.rows += [row] if len(cause.rows) < _MOST_ROWS_SHOWN else []
 
     def ruin(self, row: int, field: str, message: str) -> None:
         """Add a mistake of the whole file."""
@@ -162,6 +173,11 @@ class Mistakes:
         self._kept.sort(key=lambda mistake: mistake.row)
         del self._kept[MOST_LISTED + 1 :]
 
+    def causes(self) -> list[dict[str, Any]]:
+        """Return the mistakes by cause: the first of each, their count and the first rows."""
+        causes = sorted(self._causes.values(), key=lambda cause: cause.first.row)
+        return [cause.as_dict() for cause in causes]
+
     def listed(self) -> tuple[FileMistake, ...]:
         """Return the first by row; a last one counts those that are not listed."""
         self.settle()
@@ -172,6 +188,27 @@ class Mistakes:
             message += f"; reading stopped after more than {MOST_MISTAKES:,}"
         row = self._kept[MOST_LISTED].row if len(self._kept) > MOST_LISTED else 0
         return (*self._kept[:MOST_LISTED], FileMistake(row, "", message))
+
+
+@dataclass
+class MistakeCause:
+    """Mistakes of one column with one cause.
+
+    Attributes
+    ----------
+    first : FileMistake
+    count : int
+    rows : list of int
+        The first of the rows.
+    """
+
+    first: FileMistake
+    count: int = 0
+    rows: list[int] = field(default_factory=list)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the cause as in the HTTP reply."""
+        return self.first.as_dict() | {"count": self.count, "rows": self.rows}
 
 
 @dataclass(frozen=True)
@@ -252,6 +289,7 @@ class ReadReport:
             "ignored": self.ignored,
             "above": self.titles,
             "errors": [mistake.as_dict() for mistake in self.mistakes],
+            "causes": self.mistakes.causes(),
             "whole": self.mistakes.whole,
             "preview": preview,
         }

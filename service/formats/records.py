@@ -60,12 +60,15 @@ class CellFormat:
         Whether the decimal mark is a comma.
     ambiguous : tuple of (int, str, str), or None
         Line, column and text of a number if all numbers leave the mark open.
+    declared : bool
+        Whether the sender declared the decimal mark.
     guarded : bool
         Whether a text that looks like a formula has a ``'`` before it.
     """
 
     comma: bool = False
     ambiguous: tuple[int, str, str] | None = None
+    declared: bool = False
     guarded: bool = False
 
 
@@ -151,9 +154,10 @@ def text_pieces(
 def _ambiguity(cell: str) -> str:
     mark = "," if "," in cell else "."
     one, other = cell.replace(",", "."), cell.replace(mark, "")
+    point = "." if mark == "," else ","
     return (
         f"'{cell}' is {one} or {other}, and no number in the file decides; say "
-        f"decimal={mark} for {one}, or write {other} without the mark"
+        f"decimal={mark} for {one}, decimal={point} for {other}"
     )
 
 
@@ -242,7 +246,7 @@ class _Conversion:
         cell = self._columns[column.index][at].strip()
         if not cell and column.name not in WRENCH:
             return np.nan  # not measured, or unknown
-        text = number_text(cell, self._format.comma)
+        text = number_text(cell, self._format.comma, self._format.declared)
         value = math.nan if text is None else to_si(text, column.factor)
         if not math.isfinite(value):
             self._refuse(at, column.label, number_problem(cell, self._format.comma))

@@ -52,6 +52,11 @@ class PreviewRow(TypedDict, total=False):
     displacement: _Moved
 
 
+class MistakeCause(RowMistake, total=False):
+    count: int
+    rows: Annotated[list[int], text("the first 10")]
+
+
 class ImportFinding(TypedDict, total=False):
     cause: Annotated[
         str, text("outlier, sentinel, sign, unit, lever, asymmetry, drift, hysteresis, clock")
@@ -67,6 +72,7 @@ Imported = TypedDict(
         "inserted": int,
         "existing": Annotated[int, text("rows that were there already")],
         "errors": Annotated[list[RowMistake], text("1,000 at most")],
+        "causes": Annotated[list[MistakeCause], text("the mistakes by column and cause")],
         "findings": Annotated[list[ImportFinding], text("probable systematic errors")],
         "dry_run": bool,
         "partial": bool,

@@ -60,6 +60,15 @@ def test_refused_rows_are_read_out_by_row_field_and_reason(stub: Stub, client: C
     assert len(caught.value.errors) == 7
 
 
+def test_refused_rows_of_one_cause_are_one_line_with_their_count(stub: Stub, client: Client):
+    row = {"row": 2, "field": "ux [mm]", "message": "'x' is not a number"}
+    problem = {"title": "The table has mistakes", "errors": [row, {**row, "row": 3}]}
+    problem["causes"] = [{**row, "count": 295, "rows": [2, 3]}]
+    stub.answers(Answer(problem, status=422, kind="application/problem+json"))
+    with pytest.raises(ProblemError, match=r"row 2, ux \[mm\]: 'x' is not a number \(295 rows\)$"):
+        client.import_table("bar", "a\nb")
+
+
 def test_a_table_is_exported_as_text_in_the_units_asked_for(stub: Stub, client: Client):
     stub.answers(Answer(b"fx [lbf]\n", kind="text/csv"))
     assert client.export_table("bar", units={"force": "lbf"}) == "fx [lbf]\n"

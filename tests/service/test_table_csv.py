@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 import time
 from functools import partial
 from pathlib import Path
@@ -12,8 +13,9 @@ import pytest
 
 from tests.service import table_files
 from tests.service.table_files import ReadTable
+from wrenchbook.service.formats import csv_table
 from wrenchbook.service.formats.column_names import COMPLIANCE
-from wrenchbook.service.formats.options import FileMistake
+from wrenchbook.service.formats.options import FileMistake, Options, ReadReport
 from wrenchbook.surrogate.table.rows import LoadRange
 
 SI = (
@@ -22,6 +24,7 @@ SI = (
 )
 # These files have the columns that they are about; loads they do not name were zero.
 read_csv = partial(table_files.read_csv, missing_loads="zero")
+MARKED = "fx [N];ux [mm];note\n"
 LBF = 4.4482216152605  # N, exact: 0.45359237 kg x 9.80665 m/s^2
 
 
@@ -162,8 +165,40 @@ def test_several_mistakes_of_one_row_are_all_named():
 def test_mixed_decimal_marks_are_an_error_and_not_a_guess():
     header = "fx [N];ux [m];uy [m];uz [m];rx [rad];ry [rad];rz [rad]"
     table = read_csv(f"{header}\n1,5;0;0;0;0;0;0\n1.234;0;0;0;0;0;0\n1.234,5;0;0;0;0;0;0\n")
-    assert [(error.row, error.field) for error in table.errors] == [(3, "fx [N]"), (4, "fx [N]")]
-    assert "the file has a decimal comma" in table.errors[0].message
+    assert [(error.row, error.field) for error in table.errors] == [(3, "fx [N]")]
+    assert (
+        "the file has a decimal comma; write no other mark, or say decimal=, for 1234"
+        in table.errors[0].message
+    )
+    assert table.wrench[:, 0].tolist() == [1.5, 1234.5]
+
+
+@pytest.mark.parametrize(
+    ("cell", "decimal"),
+    [
+        ("-1,234.5", None),
+        ("-1 234.5", None),
+        ("-1\u202f234,5", None),
+        ("-1'234.5", None),
+        ("-1.234,5", None),
+        ("-1,234.5", "."),
+        ("-1.234,50", ","),
+    ],
+)
+def test_marks_between_thousands_are_left_out(cell: str, decimal: str | None):
+    table = read_csv(f"{MARKED}{cell};0;\n", decimal=decimal)
+    assert (table.errors, table.wrench[:, 0].tolist()) == ((), [-1234.5])
+
+
+@pytest.mark.parametrize("cell", ["1,234,567", "1.234.567", "1 234 567", "1’234’567"])
+def test_millions_show_their_own_marks(cell: str):
+    table = read_csv(f"{MARKED}{cell};0;\n")
+    assert (table.errors, table.wrench[:, 0].tolist()) == ((), [1234567.0])
+
+
+@pytest.mark.parametrize("cell", ["1,23.5", "12,34,567", "0,123.5", "1.234.5", "1,234.567,8"])
+def test_a_mark_in_another_place_is_no_thousand(cell: str):
+    assert only_error(read_csv(f"{MARKED}{cell};0;\n")).field == "fx [N]"
 
 
 def test_exactly_20_degrees_is_still_a_table_and_a_hair_more_is_not():
@@ -285,6 +320,20 @@ def test_a_field_without_end_is_an_error_and_not_a_crash():
     assert "cannot be read as CSV" in only_error(table).message
 
 
+def test_295_mistakes_of_one_cause_are_one_cause_with_its_count():
+    lines = "".join(f"{k},x{k}\n" for k in range(295))
+    report = ReadReport(format="csv")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "upload"
+        path.write_text(f"Fz [N],uz [mm]\n{lines}5,\n")
+        list(csv_table.read_csv(path, Options(missing_loads="zero"), report))
+    first, second = report.mistakes.causes()
+    assert (first["field"], first["count"]) == ("uz [mm]", 295)
+    assert first["rows"] == list(range(2, 12))
+    assert "'x0' is not a number" in first["message"]
+    assert (second["count"], second["rows"]) == (1, [297])
+
+
 def test_a_file_of_nothing_but_mistakes_gives_a_list_that_can_be_read():
     table = read_csv(SI + "\n" + "a,b,c,d,e,f,g,h,i,j,k,l\n" * 1000)
     assert len(table.errors) == 1001
@@ -324,9 +373,6 @@ def test_a_note_of_two_lines_is_no_swallowed_row():
     assert table.note == ("first, then\nsecond, and third, 4",)
 
 
-MARKED = "fx [N];ux [mm];note\n"
-
-
 @pytest.mark.parametrize("cell", ["1,234", "-1,234", "1.234"])
 def test_a_mark_that_may_part_thousands_is_asked_for_and_not_guessed(cell: str):
     error = only_error(read_csv(f"{MARKED}{cell};0;1,5 in a note\n"))
@@ -339,9 +385,10 @@ def test_a_mark_that_may_part_thousands_is_asked_for_and_not_guessed(cell: str):
 def test_the_decimal_mark_that_was_asked_for_is_taken():
     comma = read_csv(f"{MARKED}1,234;0;\n", decimal=",")
     assert (comma.errors, comma.wrench[0, 0]) == ((), 1.234)
-    assert "a decimal point" in only_error(read_csv(f"{MARKED}1,234;0;\n", decimal=".")).message
+    assert read_csv(f"{MARKED}1,234;0;\n", decimal=".").wrench[0, 0] == 1234
+    assert "a decimal point" in only_error(read_csv(f"{MARKED}1,23;0;\n", decimal=".")).message
     assert read_csv(f"{MARKED}1.234;0;\n", decimal=".").wrench[0, 0] == 1.234
-    assert "a decimal comma" in only_error(read_csv(f"{MARKED}1.234;0;\n", decimal=",")).message
+    assert read_csv(f"{MARKED}1.234;0;\n", decimal=",").wrench[0, 0] == 1234
     quoted = read_csv('fx [N],ux [mm]\n"1,234",0\n', decimal=",")
     assert (quoted.errors, quoted.wrench[0, 0]) == ((), 1.234)
 

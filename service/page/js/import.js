@@ -125,12 +125,19 @@ function mistakes(state, errors, told) {
   return [
     note("outside", el("strong", {}, `${state.file.name}: ${named}; nothing was loaded.`), told.inserted ? tallies(told) : null,
       byRow.size > MENDED ? el("span", {}, `The first ${MENDED} are shown.`) : null),
+    causes(told.causes || []),
     el("div", { class: "stack", id: "mistakes" }, shown.map(([row, list]) => mistake(state, row, list, edits))),
     told.columns || byRow.has(1) || byRow.has(0) ? state.options.columns.draw(told, errors) : null,
     edits.size ? null : el("p", { class: "muted" }, "Correct them in the file and drop it again, or change the options here."),
     again(state, mend),
     told.partial && told.inserted ? [preview(told), el("div", {}, importButton(state, told))] : null,
   ];
+}
+
+// What many rows have in common, once with its count.
+function causes(list) {
+  const common = list.filter((one) => one.count > 1);
+  return common.length ? el("ul", { id: "causes" }, common.map((one) => el("li", {}, `${count(one.count)} rows`, one.field ? [", ", el("code", {}, one.field)] : null, ": ", one.message))) : null;
 }
 
 // Mistakes of one row that differ by the column's name alone, together: each sentence is there once.
