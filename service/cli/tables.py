@@ -28,7 +28,9 @@ _Unit = Annotated[str | None, typer.Option(help="unit in a CSV or XLSX file; SI 
 _Read = Annotated[
     Path,
     typer.Argument(
-        help="a CSV, XLSX, Parquet, JSON or HDF5 table, gzipped or not", exists=True, dir_okay=False
+        help="a CSV, XLSX, Parquet, JSON, HDF5 or MAT table, gzipped or not",
+        exists=True,
+        dir_okay=False,
     ),
 ]
 _DryRun = Annotated[bool, typer.Option("--dry-run", help="check the file and load nothing")]

@@ -59,8 +59,8 @@ def check_readable(file: str | Path) -> None:
     suffix = Path(file).suffix.lower()
     if suffix in _NOT_READ:
         raise InvalidArgument(
-            f"{file} ends in {suffix}, which is not read; a table is CSV, XLSX, Parquet, JSON or "
-            "the HDF5 of an export, each gzipped if you like"
+            f"{file} ends in {suffix}, which is not read; a table is CSV, XLSX, Parquet, "
+            "JSON, HDF5 or MAT, each gzipped if you like"
         )
 
 

@@ -1,4 +1,4 @@
-"""Table files: CSV, XLSX, Parquet, JSON and HDF5 to rows in SI with named mistakes, and back.
+"""Table files: CSV, XLSX, Parquet, JSON, HDF5 and MAT to rows in SI with named mistakes, and back.
 
 No HTTP, no ledger. The columns of a file are described in `header` (CSV, XLSX, Parquet),
 `json_table` and `binary_table`, its units in `units`, the limits of a row in `table_rows`.

@@ -1,7 +1,11 @@
-"""Tables in binary formats: Parquet, as data frames are saved, and the table store's HDF5."""
+"""Tables in binary formats: Parquet, as data frames are saved, HDF5, and MATLAB's.
+
+HDF5 is the table store's own, or has a dataset a column; MATLAB's files have a variable a column.
+"""
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -9,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.io import loadmat, whosmat
 
 from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.formats.column_names import DISPLACEMENT, Layout, WritableRows
@@ -16,7 +21,7 @@ from wrenchbook.service.formats.options import MOST_ROWS, Options, ReadReport
 from wrenchbook.service.formats.preamble import MOST_COLUMNS, Record
 from wrenchbook.service.formats.records import CellFormat, read_records
 from wrenchbook.service.formats.table_rows import Array, ParsedTable, Problem, good_rows
-from wrenchbook.surrogate.table.hdf5 import foreign_tables, write_table
+from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_table, write_table
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Rows
 
@@ -138,6 +143,9 @@ def _cell(value: Any) -> str:
 
 def read_hdf5(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of an HDF5 file piece by piece; `report` gets the mistakes."""
+    if not is_table(path):
+        yield from _read_columns(foreign_columns(path), options, report)
+        return
     try:
         for rows, notes in foreign_tables(path):
             piece = ParsedTable(
@@ -163,6 +171,67 @@ def read_hdf5(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         return
     if not report.read:
         report.mistakes.ruin(0, "file", "there is no row")
+
+
+def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the good rows of a MATLAB file (level 5); `report` gets the mistakes."""
+    yield from _read_columns(_mat_columns(path), options, report)
+
+
+def _read_columns(
+    pieces: Iterator[tuple[list[str], list[Array]]], options: Options, report: ReadReport
+) -> Iterator[ParsedTable]:
+    """Yield the good rows of columns with labels."""
+    try:
+        records = _column_records(pieces)
+        yield from read_records(records, options, report, CellFormat(), lambda _cells, _header: "")
+    except (ValueError, OSError) as error:
+        report.mistakes.ruin(0, "file", str(error))
+
+
+def _column_records(pieces: Iterator[tuple[list[str], list[Array]]]) -> Iterator[Record]:
+    """Yield the header as record 0, then the rows."""
+    row = 0
+    for names, columns in pieces:
+        if not row:
+            if len(names) > MOST_COLUMNS:
+                raise ValueError(f"has {len(names)} columns; a table has at most {MOST_COLUMNS}")
+            yield 0, names
+        for cells in zip(*(column.tolist() for column in columns), strict=True):
+            row += 1
+            if row > MOST_ROWS:
+                raise ValueError(f"has more than {MOST_ROWS:,} rows; send it in parts")
+            yield row, [_cell(cell) for cell in cells]
+
+
+def _mat_columns(path: Path) -> Iterator[tuple[list[str], list[Array]]]:
+    """Yield the labels and columns of a MATLAB file: its vectors, or those of its only struct.
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged or has no vectors of one length.
+    """
+    try:
+        size = sum(8 * math.prod(shape) for _, shape, _ in whosmat(path))
+        if size > MOST_UNPACKED:
+            raise ValueError(f"it unpacks to more than {MOST_UNPACKED >> 20} MiB")
+        found = loadmat(path, squeeze_me=True)
+    except Exception as error:  # scipy raises many classes on damaged files
+        raise ValueError(f"is no readable MATLAB file: {error}") from error
+    found = {name: one for name, one in found.items() if not name.startswith("__")}
+    only = next(iter(found.values()), None) if len(found) == 1 else None
+    if isinstance(only, np.ndarray) and only.dtype.names and only.ndim == 0:
+        found = {name: only[name].item() for name in only.dtype.names}
+    columns = {name: np.asarray(one) for name, one in found.items() if np.ndim(one)}
+    wrong = [name for name, one in columns.items() if one.ndim != 1 or one.dtype.kind not in "iufb"]
+    lengths = {len(one) for one in columns.values()}
+    if wrong or len(lengths) != 1:
+        why = f"{wrong[0]} is none" if wrong else f"their lengths are {sorted(lengths)}"
+        raise ValueError(
+            f"is no table of numeric vectors of one length, a variable or a field a column: {why}"
+        )
+    yield list(columns), list(columns.values())
 
 
 def write_hdf5(table: WritableRows, seq: Sequence[int], meta: TableMeta) -> bytes:

@@ -13,7 +13,7 @@ from wrenchbook.service.formats.column_names import DISPLACEMENT, UNCERTAINTY, W
 from wrenchbook.surrogate.findings.finding import RigFinding
 from wrenchbook.surrogate.table.rows import LoadRange
 
-Format = Literal["csv", "xlsx", "parquet", "hdf5", "json"]
+Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat"]
 Role = Literal["table", "loads", "displacements"]
 
 MOST_ROWS = 5_000_000  # of a file: 0.6 GB as arrays without tangents

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats.binary_table import read_hdf5, read_parquet
+from wrenchbook.service.formats.binary_table import read_hdf5, read_mat, read_parquet
 from wrenchbook.service.formats.csv_table import read_csv
 from wrenchbook.service.formats.findings import FindingsSample
 from wrenchbook.service.formats.json_table import read_json
@@ -51,11 +51,13 @@ _READERS: dict[str, Callable[[Path, Options, ReadReport], Iterator[ParsedTable]]
     "parquet": read_parquet,
     "hdf5": read_hdf5,
     "json": read_json,
+    "mat": read_mat,
 }
 _TEXT_FORMATS = ("csv", "json")  # a damaged file of one can look like the other
 _BLOCK = 1 << 20
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _HDF5_OFFSETS = (0, 512, 1024, 2048)  # behind a user block
+_MAT = b"MATLAB 5.0 MAT-file"
 _OTHER_FORMATS = {
     b"%PDF": "a PDF; export the table as CSV or XLSX",
     b"\xd0\xcf\x11\xe0": "an old .xls workbook; save it as .xlsx",
@@ -260,6 +262,8 @@ def _format_of(path: Path) -> Format:
         return "parquet"
     if any(head[at : at + 8] == _HDF5 for at in _HDF5_OFFSETS):
         return "hdf5"
+    if head.startswith(_MAT):
+        return "mat"
     if head.startswith(b"PK\x03\x04"):
         return _format_of_zip(path)
     for magic, what in _OTHER_FORMATS.items():
@@ -272,8 +276,8 @@ def _format_of(path: Path) -> Format:
         )
     if b"\0" in head and not utf16:
         raise ContentError(
-            "is no table: it holds zero bytes. Send CSV, XLSX, Parquet, JSON or the HDF5 of an "
-            "export, each gzipped if you like"
+            "is no table: it holds zero bytes. Send CSV, XLSX, Parquet, JSON, HDF5 or "
+            "MAT, each gzipped if you like"
         )
     text = head.removeprefix(codecs.BOM_UTF8).lstrip()
     return "json" if text[:1] in (b"{", b"[") else "csv"

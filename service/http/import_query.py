@@ -25,7 +25,7 @@ class ImportQuery(Body):
     model_config = ConfigDict(extra="forbid")
 
     format: Annotated[
-        Literal["csv", "xlsx", "parquet", "hdf5", "json"] | None,
+        Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat"] | None,
         Field(description="checked against the content; detected if left out"),
     ] = None
     dry_run: Annotated[bool, Field(description="check and count; nothing is changed")] = False

@@ -326,6 +326,117 @@ def _check_contained(file: h5py.File) -> None:
         )
 
 
+def is_table(path: Path) -> bool:
+    """Return whether an HDF5 file says that it is a table of wrenchbook."""
+    try:
+        with h5py.File(path, "r") as file:
+            return file.attrs.get("format") == FORMAT
+    except Exception:  # a damaged file: `foreign_tables` says so
+        return True
+
+
+def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
+    """Yield the labels and columns of an HDF5 file of any program, some rows at a time.
+
+    Columns are the datasets of one dimension in the root or in its only group, a dataset of named
+    fields, or a matrix whose attribute ``columns`` names its columns. An attribute ``unit`` or
+    ``units`` joins the label.
+
+    Raises
+    ------
+    TableFileError
+        If the file is damaged, points to other files, is larger when read than
+        `MOST_FOREIGN_BYTES`, or has no such columns of one length.
+    """
+    if leads_out(path):
+        raise TableFileError("points to data in other files; copy them into one file")
+    try:
+        with h5py.File(path, "r") as file:
+            columns = _named_columns(file)
+            lengths = {len(one) for _, one, _ in columns}
+            if len(lengths) != 1:
+                sizes = ", ".join(f"{name}: {len(one)}" for name, one, _ in columns[:8])
+                raise TableFileError(f"has no columns of one length ({sizes or 'no datasets'})")
+            names = [name for name, _, _ in columns]
+            for start in range(0, lengths.pop(), FOREIGN_PIECE):
+                some = slice(start, start + FOREIGN_PIECE)
+                yield names, [read(one[some]) for _, one, read in columns]
+    except TableFileError:
+        raise
+    except Exception as error:  # h5py has no base of what it raises on a file that is not sound
+        raise TableFileError(f"is not a readable HDF5 file ({error})") from error
+
+
+NamedColumn = tuple[str, Any, Callable[[np.ndarray], np.ndarray]]
+"""A label, the dataset, and what takes the column from a piece of it."""
+
+
+class _Vector:
+    """A dataset of shape (1, n), as MATLAB writes a column, or (n, 1)."""
+
+    def __init__(self, one: h5py.Dataset) -> None:
+        self._one = one
+
+    def __len__(self) -> int:
+        return int(self._one.size or 0)
+
+    def __getitem__(self, some: slice) -> np.ndarray:
+        return np.asarray(self._one[0, some] if self._one.shape[0] == 1 else self._one[some, 0])
+
+
+def _named_columns(file: h5py.File) -> list[NamedColumn]:
+    group: h5py.Group = file
+    inside = [one for name, one in file.items() if not name.startswith("#")]  # MATLAB's references
+    if len(inside) == 1 and isinstance(inside[0], h5py.Group):
+        group = inside[0]
+    columns: list[NamedColumn] = []
+    room = MOST_FOREIGN_BYTES
+    for name, one in group.items():
+        if not isinstance(one, h5py.Dataset) or one.ndim == 0:
+            continue
+        room -= one.nbytes
+        chunk = np.prod(one.chunks or (0,), dtype=float) * one.dtype.itemsize
+        if room < 0 or chunk > MOST_CHUNK_BYTES:
+            raise TableFileError(
+                f"unpacks to more than {MOST_FOREIGN_BYTES >> 20} MiB, or has chunks of more than "
+                f"{MOST_CHUNK_BYTES >> 20} MiB; send the table in parts"
+            )
+        columns += _columns_of(name, one)
+    return columns
+
+
+def _columns_of(name: str, one: h5py.Dataset) -> list[NamedColumn]:
+    fields, attributes = one.dtype.names, one.attrs
+    if fields and one.ndim == 1:
+        return [(field, one, _Part(field)) for field in fields]
+    titles = attributes.get("columns", attributes.get("names"))
+    if one.ndim == 2 and titles is not None and len(titles) == one.shape[1]:
+        words = [str(title.decode() if isinstance(title, bytes) else title) for title in titles]
+        return [(word, one, _Part((slice(None), place))) for place, word in enumerate(words)]
+    words = h5py.check_string_dtype(one.dtype) is not None
+    is_vector = one.ndim == 2 and 1 in one.shape and not words
+    if not (one.ndim == 1 or is_vector) or not (words or one.dtype.kind in "iufb"):
+        raise TableFileError(
+            f"holds {name} of shape {one.shape} and type {one.dtype}; a column is a dataset of one "
+            "dimension, of numbers or texts (data frames: use to_parquet or to_csv)"
+        )
+    unit = attributes.get("units", attributes.get("unit", ""))
+    unit = unit.decode(errors="replace") if isinstance(unit, bytes) else str(unit)
+    label = f"{name} [{unit}]" if unit and "[" not in name and "(" not in name else name
+    column = one.asstr() if words else _Vector(one) if is_vector else one
+    return [(label, column, np.asarray)]
+
+
+class _Part:
+    """Takes a field or a column of a piece of a dataset."""
+
+    def __init__(self, which: Any) -> None:
+        self._which = which
+
+    def __call__(self, piece: np.ndarray) -> np.ndarray:
+        return piece[self._which]
+
+
 def leads_out(path: Path) -> bool:
     """Tell whether an HDF5 file of any kind has something of it read from another file.
 

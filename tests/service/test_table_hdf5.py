@@ -58,11 +58,11 @@ def test_an_uncertainty_below_zero_and_half_a_tangent_are_named():
     assert "all 36 tangents or none" in table.errors[2].message
 
 
-def test_a_file_of_other_hdf5_says_so(tmp_path):
+def test_a_file_of_hdf5_without_columns_says_so(tmp_path):
     path = tmp_path / "other.h5"
     with h5py.File(path, "w") as file:
         file["x"] = 1
-    assert "no group rows" in only_error(read_hdf5(path.read_bytes())).message
+    assert "no columns of one length" in only_error(read_hdf5(path.read_bytes())).message
 
 
 def test_no_rows_say_so():
