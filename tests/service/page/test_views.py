@@ -5,6 +5,8 @@ import json
 import pytest
 
 from tests.service.page.test_browser import LOADS, PLATE, ask
+from tests.service.test_import_clock import logs_of
+from tests.surrogate.findings.rigs import Rig
 from wrenchbook.service.client.errors import ProblemError
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
@@ -202,3 +204,37 @@ def test_a_measured_component_has_no_tabs_of_solves(browser, rig):
     tabs = browser.one(".tabs").text.split("\n")
     assert not {"Shape", "Report", "Jobs"} & set(tabs)
     assert "Query" in tabs
+
+
+def test_two_logs_are_joined_and_the_lag_of_their_clocks_is_one_click(browser, client, tmp_path):
+    rig = Rig(5206, ("motion",))
+    span = {"force": rig.high[:3].tolist(), "moment": rig.high[3:].tolist()}
+    client.call_json("POST", "/v1/components", {"name": "logs", "title": "Logs", "range": span})
+    for name, text in logs_of(rig).values():
+        (tmp_path / name).write_bytes(text)
+    browser.visit("#/c/logs/table")
+    browser.one("#file").send_keys(str(tmp_path / "loads.csv"))
+    browser.named("#checked", "a log of loads alone")
+    browser.named("summary", "Two logs").click()
+    browser.one("#displacements").send_keys(str(tmp_path / "moved.csv"))
+    button = browser.named(".note.thin button", "Use a lag of 0.3")
+    assert "0 s added" in browser.named(".note", "Clocks").text
+    button.click()
+    browser.gone(button)
+    assert "0.350" in browser.named(".note", "Clocks").text
+    browser.one("#import").click()
+    browser.named(".note", "rows are in the table")
+    (kept,) = client.call_json("GET", "/v1/components/logs/imports")["imports"]
+    assert kept["filename"] == "loads.csv, moved.csv"
+    assert browser.mistakes() == []
+
+
+def test_a_field_left_after_the_check_keeps_the_import_button(browser, rig):
+    browser.visit("#/c/unmeasured/table")
+    browser.one("#rig-options summary").click()
+    browser.type("#rig-load-point", "0,0,0.05")
+    browser.drop(".drop", "one.csv", f"{LOADS},ux [mm]\n40,0,0,0,0,0,0.1\n")
+    browser.one("#import")
+    browser.run("document.querySelector('#import').kept = true")
+    browser.one("#rig-displacement-point").click()
+    assert browser.run("return document.querySelector('#import')?.kept")
