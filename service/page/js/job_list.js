@@ -35,7 +35,7 @@ export async function jobList(root, component, signal) {
   const head = ["job", component ? null : "component", "state", "wrench", "took", ""].filter((one) => one !== null);
   put(root,
     el("div", { class: "line ends" }, el("label", { class: "line" }, "Show", filter), cancelAll), queue,
-    el("table", { class: "folds jobs" }, el("thead", {}, el("tr", {}, head.map((one) => el("th", { scope: "col" }, one)))), list.running, list.root),
+    el("table", { class: `folds jobs${component ? "" : " all"}` }, el("thead", {}, el("tr", {}, head.map((one) => el("th", { scope: "col" }, one)))), list.running, list.root),
     empty, older);
   await fresh();
   listen(component, signal, (kind, body) => hear(list, kind, body, fresh, status));
