@@ -2,7 +2,7 @@
 
 import { get, listed, of } from "./api.js";
 import { el, note, pill, put } from "./dom.js";
-import { listen } from "./events.js";
+import { listenToTable } from "./events.js";
 import { trouble } from "./api.js";
 
 const BUILDING_MS = 3000; // between tries of a table that is being built
@@ -65,7 +65,7 @@ export async function show(root, [name, tab = "overview"], signal) {
     await draw();
   };
   const stale = () => put(changed, note("", el("div", { class: "line" }, "The table has changed since this view was drawn.", el("button", { type: "button", class: "small", id: "draw-again", onclick: again }, "Draw it again"))));
-  if (FOLLOW.includes(chosenTab)) listen(name, own, (kind) => { if (kind === "table") (now.rows || chosenTab === "entry" ? stale : again)(); });
+  if (FOLLOW.includes(chosenTab)) listenToTable(name, about.table_version ?? 0, own, () => (now.rows || chosenTab === "entry" ? stale : again)());
   await draw();
 }
 

@@ -77,5 +77,5 @@ function history(about, imports) {
   const lines = imports.slice(0, 100).map((one) => [
     one.table_version === null ? "–" : String(one.table_version), count(one.rows), one.filename || one.format, time(one.when), one.who || "–", one.note || "", one.rig ? el("details", {}, el("summary", {}, "rig"), el("pre", {}, one.rig)) : "",
   ]);
-  return [now, table(["#version", "#rows", "file", "when", "who", "note", "rig"], lines, { scrolls: true })];
+  return [now, table(["#version", "#rows", "file", "when", "who", "note", "rig"], lines, { scrolls: true, class: "imports" })];
 }

@@ -2,7 +2,7 @@
 
 import { caughtUp, get, of, post } from "./api.js";
 import { el, facts, field, note, notify, put, table } from "./dom.js";
-import { listen } from "./events.js";
+import { listenToTable } from "./events.js";
 import { beingBuilt } from "./empty.js";
 import { findingNote } from "./findings.js";
 import { LOADS, count, number, quantity, symbol, unitOfLoad, percent } from "./format.js";
@@ -28,7 +28,7 @@ export async function show(root, { name }, signal) {
       rows,
       el("section", { class: "card" }, el("h2", {}, "Load range"), loads(about)),
       el("section", { class: "card" }, el("h2", {}, "Conventions"), contract(about))));
-  listen(about.name, signal, (kind) => { if (kind === "table") refresh().catch(() => {}); });
+  listenToTable(name, about.table_version, signal, () => refresh().catch(() => {}));
   await refresh();
 }
 

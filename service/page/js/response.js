@@ -106,14 +106,14 @@ function around(at, values, width, scale) {
 
 // The band is drawn in two: what more rows lower, and what a finer mesh lowers.
 function bands(about) {
-  const one = (colour, text) => {
+  const one = (colour, text, faint_ = 100) => {
     const mark = el("i", { class: "square" });
-    mark.style.background = `var(--${colour})`;
+    mark.style.background = `color-mix(in srgb, var(--${colour}) ${faint_}%, var(--card))`;
     return el("li", {}, mark, text);
   };
   return el("ul", { class: "key-of-marks" }, one("accent", "interpolation error: more rows lower it"),
     about.has_fea ? one("query", `${solverError(about)} error: a finer mesh ${about.linear ? "or nonlinear = true " : ""}lowers it`) : null,
-    one("thin-soft", "thin: the rows do not cover it"), one("outside-soft", "outside the rows or the load range"));
+    one("thin", "thin: the rows do not cover it", 35), one("outside", "outside the rows or the load range", 35));
 }
 
 const marked = (name) => `${plain(name)[0]}<sub>${name[1]}</sub>`;
