@@ -1,12 +1,13 @@
 """README and documentation: links resolve, Python blocks run, commands exist, the site builds.
 
-A block below the line ``<!-- not run: REASON -->`` is left out. The Python blocks of a page run in
-one namespace against a server whose solver is a stand-in.
+A block below the line ``<!-- not run: REASON -->`` is left out. The Python blocks of a page or the
+cells of a notebook run in one namespace, against a server with solvers and an empty data directory.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 import shlex
@@ -33,7 +34,7 @@ PAGES = [
     ),
     *DOCS.glob("**/*.md"),
 ]
-RUN = sorted(DOCS.glob("tutorials/*.md"))
+RUN = [*sorted(DOCS.glob("tutorials/*.md")), *sorted(DOCS.glob("notebooks/*.ipynb"))]
 FENCE = re.compile(r"(?P<before>[^\n]*)\n+^```(?P<kind>\w*)[^\n]*\n(?P<text>.*?)^```", re.M | re.S)
 
 
@@ -49,6 +50,20 @@ def blocks(page: Path, *kinds: str) -> Iterator[tuple[int, str]]:
             yield text[: found.start("text") - 1].count("\n") + 1, found["text"]
 
 
+def cells(notebook: Path, kind: str) -> Iterator[str]:
+    """The texts of the notebook's cells of one kind."""
+    for cell in json.loads(notebook.read_text())["cells"]:
+        if cell["cell_type"] == kind:
+            yield cell["source"]
+
+
+def python_of(page: Path) -> list[tuple[int, str]]:
+    """The lines and texts of a page's Python blocks, or the numbers and texts of its cells."""
+    if page.suffix == ".ipynb":
+        return [*enumerate(cells(page, "code"), 1)]
+    return [*blocks(page, "python")]
+
+
 def anchors(page: Path) -> set[str]:
     text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
     slugs, found = (
@@ -62,12 +77,13 @@ def anchors(page: Path) -> set[str]:
 
 
 def broken_links(page: Path) -> list[str]:
-    text = re.sub(r"^```.*?^```|`[^`\n]*`", "", page.read_text(), flags=re.M | re.S)
+    text = page.read_text() if page.suffix == ".md" else "\n\n".join(cells(page, "markdown"))
+    text = re.sub(r"^```.*?^```|`[^`\n]*`", "", text, flags=re.M | re.S)
     broken = []
     for link in re.findall(r"\]\(([^)\s]+)\)", text):
         path, _, anchor = link.partition("#")
         target = page.parent / path if path else page
-        if re.match(r"[a-z]+:", link) or (path and path.endswith(".ipynb")):
+        if re.match(r"[a-z]+:", link):
             continue
         if not target.exists() or (
             anchor and target.suffix == ".md" and anchor not in anchors(target)
@@ -96,7 +112,7 @@ def parse(words: list[str]) -> None:
     assert not rest, f"arguments too many: {rest}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=shown)
+@pytest.mark.parametrize("page", [*PAGES, *DOCS.glob("notebooks/*.ipynb")], ids=shown)
 def test_every_link_of_a_page_leads_to_a_file_and_a_heading(page):
     assert broken_links(page) == []
 
@@ -111,12 +127,14 @@ def test_the_commands_of_a_page_exist_with_their_options(page):
 
 
 @pytest.mark.parametrize("page", RUN, ids=shown)
-def test_the_python_blocks_of_a_tutorial_run_one_after_the_other(page, tmp_path, monkeypatch):
+def test_the_python_of_a_tutorial_or_notebook_runs_in_order(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
     (tmp_path / "data").symlink_to(ROOT / "data")
     with served(tmp_path / "workspace", solvers=2) as client:
+        monkeypatch.setenv("WRENCHBOOK_SERVER", client.url)
         namespace: dict = {"__name__": "tutorial"}
-        for line, text in blocks(page, "python"):
+        for line, text in python_of(page):
             text = "\n" * line + text.replace("http://127.0.0.1:8000", client.url)
             exec(compile(text, shown(page), "exec"), namespace)
         for value in namespace.values():

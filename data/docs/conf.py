@@ -32,6 +32,8 @@ exclude_patterns = [".*", "**/.*", "build", "dist", "tests", "wrenchbook-data"]
 default_role = "code"
 suppress_warnings = ["misc.highlighting_failure"]  # replies with "..." in them
 
+smartquotes = False  # an option is --server, not a dash
+
 # Prose is MyST Markdown.
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist"]
 myst_heading_anchors = 4
@@ -52,7 +54,10 @@ html_theme = "furo"
 html_title = f"wrenchbook {release}"
 html_favicon = "../../service/page/icon.svg"
 html_extra_path = ["site"]
+html_static_path = ["style.css"]
+html_css_files = ["style.css"]
 html_copy_source = False
+html_show_copyright = False
 html_show_sourcelink = False
 html_math_renderer = "mathml"
 

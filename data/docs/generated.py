@@ -16,6 +16,8 @@ def cli() -> str:
     """Return the commands, their arguments and options."""
     command = typer.main.get_command(program)
     context = typer.Context(command, info_name="wrenchbook")
+    for one in command.commands.values():
+        one.short_help = (one.help or "").partition("\n\n")[0]  # not cut at 45 characters
     text = typer.cli.get_docs_for_click(obj=command, ctx=context, name="wrenchbook")
     return "\n" + text.partition("\n")[2]
 
@@ -58,7 +60,7 @@ def _call(method: str, path: str, call: dict) -> str:
         lines += _fields(body.get("schema", {}))
     replies = [
         (status, reply["description"], ", ".join(map(_content, reply.get("content", {}).items())))
-        for status, reply in call["responses"].items()
+        for status, reply in sorted(call["responses"].items())
     ]
     return "\n".join(lines + _table(("status", "reply", "content"), replies))
 

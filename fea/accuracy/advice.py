@@ -92,7 +92,8 @@ def _worst(errors: Array, allowed: Array) -> tuple[float, str]:
     output = int(ratios.argmax())
     worst, unit = float(ratios[output]), "m" if output < 3 else "rad"
     return worst, (
-        f"{errors[output]:.2g} {unit} in {_OUTPUTS[output]}, {worst:.2g} times the tolerance"
+        f"{errors[output]:.2g} {unit} in {_OUTPUTS[output]}, {float(f'{worst:.2g}'):g} times "
+        "the tolerance"
     )
 
 

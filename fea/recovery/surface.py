@@ -88,4 +88,6 @@ def _simplified(points: Array, triangles: Array, most: int) -> tuple[Array, Arra
 
 
 def _boxes(points: Array, size: float) -> Array:
-    return np.floor((points - points.min(axis=0)) / size).astype(np.int64)
+    extent = np.ptp(points, axis=0)
+    sizes = np.where(extent > 0, np.minimum(size, 0.75 * extent), size)  # a plate keeps both faces
+    return np.floor((points - points.min(axis=0)) / sizes).astype(np.int64)

@@ -35,14 +35,26 @@ class Pace:
 
 
 def error_bars(coverage: Mapping[str, Any]) -> str:
-    """Say the largest of the axes' typical error bars, by output; empty while there is none."""
+    """Return the mean error bar of griddata over the range, m or rad, and the method that answers.
+
+    Of each output's worst axis; empty where none has one. They do not decide when a fill ends.
+    """
     largest: dict[str, float] = {}
     for axis in coverage.get("axes", ()):
-        for output, progress_bar in (axis["error"] or {}).items():
-            if progress_bar == progress_bar:  # one that is not known is NaN, or null on the wire
-                largest[output] = max(progress_bar, largest.get(output, 0.0))
-    named = [f"{name} {largest[name]:.1e}" for name in DISPLACEMENT_NAMES if name in largest]
-    return f"error bars between rows: {', '.join(named)} (m, rad)" if named else ""
+        for output, mean in (axis["error"] or {}).items():
+            if mean == mean:  # one that is not known is NaN, or null on the wire
+                largest[output] = max(mean, largest.get(output, 0.0))
+    named = [
+        f"{name} {largest[name]:.1e} {'m' if name[0] == 'u' else 'rad'}"
+        for name in DISPLACEMENT_NAMES
+        if name in largest
+    ]
+    if not named:
+        return ""
+    return (
+        "mean error bar of linear interpolation between the rows (griddata): "
+        f"{', '.join(named)}; the table answers by {coverage['method']}"
+    )
 
 
 def _words(seconds: float) -> str:

@@ -168,10 +168,11 @@ def deformed(shape: DeformedShape, *, scale: float | None = None, axes: Any = No
     drawn = axes.plot_trisurf(*at.T, triangles=shape.triangles, cmap="viridis")
     drawn.set_array(length[shape.triangles].mean(axis=1))
     drawn.autoscale()
-    axes.figure.colorbar(drawn, ax=axes, label="displacement [m]", shrink=0.7)
+    axes.figure.colorbar(drawn, ax=axes, label="displacement [m]", shrink=0.7, pad=0.18)
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     axes.set_title(f"displacement drawn {scale:.3g} times, {shape.coverage}")
     axes.set_aspect("equal")
+    axes.locator_params("z", nbins=1)  # more labels of a flat part overlap
     return axes
 
 

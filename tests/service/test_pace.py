@@ -23,16 +23,16 @@ def test_a_pace_says_solves_a_minute_and_the_time_left():
     assert pace.note() == "60 solves/min, at most 40 s left"
 
 
-def test_the_largest_error_bar_of_each_output_is_told():
+def test_error_bars_of_a_fill_name_their_method_and_units_beside_the_method_that_answers():
     axes = [
         {"error": {"ux": 1e-6, "rx": 2e-6}},
         {"error": {"uy": 3e-6, "rx": 5e-6, "ry": float("nan")}},
         {"error": None},
     ]
-    said = error_bars({"axes": axes})
-    assert "ux 1.0e-06" in said
-    assert "rx 5.0e-06" in said
-    assert "ry" not in said
+    assert error_bars({"axes": axes, "method": "kriging"}) == (
+        "mean error bar of linear interpolation between the rows (griddata): "
+        "ux 1.0e-06 m, uy 3.0e-06 m, rx 5.0e-06 rad; the table answers by kriging"
+    )
     assert error_bars({"axes": []}) == ""
 
 

@@ -33,6 +33,7 @@ export async function show(root, about, signal) {
     beside?.compared ? el("section", { class: "card" }, el("h2", {}, "Measured against solved rows"), disagreement(beside)) : null);
 }
 
+const NOISE = 1e-9; // of the largest entry of its unit: rounding of the solver
 const ORIGINS = { row: "tangent of the row" };
 
 // Its columns are zero where no row tells a load.
@@ -43,7 +44,8 @@ function matrix(values, name, origin) {
   const size = (value) => (value === null ? 0 : Math.abs(value));
   const largest = (i, j) => Math.max(...[0, 1, 2].flatMap((a) => [0, 1, 2].map((b) => size(values[3 * Math.floor(i / 3) + a][3 * Math.floor(j / 3) + b]))));
   const cell = (value, i, j) => {
-    const made = el("td", {}, value === null ? "–" : number(value, 3));
+    const noise = value !== 0 && size(value) < NOISE * largest(i, j);
+    const made = el("td", {}, value === null ? "–" : noise ? "≈ 0" : number(value, 3));
     const part = largest(i, j) ? size(value) / largest(i, j) : 0;
     made.style.background = `color-mix(in srgb, var(--accent) ${Math.round(26 * part)}%, transparent)`;
     return made;

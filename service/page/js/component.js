@@ -1,10 +1,13 @@
 // One component: its heading, and a tab for each thing to do with it. Measured ones have no solves.
 
 import { get, listed, of } from "./api.js";
-import { el, pill, put } from "./dom.js";
+import { el, note, pill, put } from "./dom.js";
+import { listenToTable } from "./events.js";
 import { trouble } from "./api.js";
 
 const BUILDING_MS = 3000; // between tries of a table that is being built
+// Views that new rows make stale, and that do not follow them on their own.
+const FOLLOW = ["shape", "rows", "response", "checks", "entry"];
 const TABS = [
   ["overview", "Overview", "overview.js"],
   ["query", "Query", "query.js"],
@@ -26,7 +29,7 @@ export async function show(root, [name, tab = "overview"], signal) {
   const there = TABS.filter(([, , , needs]) => !needs || about.has_fea);
   const [chosenTab, text, file] = there.find(([one]) => one === tab) || there[0];
   document.title = `${name}: ${text} · wrenchbook`;
-  const body = el("div", { class: "stack" }), byTab = document.activeElement?.closest(".tabs");
+  const changed = el("div", { "aria-live": "polite" }), body = el("div", { class: "stack" }), byTab = document.activeElement?.closest(".tabs");
   put(root,
     el("div", { class: "head" },
       el("div", {},
@@ -35,18 +38,35 @@ export async function show(root, [name, tab = "overview"], signal) {
         el("p", { class: "muted" }, about.title)),
       el("div", { class: "line" }, awayPill(about.archived), pill(about.has_fea ? (about.linear ? "linear" : "finite elements") : "measured", ""))),
     tabs(name, chosenTab, there),
-    body);
+    changed, body);
   const chosen = document.querySelector(".tabs [aria-current]");
   chosen?.scrollIntoView({ block: "nearest", inline: "center" });
   if (byTab) chosen?.focus({ preventScroll: true });
-  try {
-    const part = await import(`./${file}`);
-    if (!signal.aborted) await part.show(body, about, signal);
-  } catch (error) {
-    if (signal.aborted) return;
-    put(body, trouble(error));
-    if (error.status === 503) setTimeout(() => { if (!signal.aborted) show(root, [name, tab], signal); }, BUILDING_MS);
-  }
+  const part = await import(`./${file}`);
+  if (signal.aborted) return;
+  const ended = new AbortController(), own = AbortSignal.any([signal, ended.signal]);
+  let drawn = new AbortController(), now = about;
+  const draw = async () => {
+    try {
+      await part.show(body, now, AbortSignal.any([own, drawn.signal]));
+    } catch (error) {
+      if (own.aborted || error.name === "AbortError") return;
+      put(body, trouble(error));
+      if (error.status !== 503) return;
+      ended.abort();
+      setTimeout(() => { if (!signal.aborted) show(root, [name, tab], signal); }, BUILDING_MS);
+    }
+  };
+  const again = async () => {
+    drawn.abort();
+    drawn = new AbortController();
+    put(changed);
+    now = (await listed(own)).components.find((one) => one.name === name) || now;
+    await draw();
+  };
+  const stale = () => put(changed, note("", el("div", { class: "line" }, "The table has changed since this view was drawn.", el("button", { type: "button", class: "small", id: "draw-again", onclick: again }, "Draw it again"))));
+  if (FOLLOW.includes(chosenTab)) listenToTable(name, about.table_version ?? 0, own, () => (now.rows || chosenTab === "entry" ? stale : again)());
+  await draw();
 }
 
 function awayPill(archived) {

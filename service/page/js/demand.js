@@ -21,7 +21,7 @@ export async function show(root, about, signal) {
     return;
   }
   if (!told.cells?.length) {
-    put(root, empty("All queries were covered.", linkTo(about, "query", "Ask a query")));
+    put(root, empty("No query was thin or outside the table yet.", linkTo(about, "query", "Ask a query")));
     return;
   }
   const place = el("div", { class: "plot", id: "demand" });
@@ -33,7 +33,7 @@ export async function show(root, about, signal) {
     el("section", { class: "card" },
       el("div", { class: "line bottom ends" }, choice("demand-axis", "Loads of", Object.keys(AXES).map((one) => [one, `axis ${one}`]), "z", (value) => { state.axis = value; drawing?.again(); }),
         el("button", { type: "button", class: "small", onclick: forget }, "Delete the statistics")),
-      el("p", { class: "muted" }, `${count(told.asked)} answers were thin or outside. The size of a mark is the number of queries; the frame is the load range.`), view.root),
+      el("p", { class: "muted" }, `${told.asked === 1 ? "1 answer was" : `${count(told.asked)} answers were`} thin or outside. The size of a mark is the number of queries; the frame is the load range.`), view.root),
     el("section", { class: "card" }, el("h2", {}, "Most frequent"), most(told)));
   drawing = await draw(place, (shade) => picture(about, told, state.axis, shade, view.camera()), signal, `${told.cells.length} places with uncovered queries`);
   view.hold(drawing);

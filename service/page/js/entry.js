@@ -14,9 +14,10 @@ export async function show(root, { name }, signal) {
     about.renamed_to ? note("thin", el("span", {}, "It was renamed: ", link(about.renamed_to), " is the newer one.")) : null,
     about.copied_from ? el("p", { class: "muted small" }, "Copied from ", link(about.copied_from), ".") : null,
     el("div", { class: "halves" },
-      el("section", { class: "card" }, el("h2", {}, "Notes"), notes(about, signal)),
-      el("section", { class: "card" }, el("h2", {}, "Name"), naming(about, signal)),
-      el("section", { class: "card" }, el("h2", {}, about.archived ? "Archived" : "Archive"), away(about, signal, again))),
+      el("div", { class: "stack" },
+        el("section", { class: "card" }, el("h2", {}, "Notes"), notes(about, signal)),
+        el("section", { class: "card" }, el("h2", {}, about.archived ? "Archived" : "Archive"), away(about, signal, again))),
+      el("section", { class: "card" }, el("h2", {}, "Name"), naming(about, signal))),
     el("section", { class: "card" }, el("h2", {}, "Imports and versions"), history(about, imports)));
 }
 
@@ -76,5 +77,5 @@ function history(about, imports) {
   const lines = imports.slice(0, 100).map((one) => [
     one.table_version === null ? "–" : String(one.table_version), count(one.rows), one.filename || one.format, time(one.when), one.who || "–", one.note || "", one.rig ? el("details", {}, el("summary", {}, "rig"), el("pre", {}, one.rig)) : "",
   ]);
-  return [now, table(["#version", "#rows", "file", "when", "who", "note", "rig"], lines, { scrolls: true })];
+  return [now, table(["#version", "#rows", "file", "when", "who", "note", "rig"], lines, { scrolls: true, class: "imports" })];
 }

@@ -32,6 +32,17 @@ export async function listen(component, signal, hear) {
   }
 }
 
+// Tells `hear()` of each version of a component's table that is newer than `known`.
+export function listenToTable(component, known, signal, hear) {
+  let newest = known;
+  return listen(component, signal, (kind, body) => {
+    const version = kind === "table" ? body.table_version : kind === "hello" ? body.tables?.[component] : null;
+    if (!(version > newest)) return;
+    newest = version;
+    hear();
+  });
+}
+
 function seen(signal) {
   if (!document.hidden) return null;
   return new Promise((done) => {

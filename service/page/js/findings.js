@@ -21,7 +21,8 @@ export function findingNote(name, one, number, signal, done = () => {}) {
       if (!signal.aborted) put(state, trouble(error));
     }
   };
-  const rows = one.rows?.length ? `${number ? "Rows" : "Rows of the file"}: ${one.rows.slice(0, NAMED).join(", ")}${one.count > NAMED ? ` and ${count(one.count - NAMED)} more` : ""}.` : null;
-  return note("thin", el("strong", {}, `${one.cause}: `), el("span", {}, `${one.message}.`), rows ? el("span", {}, rows) : null,
+  const rows = one.rows?.length ? `${number ? "Rows of the table" : "Rows of the file"}: ${one.rows.slice(0, NAMED).join(", ")}${one.count > NAMED ? ` and ${count(one.count - NAMED)} more` : ""}.` : null;
+  const title = one.cause[0].toUpperCase() + one.cause.slice(1), words = one.message.replaceAll(/--(\w+)-point/g, "the $1 point");
+  return note("thin", el("strong", {}, title), el("span", {}, `${words[0].toUpperCase()}${words.slice(1)}.`), rows ? el("span", {}, rows) : null,
     number ? el("div", {}, el("button", { type: "button", class: "withdraw", onclick: withdraw }, one.count ? `Withdraw ${count(one.count)} ${one.count === 1 ? "row" : "rows"}` : "Withdraw this import")) : null, state);
 }

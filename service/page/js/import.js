@@ -13,7 +13,8 @@ const TYPES = { csv: "text/csv", txt: "text/csv", tsv: "text/csv", json: "applic
 
 export function importForm(about, signal) {
   const state = { file: null, text: null, about, signal, place: el("div", { class: "stack", "aria-live": "polite", id: "checked" }) };
-  state.options = importOptions(() => { if (state.file) check(state); });
+  // A field that is left tells of a change that a check may know already.
+  state.options = importOptions(() => { if (state.file && optionsOf(state) !== state.checked) check(state); });
   const take = async (file) => {
     if (!file) return;
     state.file = file;
@@ -33,15 +34,29 @@ export function importForm(about, signal) {
   return [drop, state.options.root, state.place];
 }
 
+const optionsOf = ({ options }) => `${options.query()} ${options.displacements()?.name}`;
+
+// The body of the call: one file, or two logs in a form.
+function sent(state, type, displacements) {
+  const body = state.text ?? state.file;
+  if (!displacements) return { body, headers: { "Content-Type": type } };
+  const form = new FormData();
+  form.set("loads", new Blob([body]), state.file.name);
+  form.set("displacements", displacements);
+  return { body: form };
+}
+
 async function post(state, dry) {
   const ending = state.file.name.toLowerCase().replace(/\.gz$/, "").split(".").at(-1);
   const type = state.file.name.endsWith(".gz") ? "application/octet-stream" : TYPES[ending] || "application/octet-stream";
   const asked = state.options.query();
   asked.set("dry_run", dry);
-  asked.set("filename", state.file.name.slice(0, 1000));
+  const { displacements } = state.options;
+  if (dry) state.checked = optionsOf(state);
+  asked.set("filename", [state.file.name, displacements()?.name].filter(Boolean).join(", ").slice(0, 1000));
   if (dry) asked.set("preview", SHOWN);
   const reply = await send("POST", `${of(state.about.name)}/table?${asked}`, {
-    body: state.text ?? state.file, headers: { "Content-Type": type }, signal: state.signal,
+    ...sent(state, type, displacements()), signal: state.signal,
   });
   return reply.json();
 }
@@ -66,7 +81,7 @@ async function check(state) {
 function ready(state, told) {
   return [
     note("covered", el("strong", {}, `${state.file.name}: all rows are correct.`), tallies(told)),
-    ...findings(state, told.findings), preview(told), state.options.columns.draw(told), again(state), el("div", {}, importButton(state, told)),
+    ...findings(state, told.findings), preview(told), state.options.columns.draw(told), el("div", { class: "line" }, importButton(state, told), again(state)),
   ];
 }
 
@@ -85,18 +100,23 @@ function tallies(told) {
   const { read, refused, tare, unmatched } = told.rows;
   return [
     el("span", {}, `${count(told.inserted)} new rows${told.existing ? `, ${count(told.existing)} are in the table already` : ""}; ${count(read)} read${refused ? `, ${count(refused)} refused` : ""}${tare ? `, ${count(tare)} taken as tare` : ""}${unmatched ? `, ${count(unmatched)} without a load at their time` : ""}.`),
+    told.clock ? el("span", {}, `Clocks: ${number(told.clock.applied_s)} s added to the times of the displacements; ${told.clock.lag_s === null ? "the logs do not show a lag" : `the logs show ${number(told.clock.lag_s)} ± ${number(told.clock.uncertainty_s, 1)} s`}.`) : null,
     told.ignored?.length ? el("span", {}, `Columns left out: ${told.ignored.join(", ")}.`) : null,
   ];
 }
 
-const findings = (state, found, number) => (found || []).map((one) => el("div", {},
-  findingNote(state.about.name, one, number, state.signal),
-  state.options?.rig && one.lever ? state.options.rig.corrections(one.lever) : null));
+function findings(state, found, number) {
+  return (found || []).map((one) => {
+    const shown = findingNote(state.about.name, one, number, state.signal);
+    if (!number) shown.append(...[one.lever && state.options.rig.corrections(one.lever), one.lag && state.options.correction(one.lag)].filter(Boolean));
+    return shown;
+  });
+}
 
 function preview(told) {
   if (!told.preview?.length) return null;
   const head = ["#row", ...LOADS.map((one) => `#${plain(one)}, ${unitOfLoad(one)}`), ...OUTPUTS.map((one) => `#${one}, ${unitOfOutput(one)}`)];
-  const lines = told.preview.map((one) => [String(one.row), ...[...one.wrench, ...one.displacement].map((value) => number(value, 6))]);
+  const lines = told.preview.map((one) => [String(one.row), ...[...one.wrench, ...one.displacement].map((value) => number(value, 5))]);
   const shown = table(head, lines, { scrolls: true, caption: "The first correct rows, in SI" });
   shown.id = "preview";
   return shown;
@@ -119,14 +139,14 @@ async function load(state) {
 function mistakes(state, errors, told) {
   const byRow = new Map();
   for (const one of errors) byRow.set(one.row, [...(byRow.get(one.row) || []), one]);
-  const shown = [...byRow].slice(0, MENDED), edits = new Map();
+  const shown = [...byRow].slice(0, MENDED), edits = new Map(), mended = state.text && !state.options.displacements();
   const mend = () => { for (const [row, input] of edits) state.text = withLine(state.text, row, input.value.replace(/[\r\n]+/g, " ")); };
   const named = `${count(byRow.size)} ${byRow.size === 1 ? "row has a mistake" : "rows have mistakes"}`;
   return [
     note("outside", el("strong", {}, `${state.file.name}: ${named}; nothing was loaded.`), told.inserted ? tallies(told) : null,
       byRow.size > MENDED ? el("span", {}, `The first ${MENDED} are shown.`) : null),
     causes(told.causes || []),
-    el("div", { class: "stack", id: "mistakes" }, shown.map(([row, list]) => mistake(state, row, list, edits))),
+    el("div", { class: "stack", id: "mistakes" }, shown.map(([row, list]) => mistake(mended && state.text, row, list, edits))),
     told.columns || byRow.has(1) || byRow.has(0) ? state.options.columns.draw(told, errors) : null,
     edits.size ? null : el("p", { class: "muted" }, "Correct them in the file and drop it again, or change the options here."),
     again(state, mend),
@@ -144,17 +164,17 @@ function causes(list) {
 function alike(list) {
   const found = new Map();
   for (const one of list) {
-    const words = one.field ? one.message.replaceAll(`${one.field} [`, "[") : one.message;
+    const words = one.field ? one.message.toLowerCase().replaceAll(`${one.field.toLowerCase()} [`, "[") : one.message;
     found.set(words, [...(found.get(words) || []), one]);
   }
   return [...found.values()];
 }
 
-function mistake(state, row, list, edits) {
+function mistake(text, row, list, edits) {
   const words = el("ul", {}, alike(list).map((group) => el("li", {}, group.flatMap((one, k) => (one.field ? [k ? ", " : "", el("code", {}, one.field)] : [])), group[0].field ? ": " : "", group[0].message)));
-  const title = el("strong", {}, row === 0 ? "The file" : state.text ? `Line ${row}` : `Row ${row}`);
-  if (!state.text || row === 0) return el("div", { class: "note" }, title, words);
-  const line = lineOf(state.text, row); // wrapped: its last cell is seen too
+  const title = el("strong", {}, row === 0 ? "The file" : text ? `Line ${row}` : `Row ${row}`);
+  if (!text || row === 0) return el("div", { class: "note" }, title, words);
+  const line = lineOf(text, row); // wrapped: its last cell is seen too
   const input = el("textarea", { value: line, class: "line-of-file", rows: Math.min(12, 1 + Math.ceil(line.length / 40)), "aria-label": `Line ${row}`, spellcheck: "false" });
   edits.set(row, input);
   return el("div", { class: "note" }, title, words, input);

@@ -23,6 +23,14 @@ export function importOptions(changed) {
   const tare = el("input", { type: "number", min: 0, step: 1, value: 0, onchange: changed, id: "tare" });
   const decimal = select([["", "as in the file"], [".", "point"], [",", "comma"]], "", changed);
   const sheet = el("input", { autocomplete: "off", placeholder: "the first", onchange: changed, id: "sheet" });
+  const file = el("input", { type: "file", id: "displacements", onchange: () => chosen() });
+  const lag = el("input", { autocomplete: "off", placeholder: "0", onchange: changed, id: "lag" });
+  const remove = el("button", { type: "button", class: "small", hidden: true, onclick: () => { file.value = ""; chosen(); } }, "Remove the second log");
+  const chosen = () => { remove.hidden = !file.files[0]; changed(); };
+  const logs = el("details", { id: "logs" }, el("summary", {}, "Two logs: loads and displacements apart"),
+    el("div", { class: "stack" },
+      el("p", { class: "muted small" }, "The file above is the log of the loads. Each log has a column of time; each displacement becomes a row with the loads at its time."),
+      el("div", { class: "halves" }, field("Log of the displacements", file), field("Lag: seconds added to the times of the displacements, or auto", lag)), el("div", {}, remove)));
   const said = el("input", { autocomplete: "off", maxlength: 10000, id: "import-note" });
   const root = el("details", { id: "import-options" }, el("summary", {}, "Options"),
     el("div", { class: "stack" }, zeroLine, extraLine, partialLine,
@@ -37,12 +45,19 @@ export function importOptions(changed) {
     if (Number(tare.value) > 0) asked.set("tare", tare.value);
     if (decimal.value) asked.set("decimal", decimal.value);
     if (sheet.value.trim()) asked.set("sheet", sheet.value.trim());
+    if (displacements() && lag.value.trim()) asked.set("lag", lag.value.trim());
     if (said.value.trim()) asked.set("note", said.value.trim());
     rig.tell(asked);
     columns.tell(asked);
     return asked;
   };
-  return { root: [root, rig.root], query, columns, rig };
+  const displacements = () => file.files[0];
+  const correction = (seconds) => el("div", { class: "turn" }, el("button", { type: "button", class: "small", onclick: () => {
+    lag.value = String(Number(seconds.toPrecision(4)));
+    logs.open = true;
+    changed();
+  } }, `Use a lag of ${Number(seconds.toPrecision(4))} s`));
+  return { root: [logs, root, rig.root], query, columns, rig, displacements, correction };
 }
 
 // One input a column of the file: empty is as the file says.
@@ -71,8 +86,8 @@ function columnTable() {
     return el("details", { id: "columns", open: wrong.size > 0 || [...before.values()].some((one) => one.value) },
       el("summary", {}, "Meaning of the columns"),
       el("p", { class: "muted small" }, `Empty: as the file says. Otherwise a name with its unit, such as fz [kN]; a - before it reverses the sign; or “${LEFT_OUT}”.`),
-      bare.length ? unitsOf(bare, inputs) : null,
-      meanings(), el("div", { class: "few columns" }, names.map((name) => field(name, inputs.get(name)))));
+      el("div", { class: "stack" }, bare.length ? unitsOf(bare, inputs) : null,
+        meanings(), el("div", { class: "few columns" }, names.map((name) => field(name, inputs.get(name))))));
   };
   return { draw, tell, forget };
 }

@@ -17,16 +17,20 @@ export async function jobList(root, component, signal) {
     const page = await get(path, signal);
     const running = fresh && !status.value ? (await get(query("running"), signal)).jobs : [];
     if (fresh) { list.rows.clear(); put(list.root); put(list.running); }
-    for (const job of [...running, ...page.jobs]) if (!list.rows.has(job.id)) place(list, rowOf(list, job), true);
-    if (fresh) waitingTime(page.jobs.find((job) => job.status === "waiting"), queue, signal);
+    for (const job of [...running, ...page.jobs]) if (!list.rows.has(job.id)) place(list, rowOf(list, job));
+    if (fresh) list.count();
     following = page.next;
     older.hidden = !following;
-    empty.hidden = list.rows.size > 0;
   };
   const query = (kind = status.value) => `v1/jobs?limit=${SHOWN}${component ? `&component=${encodeURIComponent(component)}` : ""}${kind ? `&status=${kind}` : ""}`;
   const empty = emptyState("No jobs.", component ? el("a", { class: "button", href: `#/c/${encodeURIComponent(component)}/query` }, "Ask a query") : el("a", { class: "button", href: "#/" }, "Go to the library"));
   empty.hidden = true;
   const queue = el("p", { class: "muted small", id: "queue", "aria-live": "polite" });
+  list.count = () => {
+    empty.hidden = list.rows.size > 0;
+    const waiting = [...list.rows.values()].map((row) => row.job).filter((job) => job.status === "waiting");
+    return waitingTime(waiting.sort((a, b) => b.id - a.id)[0], queue, signal);
+  };
   const fresh = () => load(query(), true).catch((error) => { if (!signal.aborted) put(root, trouble(error)); });
   older.addEventListener("click", () => load(following.replace(/^\//, ""), false));
   const filter = el("select", { "aria-label": "Which jobs", onchange: (event) => { status.value = event.target.value; fresh(); } },
@@ -35,7 +39,7 @@ export async function jobList(root, component, signal) {
   const head = ["job", component ? null : "component", "state", "wrench", "took", ""].filter((one) => one !== null);
   put(root,
     el("div", { class: "line ends" }, el("label", { class: "line" }, "Show", filter), cancelAll), queue,
-    el("table", { class: "folds jobs" }, el("thead", {}, el("tr", {}, head.map((one) => el("th", { scope: "col" }, one)))), list.running, list.root),
+    el("table", { class: `folds jobs${component ? "" : " all"}` }, el("thead", {}, el("tr", {}, head.map((one) => el("th", { scope: "col" }, one)))), list.running, list.root),
     empty, older);
   await fresh();
   listen(component, signal, (kind, body) => hear(list, kind, body, fresh, status));
@@ -46,8 +50,14 @@ function hear(list, kind, body, fresh, status) {
   if (kind === "jobs") fresh();
   if (kind !== "job") return;
   const row = list.rows.get(body.id);
+  const moved = row?.job.status !== body.status;
   if (row) change(list, row, { ...row.job, ...body });
-  else if (!status.value) get(`v1/jobs/${body.id}`, list.signal).then((job) => { if (!list.rows.has(job.id)) place(list, rowOf(list, job), false); }).catch(() => {});
+  if (!moved || (!row && status.value)) return;
+  get(`v1/jobs/${body.id}`, list.signal).then((job) => { // events do not tell how long it took
+    const now = list.rows.get(job.id);
+    if (now) change(list, now, job); else place(list, rowOf(list, job));
+    return list.count();
+  }).catch(() => {});
 }
 
 async function cancelWaiting(component) {
@@ -62,10 +72,10 @@ function rowOf(list, job) {
   return row;
 }
 
-// Jobs that run are above all others; `last` is of older jobs, added below.
-function place(list, row, last) {
+// Jobs that run are above all others; of each the newest is first.
+function place(list, row) {
   const body = row.job.status === "running" ? list.running : list.root;
-  if (last) body.append(row.root); else body.prepend(row.root);
+  body.insertBefore(row.root, [...body.children].find((one) => Number(one.id.slice(4)) < row.job.id) || null);
 }
 
 // When the newest waiting job, and so the queue, is expected to be solved.
@@ -97,7 +107,7 @@ const rough = (value) => (value < 120 ? `${Math.max(1, Math.round(value))} s` : 
 function change(list, row, job) {
   const moves = row.root.isConnected && (row.job.status === "running") !== (job.status === "running");
   row.job = job;
-  if (moves) place(list, row, false);
+  if (moves) place(list, row);
   const left = el("span", {});
   if (job.status === "running" && job.started) expected(list, job, left);
   const running = job.status === "running";

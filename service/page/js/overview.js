@@ -2,47 +2,62 @@
 
 import { caughtUp, get, of, post } from "./api.js";
 import { el, facts, field, note, notify, put, table } from "./dom.js";
-import { listen } from "./events.js";
+import { listenToTable } from "./events.js";
 import { beingBuilt } from "./empty.js";
 import { findingNote } from "./findings.js";
 import { LOADS, count, number, quantity, symbol, unitOfLoad, percent } from "./format.js";
-import { sharesOf } from "./shares.js";
+import { sharesOf, wholeError } from "./shares.js";
 
 export async function show(root, { name }, signal) {
   put(root, el("p", { class: "muted" }, "…"));
   const about = await get(of(name), signal);
-  const glance = el("div", { class: "stack" }, el("p", { class: "muted" }, "…"));
+  const warned = el("div", { class: "stack" }), glance = el("div", { class: "stack" }, el("p", { class: "muted" }, "…"));
+  const rows = el("section", { class: "card" });
+  let latest = 0;
+  const refresh = async () => {
+    const mine = latest += 1; // of two at once the later one counts
+    const now = await get(of(name), signal);
+    if (mine !== latest) return;
+    put(warned, warnings(now, signal, refresh));
+    put(rows, el("h2", {}, "Method and rows"), method(now));
+    await cover(glance, now, signal, () => mine === latest);
+  };
+  put(root, warned,
+    el("div", { class: "halves" },
+      el("section", { class: "card" }, el("h2", {}, "Coverage"), glance, about.has_fea ? fill(about) : el("p", {}, el("a", { href: `#/c/${about.name}/table` }, "Import measured rows"), ".")),
+      rows,
+      el("section", { class: "card" }, el("h2", {}, "Load range"), loads(about)),
+      el("section", { class: "card" }, el("h2", {}, "Conventions"), contract(about))));
+  listenToTable(name, about.table_version, signal, () => refresh().catch(() => {}));
+  await refresh();
+}
+
+// `done()` is called after the rows of a finding are withdrawn.
+function warnings(about, signal, done) {
   const checked = about.warnings.filter((one) => one.where !== "rows" && !one.import);
   const ofRows = about.warnings.filter((one) => one.where === "rows");
   const found = about.warnings.filter((one) => one.import);
-  put(root,
+  return [
     found.length ? el("section", { class: "card", id: "findings" }, el("h2", {}, "Findings of imports"),
       found.map((one) => el("div", { class: "stack" }, el("p", { class: "muted small" }, `Import ${one.import}${one.filename ? `, ${one.filename}` : ""}`),
-        findingNote(about.name, one, one.import, signal, () => show(root, { name }, signal))))) : null,
+        findingNote(about.name, one, one.import, signal, done)))) : null,
     ofRows.length ? note("thin", ofRows.map((one) => el("p", {}, textOf(one))), about.another_setup.wrenches ? resolve(about) : null) : null,
     checked.length ? note("thin", el("strong", {}, "Warnings of the bundle check"), el("ul", {}, checked.map((one) => el("li", {}, textOf(one))))) : null,
-    el("div", { class: "halves" },
-      el("section", { class: "card" }, el("h2", {}, "Coverage"), glance),
-      el("section", { class: "card" }, el("h2", {}, "Method and rows"), method(about)),
-      el("section", { class: "card" }, el("h2", {}, "Load range"), loads(about)),
-      el("section", { class: "card" }, el("h2", {}, "Conventions"), contract(about))));
-  const refresh = () => cover(glance, about, signal);
-  listen(about.name, signal, (kind) => { if (kind === "table") refresh(); });
-  await refresh();
+  ];
 }
 
 const textOf = (one) => (typeof one === "string" ? one : one.message || one.msg || JSON.stringify(one));
 
-async function cover(place, about, signal) {
+async function cover(place, about, signal, isLatest) {
   const { of: rows } = await caughtUp(about.name, signal);
   const parts = [];
   if (rows) {
-    parts.push(sharesOf(await get(`${of(about.name)}/glance`, signal)));
-    parts.push(el("p", { class: "muted small" }, "Share of the load range, and of each axis' three loads, whose interpolation error is within the tolerance; the discretisation error is apart."));
+    const glance = await get(`${of(about.name)}/glance`, signal);
+    if (about.has_fea) parts.push(wholeError(glance, about));
+    parts.push(sharesOf(glance));
+    parts.push(el("p", { class: "muted small" }, `Share of the load range, and of each axis' three loads, whose interpolation error is within the tolerance${about.has_fea ? "; the first bar is of the whole error" : ""}.`));
   } else parts.push(el("p", {}, about.pending_rows ? `${beingBuilt(about.pending_rows)} …` : "The table has no rows yet."));
-  if (about.has_fea) parts.push(fill(about));
-  else parts.push(el("p", {}, el("a", { href: `#/c/${about.name}/table` }, "Import measured rows"), "."));
-  put(place, parts);
+  if (isLatest()) put(place, parts);
 }
 
 // Rows of another setup: the component's files have changed since these were solved.
@@ -58,7 +73,6 @@ function resolve(about) {
 
 function fill(about) {
   const budget = el("input", { type: "number", min: 1, max: 10000, value: 24, "aria-label": "Largest number of solves" });
-  budget.style.width = "6rem";
   const order = async (event) => {
     event.preventDefault();
     try {
@@ -75,7 +89,7 @@ function method(about) {
   const tolerance = about.tolerance
     ? `${quantity(about.tolerance.translation, "m")}, ${quantity(about.tolerance.rotation, "rad")}`
     : "1 % of each output's range";
-  const sources = Object.entries(about.sources).map(([name, rows]) => `${count(rows)} ${name}`).join(", ");
+  const sources = Object.entries(about.sources).map(([name, rows]) => `${count(rows)} ${name}`).join("; ");
   const jobs = Object.entries(about.jobs).filter(([, n]) => n).map(([status, n]) => `${n} ${status}`).join(", ");
   const errors = Object.entries(cover.errors_left_out || {}).map(([name, error]) => `${name} ${percent(error)}`).join(", ");
   return facts([

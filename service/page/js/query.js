@@ -5,6 +5,7 @@ import { remember } from "./asked.js";
 import { el, field, note, pill, put, select } from "./dom.js";
 import { listen } from "./events.js";
 import { OUTPUTS, number, percent, symbol, unitOfOutput, withBar, wrench as said } from "./format.js";
+import { solverError } from "./shares.js";
 import { curlOf, pythonOf, snippet, versionQuery } from "./snippet.js";
 import { versionField } from "./version.js";
 import { wrenchForm } from "./wrench_form.js";
@@ -49,7 +50,9 @@ async function query(place, about, wrench, options, signal, watched = null) {
   if (answer.job && answer.job.id !== watched) await watch(place, about, wrench, options, answer.job, signal);
 }
 
-const BEYOND = "The error bar exceeds the tolerance because of the discretisation error. More solves do not lower it; the component's overview says what does.";
+const shareOf = (part) => (part < 10 ? percent(part) : `${number(part, 2)} times`);
+
+const beyond = (about) => `The error bar exceeds the tolerance because of the ${solverError(about)} error. More solves do not lower it; the component's overview says what does.`;
 
 function shown(answer, about, wrench) {
   const values = answer.translation ? [...answer.translation, ...answer.rotation] : null;
@@ -58,7 +61,7 @@ function shown(answer, about, wrench) {
   const lines = OUTPUTS.map((output, place) => {
     const { value, bar } = withBar(values?.[place], bars[place], unitOfOutput(output));
     const allowed = limit && (place < 3 ? limit.translation : limit.rotation);
-    const share = allowed && bars[place] !== null && bars[place] !== undefined ? percent(bars[place] / allowed) : "";
+    const share = allowed && bars[place] !== null && bars[place] !== undefined ? shareOf(bars[place] / allowed) : "";
     return row(symbol(output), value, bar, share);
   });
   const head = ["", "value", "95 % error bar", limit ? "of the tolerance" : ""].map((one, place) =>
@@ -66,7 +69,7 @@ function shown(answer, about, wrench) {
   return [
     el("div", { class: "line" }, pill(answer.coverage), el("span", { class: "muted small" }, about_(answer))),
     answer.reason ? note(answer.coverage, answer.reason) : null,
-    answer.coverage === "covered" && answer.within_tolerance === false ? note("thin", BEYOND) : null,
+    answer.coverage === "covered" && answer.within_tolerance === false ? note("thin", beyond(about)) : null,
     values ? el("table", { class: "answer" }, el("thead", {}, el("tr", {}, head)), el("tbody", {}, lines)) : null,
     answer.notes ? note("thin", el("ul", {}, answer.notes.map((one) => el("li", {}, one)))) : null,
     el("p", { class: "muted small" }, said(wrench.slice(0, 3), wrench.slice(3))),

@@ -2,7 +2,7 @@
 
 import { Problem, get, of, send, trouble } from "./api.js";
 import { el, field, note, put, save, table } from "./dom.js";
-import { emptyTable } from "./empty.js";
+import { empty, emptyTable } from "./empty.js";
 import { count, percent, quantity, seconds } from "./format.js";
 import { PLOTS, lookup, nameOf, show as plot, took, worst } from "./report_plots.js";
 
@@ -62,7 +62,8 @@ async function latest(body, about, signal) {
     page(body, about, await get(`${of(about.name)}/report`, signal));
   } catch (error) {
     if (signal.aborted) return;
-    if (error instanceof Problem && error.status === 404) put(body, el("p", { class: "empty" }, "No report yet."));
+    if (error instanceof Problem && error.status === 404) put(body, empty("No report yet. It compares the table, in error and run time, with solves on three meshes.",
+      el("button", { type: "button", id: "first-report", onclick: () => body.parentElement.querySelector("form").requestSubmit() }, "Make the first report")));
     else put(body, trouble(error));
   }
 }

@@ -107,7 +107,7 @@ function calibration(report, width) {
   const aim = (share, text) => [rule(BOX.left, y(share), width - right, y(share), { stroke: "var(--ink)", "stroke-dasharray": "7 5" }),
     words(width - right + 6, y(share) + 4, width < 500 ? text.split(" (")[0] : text, { "text-anchor": "start", fill: "var(--ink)" })];
   return frame(width,
-    [0, 0.25, 0.5, 0.75].map((one) => [rule(BOX.left, y(one), width - right, y(one)), words(BOX.left - 8, y(one) + 4, percentText(100 * one), { "text-anchor": "end" })]).flat(),
+    [0, 0.25, 0.5, 0.75, 1].map((one) => [rule(BOX.left, y(one), width - right, y(one)), words(BOX.left - 8, y(one) + 4, percentText(100 * one), { "text-anchor": "end" })]).flat(),
     OUTPUTS.map((name, k) => words(BOX.left + slot * (k + 0.5), HEIGHT - BOX.bottom + 18, name)),
     list.map((entry, one) => entry.inside_error_bar.map((share, k) => (share === null ? null
       : tag("rect", { x: left(k, one), y: y(share), width: bar, height: y(0) - y(share), fill: `var(--${(LOOKS[entry.method] || LOOKS.nearest)[0]})` },

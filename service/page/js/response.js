@@ -13,7 +13,7 @@ export async function show(root, about, signal) {
     put(root, emptyTable(about));
     return;
   }
-  const state = { load: "fz", output: "uz", at: LOADS.map(() => 0), sweep: null, rows: null, drawing: null, rest: solverError(about) };
+  const state = { load: "fz", output: "uz", at: LOADS.map(() => 0), sweep: null, rows: null, drawing: null, rest: about.has_fea ? solverError(about) : null };
   const place = el("div", { class: "plot low", id: "response" });
   const told = el("p", { class: "muted small", "aria-live": "polite" });
   const load = async () => {
@@ -35,7 +35,7 @@ export async function show(root, about, signal) {
     el("div", { class: "line bottom" },
       choice("load", "Along", symbols(LOADS), state.load, (value) => { state.load = value; load(); }),
       choice("output", "Output", symbols(OUTPUTS), state.output, (value) => { state.output = value; again(); })),
-    place, about.has_fea ? bands(about) : null, told,
+    place, bands(about), told,
     el("details", {}, el("summary", {}, "The other five loads"),
       el("div", { class: "stack" }, note("", "Rows are drawn only if all five are zero."), others.form))));
   await load();
@@ -54,12 +54,14 @@ async function ask(about, state, signal) {
 function labelOf({ sweep, rows, output, load, rest }) {
   const thin = sweep.coverage.filter((one) => one > 0).length;
   const share = Math.round(100 * (1 - thin / sweep.coverage.length));
-  const drawn = rows ? `${rows.shown === 1 ? "1 row lies" : `${rows.shown} rows lie`} on this line` : "rows are not drawn, since other loads act";
+  const drawn = rows ? `${rows.shown === 1 ? "1 row lies" : `${rows.shown || "no"} rows lie`} on this line` : "rows are not drawn, since other loads act";
   const k = OUTPUTS.indexOf(output), bars = sweep.error.map((one) => one[k] ?? 0);
   const unit = unitOfOutput(output), place = bars.indexOf(Math.max(...bars)), widest = quantity(bars[place], unit, 2), inner = sweep.interpolation[place]?.[k] ?? 0;
   const unknown = Math.round(100 * sweep.error.filter((one) => one[k] === null).length / sweep.error.length);
-  const parts = sweep.bars_are_whole ? ` (interpolation ${quantity(inner, unit, 2)}, ${rest} ${quantity(Math.max(0, bars[place] - inner), unit, 2)})` : "";
-  return `${plain(output)} over ${plain(load)} by ${sweep.method}. The band is its 95 % error bar, ${sweep.bars_are_whole ? "" : "without the discretisation error, which is not known, "}at most ± ${widest}${parts}${unknown ? `, and not known, nor drawn, on ${unknown} % of the line` : ""}; ${share} % of the line is covered; ${drawn}.`;
+  const parts = sweep.bars_are_whole && rest ? ` (interpolation ${quantity(inner, unit, 2)}, ${rest} ${quantity(Math.max(0, bars[place] - inner), unit, 2)})` : "";
+  const line = `${plain(output)} over ${plain(load)} by ${sweep.method}.`, rest_ = `${share} % of the line is covered; ${drawn}.`;
+  if (unknown === 100) return `${line} Its error bar is not known, so no band is drawn; ${rest_}`;
+  return `${line} The band is its 95 % error bar, ${sweep.bars_are_whole || !rest ? "" : "without the discretisation error, which is not known, "}at most ± ${widest}${parts}${unknown ? `, and not known, nor drawn, on ${unknown} % of the line` : ""}; ${rest_}`;
 }
 
 function picture(state, shade) {
@@ -68,15 +70,12 @@ function picture(state, shade) {
   const values = sweep.displacement.map((one) => one[k]), bars = sweep.error.map((one) => one[k]), inner = sweep.interpolation.map((one) => one[k]);
   const largest = values.reduce((a, b) => Math.max(a, Math.abs(b ?? 0)), 0);
   const [scale, prefix] = prefixOf(largest);
-  const line = (offset, width = bars) => values.map((one, place) => (one === null ? null : (one + offset * (width[place] ?? 0)) / scale));
   const hover = `%{x:.4~g} ${unitOfLoad(load)}: %{y:.5~g} ${prefix}${unitOfOutput(output)}<extra></extra>`;
-  const band = { x: sweep.at, mode: "lines", line: { width: 0 }, hoverinfo: "skip" };
+  const band = (width, fillcolor) => ({ ...around(sweep.at, values, width, scale), mode: "lines", line: { width: 0 }, hoverinfo: "skip", fill: "toself", fillcolor });
   const data = [
-    { ...band, y: line(1) },
-    { ...band, y: line(-1), fill: "tonexty", fillcolor: faint(shade.query, 0.2) },
-    { ...band, y: line(1, inner) },
-    { ...band, y: line(-1, inner), fill: "tonexty", fillcolor: faint(shade.accent, 0.4) },
-    { x: sweep.at, y: line(0), mode: "lines", line: { color: shade.accent, width: 2 }, hovertemplate: hover },
+    band(bars, faint(shade.query, 0.2)),
+    band(inner, faint(shade.accent, 0.4)),
+    { x: sweep.at, y: values.map((one) => (one === null ? null : one / scale)), mode: "lines", line: { color: shade.accent, width: 2 }, hovertemplate: hover },
   ];
   if (rows) {
     const place = LOADS.indexOf(load);
@@ -89,14 +88,32 @@ function picture(state, shade) {
   } };
 }
 
+// The outline of a band, one polygon each stretch of the line whose error bar is known.
+function around(at, values, width, scale) {
+  const stretches = [[]];
+  at.forEach((_, place) => {
+    if (values[place] !== null && (width[place] ?? null) !== null) stretches.at(-1).push(place);
+    else if (stretches.at(-1).length) stretches.push([]);
+  });
+  const found = { x: [], y: [] };
+  for (const places of stretches.filter((one) => one.length > 1)) {
+    const back = [...places].reverse(), edge = (side) => (place) => (values[place] + side * width[place]) / scale;
+    found.x.push(...[...places, ...back].map((place) => at[place]), null);
+    found.y.push(...places.map(edge(1)), ...back.map(edge(-1)), null);
+  }
+  return found;
+}
+
 // The band is drawn in two: what more rows lower, and what a finer mesh lowers.
 function bands(about) {
-  const one = (colour, text) => {
+  const one = (colour, text, faint_ = 100) => {
     const mark = el("i", { class: "square" });
-    mark.style.background = `var(--${colour})`;
+    mark.style.background = `color-mix(in srgb, var(--${colour}) ${faint_}%, var(--card))`;
     return el("li", {}, mark, text);
   };
-  return el("ul", { class: "key-of-marks" }, one("accent", "interpolation error: more rows lower it"), one("query", `${solverError(about)} error: a finer mesh ${about.linear ? "or nonlinear = true " : ""}lowers it`));
+  return el("ul", { class: "key-of-marks" }, one("accent", "interpolation error: more rows lower it"),
+    about.has_fea ? one("query", `${solverError(about)} error: a finer mesh ${about.linear ? "or nonlinear = true " : ""}lowers it`) : null,
+    one("thin", "thin: the rows do not cover it", 35), one("outside", "outside the rows or the load range", 35));
 }
 
 const marked = (name) => `${plain(name)[0]}<sub>${name[1]}</sub>`;

@@ -59,7 +59,7 @@ function marks() {
     return el("li", {}, mark, text);
   };
   return el("ul", { class: "key-of-marks" }, one("", "accent", "row with loads of this axis only"), one("hollow", "card", "row with other loads too"),
-    one("square", "thin", "query of this tab, thin"), one("square", "outside", "query of this tab, outside"), one("square", "query", "latest queries"));
+    one("square", "thin", "loads that are thin"), one("square", "outside", "loads outside the rows"), one("diamond", "query", "latest queries"));
 }
 
 function picture(about, rows, gap, latest, shade, camera) {

@@ -20,7 +20,7 @@ export async function show(root, _, signal) {
     try {
       const body = { components: Object.fromEntries([...chosen].map(([name, form]) => [name, form.read()])) };
       const told = await post("v1/scenes/plan", body, signal);
-      put(plan, Object.entries(told.components).map(([name, one]) => planned(name, one)));
+      put(plan, Object.entries(told.components).map(([name, one]) => planned(name, one, components.find((other) => other.name === name)?.has_fea)));
     } catch (error) { if (!signal.aborted) put(plan, trouble(error)); }
   };
   put(root,
@@ -59,7 +59,7 @@ function needForm(one) {
   return { root, read };
 }
 
-function planned(name, one) {
+function planned(name, one, hasFea) {
   const bound = one.displacement_bound.map((value, place) => [plain(OUTPUTS[place]), value === null ? "not known" : quantity(value, unitOfOutput(OUTPUTS[place]))]);
   const kinds = { rigid: "covered", linear: "covered", table: "running" };
   const saved = one.saves;
@@ -70,8 +70,8 @@ function planned(name, one) {
       ["Loads", one.loads.map(plain).join(", ")],
       ["Axes", Object.entries(one.axes).map(([axis, held]) => `${axis}: ${held.inputs.map(plain).join(", ")} (${held.dimensions}-D)`).join("; ")],
       ["Outputs", one.outputs.map(plain).join(", ")],
-      ["First solves", `${count(one.solves.scene)} of ${count(one.solves.whole)}`],
-      ["Saves", [saved.build_s > 0 ? `${seconds(saved.build_s)} of building` : "", saved.memory_bytes > 0 ? `${number(saved.memory_bytes / 1e6, 3)} MB` : "", saved.us_per_answer > 0 ? `${number(saved.us_per_answer, 3)} µs an answer` : ""].filter(Boolean).join(", ")],
+      ["First solves", hasFea ? `${count(one.solves.scene)} of ${count(one.solves.whole)}` : ""],
+      ["Saves", [saved.build_s > 0 ? `${saved.build_s < 1 ? quantity(saved.build_s, "s") : seconds(saved.build_s)} of building` : "", saved.memory_bytes > 0 ? saved.memory_bytes < 1e6 ? `${number(saved.memory_bytes / 1e3, 3)} kB` : `${number(saved.memory_bytes / 1e6, 3)} MB` : "", saved.us_per_answer > 0 ? `${number(saved.us_per_answer, 3)} µs an answer` : ""].filter(Boolean).join(", ")],
     ]),
     el("details", {}, el("summary", {}, "Largest displacements"), facts(bound)),
     one.decision === "rigid" ? note("covered", "Leave it out: the bound is below the tolerance.") : null);

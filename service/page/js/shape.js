@@ -1,6 +1,6 @@
 // The deformed part under a typed wrench: magnified, coloured, beside its undeformed outline.
 
-import { get, of, send, trouble } from "./api.js";
+import { caughtUp, get, of, post, send, trouble } from "./api.js";
 import { choice, el, facts, field, note, pill, put, save, select } from "./dom.js";
 import { LOADS, number, quantity, stress, symbol } from "./format.js";
 import { draw } from "./plot.js";
@@ -27,11 +27,24 @@ async function bend(stage, about, wrench, signal) {
     shape = await get(`${of(about.name)}/deformed?${queryOf(wrench)}`, signal);
   } catch (error) {
     if (signal.aborted) return;
-    const hint = error.status === 409 && about.has_fea ? el("p", {}, "A solve of this wrench gives one: see ", el("a", { href: `#/c/${about.name}/query` }, "Query"), ".") : null;
-    put(stage, trouble(error), hint);
+    if (error.status !== 409) { put(stage, trouble(error)); return; }
+    const solve = el("button", { type: "button", class: "first", onclick: () => solved(stage, about, wrench, signal) }, "Solve this wrench");
+    put(stage, note("thin", el("strong", {}, error.body.title), el("span", {}, "Each solve by the embedded solver leaves a deformed surface; surfaces between solves are interpolated.")), el("div", {}, solve));
     return;
   }
   await stageOf(stage, about, wrench, shape, signal);
+}
+
+// Solves a wrench, and draws it.
+async function solved(stage, about, wrench, signal) {
+  put(stage, el("p", { class: "muted" }, "Solving …"), el("progress", { "aria-label": "The solve" }));
+  try {
+    let job = (await post(`${of(about.name)}/solve`, { force: wrench.slice(0, 3), moment: wrench.slice(3) }, signal)).job;
+    while (["waiting", "running"].includes(job.status)) job = await get(`v1/jobs/${job.id}?wait_s=20`, signal);
+    if (job.status !== "done") throw new Error(job.error?.message || "The solve was cancelled.");
+    await caughtUp(about.name, signal);
+    await bend(stage, about, wrench, signal);
+  } catch (error) { if (!signal.aborted) put(stage, trouble(error)); }
 }
 
 async function stageOf(stage, about, wrench, shape, signal) {
@@ -105,7 +118,7 @@ function picture(shape, sizes, { factor, colour, edges }, shade, camera, narrow)
   const before = { type: "scatter3d", mode: "lines", ...lines(shape.vertices, edges, MM), line: { color: shade.muted, width: 3 }, hoverinfo: "skip", connectgaps: false };
   const after = { ...before, ...lines(points, edges, MM), line: { color: shade.ink, width: 3 } };
   const axis = (name) => ({ title: { text: `${name}, mm` }, nticks: 5 });
-  return { data: [body, before, after], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: { ...axis("z"), nticks: 4 }, aspectmode: "data", domain: narrow ? { x: [0, 1], y: [0.2, 1] } : { x: [0, 0.9], y: [0, 1] }, camera }, uirevision: "same" } };
+  return { data: [body, before, after], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: { ...axis("z"), nticks: narrow ? 2 : 4 }, aspectmode: "data", domain: narrow ? { x: [0, 1], y: [0.2, 1] } : { x: [0, 0.9], y: [0, 1] }, camera }, uirevision: "same" } };
 }
 
 // Only points are moved: colours and triangles stay as they are.

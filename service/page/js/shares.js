@@ -32,11 +32,12 @@ export function wholeError(glance, about) {
   const [covered] = glance.whole, within = glance.within_tolerance ?? covered;
   const known = !about.has_fea || glance.bars_are_whole, errors = glance.error.slice(0, 3);
   const k = errors.reduce((best, one, place) => ((one ?? 0) > (errors[best] ?? 0) ? place : best), 0);
-  const bar = (value) => quantity(value, "m", 2);
+  const exactly = (value) => quantity(value, "m", 2).replaceAll(" ", "\u00a0");
+  const bar = (value) => (value > 0 && value < errors[k] / 1000 ? "negligible" : exactly(value));
   const parts = !about.has_fea ? "interpolation"
     : known ? `interpolation ${bar(glance.interpolation[k])} + ${solverError(about)} ${bar(Math.max(0, errors[k] - glance.interpolation[k]))}`
       : "interpolation; the discretisation error is not known";
   return el("div", { class: "stack tight" },
     el("div", { class: "shares" }, el("span", {}, glance.within_tolerance === null && about.has_fea ? "covered" : "within tolerance"), sharesBar([within, Math.max(0, covered - within), 1 - covered], WHOLE), el("span", {}, `${Math.round(100 * within)} %`)),
-    errors[k] === null ? null : el("span", { class: "muted small" }, `Error bar ± ${bar(errors[k])}: ${parts}${about.tolerance ? `; tolerance ${bar(about.tolerance.translation)}` : ""}`));
+    errors[k] === null ? el("span", { class: "muted small" }, "The error bar is not known: see the overview.") : el("span", { class: "muted small" }, `Error bar ± ${bar(errors[k])}: ${parts}${about.tolerance ? `; tolerance ${exactly(about.tolerance.translation)}` : ""}`));
 }

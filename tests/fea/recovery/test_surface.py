@@ -61,3 +61,12 @@ def test_a_large_surface_is_simplified_and_says_so():
     corners = np.sort(found.triangles, axis=1)
     assert len(np.unique(corners, axis=0)) == len(corners)
     assert (np.diff(corners, axis=1) > 0).all()
+
+
+def test_a_thin_plate_that_is_simplified_keeps_both_faces():
+    mesh = box("hex8", (40, 40, 1), (0.4, 0.4, 0.004))
+    found = surface_of(mesh, most=500)
+    points = mesh.points[found.nodes]
+    assert len(points) <= 500
+    assert np.unique(points[:, 2]).tolist() == [0.0, 0.004]
+    assert volume(points, found.triangles) == pytest.approx(0.4 * 0.4 * 0.004, rel=0.1)

@@ -5,6 +5,8 @@ import json
 import pytest
 
 from tests.service.page.test_browser import LOADS, PLATE, ask
+from tests.service.test_import_clock import logs_of
+from tests.surrogate.findings.rigs import Rig
 from wrenchbook.service.client.errors import ProblemError
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
@@ -202,3 +204,124 @@ def test_a_measured_component_has_no_tabs_of_solves(browser, rig):
     tabs = browser.one(".tabs").text.split("\n")
     assert not {"Shape", "Report", "Jobs"} & set(tabs)
     assert "Query" in tabs
+
+
+def test_two_logs_are_joined_and_the_lag_of_their_clocks_is_one_click(browser, client, tmp_path):
+    rig = Rig(5206, ("motion",))
+    span = {"force": rig.high[:3].tolist(), "moment": rig.high[3:].tolist()}
+    client.call_json("POST", "/v1/components", {"name": "logs", "title": "Logs", "range": span})
+    for name, text in logs_of(rig).values():
+        (tmp_path / name).write_bytes(text)
+    browser.visit("#/c/logs/table")
+    browser.one("#file").send_keys(str(tmp_path / "loads.csv"))
+    browser.named("#checked", "a log of loads alone")
+    browser.named("summary", "Two logs").click()
+    browser.one("#displacements").send_keys(str(tmp_path / "moved.csv"))
+    button = browser.named(".note.thin button", "Use a lag of 0.3")
+    assert "0 s added" in browser.named(".note", "Clocks").text
+    button.click()
+    browser.gone(button)
+    assert "0.350" in browser.named(".note", "Clocks").text
+    browser.one("#import").click()
+    browser.named(".note", "rows are in the table")
+    (kept,) = client.call_json("GET", "/v1/components/logs/imports")["imports"]
+    assert kept["filename"] == "loads.csv, moved.csv"
+    assert browser.mistakes() == []
+
+
+def test_a_field_left_after_the_check_keeps_the_import_button(browser, rig):
+    browser.visit("#/c/unmeasured/table")
+    browser.one("#rig-options summary").click()
+    browser.type("#rig-load-point", "0,0,0.05")
+    browser.drop(".drop", "one.csv", f"{LOADS},ux [mm]\n40,0,0,0,0,0,0.1\n")
+    browser.one("#import")
+    browser.run("document.querySelector('#import').kept = true")
+    browser.one("#rig-displacement-point").click()
+    assert browser.run("return document.querySelector('#import')?.kept")
+
+
+def measured(client, name, *pulls):
+    """Add a component for measured rows, and import a row for each pull, N."""
+    spans = {"force": [600] * 3, "moment": [60] * 3}
+    about = {"name": name, "title": "Measured", "range": spans}
+    if not any(one["name"] == name for one in client.components()):
+        client.call_json("POST", "/v1/components", about)
+    lines = [f"0,0,{pull},0,0,0,{pull * 1e-3}" for pull in pulls]
+    text = "\n".join([f"{LOADS},uz [mm]", *lines])
+    if pulls:
+        kind = {"Content-Type": "text/csv"}
+        client.call("POST", f"/v1/components/{name}/table", content=text.encode(), headers=kind)
+
+
+def test_an_open_view_shows_the_first_rows_and_offers_to_draw_later_ones(browser, client):
+    measured(client, "followed")
+    browser.visit("#/c/followed/response")
+    browser.one("main .empty")
+    measured(client, "followed", 100, 200, 300)
+    browser.named("main p", "3 rows lie on this line")
+    measured(client, "followed", 400)
+    button = browser.one("#draw-again")
+    button.click()
+    browser.gone(button)
+    browser.named("main p", "4 rows lie on this line")
+
+
+def test_an_open_overview_counts_the_rows_that_arrive(browser, client):
+    measured(client, "counted")
+    browser.visit("#/c/counted")
+    browser.named("main p", "The table has no rows yet")
+    measured(client, "counted", 100, 200)
+    browser.named("dl", "2 measured")
+
+
+def test_the_band_of_a_response_has_a_gap_where_its_error_is_not_known(browser, plate):
+    known = [0.001] * 6
+    sweep = {
+        "at": [0, 1, 2, 3, 4],
+        "displacement": [[0.01] * 6] * 5,
+        "error": [known, known, [None] * 6, known, known],
+        "interpolation": [known, known, [None] * 6, known, known],
+        "coverage": [0, 0, 1, 0, 0],
+        "method": "kriging",
+        "bars_are_whole": True,
+    }
+    browser.visit(f"{PLATE}/overview")
+    browser.one("main h2")
+    browser.run(
+        "const own = window.fetch; window.fetch = (to, how) => String(to).includes('/response?')"
+        " ? Promise.resolve(new Response(arguments[0])) : own(to, how);",
+        json.dumps(sweep),
+    )
+    browser.go(f"{PLATE}/response")
+    browser.drawn("#response")
+    bands = browser.run(
+        "return document.querySelector('#response').data.filter((one) => one.fill)"
+        ".map((one) => one.x)"
+    )
+    assert bands == [[0, 1, 1, 0, None, 3, 4, 4, 3, None]] * 2
+
+
+def test_a_shape_without_a_surface_is_solved_by_its_button(browser, client):
+    browser.visit("#/c/bar/shape")
+    browser.named("button", "Solve this wrench").click()
+    browser.drawn("#shape")
+    assert browser.mistakes() == []
+
+
+def test_a_component_without_a_report_has_a_button_that_makes_one(browser, client):
+    client.solve("bar", [0, 0, -50.0], [0, 0, 0], wait_s=120)
+    browser.visit("#/c/bar/report")
+    browser.one("#first-report").click()
+    browser.one("#cancel-report").click()
+    browser.until(lambda: not browser.all("#cancel-report"), "the end of the report")
+
+
+def test_a_job_that_ends_while_it_is_watched_shows_how_long_it_took(browser, plate):
+    browser.visit("#/jobs")
+    browser.one("table.jobs tr[id]")
+    plate.solve("plate_thin", [0, 300.0, 0], [0, 0, 0], wait_s=120)
+    newest = plate.call_json("GET", "/v1/jobs?limit=1")["jobs"][0]
+    seconds = f"{newest['seconds']:.3g} s"
+    browser.named(f"#job-{newest['id']}", seconds)
+    assert browser.all("table.jobs tr[id]")[0].get_attribute("id") == f"job-{newest['id']}"
+    browser.until(lambda: not browser.run("return document.querySelector('#queue').textContent"))
