@@ -406,13 +406,14 @@ def _named_columns(file: h5py.File) -> list[NamedColumn]:
 
 
 def _columns_of(name: str, one: h5py.Dataset) -> list[NamedColumn]:
-    fields, attributes = one.dtype.names, one.attrs
+    fields = one.dtype.names
     if fields and one.ndim == 1:
-        return [(field, one, _Part(field)) for field in fields]
-    titles = attributes.get("columns", attributes.get("names"))
-    if one.ndim == 2 and titles is not None and len(titles) == one.shape[1]:
-        words = [str(title.decode() if isinstance(title, bytes) else title) for title in titles]
-        return [(word, one, _Part((slice(None), place))) for place, word in enumerate(words)]
+        labels = _labels(one, list(fields))
+        return [(label, one, _Part(field)) for label, field in zip(labels, fields, strict=True)]
+    titles = _texts(one, "columns", "names")
+    if one.ndim == 2 and len(titles) == one.shape[1]:
+        labels = _labels(one, titles)
+        return [(label, one, _Part((slice(None), place))) for place, label in enumerate(labels)]
     words = h5py.check_string_dtype(one.dtype) is not None
     is_vector = one.ndim == 2 and 1 in one.shape and not words
     if not (one.ndim == 1 or is_vector) or not (words or one.dtype.kind in "iufb"):
@@ -420,11 +421,29 @@ def _columns_of(name: str, one: h5py.Dataset) -> list[NamedColumn]:
             f"holds {name} of shape {one.shape} and type {one.dtype}; a column is a dataset of one "
             "dimension, of numbers or texts (data frames: use to_parquet or to_csv)"
         )
-    unit = attributes.get("units", attributes.get("unit", ""))
-    unit = unit.decode(errors="replace") if isinstance(unit, bytes) else str(unit)
-    label = f"{name} [{unit}]" if unit and "[" not in name and "(" not in name else name
+    (label,) = _labels(one, [name])
     column = one.asstr() if words else _Vector(one) if is_vector else one
     return [(label, column, np.asarray)]
+
+
+def _labels(one: h5py.Dataset, names: list[str]) -> list[str]:
+    """Return names with the units of a dataset's attribute, unless they have their own."""
+    units = _texts(one, "units", "unit")
+    if len(units) != len(names):
+        return names
+    return [
+        f"{name} [{unit}]" if unit and "[" not in name and "(" not in name else name
+        for name, unit in zip(names, units, strict=True)
+    ]
+
+
+def _texts(one: h5py.Dataset, *keys: str) -> list[str]:
+    """Return the texts of the first attribute there is, of one text or several."""
+    found = next((one.attrs[key] for key in keys if key in one.attrs), ())
+    several = [found] if isinstance(found, str | bytes) else list(found)
+    return [
+        text.decode(errors="replace") if isinstance(text, bytes) else str(text) for text in several
+    ]
 
 
 class _Part:

@@ -138,3 +138,14 @@ def test_gaps_name_the_corners_of_the_range_outside_the_hull() -> None:
     flat = gaps_of(table(smooth, scaled[:40] * [1, 0, 0, 0, 1, 0]), RANGE)
     assert len(flat[0]["hull"]) == 4
     assert flat[2]["hull"] == []
+
+
+def test_a_compliance_that_is_negative_by_its_own_asymmetry_breaks_no_law() -> None:
+    held = MATRIX.copy()
+    held[[1, 3]] = held[:, [1, 3]] = 0
+    moved = (SCALED * HIGH) @ held.T
+    noise = 1e-3 * np.abs(moved).max() * np.random.default_rng(1).uniform(-1, 1, moved.shape)
+    told = checks(moved + noise)["checks"]
+    assert told["positive"]["smallest_over_largest_eigenvalue"] < -1e-6
+    assert told["positive"]["ok"]
+    assert not checks(-(moved + noise))["checks"]["positive"]["ok"]

@@ -30,7 +30,7 @@ async function show() {
     if (!signal.aborted) await view.show(main, found.map((one) => one && decodeURIComponent(one)), signal);
   } catch (error) {
     if (error.name === "AbortError" || signal.aborted) return;
-    put(main, trouble(error));
+    put(main, trouble(error), el("p", {}, el("a", { href: "#/" }, "Go to the library")));
   }
 }
 

@@ -50,7 +50,7 @@ async function query(place, about, wrench, options, signal, watched = null) {
   if (answer.job && answer.job.id !== watched) await watch(place, about, wrench, options, answer.job, signal);
 }
 
-const shareOf = (part) => (part < 10 ? percent(part) : `${number(part, 2)} times`);
+const shareOf = (part) => (part < 10 ? percent(part, 3) : `${number(part, 2)} times`);
 
 const beyond = (about) => `The error bar exceeds the tolerance because of the ${solverError(about)} error. More solves do not lower it; the component's overview says what does.`;
 
