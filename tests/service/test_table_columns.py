@@ -58,7 +58,7 @@ def test_a_dataset_of_named_fields_is_a_table(tmp_path: Path):
 def test_a_matrix_names_its_columns_by_an_attribute(tmp_path: Path):
     with h5py.File(tmp_path / "a", "w") as file:
         file["log"] = np.column_stack(list(LOADS.values()))
-        file["log"].attrs["columns"] = ["Fz [kN]", "uz [mm]"]
+        file["log"].attrs["columns"], file["log"].attrs["units"] = ["Fz", "uz"], ["kN", "mm"]
     assert read(tmp_path / "a") == (EXPECTED, [])
 
 
