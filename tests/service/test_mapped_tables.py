@@ -284,6 +284,7 @@ def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_
     _, reader = both
     reader.add("new", 4)
     with part(tmp_path, MappedTables) as late:
+        assert isinstance(late.tables, MappedTables)
         assert late.tables.catch_up("new", 20)
         may_map, map_new = threading.Event(), late.tables._map_new
 
