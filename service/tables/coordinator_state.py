@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from wrenchbook.service.files.durable import write_whole_bytes
 from wrenchbook.service.files.lock import is_locked, take
 
 FOLDER = "shared"  # in the data directory
+Mapped = dict[str, list[int | str]]  # version and setup of a process's tables, by component
 LOCK, _STATUS = "lock", "status.json"
 
 
@@ -55,7 +58,11 @@ class CoordinatorState:
     def take(self) -> bool:
         """Take the lock of the process that builds; False if another process has it."""
         self._lock = take(self._folder / LOCK)
-        return self._lock is not None
+        if self._lock is None:
+            return False
+        for path in self._folder.glob("*.mapped"):  # of killed processes, or written once more
+            path.unlink(missing_ok=True)
+        return True
 
     def is_taken(self) -> bool:
         """Return whether a process has the lock."""
@@ -87,3 +94,22 @@ class CoordinatorState:
             return Status(**json.loads((self._folder / _STATUS).read_bytes()))
         except (OSError, ValueError, TypeError):
             return Status()
+
+    def publish(self, mapped: Mapped) -> None:
+        """Write which tables this process answers from; see `unpublish`."""
+        write_whole_bytes(self._own(), json.dumps(mapped).encode(), durable=False)
+
+    def unpublish(self) -> None:
+        """Remove what this process has published."""
+        self._own().unlink(missing_ok=True)
+
+    def others(self) -> Iterator[Mapped]:
+        """Yield which tables each other running process answers from."""
+        for path in self._folder.glob("*.mapped"):
+            with suppress(OSError):  # that process has just ended
+                os.kill(int(path.name.partition("-")[0]), 0)
+                if path != self._own():
+                    yield json.loads(path.read_bytes())
+
+    def _own(self) -> Path:
+        return self._folder / f"{os.getpid()}-{id(self)}.mapped"

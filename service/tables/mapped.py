@@ -13,7 +13,7 @@ from pathlib import Path
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
-from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
+from wrenchbook.service.tables.coordinator_state import CoordinatorState, Mapped, Status
 from wrenchbook.service.tables.current import START_S, SWITCH_S, CurrentTables
 from wrenchbook.service.tables.packed_files import (
     PackedFile,
@@ -69,7 +69,7 @@ class MappedTables(CurrentTables):
         self._mapped: dict[str, tuple[PackedFile, Component]] = {}
         self._refused: dict[Path, tuple[PackedFile, Component]] = {}
         self._unread: dict[str, str] = {}
-        self._status = Status()
+        self._status, self._published = Status(), Mapped()
         self._thread = threading.Thread(target=self._follow, name="tables-follow", daemon=True)
 
     def start(self) -> None:
@@ -85,6 +85,7 @@ class MappedTables(CurrentTables):
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join()
+        self._state.unpublish()
 
     def faults(self) -> dict[str, str]:
         """Return why a component's table differs from the ledger, by its name."""
@@ -104,11 +105,11 @@ class MappedTables(CurrentTables):
         """Do nothing: the builder has seen by itself what has changed."""
 
     def catch_up(self, name: str, timeout: float) -> bool:
-        """Wait until a table holds all rows committed when this is called.
+        """Wait until a table holds all rows committed when this is called, in each web worker.
 
         Returns False if time ran out, or if the table cannot be built: see `faults`.
         """
-        goal = self._ledger.last_seq(name)
+        goal, end = self._ledger.last_seq(name), time.monotonic() + timeout
         component = self._library[name]
 
         def settled() -> bool:
@@ -117,14 +118,24 @@ class MappedTables(CurrentTables):
 
         with self._grown:
             self._grown.wait_for(settled, timeout)
-            return self._holds(component, goal)
+        while self._holds(component, goal):
+            if self._others_hold(name, goal, setup_of(component)):
+                return True
+            if time.monotonic() >= end or self._stopping.wait(LOOK_S / 4):
+                break
+        return False
+
+    def _others_hold(self, name: str, goal: int, setup: str) -> bool:
+        """Return whether the other web workers answer from a table up to goal, of a setup."""
+        found = (one.get(name, [0, ""]) for one in self._state.others())
+        return all(int(version) >= goal and its == setup for version, its in found)
 
     def _holds(self, component: Component, goal: int) -> bool:
         """Return whether a table is of the component as it is now and has all rows up to goal."""
         table = self._tables.get(component.name)
         if table is None or table.version < goal:
             return False
-        return table.packed.words["provenance"]["origin"].get("setup") == setup_of(component)
+        return _mark(table)[1] == setup_of(component)
 
     def _late(self) -> str:
         ended = "; the process that builds tables has ended and is started again"
@@ -157,6 +168,10 @@ class MappedTables(CurrentTables):
                 next((file for file in files if self._map(component, file)), None)
                 if not any(self._refused.get(file.path) == (file, component) for file in files):
                     self._unread.pop(name, None)
+        mapped = {name: _mark(table) for name, table in self.present().items()}
+        if mapped != self._published or status != self._status:  # a new builder's folder is empty
+            self._state.publish(mapped)
+            self._published = mapped
         with self._grown:
             self._status = status
             self._grown.notify_all()
@@ -185,3 +200,8 @@ class MappedTables(CurrentTables):
             self._tables[name], self._mapped[name] = table, seen
             self._grown.notify_all()
         return True
+
+
+def _mark(table: ServedTable) -> list[int | str]:
+    """Return a table's version, and the setup that its file was built from."""
+    return [table.version, table.packed.words["provenance"]["origin"].get("setup", "")]

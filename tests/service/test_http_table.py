@@ -9,7 +9,7 @@ from starlette.testclient import TestClient
 
 from tests.service.following import wait_for_version
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.http.routes import table
+from wrenchbook.service.http.routes import components, table
 from wrenchbook.service.ledger import NewRow
 from wrenchbook.service.sandbox import SandboxBusyError
 from wrenchbook.service.tables import live
@@ -404,9 +404,28 @@ def test_rows_that_are_being_built_are_never_no_rows(rig, slow_build, call, on_t
     assert after.status_code == 200
 
 
+def test_um_bridge_waits_for_rows_that_are_being_built(rig, slow_build, monkeypatch):
+    """A sampler ended with a status of 500 right after an import, for all its wait_s of 600 s."""
+    load(rig, as_csv(measured(40)), wait_s=0)
+    tables = rig.app.state.workspace.tables
+    catch_up = tables.catch_up
+
+    def begin_to_wait(*given):
+        slow_build.set()
+        return catch_up(*given)
+
+    monkeypatch.setattr(tables, "catch_up", begin_to_wait)
+    asked = {"name": "rig", "input": [[0, 0, -5, 1, 2, 0]], "config": {"on_thin": "estimate"}}
+    reply = rig.post("/umbridge/Evaluate", json=asked)
+    assert (reply.status_code, len(reply.json()["output"][0])) == (200, 6)
+
+
 @pytest.mark.parametrize("before", [0, 40])
-def test_a_component_and_its_readiness_have_the_rows_that_are_being_built(rig, slow_build, before):
+def test_a_component_and_its_readiness_have_the_rows_that_are_being_built(
+    rig, slow_build, before, monkeypatch
+):
     """The library and the component had no word of rows that an import had just loaded."""
+    monkeypatch.setattr(components, "CATCH_UP_S", 0.0)  # its wait for the held build
     if before:
         slow_build.set()
         load(rig, as_csv(measured(before)))

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 
 import pytest
 
+from tests.until import until
 from wrenchbook.service.ledger import Ledger, NewRow
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import live
@@ -276,3 +277,26 @@ def test_a_damaged_file_is_told_and_the_version_before_goes_on(both, tmp_path):
         waiting.wait(0.02)
     assert "packed table" in reader.tables.faults()["new"]
     assert len(reader.tables.surrogate("new").rows) == 4
+
+
+def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_path, monkeypatch):
+    """A query right after an import was answered by another worker's older table."""
+    _, reader = both
+    reader.add("new", 4)
+    with part(tmp_path, MappedTables) as late:
+        assert isinstance(late.tables, MappedTables)
+        assert late.tables.catch_up("new", 20)
+        may_map, map_new = threading.Event(), late.tables._map_new
+
+        def slow(status):
+            assert may_map.wait(20)
+            map_new(status)
+
+        monkeypatch.setattr(late.tables, "_map_new", slow)
+        reader.ledger.insert_rows("new", "", new_rows(2, 4))
+        until(lambda: len(reader.tables.surrogate("new").rows) == 6)
+        assert not reader.tables.catch_up("new", 0)
+        may_map.set()
+        assert reader.tables.catch_up("new", 20)
+        assert len(late.tables.surrogate("new").rows) == 6
+    assert reader.tables.catch_up("new", 20)  # a worker that has ended is not waited for

@@ -235,8 +235,14 @@ def _place(loc: str) -> str:
 
 
 async def _outcome(request: Request, name: str, query: Query) -> Outcome:
-    """Return a solved or estimated answer."""
-    outcome = await answer_or_submit(request.app.state.workspace, name, query)
+    """Return a solved or estimated answer; rows that are being built are waited for."""
+    workspace: Workspace = request.app.state.workspace
+    try:
+        outcome = await answer_or_submit(workspace, name, query)
+    except TableBehindError:
+        if not await workspace.caught_up(name, query.wait_s):
+            raise
+        outcome = await answer_or_submit(workspace, name, query)
     if not outcome.unsolved:
         return outcome
     if outcome.job is None:
