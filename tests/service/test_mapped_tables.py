@@ -283,6 +283,7 @@ def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_
     """A query right after an import was answered by another worker's older table."""
     _, reader = both
     reader.add("new", 4)
+    assert reader.tables.catch_up("new", 20)
     with part(tmp_path, MappedTables) as late:
         assert isinstance(late.tables, MappedTables)
         assert late.tables.catch_up("new", 20)
