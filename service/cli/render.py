@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections.abc import Iterator, Sequence
@@ -80,7 +81,8 @@ def _headline(answer: Displacement) -> str:
 
 
 def _number(values: Any, place: int) -> str:
-    return "-" if values is None else f"{values[place]:.6e}"
+    known = values is not None and not math.isnan(values[place])
+    return f"{values[place]:.6e}" if known else "unknown"
 
 
 def method_line(component: dict[str, Any]) -> str:

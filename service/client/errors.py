@@ -85,6 +85,7 @@ def mistake_line(error: dict[str, Any]) -> str:
     """Lay out one mistake of a body, or one or all of a cause of a table."""
     if "row" in error:
         count = error.get("count", 1)
-        more = f" ({count} rows)" if count > 1 else ""
-        return f"row {error['row']}, {error.get('field', '')}: {error.get('message', '')}{more}"
+        fields = ", ".join(error.get("fields") or [error.get("field", "")])
+        more = f" ({count} mistakes)" if count > 1 else ""
+        return f"row {error['row']}, {fields}: {error.get('message', '')}{more}"
     return f"{error.get('loc', '')}: {error.get('msg', '')}"

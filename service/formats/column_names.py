@@ -64,7 +64,7 @@ for _spelling in ("time", "timestamp", "t", "zeit"):
 _HALF_WIDTH = ("err", "error", "unc", "uncertainty", "u95")
 _STANDARD = ("std", "sd", "sigma")
 _BRACKETED = re.compile(r"(?P<name>[^\[\](]*?)\s*(?:\[(?P<a>[^\[\]]*)\]|\((?P<b>[^()\[\]]*)\))?")
-_GAP = re.compile(r"[\s_./-]+")
+_GAP = re.compile(r"[\s_./,-]+")
 _RATE = re.compile(r"(?i)(time|zeit)\s+\d+ - [^\[\]()]+")  # catman: Zeit  1 - Standardmessrate
 
 
@@ -114,7 +114,7 @@ def readings(label: str) -> Iterator[tuple[str, str, Decimal]]:
         yield name.lower(), unit, Decimal(1)
         return
     for end in sorted({len(name), *(gap.start() for gap in _GAP.finditer(name))}, reverse=True):
-        rest, last = _split_uncertainty(name[end:].lstrip(" _./-"))
+        rest, last = _split_uncertainty(name[end:].lstrip(" _./,-"))
         found = sorted(_columns(name[:end] + last))
         rest = rest.removeprefix("(").removesuffix(")").replace("_", "*")
         if not found or (unit and rest):

@@ -26,7 +26,7 @@ MOST_MISTAKES = 100 * MOST_LISTED
 
 _MOST_FIELD = 200  # characters: a key of a row can have a million
 _MOST_CAUSES = 100
-_MOST_ROWS_SHOWN = 10
+_MOST_SHOWN = 10  # rows and columns of a cause
 _VALUE = re.compile(r"'[^']*'|[-+\d][\w.+-]*")  # differs between two mistakes of one cause
 _MOST_KEPT = 20 * MOST_LISTED  # until they are sorted at the end of a piece
 
@@ -141,7 +141,7 @@ class Mistakes:
 
     def __init__(self) -> None:
         self._kept: list[FileMistake] = []
-        self._causes: dict[tuple[str, str], MistakeCause] = {}
+        self._causes: dict[str, MistakeCause] = {}
         self.count = 0
         self.whole = False
 
@@ -157,11 +157,9 @@ class Mistakes:
         mistake = FileMistake(row, field[:_MOST_FIELD], message)
         if len(self._kept) < _MOST_KEPT:
             self._kept.append(mistake)
-        key = (mistake.field, _VALUE.sub("", message))
+        key = _VALUE.sub("", message)
         if key in self._causes or len(self._causes) < _MOST_CAUSES:
-            cause = self._causes.setdefault(key, MistakeCause(mistake))
-            cause.count += 1
-            cause.rows += [row] if len(cause.rows) < _MOST_ROWS_SHOWN else []
+            self._causes.setdefault(key, MistakeCause(mistake)).add(mistake)
 
     def ruin(self, row: int, field: str, message: str) -> None:
         """Add a mistake of the whole file."""
@@ -192,23 +190,35 @@ class Mistakes:
 
 @dataclass
 class MistakeCause:
-    """Mistakes of one column with one cause.
+    """Mistakes of one cause.
 
     Attributes
     ----------
     first : FileMistake
     count : int
-    rows : list of int
-        The first of the rows.
+    rows : dict of int to None
+        The first of the rows, each once.
+    fields : dict of str to None
+        The first of the columns, each once.
     """
 
     first: FileMistake
     count: int = 0
-    rows: list[int] = field(default_factory=list)
+    rows: dict[int, None] = field(default_factory=dict)
+    fields: dict[str, None] = field(default_factory=dict)
+
+    def add(self, mistake: FileMistake) -> None:
+        """Count a mistake."""
+        self.count += 1
+        if len(self.rows) < _MOST_SHOWN:
+            self.rows[mistake.row] = None
+        if len(self.fields) < _MOST_SHOWN:
+            self.fields[mistake.field] = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the cause as in the HTTP reply."""
-        return self.first.as_dict() | {"count": self.count, "rows": self.rows}
+        more = {"count": self.count, "rows": list(self.rows), "fields": list(self.fields)}
+        return self.first.as_dict() | more
 
 
 @dataclass(frozen=True)

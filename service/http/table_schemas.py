@@ -55,6 +55,7 @@ class PreviewRow(TypedDict, total=False):
 class MistakeCause(RowMistake, total=False):
     count: int
     rows: Annotated[list[int], text("the first 10")]
+    fields: Annotated[list[str], text("the first 10")]
 
 
 class ImportFinding(TypedDict, total=False):
@@ -72,7 +73,7 @@ Imported = TypedDict(
         "inserted": int,
         "existing": Annotated[int, text("rows that were there already")],
         "errors": Annotated[list[RowMistake], text("1,000 at most")],
-        "causes": Annotated[list[MistakeCause], text("the mistakes by column and cause")],
+        "causes": Annotated[list[MistakeCause], text("the mistakes by cause")],
         "findings": Annotated[list[ImportFinding], text("probable systematic errors")],
         "dry_run": bool,
         "partial": bool,

@@ -439,7 +439,7 @@ def _labels(one: h5py.Dataset, names: list[str]) -> list[str]:
 
 def _texts(one: h5py.Dataset, *keys: str) -> list[str]:
     """Return the texts of the first attribute there is, of one text or several."""
-    found = next((one.attrs[key] for key in keys if key in one.attrs), ())
+    found: Any = next((one.attrs[key] for key in keys if key in one.attrs), ())
     several = [found] if isinstance(found, str | bytes) else list(found)
     return [
         text.decode(errors="replace") if isinstance(text, bytes) else str(text) for text in several

@@ -75,6 +75,22 @@ def test_a_german_spreadsheet_export_reads_the_same():
         assert table.row.tolist() == [5, 7]  # lines of the file, as an editor counts
 
 
+def test_a_unit_behind_a_comma_is_read():
+    table = read_csv('"Fz, kN";"uz, mm"\n-1;-0.5\n')
+    assert table.errors == ()
+    assert (table.wrench[0, 2], table.displacement[0, 2]) == (-1000.0, -5e-4)
+
+
+def test_columns_with_one_mistake_are_one_cause():
+    report = ReadReport(format="csv")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "upload"
+        path.write_text("Sample,Fz [N],uz [mm],Temp (F)\n1,2,3,4\n")
+        list(csv_table.read_csv(path, Options(missing_loads="zero"), report))
+    (cause,) = report.mistakes.causes()
+    assert (cause["fields"], cause["count"]) == (["Sample", "Temp (F)"], 2)
+
+
 def test_a_catman_export_is_read():
     """Titles, a line of names with a rate after the time, a line of units."""
     text = (

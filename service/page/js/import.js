@@ -157,7 +157,7 @@ function mistakes(state, errors, told) {
 // What many rows have in common, once with its count.
 function causes(list) {
   const common = list.filter((one) => one.count > 1);
-  return common.length ? el("ul", { id: "causes" }, common.map((one) => el("li", {}, `${count(one.count)} rows`, one.field ? [", ", el("code", {}, one.field)] : null, ": ", one.message))) : null;
+  return common.length ? el("ul", { id: "causes" }, common.map((one) => el("li", {}, `${count(one.count)} mistakes`, one.fields.map((field) => [", ", el("code", {}, field)]), ": ", one.message))) : null;
 }
 
 // Mistakes of one row that differ by the column's name alone, together: each sentence is there once.
