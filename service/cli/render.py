@@ -81,8 +81,9 @@ def _headline(answer: Displacement) -> str:
 
 
 def _number(values: Any, place: int) -> str:
-    known = values is not None and not math.isnan(values[place])
-    return f"{values[place]:.6e}" if known else "unknown"
+    if values is None or math.isnan(values[place]):
+        return "unknown"
+    return f"{values[place]:.6e}"
 
 
 def method_line(component: dict[str, Any]) -> str:

@@ -65,7 +65,8 @@ def test_refused_rows_of_one_cause_are_one_line_with_their_count(stub: Stub, cli
     problem = {"title": "The table has mistakes", "errors": [row, {**row, "row": 3}]}
     problem["causes"] = [{**row, "count": 295, "rows": [2, 3]}]
     stub.answers(Answer(problem, status=422, kind="application/problem+json"))
-    with pytest.raises(ProblemError, match=r"row 2, ux \[mm\]: 'x' is not a number \(295 mistakes\)$"):
+    says = r"row 2, ux \[mm\]: 'x' is not a number \(295 mistakes\)$"
+    with pytest.raises(ProblemError, match=says):
         client.import_table("bar", "a\nb")
 
 
