@@ -7,8 +7,8 @@ inputs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import combinations
 from typing import Any, Literal
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 InputKind = Literal["force", "moment", "scalar"]
-OutputKind = Literal["translation", "rotation"]
 
 # As the contract spells them: keys and lists. Sentences for people say F_x and u_x.
 LOADS = ("fx", "fy", "fz", "mx", "my", "mz")
@@ -51,11 +50,10 @@ class Input:
 
 @dataclass(frozen=True)
 class Output:
-    """One output of a table; see `Input`."""
+    """One output of a table, a translation in m or a rotation in rad; see `Input`."""
 
     name: str
     unit: str
-    kind: OutputKind
     interface: str = ""
 
 
@@ -96,7 +94,7 @@ class Space:
     @cached_property
     def is_rotation(self) -> NDArray[np.bool_]:
         """Which outputs are rotations, shape (m,)."""
-        return np.array([one.kind == "rotation" for one in self.outputs])
+        return np.array([one.unit == "rad" for one in self.outputs])
 
     @cached_property
     def kriging_groups(self) -> Floats:
@@ -134,16 +132,21 @@ class Space:
         return found
 
     def words(self) -> dict[str, Any]:
-        """Return the space as JSON; that of `read`."""
+        """Return the space as JSON, which `read` takes."""
         return {
-            "inputs": [_entry(one) for one in self.inputs],
-            "outputs": [_entry(one) for one in self.outputs],
+            "inputs": [_filled(asdict(one)) for one in self.inputs],
+            "outputs": [_filled(asdict(one)) for one in self.outputs],
         }
 
+    @classmethod
+    def read(cls, words: Mapping[str, Any]) -> Space:
+        """Return the space of its JSON."""
+        inputs = tuple(Input(**one) for one in words["inputs"])
+        return cls(inputs, tuple(Output(**one) for one in words["outputs"]))
 
-def _entry(one: Input | Output) -> dict[str, str]:
-    found = {"name": one.name, "unit": one.unit, "kind": str(one.kind)}
-    return found | ({"interface": one.interface} if one.interface else {})
+
+def _filled(entries: dict[str, str]) -> dict[str, str]:
+    return {name: text for name, text in entries.items() if text}
 
 
 def space_of(interfaces: Sequence[str] = ("",), scalars: Sequence[Input] = ()) -> Space:
@@ -161,9 +164,8 @@ def space_of(interfaces: Sequence[str] = ("",), scalars: Sequence[Input] = ()) -
         front = f"{name}." if name else ""
         for place in range(6):
             kind: InputKind = "force" if place < 3 else "moment"
-            moved: OutputKind = "translation" if place < 3 else "rotation"
             inputs.append(Input(front + LOADS[place], LOAD_UNITS[place], kind, name))
-            outputs.append(Output(front + OUTPUTS[place], OUTPUT_UNITS[place], moved, name))
+            outputs.append(Output(front + OUTPUTS[place], OUTPUT_UNITS[place], name))
     return Space((*inputs, *scalars), tuple(outputs))
 
 
