@@ -183,7 +183,7 @@ def _together(equations: Equations, factors: list[KrigingFactor]) -> tuple[Float
     """Return weights (n, 7, 6), coefficients (7, 6) and process deviations (6,) of all outputs."""
     weights = np.zeros(equations.data.shape)
     coefficients = np.empty(equations.data.shape[1:])
-    deviation = np.empty(coefficients.shape[1])
+    deviation = np.empty(equations.data.shape[2])
     for factor in factors:
         own = equations.known & np.isin(np.arange(len(equations)), factor.rows)[:, None]
         for column, output in enumerate(factor.outputs):

@@ -162,7 +162,7 @@ class Equations:
 
     def take(self, which: NDArray[np.intp]) -> Equations:
         """Return the equations of some rows, whose indices have shape (k,)."""
-        return Equations(*(column[which] for column in self._columns), self.groups)
+        return Equations(*(column[which] for column in self._columns), groups=self.groups)
 
     def with_reading_noise(self, variance: Floats) -> Equations:
         """Return the equations with the noise of readings, whose variance is (6,), dimensionless.

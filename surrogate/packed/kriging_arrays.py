@@ -8,6 +8,7 @@ column after column, which a processor's vectors multiply as they lie.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,8 +61,9 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "span_loads", scaling.wrenches(inside.span)
     yield "shares", np.array([len(inside.shares)], dtype=np.int32)
     for number, (share, found) in enumerate(zip(inside.shares, inside.calibrations, strict=True)):
-        sizes = stride, *weights_by_place.shape[:2]
-        for name, array in (*_share_arrays(share, *sizes), *_levels(share, found, sizes[1])):
+        outputs, places = len(inside.deviation), inside.equations.places
+        arrays = _share_arrays(share, stride, outputs, places), _levels(share, found, outputs)
+        for name, array in chain(*arrays):
             yield f"share{number}/{name}", array
 
 

@@ -237,7 +237,7 @@ class Rows:
     def take(self, which: ArrayLike) -> Rows:
         """Return the rows that an index array or a mask of shape (n,) picks."""
         index = np.asarray(which)
-        return Rows(*(_picked(getattr(self, name), index) for name in _COLUMNS), self.space)
+        return Rows(*(_picked(getattr(self, name), index) for name in _COLUMNS), space=self.space)
 
     @classmethod
     def empty(cls, space: Space = DEFAULT) -> Rows:
@@ -342,7 +342,7 @@ def joined(parts: Sequence[Rows]) -> Rows:
     if len(some) < 2:
         return some[0] if some else parts[0]
     columns = (_joined([getattr(part, name) for part in some]) for name in _COLUMNS)
-    return Rows(*columns, some[0].space)
+    return Rows(*columns, space=some[0].space)
 
 
 def _joined(columns: list[NDArray[Any]]) -> NDArray[Any]:
