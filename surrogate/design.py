@@ -165,9 +165,7 @@ def next_wrenches(
         )
     if surrogate.kriging is None:
         more = first_design(span, known, budget)
-        return _first(
-            more, "too few rows to compute error bars, so these wrenches are evenly spread"
-        )
+        return _first(more, "too few rows for error bars: these wrenches are evenly spread")
     limit = tolerance or surrogate.tolerance
     return _Refinement(surrogate, known, limit, span, list(outputs)).design(budget)
 
