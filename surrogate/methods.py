@@ -14,7 +14,8 @@ from .composition.composition import Composition
 from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
 from .table.axes import AXES, LoadAxis, clean_rows, count_full
 from .table.compliance import ComplianceFit
-from .table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
+from .table.rows import Floats, LoadRange, Rows
+from .table.space import LOADS, OUTPUTS
 
 CLEARLY = 0.8  # of the axes' error: a kriging that is no better than that is not worth its cost
 EXACT = 1e-9  # of the range: a kriging that errs by rounding alone needs no smaller error

@@ -24,15 +24,8 @@ from h5py import h5l  # pyright: ignore[reportAttributeAccessIssue] (compiled, n
 from .axes import OffAxis
 from .file_digest import USER_BLOCK, is_as_written, sync, write_digest
 from .meta import SCHEMA_VERSION, TableMeta
-from .rows import (
-    LOAD_UNITS,
-    OUTPUT_UNITS,
-    LoadRange,
-    Rows,
-    Tolerance,
-    unknown_column,
-)
-from .space import DEFAULT, Space
+from .rows import LoadRange, Rows, Tolerance, unknown_column
+from .space import DEFAULT, LOAD_UNITS, OUTPUT_UNITS, Space
 
 T = TypeVar("T")
 

@@ -14,29 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .space import DEFAULT, LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS, Floats, Space
-
-__all__ = [
-    "LOADS",
-    "LOAD_UNITS",
-    "OUTPUTS",
-    "OUTPUT_UNITS",
-    "Floats",
-    "LoadRange",
-    "RowError",
-    "Rows",
-    "Space",
-    "Tolerance",
-    "acting",
-    "acting_one",
-    "joined",
-    "unknown_column",
-    "why_beyond",
-    "without_locked",
-]
+from .space import DEFAULT, Floats, Space
 
 CLEAN = 1e-9  # of the range: a load below it counts as none (rounding)
-_NUMBERS = {6: "six", 7: "seven", 12: "twelve"}
 ON_END = 1e-9  # of the range: what a load may lie beyond its end and still be on it (rounding)
 
 
@@ -69,8 +49,7 @@ class LoadRange:
             bound = np.array(getattr(self, name), dtype=float)
             count = len(self.space.inputs)
             if bound.shape != (count,) or not np.isfinite(bound).all():
-                words = _NUMBERS.get(count, str(count))
-                raise RowError(f"load range: {name} must be {words} finite numbers")
+                raise RowError(f"load range: {name} must be {count} finite numbers")
             object.__setattr__(self, name, bound)
         if (self.low > self.high).any():
             load = self.space.input_names[int(np.argmax(self.low > self.high))]
