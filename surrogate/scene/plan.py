@@ -18,7 +18,8 @@ from ..design import Design, Known, first_count, first_design, next_wrenches
 from ..kernel.binding import PackedTable
 from ..kernel.packing import packed_of
 from ..packed.reasons import UNKNOWN_ERROR
-from ..table.rows import LOADS, OUTPUT_UNITS, OUTPUTS, Floats, LoadRange
+from ..table.rows import Floats, LoadRange
+from ..table.space import LOADS, OUTPUT_UNITS, OUTPUTS
 from ..table.spread import spread_wrenches
 from .need import Need
 

@@ -14,7 +14,8 @@ from scipy.spatial import KDTree
 
 from .axes import CLEAN
 from .compliance import ComplianceFit
-from .rows import LOADS, OUTPUTS, Floats, LoadRange, Rows, Tolerance
+from .rows import Floats, LoadRange, Rows, Tolerance
+from .space import LOADS, OUTPUTS
 
 # Shares of an output's largest value: what passes for zero, for equal, for linear.
 ZERO, LINEAR = 1e-3, 1e-2

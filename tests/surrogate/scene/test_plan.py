@@ -21,7 +21,8 @@ from wrenchbook.surrogate.scene.need import Need, NeedError, need_of
 from wrenchbook.surrogate.scene.plan import design_of, first_solves, plan_of
 from wrenchbook.surrogate.scene.savings import measured
 from wrenchbook.surrogate.solver_error import SolverError
-from wrenchbook.surrogate.table.rows import OUTPUTS, LoadRange, Rows, Tolerance
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
+from wrenchbook.surrogate.table.space import OUTPUTS
 
 TIGHT, LOOSE = Tolerance(1e-9, 1e-9), Tolerance(1.0, 1.0)
 
