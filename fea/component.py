@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wrenchbook.fea.coupling.rotation import rotation_less_identity
 from wrenchbook.fea.coupling.section import InterfaceSection, section_of_facets, section_of_nodes
 from wrenchbook.fea.mesh.cad import mesh_geometry
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
@@ -16,9 +17,21 @@ from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.quality import cell_problems
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, suggest
-from wrenchbook.fea.spec.schema import Analysis, Bundle, Interface, Material, MeshSource
+from wrenchbook.fea.spec.schema import (
+    FREEDOMS,
+    Analysis,
+    Bundle,
+    Interface,
+    Material,
+    MeshSource,
+    Sliding,
+    Supports,
+)
 
 Array = np.ndarray
+
+_ZERO = 1e-9
+"""Of a projection or a singular value, relative: axes are written to about so many digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +49,9 @@ class ComponentModel:
         each cell's material.
     fixed_nodes
         Sorted nodes that do not move, shape (k,), int64.
+    held
+        Nodes that slide, none of them fixed or tied to the interface, sorted, shape (k,), and
+        projectors on the directions in which each is held, in the mesh's axes, shape (k, 3, 3).
     section
         The interface's nodes with their area weights.
     point
@@ -55,6 +71,7 @@ class ComponentModel:
     coupling: str
     locked: tuple[str, ...]
     analysis: Analysis
+    held: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
 
 
 def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
@@ -72,12 +89,14 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     mesh = mesh_of(bundle.mesh) if mesh is None else mesh
     problems = cell_problems(mesh) + first_order_problems(mesh)
     material_of_cells = _materials(mesh, bundle.materials, problems)
-    fixed = _fixed_nodes(mesh, bundle.supports.fixed, problems)
+    fixed = _fixed_nodes(mesh, bundle.supports, problems)
+    held = _held(mesh, bundle.supports.sliding, fixed, problems)
     section = _section(mesh, bundle.interface, problems)
     _check_apart(mesh, fixed, section, problems)
     if problems or section is None:
         raise BundleError(problems)
     interface = bundle.interface
+    point = section.centre if interface.point is None else interface.point
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
@@ -85,11 +104,12 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         material_of_cells=material_of_cells,
         fixed_nodes=fixed,
         section=section,
-        point=section.centre if interface.point is None else interface.point,
+        point=point,
         axes=interface.axes,
         coupling=interface.coupling,
         locked=interface.locked,
         analysis=bundle.analysis,
+        held=_left_sliding(mesh, held, section, point, interface),
     )
 
 
@@ -147,13 +167,64 @@ def _fill_the_rest(
         block[block < 0] = general[0] if general else 0
 
 
-def _fixed_nodes(mesh: Mesh, names: Iterable[str], problems: list[BundleProblem]) -> Array:
-    found = [_group_nodes(mesh, f"supports.fixed[{i}]", n, problems) for i, n in enumerate(names)]
+def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) -> Array:
+    names = [(f"supports.fixed[{i}]", name) for i, name in enumerate(supports.fixed)]
+    found = [_group_nodes(mesh, key, name, problems) for key, name in names]
     nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *found]))
+    if supports.sliding:  # then `fea.check.motions` tells whether all hold the part
+        return nodes
     if all(len(ids) for ids in found) and not _spans_a_plane(mesh.points[nodes]):
         message = "its nodes lie on one line, about which the component can turn; fix more"
         problems.append(BundleProblem("supports.fixed", message))
     return nodes
+
+
+def _held(
+    mesh: Mesh, sliding: Iterable[Sliding], fixed: Array, problems: list[BundleProblem]
+) -> tuple[Array, Array]:
+    """Return the nodes that slide and the projectors on what holds each; fixed ones are none."""
+    spans = np.zeros((len(mesh.points), 3, 3))
+    for i, own in enumerate(sliding):
+        nodes = _group_nodes(mesh, f"supports.sliding[{i}].group", own.group, problems)
+        spans[nodes] += own.directions.T @ own.directions
+    spans[fixed] = 0.0
+    nodes = np.flatnonzero(spans.any(axis=(1, 2)))
+    sizes, axes = np.linalg.eigh(spans[nodes])
+    return nodes, (axes * (sizes > _ZERO)[:, None]) @ axes.swapaxes(1, 2)
+
+
+def _left_sliding(
+    mesh: Mesh, held: tuple[Array, Array], section: InterfaceSection, point: Array, own: Interface
+) -> tuple[Array, Array]:
+    """Return the sliding nodes less those that a rigid coupling ties.
+
+    Raises
+    ------
+    BundleError
+        If locked freedoms do not hold a rigid section's sliding nodes, or all nodes of a
+        distributed one slide, so that their mean is not free.
+    """
+    nodes, projectors = held
+    shared = np.isin(nodes, section.node_ids)
+    arms = (mesh.points[nodes[shared]] - point) @ own.axes.T
+    if own.coupling == "rigid" and _stay(arms, own.axes @ projectors[shared] @ own.axes.T, own):
+        return nodes[~shared], projectors[~shared]
+    if own.coupling == "distributed" and shared.sum() < len(section.node_ids):
+        return held
+    message = (
+        f"{shared.sum()} of its nodes slide by [supports], but its free motions would move them "
+        "off; lock these (interface.locked) with a rigid coupling, or name fewer nodes"
+    )
+    raise BundleError([BundleProblem("interface.section", message)])
+
+
+def _stay(arms: Array, held: Array, own: Interface) -> bool:
+    """Return whether motions of an interface leave nodes at `arms`, (s, 3), where `held` says."""
+    active = np.array([name not in own.locked for name in FREEDOMS])
+    motion = active * np.array([0.3, 0.5, 0.7, 0.2, 0.6, 0.4])  # any: metres, radians
+    moved = motion[:3] + arms @ rotation_less_identity(motion[3:]).T
+    off = np.abs(held @ moved[:, :, None]).max(initial=0.0)
+    return bool(off <= _ZERO * max(np.abs(arms).max(initial=0.0), 1.0))
 
 
 def _section(

@@ -331,7 +331,9 @@ def _system(component: ComponentModel, active: Array) -> System:
     materials, numbers = component.materials, component.material_of_cells
     integration = component.analysis.integration
     filled = filled_cells(mesh, materials, numbers, integration, component.axes)
-    return System(ElasticBody(mesh, filled, free), coupling, component.mesh.points)
+    nodes, held = component.held
+    body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
+    return System(body, coupling, component.mesh.points)
 
 
 def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> None:

@@ -74,7 +74,7 @@ class Linearisation:
         self.border = coupling.bordered(balance.state, balance.forces, balance.wrench)
         pushed = tangent.times(self.border.ties, coupling.tied)
         columns = pushed + self.border.columns
-        self._columns = np.where(body.free[:, None, None], columns, 0.0)
+        self._columns = body.movable.released(columns)
         self._block = contract(self.border.ties, pushed) + self.border.block
 
     @cached_property

@@ -103,7 +103,7 @@ class System:
         self, state: CoupledState, wrench: Array, forces: Array, energy: float, least: float
     ) -> Balance:
         nodal, border = self.coupling.residual(state, forces, wrench)
-        nodal = np.where(self.body.free[:, None], nodal, 0.0)
+        nodal = self.body.movable.released(nodal)
         return Balance(state, wrench, forces, energy, least, nodal, border)
 
     def _require_supported(self, start: Linearisation) -> None:

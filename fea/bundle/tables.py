@@ -12,6 +12,7 @@ import re
 import numpy as np
 
 from wrenchbook.fea.spec.orthotropic import MOST_ISOTROPIC_RATIO, Orthotropic
+from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import (
     COUPLINGS,
     FREEDOMS,
@@ -22,6 +23,7 @@ from wrenchbook.fea.spec.schema import (
     DeclaredTolerance,
     Interface,
     Material,
+    Sliding,
     Supports,
 )
 from wrenchbook.fea.spec.toml_table import Keys
@@ -29,6 +31,8 @@ from wrenchbook.fea.spec.toml_table import Keys
 # Tables square loads and divide by them; the square root of the largest double, 1e154, is too near
 # since sums of such squares must be numbers too.
 LARGEST_LOAD = 1e100
+
+_DIRECTIONS = ("x", "y", "z")
 
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
@@ -55,9 +59,27 @@ def read_supports(keys: Keys | None) -> Supports | None:
     """Return ``[supports]``."""
     if keys is None:
         return None
-    fixed = keys.texts("fixed", least=1)
+    fixed = keys.texts("fixed", required=False, least=1)
+    sliding = [_sliding(own) for own in keys.tables("sliding", required=False)]
+    if not any(key in keys for key in ("fixed", "sliding")):
+        message = "holds nothing; write fixed, [[supports.sliding]] or both"
+        keys.problems.append(BundleProblem(keys.where, message))
     keys.close()
-    return None if fixed is None else Supports(fixed)
+    return Supports(fixed or (), tuple(own for own in sliding if own is not None))
+
+
+def _sliding(keys: Keys) -> Sliding | None:
+    """Return one ``[[supports.sliding]]``."""
+    group = keys.text("group")
+    names = keys.texts("directions", least=1) or ()
+    for name in names:
+        if name not in _DIRECTIONS:
+            keys.wrong("directions", f'"{name}" is none of {", ".join(_DIRECTIONS)}')
+    axes = read_axes(keys)
+    keys.close()
+    if group is None or axes is None or not set(names) <= set(_DIRECTIONS):
+        return None
+    return Sliding(group, axes[[_DIRECTIONS.index(name) for name in sorted(names)]])
 
 
 def read_interface(keys: Keys | None) -> Interface | None:

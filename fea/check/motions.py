@@ -62,6 +62,26 @@ def describe(motion: Array, centre: Array, extent: float) -> str:
     return line if abs(pitch) < 1e-6 * extent else f"{line}, sliding along it"
 
 
+def simplest(motions: Array) -> Array:
+    """Return motions, shape (k, 6), of the same space: about and along axes as far as they can.
+
+    By row reduction, rotations first, so what only slides comes last.
+    """
+    rows, done = motions.copy(), 0
+    for column in (3, 4, 5, 0, 1, 2):
+        if done == len(rows):
+            break
+        best = done + int(np.abs(rows[done:, column]).argmax())
+        if abs(rows[best, column]) < 1e-6:
+            continue
+        rows[[done, best]] = rows[[best, done]]
+        rows[done] /= rows[done, column]
+        others = np.arange(len(rows)) != done
+        rows[others] -= np.outer(rows[others, column], rows[done])
+        done += 1
+    return rows
+
+
 class _Equations:
     """Rows of a matrix over the motions of all bodies, the interface's last."""
 
@@ -81,6 +101,11 @@ class _Equations:
             fixed = nodes[np.isin(nodes, self.component.fixed_nodes)]
             if fixed.size:
                 self._add({number: _condensed(self._moves(fixed))})
+            chosen = np.isin(self.component.held[0], nodes)
+            if chosen.any():
+                sliding, held = (part[chosen] for part in self.component.held)
+                rows = held @ self._moves(sliding).reshape(-1, 3, 6)
+                self._add({number: _condensed(rows.reshape(-1, 6))})
 
     def join_bodies(self) -> None:
         if self.bodies.count == 1:

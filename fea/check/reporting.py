@@ -202,7 +202,7 @@ def _what_is_set(component: ComponentModel) -> dict[str, Any]:
             }
             for i, material in enumerate(component.materials)
         ],
-        "supports": {"nodes": len(component.fixed_nodes)},
+        "supports": {"nodes": len(component.fixed_nodes)} | _other_supports(component),
         "section": {
             "nodes": len(section.node_ids),
             "area": section.area if section.by_area else None,
@@ -213,6 +213,12 @@ def _what_is_set(component: ComponentModel) -> dict[str, Any]:
         },
         "nonlinear": component.analysis.nonlinear,
     }
+
+
+def _other_supports(component: ComponentModel) -> dict[str, Any]:
+    """Return what holds the part besides fixed nodes, where there is any."""
+    sliding = len(component.held[0])
+    return {"sliding_nodes": sliding} if sliding else {}
 
 
 def _warn(summary: dict[str, Any], warnings: list[BundleProblem]) -> None:

@@ -111,10 +111,15 @@ def _set_up(report: Mapping[str, Any]) -> list[str]:
     ]
     return [
         *lines,
-        f"supports: {report['supports']['nodes']} nodes fixed",
+        f"supports: {_supports(report['supports'])}",
         f"interface: {section['nodes']} nodes, {area}, {section['coupling']}{locked}, "
         f"point at {_place(section['point'])} m",
     ]
+
+
+def _supports(supports: Mapping[str, Any]) -> str:
+    sliding = supports.get("sliding_nodes")
+    return f"{supports['nodes']} nodes fixed" + (f", {sliding} sliding" if sliding else "")
 
 
 def _law(material: Mapping[str, Any]) -> str:

@@ -31,6 +31,7 @@ PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
 
 # Their nodes are in the same order as those of `fea.mesh.mesh`.
 _ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10", "wedge15": "C3D15"}
+_ROUNDOFF = 1e-12  # of a direction's component
 _PER_LINE = 10  # CalculiX reads at most 16 numbers a line
 
 # The increments are halved by CalculiX where they are too large. Its default tolerance leaves up to
@@ -105,14 +106,29 @@ def _body(component: ComponentModel) -> Iterator[str]:
             yield from _orientation(i, material.orthotropic, component.axes)
             place = f", ORIENTATION=O{i}"
         yield f"*SOLID SECTION, ELSET=E{i}, MATERIAL=M{i}{place}"
-    yield "*NSET, NSET=FIXED"
-    yield from _rows(component.fixed_nodes + 1)
+    if component.fixed_nodes.size:
+        yield "*NSET, NSET=FIXED"
+        yield from _rows(component.fixed_nodes + 1)
+        yield "*BOUNDARY\nFIXED, 1, 3"
+    yield from _sliding(component)
     yield "*NSET, NSET=SECTION"
     yield from _rows(component.section.node_ids + 1)
     yield f"*RIGID BODY, NSET=SECTION, REF NODE={ref}, ROT NODE={rot}"
-    yield "*BOUNDARY\nFIXED, 1, 3"
     for name in component.locked:
-        yield f"{_place(name)}, {_axis(name)}"
+        yield f"*BOUNDARY\n{_place(name)}, {_axis(name)}"
+
+
+def _sliding(component: ComponentModel) -> Iterator[str]:
+    """Yield what holds sliding nodes: a boundary condition along an axis, or an equation."""
+    nodes, held = component.held
+    for node, own in zip(nodes + 1, component.axes @ held @ component.axes.T, strict=True):
+        first = np.argsort(-np.diagonal(own))[: round(np.trace(own))]  # a dependent one each
+        rows = np.linalg.solve(own[np.ix_(first, first)], own[first])
+        for axis, row in zip(first, rows, strict=True):
+            others = [i for i in range(3) if i not in first and abs(row[i]) > _ROUNDOFF]
+            words = [f"{node}, {i + 1}, {_numbers([row[i]])}" for i in (axis, *others)]
+            equation = f"*EQUATION\n{len(words)}\n" + ", ".join(words)
+            yield equation if others else f"*BOUNDARY\n{node}, {axis + 1}"
 
 
 def _elasticity(material: Material, nonlinear: bool) -> Iterator[str]:

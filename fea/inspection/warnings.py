@@ -98,14 +98,15 @@ def place_warnings(component: ComponentModel) -> list[BundleProblem]:
 
 def support_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return a warning if the supports hold single nodes only, which answer to mesh size."""
-    surface = outer_surface(component.mesh.blocks)
-    if facets_within(surface, component.fixed_nodes).blocks:
+    surface, sliding = outer_surface(component.mesh.blocks), component.held[0]
+    nodes = np.union1d(component.fixed_nodes, sliding)
+    if facets_within(surface, nodes).blocks:
         return []
     message = (
-        f"holds {len(component.fixed_nodes)} nodes and no whole face: elastic bodies give way "
+        f"holds {len(nodes)} nodes and no whole face: elastic bodies give way "
         "without limit at points, so the answer depends on the mesh size; fix faces"
     )
-    return [BundleProblem("supports.fixed", message)]
+    return [BundleProblem("supports" if len(sliding) else "supports.fixed", message)]
 
 
 def unit_warnings(component: ComponentModel) -> list[BundleProblem]:

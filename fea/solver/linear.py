@@ -92,7 +92,7 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
     for _ in range(_MOST_CORRECTIONS):
         fields = nodes + border.ties @ moved
         forces = system.body.small_strain_forces(fields)
-        nodal = (forces + border.columns @ moved) * system.body.free[:, None, None]
+        nodal = system.body.movable.released(forces + border.columns @ moved)
         rest = contract(border.ties, forces) + contract(border.columns, fields)
         rest += border.block @ moved - loads
         more_nodes, more = start.solve(nodal, rest)

@@ -155,6 +155,7 @@ class Inertia:
         self._start = system.undeformed
         self.active = system.coupling.active
         self._free = np.flatnonzero(system.body.free)
+        self._movable = system.body.movable
         self._nodes = system.body.size
         self._ties = self._start.border.ties[:, :, : self.active.size]
         self._multipliers = system.coupling.border - self.active.size
@@ -164,7 +165,9 @@ class Inertia:
         """Return all nodes' motion (n, 3), m, and the interface's (6,), m and rad."""
         border = x[3 * self._free.size :]
         nodes = self._ties @ border
-        nodes[self._free] += x[: 3 * self._free.size].reshape(-1, 3)
+        moved = np.zeros_like(nodes)
+        moved[self._free] = x[: 3 * self._free.size].reshape(-1, 3)
+        nodes += self._movable.released(moved)
         interface = np.zeros(6)
         interface[self.active] = border
         return nodes, interface
@@ -175,7 +178,7 @@ class Inertia:
         forces = np.asarray(self._mass @ nodes)
         border = contract(self._ties, forces[:, :, None])[:, 0]
         border += (self.interface_mass @ interface)[self.active]
-        return np.concatenate([forces[self._free].ravel(), border])
+        return np.concatenate([self._movable.released(forces)[self._free].ravel(), border])
 
     def solved(self, loads: Array) -> Array:
         """Return K^-1 times loads: shape (size,), N and N·m, to (size,), m and rad."""

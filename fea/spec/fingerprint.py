@@ -74,7 +74,10 @@ def _material(material: Material) -> list[object]:
 
 
 def _supports(supports: Supports | None) -> object:
-    return None if supports is None else sorted(supports.fixed)
+    if supports is None or not supports.sliding:
+        return None if supports is None else sorted(supports.fixed)
+    sliding = sorted([own.group, own.directions.tolist()] for own in supports.sliding)
+    return {"fixed": sorted(supports.fixed), "sliding": sliding}
 
 
 def _interface(interface: Interface | None) -> object:

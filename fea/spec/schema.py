@@ -138,11 +138,23 @@ class Material:
     orthotropic: Orthotropic | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Sliding:
+    """A facet or node group that does not move along some directions.
+
+    `directions` has shape (d, 3): unit vectors in the mesh's axes.
+    """
+
+    group: str
+    directions: Array
+
+
 @dataclass(frozen=True)
 class Supports:
-    """The facet or node groups whose nodes do not move."""
+    """The facet or node groups whose nodes do not move, and those that slide."""
 
-    fixed: tuple[str, ...]
+    fixed: tuple[str, ...] = ()
+    sliding: tuple[Sliding, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

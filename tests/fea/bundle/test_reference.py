@@ -38,7 +38,7 @@ def bundles():
     common = {
         "name": "a",
         "title": "A",
-        "supports": {"fixed": ["f"]},
+        "supports": {"fixed": ["f"], "sliding": [{}]},
         "interface": {"section": "s"},
         "analysis": {},
         "range": {},
