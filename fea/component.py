@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,6 +35,15 @@ _ZERO = 1e-9
 """Of a projection or a singular value, relative: axes are written to about so many digits."""
 
 
+class Mount(NamedTuple):
+    """A bushing (`fea.spec.schema.Bushing`) with its nodes found; `point` has shape (3,), m."""
+
+    section: InterfaceSection
+    point: Array
+    hold: Interface
+    stiffness: Array
+
+
 @dataclass(frozen=True, eq=False)
 class ComponentModel:
     """A deformable part, ready to be solved; all in metres and pascals.
@@ -52,6 +62,8 @@ class ComponentModel:
     held
         Nodes that slide, none of them fixed or tied to the interface, sorted, shape (k,), and
         projectors on the directions in which each is held, in the mesh's axes, shape (k, 3, 3).
+    mounts
+        The bushings; no node is in two of them, in one and the section, or in one and fixed.
     section
         The interface's nodes with their area weights.
     point
@@ -72,6 +84,13 @@ class ComponentModel:
     locked: tuple[str, ...]
     analysis: Analysis
     held: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
+    mounts: tuple[Mount, ...] = ()
+
+    @property
+    def supported_nodes(self) -> Array:
+        """Nodes that any support holds, sorted, shape (k,), int64."""
+        groups = [mount.section.node_ids for mount in self.mounts]
+        return np.unique(np.concatenate([self.fixed_nodes, self.held[0], *groups]))
 
 
 def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
@@ -91,12 +110,15 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     material_of_cells = _materials(mesh, bundle.materials, problems)
     fixed = _fixed_nodes(mesh, bundle.supports, problems)
     held = _held(mesh, bundle.supports.sliding, fixed, problems)
-    section = _section(mesh, bundle.interface, problems)
-    _check_apart(mesh, fixed, section, problems)
-    if problems or section is None:
+    bushings = {f"supports.bushing[{i}].group": b for i, b in enumerate(bundle.supports.bushings)}
+    holds = {"interface.section": bundle.interface} | {k: b.hold for k, b in bushings.items()}
+    joints = _joints(mesh, holds, problems)
+    _check_apart(fixed, {key: section for key, (section, _, _) in joints.items()}, problems)
+    if problems:
         raise BundleError(problems)
-    interface = bundle.interface
-    point = section.centre if interface.point is None else interface.point
+    for key, joint in joints.items():
+        held = _left_sliding(mesh, held, key, *joint)
+    section, point, interface = joints["interface.section"]
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
@@ -109,7 +131,8 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         coupling=interface.coupling,
         locked=interface.locked,
         analysis=bundle.analysis,
-        held=_left_sliding(mesh, held, section, point, interface),
+        held=held,
+        mounts=tuple(Mount(*joints[key], own.stiffness) for key, own in bushings.items()),
     )
 
 
@@ -171,7 +194,9 @@ def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) 
     names = [(f"supports.fixed[{i}]", name) for i, name in enumerate(supports.fixed)]
     found = [_group_nodes(mesh, key, name, problems) for key, name in names]
     nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *found]))
-    if supports.sliding:  # then `fea.check.motions` tells whether all hold the part
+    if (
+        supports.sliding or supports.bushings
+    ):  # then `fea.check.motions` tells whether all hold the part
         return nodes
     if all(len(ids) for ids in found) and not _spans_a_plane(mesh.points[nodes]):
         message = "its nodes lie on one line, about which the component can turn; fix more"
@@ -193,8 +218,26 @@ def _held(
     return nodes, (axes * (sizes > _ZERO)[:, None]) @ axes.swapaxes(1, 2)
 
 
+def _joints(
+    mesh: Mesh, holds: Mapping[str, Interface], problems: list[BundleProblem]
+) -> dict[str, tuple[InterfaceSection, Array, Interface]]:
+    """Return by key each section with its reference point, shape (3,), m, those found."""
+    joints = {}
+    for key, hold in holds.items():
+        section = _section(mesh, key, hold, problems)
+        if section is not None:
+            point = section.centre if hold.point is None else hold.point
+            joints[key] = section, point, hold
+    return joints
+
+
 def _left_sliding(
-    mesh: Mesh, held: tuple[Array, Array], section: InterfaceSection, point: Array, own: Interface
+    mesh: Mesh,
+    held: tuple[Array, Array],
+    key: str,
+    section: InterfaceSection,
+    point: Array,
+    own: Interface,
 ) -> tuple[Array, Array]:
     """Return the sliding nodes less those that a rigid coupling ties.
 
@@ -213,9 +256,9 @@ def _left_sliding(
         return held
     message = (
         f"{shared.sum()} of its nodes slide by [supports], but its free motions would move them "
-        "off; lock these (interface.locked) with a rigid coupling, or name fewer nodes"
+        "off; name fewer nodes, or lock these motions of a rigid interface (interface.locked)"
     )
-    raise BundleError([BundleProblem("interface.section", message)])
+    raise BundleError([BundleProblem(key, message)])
 
 
 def _stay(arms: Array, held: Array, own: Interface) -> bool:
@@ -228,9 +271,8 @@ def _stay(arms: Array, held: Array, own: Interface) -> bool:
 
 
 def _section(
-    mesh: Mesh, interface: Interface, problems: list[BundleProblem]
+    mesh: Mesh, key: str, interface: Interface, problems: list[BundleProblem]
 ) -> InterfaceSection | None:
-    key = "interface.section"
     nodes = _group_nodes(mesh, key, interface.section, problems)
     if not len(nodes):
         return None
@@ -270,12 +312,16 @@ def _listed(groups: list[str]) -> str:
 
 
 def _check_apart(
-    mesh: Mesh, fixed: Array, section: InterfaceSection | None, problems: list[BundleProblem]
+    fixed: Array, sections: Mapping[str, InterfaceSection], problems: list[BundleProblem]
 ) -> None:
-    shared = 0 if section is None else len(np.intersect1d(fixed, section.node_ids))
-    if shared:
-        message = f"{shared} of its nodes are fixed by [supports]; the two must not touch"
-        problems.append(BundleProblem("interface.section", message))
+    taken = {"fixed by [supports]": fixed}
+    for key, section in sections.items():
+        for what, nodes in taken.items():
+            shared = len(np.intersect1d(nodes, section.node_ids))
+            if shared:
+                message = f"{shared} of its nodes are {what}; the two must not touch"
+                problems.append(BundleProblem(key, message))
+        taken[f"in {key}"] = section.node_ids
 
 
 def _spans_a_plane(points: Array) -> bool:

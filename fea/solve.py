@@ -16,7 +16,8 @@ from wrenchbook.fea.assembly.condition import ROUNDOFF
 from wrenchbook.fea.assembly.linearisation import Balance
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.component import ComponentModel, build
-from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
+from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Mounted, Rigid
+from wrenchbook.fea.coupling.section import InterfaceSection
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.pressure_projection import pressure_notes
 from wrenchbook.fea.export.failure_record import keep
@@ -319,12 +320,9 @@ def _system(component: ComponentModel, active: Array) -> System:
     """Set up the equations in the interface frame, its origin at the interface point."""
     mesh = component.mesh
     mesh = replace(mesh, points=(mesh.points - component.point) @ component.axes.T)
-    section = component.section
-    coupling: Coupling
-    if component.coupling == "rigid":
-        coupling = Rigid(mesh.points, section.node_ids, active)
-    else:
-        coupling = Distributed(mesh.points, section.node_ids, section.weights, active)
+    coupling = _coupling(component.coupling, mesh.points, component.section, active)
+    if component.mounts:
+        coupling = Mounted(coupling, *_bushings(component, mesh.points))
     free = np.ones(len(mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
     free[coupling.tied] = False
@@ -334,6 +332,36 @@ def _system(component: ComponentModel, active: Array) -> System:
     nodes, held = component.held
     body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
     return System(body, coupling, component.mesh.points)
+
+
+def _coupling(name: str, points: Array, section: InterfaceSection, active: Array) -> Coupling:
+    if name == "rigid":
+        return Rigid(points, section.node_ids, active)
+    return Distributed(points, section.node_ids, section.weights, active)
+
+
+def _bushings(
+    component: ComponentModel, points: Array
+) -> tuple[list[tuple[Coupling, Array]], Array]:
+    """Return couplings and stiffnesses in the interface frame, and three anchors of each mean."""
+    found, anchors = [], [np.empty(0, dtype=np.int64)]
+    for mount in component.mounts:
+        turn = np.kron(np.eye(2), mount.hold.axes @ component.axes.T)
+        arms = points - component.axes @ (mount.point - component.point)
+        coupling = _coupling(mount.hold.coupling, arms, mount.section, np.arange(6))
+        found.append((coupling, turn.T @ mount.stiffness @ turn))
+        if mount.hold.coupling == "distributed":
+            nodes = np.setdiff1d(mount.section.node_ids, component.held[0])
+            anchors.append(nodes[_spread(points[nodes])])
+    return found, np.concatenate(anchors)
+
+
+def _spread(places: Array) -> Array:
+    """Return the indices of three points far from one line, of points of shape (k, 3), m."""
+    first = np.linalg.norm(places - places.mean(axis=0), axis=1).argmax()
+    arms = places - places[first]
+    second = np.linalg.norm(arms, axis=1).argmax()
+    return np.array([first, second, np.linalg.norm(np.cross(arms, arms[second]), axis=1).argmax()])
 
 
 def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> None:

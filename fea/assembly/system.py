@@ -38,12 +38,13 @@ class System:
 
     @property
     def unknowns(self) -> int:
-        """Free nodal unknowns and interface freedoms."""
-        return self.body.dissection.unknowns + len(self.coupling.active)
+        """Free nodal unknowns and freedoms of interface and bushings."""
+        return self.body.dissection.unknowns + self.coupling.border - self.coupling.multipliers
 
     def balance(self, state: CoupledState, wrench: Array) -> Balance:
         """Weigh the internal forces of a state against a wrench, shape (6,), N and N·m."""
         forces, energy, least = self.body.forces(state.nodes)
+        energy += self.coupling.spring_energy(state)
         return self._balance(state, wrench, forces, energy, least)
 
     def reload(self, balance: Balance, wrench: Array) -> Balance:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from wrenchbook.fea.spec.schema import (
     INTEGRATIONS,
     LAWS,
     Analysis,
+    Bushing,
     DeclaredRange,
     DeclaredTolerance,
     Interface,
@@ -33,6 +35,8 @@ from wrenchbook.fea.spec.toml_table import Keys
 LARGEST_LOAD = 1e100
 
 _DIRECTIONS = ("x", "y", "z")
+
+_ROUNDING = 1e-9  # of a stiffness, relative to its diagonal
 
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
@@ -61,11 +65,12 @@ def read_supports(keys: Keys | None) -> Supports | None:
         return None
     fixed = keys.texts("fixed", required=False, least=1)
     sliding = [_sliding(own) for own in keys.tables("sliding", required=False)]
-    if not any(key in keys for key in ("fixed", "sliding")):
-        message = "holds nothing; write fixed, [[supports.sliding]] or both"
+    bushings = [_bushing(own) for own in keys.tables("bushing", required=False)]
+    if not any(keys):
+        message = "holds nothing; write fixed, [[supports.sliding]] or [[supports.bushing]]"
         keys.problems.append(BundleProblem(keys.where, message))
     keys.close()
-    return Supports(fixed or (), tuple(own for own in sliding if own is not None))
+    return Supports(fixed or (), tuple(filter(None, sliding)), tuple(filter(None, bushings)))
 
 
 def _sliding(keys: Keys) -> Sliding | None:
@@ -82,20 +87,59 @@ def _sliding(keys: Keys) -> Sliding | None:
     return Sliding(group, axes[[_DIRECTIONS.index(name) for name in sorted(names)]])
 
 
+def _bushing(keys: Keys) -> Bushing | None:
+    """Return one ``[[supports.bushing]]``."""
+    stiffness = _stiffness(keys)
+    hold = _hold(keys, "group")
+    keys.close()
+    return None if hold is None or stiffness is None else Bushing(hold, stiffness)
+
+
+def _stiffness(keys: Keys) -> np.ndarray | None:
+    """Return six stiffnesses, or 6 x 6, as a matrix whose energy is never negative."""
+    rows, unit = keys.raw("stiffness", list), "N/m, N/rad and N·m/rad"
+    if rows is None:
+        return None
+    if len(rows) == len(FREEDOMS) and type(rows[0]) is list:
+        count = len(FREEDOMS)
+        read = [keys.as_numbers(f"stiffness[{i}]", row, count, unit) for i, row in enumerate(rows)]
+        matrix = None if None in read else np.array(read)
+    else:
+        own = keys.as_numbers("stiffness", rows, len(FREEDOMS), unit)
+        matrix = None if own is None else np.diag(own)
+    if matrix is None:
+        return None
+    scale = np.sqrt(np.where(np.diagonal(matrix) > 0, np.diagonal(matrix), 1.0))
+    scaled = matrix / scale / scale[:, None]
+    if np.abs(scaled - scaled.T).max() > _ROUNDING:
+        keys.wrong("stiffness", "must be symmetric")
+    elif np.linalg.eigvalsh(scaled)[0] < -_ROUNDING:
+        keys.wrong("stiffness", "some motion would give energy back: no eigenvalue may be negative")
+    elif not matrix.any():
+        keys.wrong("stiffness", "is zero; leave the bushing out")
+    else:
+        return 0.5 * (matrix + matrix.T)
+    return None
+
+
 def read_interface(keys: Keys | None) -> Interface | None:
     """Return ``[interface]``."""
     if keys is None:
         return None
-    section = keys.text("section")
+    hold, locked = _hold(keys, "section"), _locked(keys)
+    keys.close()
+    return None if hold is None else replace(hold, locked=locked)
+
+
+def _hold(keys: Keys, group: str) -> Interface | None:
+    """Return a group of nodes as a section, with what moves with it."""
+    section = keys.text(group)
     point = keys.numbers("point", 3, "m", required=False)
     axes = read_axes(keys)
     coupling = keys.choice("coupling", COUPLINGS)
-    locked = _locked(keys)
-    keys.close()
     if section is None or axes is None or coupling is None:
         return None
-    at = None if point is None else np.array(point)
-    return Interface(section, at, axes, coupling, locked)
+    return Interface(section, None if point is None else np.array(point), axes, coupling)
 
 
 def _locked(keys: Keys) -> tuple[str, ...]:

@@ -8,8 +8,9 @@ q = (t, L theta) about the mesh's centre with L the mesh's size, and moves a nod
 
 Supports say N q = 0, nodes that two bodies share say N q_1 = N q_2, a rigid coupling says the same
 of section and interface, a distributed one that the interface moves as the section does in the
-mean (least squares), and locked freedoms hold the interface. What satisfies all of this is the
-null space of a small dense matrix.
+mean (least squares), and locked freedoms hold the interface. A bushing is tied to its group as an
+interface is, and held where its spring resists. What satisfies all of this is the null space of a
+small dense matrix.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.coupling.section import InterfaceSection
 from wrenchbook.fea.inspection.bodies import Bodies
 from wrenchbook.fea.spec.schema import FREEDOMS
 
@@ -39,6 +41,7 @@ def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
     equations.hold_supports()
     equations.join_bodies()
     equations.tie_interface()
+    equations.tie_bushings()
     free = equations.null_space()
     found = []
     for number in range(bodies.count):
@@ -83,7 +86,7 @@ def simplest(motions: Array) -> Array:
 
 
 class _Equations:
-    """Rows of a matrix over the motions of all bodies, the interface's last."""
+    """Rows of a matrix over the motions of all bodies, the interface and the bushings."""
 
     def __init__(self, component: ComponentModel, bodies: Bodies) -> None:
         self.component = component
@@ -119,10 +122,24 @@ class _Equations:
     def tie_interface(self) -> None:
         """Tie the interface to the section, and hold its locked freedoms."""
         interface = self.bodies.count
-        section = self.component.section
+        self._tie(interface, self.component.section, self.component.coupling)
+        freedoms = self._freedoms(self.component.point, self.component.axes)
+        for name in self.component.locked:
+            self._add({interface: freedoms[FREEDOMS.index(name)][None]})
+
+    def tie_bushings(self) -> None:
+        """Tie a bushing's motion to its group, and hold those that its spring resists."""
+        lengths = np.repeat([1.0, self.extent], 3)
+        for number, mount in enumerate(self.component.mounts, start=self.bodies.count + 1):
+            self._tie(number, mount.section, mount.hold.coupling)
+            sizes, motions = np.linalg.eigh(mount.stiffness / lengths / lengths[:, None])
+            resisted = motions[:, sizes > _ZERO**2 * sizes[-1]].T
+            self._add({number: resisted @ self._freedoms(mount.point, mount.hold.axes)})
+
+    def _tie(self, interface: int, section: InterfaceSection, coupling: str) -> None:
         owner = self.owner[section.node_ids]
         moves_of = {n: self._moves(section.node_ids[owner == n]) for n in np.unique(owner).tolist()}
-        if self.component.coupling == "rigid":
+        if coupling == "rigid":
             for number, moves in moves_of.items():
                 tie = _condensed(moves)
                 self._add({number: tie, interface: -tie})
@@ -131,12 +148,11 @@ class _Equations:
             own = {n: (moves.T * weights[n]) @ moves for n, moves in moves_of.items()}
             whole = np.linalg.inv(sum(own.values(), np.zeros((6, 6))))
             self._add({n: -whole @ one for n, one in own.items()} | {interface: np.eye(6)})
-        at_point = self._moves_of(self.component.point[None])
-        for name in self.component.locked:
-            freedom = FREEDOMS.index(name)
-            axis = self.component.axes[freedom % 3]
-            row = axis @ at_point if freedom < 3 else np.concatenate([np.zeros(3), axis])
-            self._add({interface: row[None]})
+
+    def _freedoms(self, point: Array, axes: Array) -> Array:
+        """Return ux to rz of a point by a motion, (6, 6), the rotations times the mesh's size."""
+        turns = np.concatenate([np.zeros((3, 3)), axes], axis=1)
+        return np.concatenate([axes @ self._moves_of(point[None]), turns])
 
     def null_space(self) -> Array:
         matrix = np.concatenate(self.rows)
@@ -158,7 +174,8 @@ class _Equations:
         return moves.reshape(-1, 6)
 
     def _add(self, parts: dict[int, Array]) -> None:
-        rows = np.zeros((len(next(iter(parts.values()))), 6 * (self.bodies.count + 1)))
+        count = self.bodies.count + 1 + len(self.component.mounts)
+        rows = np.zeros((len(next(iter(parts.values()))), 6 * count))
         for number, part in parts.items():
             rows[:, 6 * number : 6 * number + 6] = part
         self.rows.append(rows)

@@ -217,8 +217,8 @@ def _what_is_set(component: ComponentModel) -> dict[str, Any]:
 
 def _other_supports(component: ComponentModel) -> dict[str, Any]:
     """Return what holds the part besides fixed nodes, where there is any."""
-    sliding = len(component.held[0])
-    return {"sliding_nodes": sliding} if sliding else {}
+    counts = {"sliding_nodes": len(component.held[0]), "bushings": len(component.mounts)}
+    return {name: count for name, count in counts.items() if count}
 
 
 def _warn(summary: dict[str, Any], warnings: list[BundleProblem]) -> None:

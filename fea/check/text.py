@@ -118,8 +118,8 @@ def _set_up(report: Mapping[str, Any]) -> list[str]:
 
 
 def _supports(supports: Mapping[str, Any]) -> str:
-    sliding = supports.get("sliding_nodes")
-    return f"{supports['nodes']} nodes fixed" + (f", {sliding} sliding" if sliding else "")
+    words = {"nodes": "nodes fixed", "sliding_nodes": "sliding", "bushings": "bushings"}
+    return ", ".join(f"{supports[key]} {word}" for key, word in words.items() if key in supports)
 
 
 def _law(material: Mapping[str, Any]) -> str:

@@ -7,8 +7,9 @@ last, by its Schur complement, which is also where the 6x6 tangent compliance co
 All vectors are in the undeformed interface frame, its origin at the interface point.
 """
 
+from wrenchbook.fea.coupling.bushing import Mounted
 from wrenchbook.fea.coupling.coupling import Border, CoupledState, Coupling
 from wrenchbook.fea.coupling.distributed import Distributed
 from wrenchbook.fea.coupling.rigid import Rigid
 
-__all__ = ["Border", "CoupledState", "Coupling", "Distributed", "Rigid"]
+__all__ = ["Border", "CoupledState", "Coupling", "Distributed", "Mounted", "Rigid"]

@@ -23,7 +23,7 @@ class CoupledState:
         Shape (6,), m and rad: translation and rotation vector of the interface.
     multipliers
         Shape (6,), N and N/m: a distributed coupling's; node i feels w_i (l + m x b_i). Zero in a
-        rigid one.
+        rigid one. With bushings each one's own motion and multipliers follow.
     """
 
     nodes: Array
@@ -84,6 +84,17 @@ class Coupling(ABC):
     def start(self) -> CoupledState:
         """Return the undeformed state."""
         return CoupledState(np.zeros((self._size, 3)), np.zeros(6), np.zeros(6))
+
+    def spring_energies(self, border: Array) -> Array | float:
+        """Return twice the mutual energies of springs in the coupling, shape (k, k), J.
+
+        Borders have shape (border, k).
+        """
+        return 0.0
+
+    def spring_energy(self, state: CoupledState) -> float:
+        """Return the energy of springs in the coupling, J."""
+        return 0.0
 
     @abstractmethod
     def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:

@@ -79,6 +79,12 @@ def _require_counterparts(component: ComponentModel) -> None:
             'deck of the component with coupling = "rigid"'
         )
         problems.append(BundleProblem("interface.coupling", message))
+    for i, mount in enumerate(component.mounts):
+        if mount.hold.coupling != "rigid":
+            message = (
+                'CalculiX has no spring on a mean motion; write the deck with coupling = "rigid"'
+            )
+            problems.append(BundleProblem(f"supports.bushing[{i}].coupling", message))
     for block in component.mesh.blocks:
         if block.kind not in _ELEMENTS:
             known = ", ".join(_ELEMENTS)
@@ -111,11 +117,40 @@ def _body(component: ComponentModel) -> Iterator[str]:
         yield from _rows(component.fixed_nodes + 1)
         yield "*BOUNDARY\nFIXED, 1, 3"
     yield from _sliding(component)
+    yield from _bushings(component)
     yield "*NSET, NSET=SECTION"
     yield from _rows(component.section.node_ids + 1)
     yield f"*RIGID BODY, NSET=SECTION, REF NODE={ref}, ROT NODE={rot}"
     for name in component.locked:
         yield f"*BOUNDARY\n{_place(name)}, {_axis(name)}"
+
+
+def _bushings(component: ComponentModel) -> Iterator[str]:
+    """Yield each bushing as a rigid body, and a spring for each eigenvector of its stiffness.
+
+    The spring is on a node of its own, whose displacement is that combination of the six freedoms.
+    """
+    node = len(component.mesh.points) + 3
+    element = sum(len(block) for block in component.mesh.blocks) + 1
+    for i, mount in enumerate(component.mounts):
+        ref, place = node, _numbers(component.axes @ mount.point)
+        yield f"*NODE\n{ref}, {place}\n{ref + 1}, {place}\n*NSET, NSET=BUSHING{i}"
+        yield from _rows(mount.section.node_ids + 1)
+        yield f"*RIGID BODY, NSET=BUSHING{i}, REF NODE={ref}, ROT NODE={ref + 1}"
+        node += 2
+        turn = np.kron(np.eye(2), mount.hold.axes @ component.axes.T)
+        sizes, motions = np.linalg.eigh(mount.stiffness)
+        for size, motion in zip(sizes, motions.T, strict=True):
+            if size <= 0:
+                continue
+            terms = [(ref + j // 3, j % 3 + 1, x) for j, x in enumerate(motion @ turn)]
+            terms = [term for term in terms if abs(term[2]) > _ROUNDOFF]
+            words = [f"{at}, {axis}, {_numbers([x])}" for at, axis, x in [(node, 1, -1.0), *terms]]
+            yield f"*NODE\n{node}, {place}\n*BOUNDARY\n{node}, 2, 3\n*EQUATION\n{len(words)}"
+            yield from (", ".join(words[j : j + 4]) for j in range(0, len(words), 4))
+            yield f"*ELEMENT, TYPE=SPRING1, ELSET=K{element}\n{element}, {node}"
+            yield f"*SPRING, ELSET=K{element}\n1\n{_numbers([size])}"
+            node, element = node + 1, element + 1
 
 
 def _sliding(component: ComponentModel) -> Iterator[str]:

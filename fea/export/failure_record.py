@@ -75,7 +75,7 @@ def write_state(path: Path, component: ComponentModel, displacements: Array) -> 
         If the file cannot be written.
     """
     mesh = component.mesh
-    supported = np.concatenate([component.fixed_nodes, component.held[0]])
+    supported = component.supported_nodes
     marks = {"supported": supported, "interface": component.section.node_ids}
     point_data: dict[str, Any] = {"displacement": displacements}
     for name, nodes in marks.items():

@@ -98,15 +98,15 @@ def place_warnings(component: ComponentModel) -> list[BundleProblem]:
 
 def support_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return a warning if the supports hold single nodes only, which answer to mesh size."""
-    surface, sliding = outer_surface(component.mesh.blocks), component.held[0]
-    nodes = np.union1d(component.fixed_nodes, sliding)
+    surface, nodes = outer_surface(component.mesh.blocks), component.supported_nodes
     if facets_within(surface, nodes).blocks:
         return []
     message = (
         f"holds {len(nodes)} nodes and no whole face: elastic bodies give way "
         "without limit at points, so the answer depends on the mesh size; fix faces"
     )
-    return [BundleProblem("supports" if len(sliding) else "supports.fixed", message)]
+    only_fixed = len(nodes) == len(component.fixed_nodes)
+    return [BundleProblem("supports.fixed" if only_fixed else "supports", message)]
 
 
 def unit_warnings(component: ComponentModel) -> list[BundleProblem]:

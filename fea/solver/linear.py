@@ -29,7 +29,7 @@ class LinearResponse:
         Shape (6, 6), symmetric: displacement = compliance @ wrench; m/N, rad/N, m/(N·m) and
         rad/(N·m). Locked freedoms are zero.
     energies
-        Shape (6, 6): twice the strain energies of pairs of unit loads, from the strains: equal to
+        Shape (6, 6): twice the energies of pairs of unit loads, from the strains: equal to
         `compliance` but for roundoff, and in its units.
     fields
         Shape (n, 3, 6): nodal displacements per unit of each load, m/N and m/(N·m).
@@ -65,7 +65,7 @@ def linear_response(system: System) -> LinearResponse:
     scale = np.sqrt(np.abs(np.diagonal(compliance)))
     scale = np.where(scale > 0, scale, 1.0)
     unit = 1.0 / np.outer(scale, scale)
-    energies = system.body.strain_energy_products(fields)
+    energies = system.body.strain_energy_products(fields) + system.coupling.spring_energies(border)
     asymmetry = float(np.abs((compliance - compliance.T) * unit).max())
     energy_gap = float(np.abs((compliance - energies) * unit).max())
     if not max(asymmetry, energy_gap, condition * ROUNDOFF * correction) < _ROUNDOFF:
@@ -87,13 +87,14 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
     """
     loads = start.wrench_columns
     border = start.border
+    columns = system.body.movable.released(border.columns)
     nodes, moved = start.solve(np.zeros((system.body.size, 3, loads.shape[1])), loads)
     size = 0.0
     for _ in range(_MOST_CORRECTIONS):
         fields = nodes + border.ties @ moved
         forces = system.body.small_strain_forces(fields)
         nodal = system.body.movable.released(forces + border.columns @ moved)
-        rest = contract(border.ties, forces) + contract(border.columns, fields)
+        rest = contract(border.ties, forces) + contract(columns, fields)
         rest += border.block @ moved - loads
         more_nodes, more = start.solve(nodal, rest)
         nodes, moved = nodes - more_nodes, moved - more

@@ -143,6 +143,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     x = _lowest(inertia) if mass.nnz else _massless(inertia)
     fields, interface = inertia.fields(x)
     stiffness = system.body.strain_energy_products(fields[:, :, None])[0, 0]
+    stiffness += np.sum(system.coupling.spring_energies(inertia.border(x)))
     square = stiffness / float(x @ inertia.times(x))
     return Vibration(own, float(np.sqrt(square) / (2 * np.pi)), _directed(interface))
 
@@ -157,37 +158,42 @@ class Inertia:
         self._free = np.flatnonzero(system.body.free)
         self._movable = system.body.movable
         self._nodes = system.body.size
-        self._ties = self._start.border.ties[:, :, : self.active.size]
-        self._multipliers = system.coupling.border - self.active.size
-        self.size = 3 * self._free.size + self.active.size
+        self._multipliers = system.coupling.multipliers
+        self._freedoms = system.coupling.border - self._multipliers
+        self._ties = self._start.border.ties[:, :, : self._freedoms]
+        self.first = 3 * self._free.size
+        self.size = self.first + self._freedoms
 
     def fields(self, x: Array) -> tuple[Array, Array]:
         """Return all nodes' motion (n, 3), m, and the interface's (6,), m and rad."""
-        border = x[3 * self._free.size :]
+        border = x[self.first :]
         nodes = self._ties @ border
         moved = np.zeros_like(nodes)
-        moved[self._free] = x[: 3 * self._free.size].reshape(-1, 3)
+        moved[self._free] = x[: self.first].reshape(-1, 3)
         nodes += self._movable.released(moved)
         interface = np.zeros(6)
-        interface[self.active] = border
+        interface[self.active] = border[: self.active.size]
         return nodes, interface
+
+    def border(self, x: Array) -> Array:
+        """Return the whole border's motion, shape (border, 1): its multipliers are none."""
+        return np.append(x[self.first :], np.zeros(self._multipliers))[:, None]
 
     def times(self, x: Array) -> Array:
         """Multiply by the mass matrix: shape (size,) to (size,), kg times the unit given."""
         nodes, interface = self.fields(np.asarray(x).reshape(-1))
         forces = np.asarray(self._mass @ nodes)
         border = contract(self._ties, forces[:, :, None])[:, 0]
-        border += (self.interface_mass @ interface)[self.active]
+        border[: self.active.size] += (self.interface_mass @ interface)[self.active]
         return np.concatenate([self._movable.released(forces)[self._free].ravel(), border])
 
     def solved(self, loads: Array) -> Array:
         """Return K^-1 times loads: shape (size,), N and N·m, to (size,), m and rad."""
         loads = np.asarray(loads).reshape(-1)
         nodal = np.zeros((self._nodes, 3, 1))
-        nodal[self._free, :, 0] = loads[: 3 * self._free.size].reshape(-1, 3)
-        border = np.append(loads[3 * self._free.size :], np.zeros(self._multipliers))
-        nodes, moved = self._start.solve(nodal, border[:, None])
-        return np.concatenate([nodes[self._free, :, 0].ravel(), moved[: self.active.size, 0]])
+        nodal[self._free, :, 0] = loads[: self.first].reshape(-1, 3)
+        nodes, moved = self._start.solve(nodal, self.border(loads))
+        return np.concatenate([nodes[self._free, :, 0].ravel(), moved[: self._freedoms, 0]])
 
 
 class _Applied(LinearOperator):
@@ -217,9 +223,10 @@ def _massless(inertia: Inertia) -> Array:
     """
     count = inertia.active.size
     units = np.zeros((count, inertia.size))
-    units[:, -count:] = np.eye(count)
+    own = slice(inertia.first, inertia.first + count)
+    units[:, own] = np.eye(count)
     moved = np.stack([inertia.solved(unit) for unit in units], axis=1)
-    compliance = moved[-count:]
+    compliance = moved[own]
     lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
     carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]
     values, motions = np.linalg.eigh(lower.T @ carried @ lower)

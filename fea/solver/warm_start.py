@@ -108,7 +108,7 @@ def _read_state(path: Path, points: int) -> CoupledState | None:
     except _UNREADABLE:
         return None
     arrays = tuple(vars(state).values())
-    if [a.shape for a in arrays] != [(points, 3), (6,), (6,)]:
+    if [a.shape for a in arrays[:2]] != [(points, 3), (6,)] or state.multipliers.ndim != 1:
         return None
     sound = all(a.dtype == float and np.isfinite(a).all() for a in arrays)
     return state if sound else None

@@ -74,10 +74,13 @@ def _material(material: Material) -> list[object]:
 
 
 def _supports(supports: Supports | None) -> object:
-    if supports is None or not supports.sliding:
+    if supports is None or not (supports.sliding or supports.bushings):
         return None if supports is None else sorted(supports.fixed)
-    sliding = sorted([own.group, own.directions.tolist()] for own in supports.sliding)
-    return {"fixed": sorted(supports.fixed), "sliding": sliding}
+    return {
+        "fixed": sorted(supports.fixed),
+        "sliding": sorted([own.group, own.directions.tolist()] for own in supports.sliding),
+        "bushings": [[_interface(b.hold), b.stiffness.tolist()] for b in supports.bushings],
+    }
 
 
 def _interface(interface: Interface | None) -> object:

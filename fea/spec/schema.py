@@ -149,14 +149,6 @@ class Sliding:
     directions: Array
 
 
-@dataclass(frozen=True)
-class Supports:
-    """The facet or node groups whose nodes do not move, and those that slide."""
-
-    fixed: tuple[str, ...] = ()
-    sliding: tuple[Sliding, ...] = ()
-
-
 @dataclass(frozen=True, eq=False)
 class Interface:
     """The section where the rigid side is attached.
@@ -180,6 +172,32 @@ class Interface:
     axes: Array
     coupling: str
     locked: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Bushing:
+    """A group on an elastic spring to the ground.
+
+    Attributes
+    ----------
+    hold
+        The group as a section, with the point and the axes of the spring.
+    stiffness
+        Shape (6, 6), symmetric and positive semidefinite: N/m, N/rad and N·m/rad over translation
+        and rotation vector.
+    """
+
+    hold: Interface
+    stiffness: Array
+
+
+@dataclass(frozen=True)
+class Supports:
+    """The groups whose nodes do not move, those that slide, and those on springs."""
+
+    fixed: tuple[str, ...] = ()
+    sliding: tuple[Sliding, ...] = ()
+    bushings: tuple[Bushing, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -120,7 +120,7 @@ def _with_loads(part: ComponentModel, loads: Array) -> str:
     linear = replace(part.analysis, nonlinear=False)
     deck = deck_of(replace(part, coupling="rigid", analysis=linear))
     above = deck[: deck.index("*CLOAD")].splitlines()
-    lines = [line for line in above if not line.startswith("*RIGID BODY")]
+    lines = [line for line in above if not line.startswith("*RIGID BODY, NSET=SECTION")]
     lines.append("*CLOAD")
     for node, load in zip(part.section.node_ids + 1, loads, strict=True):
         lines += [f"{node}, {i + 1}, {load[i]:.12e}" for i in range(3)]

@@ -38,7 +38,7 @@ def bundles():
     common = {
         "name": "a",
         "title": "A",
-        "supports": {"fixed": ["f"], "sliding": [{}]},
+        "supports": {"fixed": ["f"], "sliding": [{}], "bushing": [{}]},
         "interface": {"section": "s"},
         "analysis": {},
         "range": {},
