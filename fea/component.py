@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -16,9 +17,39 @@ from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.quality import cell_problems
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, suggest
-from wrenchbook.fea.spec.schema import Analysis, Bundle, Interface, Material, MeshSource
+from wrenchbook.fea.spec.schema import (
+    FREEDOMS,
+    Analysis,
+    Bundle,
+    Interface,
+    Material,
+    MeshSource,
+)
 
 Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class AttachedInterface:
+    """An interface with its section found in the mesh.
+
+    Attributes
+    ----------
+    key
+        Where the bundle has it: ``interface`` or ``interface[1]``.
+    name
+        Empty where it is the component's only one.
+    section, point, axes, coupling, locked
+        As `ComponentModel` has them of its first interface.
+    """
+
+    key: str
+    name: str
+    section: InterfaceSection
+    point: Array
+    axes: Array
+    coupling: str
+    locked: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +68,13 @@ class ComponentModel:
     fixed_nodes
         Sorted nodes that do not move, shape (k,), int64.
     section
-        The interface's nodes with their area weights.
+        The nodes of the interface, or the first of several, with their area weights.
     point
-        The interface's reference point, shape (3,), m.
+        Its reference point, shape (3,), m.
     axes
-        Shape (3, 3), row i is the direction of the interface frame's axis i.
+        Shape (3, 3), row i is the direction of its frame's axis i. The equations are in this frame.
+    name, others
+        Its name, empty if it is alone; the other interfaces.
     """
 
     bundle: Bundle
@@ -55,6 +88,21 @@ class ComponentModel:
     coupling: str
     locked: tuple[str, ...]
     analysis: Analysis
+    name: str = ""
+    others: tuple[AttachedInterface, ...] = ()
+
+    @property
+    def interfaces(self) -> tuple[AttachedInterface, ...]:
+        """All interfaces, in the order of their loads and displacements."""
+        key = "interface[0]" if self.others else "interface"
+        own = (self.section, self.point, self.axes, self.coupling, self.locked)
+        return AttachedInterface(key, self.name, *own), *self.others
+
+    @property
+    def active(self) -> Array:
+        """Indices of the freedoms that are not locked, six an interface, shape (k,), int64."""
+        every = [name not in one.locked for one in self.interfaces for name in FREEDOMS]
+        return np.flatnonzero(every)
 
 
 def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
@@ -66,30 +114,34 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         If the bundle has nothing to solve, its mesh cannot be read, a group is not in the mesh, a
         cell has no material or two, or supports or interface cannot hold a body.
     """
-    if bundle.mesh is None or bundle.interface is None or bundle.supports is None:
+    held = any(one.held for one in bundle.interfaces)
+    if bundle.mesh is None or bundle.interface is None or not (bundle.supports or held):
         message = "missing; a component without a [mesh] is a table and cannot be solved"
         raise BundleError([BundleProblem("mesh", message)])
     mesh = mesh_of(bundle.mesh) if mesh is None else mesh
     problems = cell_problems(mesh) + first_order_problems(mesh)
     material_of_cells = _materials(mesh, bundle.materials, problems)
-    fixed = _fixed_nodes(mesh, bundle.supports.fixed, problems)
-    section = _section(mesh, bundle.interface, problems)
-    _check_apart(mesh, fixed, section, problems)
-    if problems or section is None:
+    fixed = np.empty(0, dtype=np.int64)
+    if bundle.supports is not None:
+        fixed = _fixed_nodes(mesh, bundle.supports.fixed, problems)
+    first, *others = _attached(mesh, bundle.interfaces, problems)
+    _check_apart(mesh, fixed, [first, *others], problems)
+    if problems:
         raise BundleError(problems)
-    interface = bundle.interface
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
         materials=bundle.materials,
         material_of_cells=material_of_cells,
         fixed_nodes=fixed,
-        section=section,
-        point=section.centre if interface.point is None else interface.point,
-        axes=interface.axes,
-        coupling=interface.coupling,
-        locked=interface.locked,
+        section=first.section,
+        point=first.point,
+        axes=first.axes,
+        coupling=first.coupling,
+        locked=first.locked,
         analysis=bundle.analysis,
+        name=first.name,
+        others=tuple(others),
     )
 
 
@@ -156,13 +208,27 @@ def _fixed_nodes(mesh: Mesh, names: Iterable[str], problems: list[BundleProblem]
     return nodes
 
 
+def _attached(
+    mesh: Mesh, interfaces: tuple[Interface, ...], problems: list[BundleProblem]
+) -> list[AttachedInterface]:
+    """Return each interface with its section: an empty one, and a problem, if there is none."""
+    found = []
+    for i, one in enumerate(interfaces):
+        key = f"interface[{i}]" if len(interfaces) > 1 else "interface"
+        section = _section(mesh, f"{key}.section", one, problems)
+        point = section.centre if one.point is None else one.point
+        found.append(
+            AttachedInterface(key, one.name, section, point, one.axes, one.coupling, one.locked)
+        )
+    return found
+
+
 def _section(
-    mesh: Mesh, interface: Interface, problems: list[BundleProblem]
-) -> InterfaceSection | None:
-    key = "interface.section"
+    mesh: Mesh, key: str, interface: Interface, problems: list[BundleProblem]
+) -> InterfaceSection:
     nodes = _group_nodes(mesh, key, interface.section, problems)
     if not len(nodes):
-        return None
+        return InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     if not _spans_a_plane(mesh.points[nodes]):
         message = f'"{interface.section}" lies on one line, so it has no rotation; take a face'
         problems.append(BundleProblem(key, message))
@@ -199,12 +265,22 @@ def _listed(groups: list[str]) -> str:
 
 
 def _check_apart(
-    mesh: Mesh, fixed: Array, section: InterfaceSection | None, problems: list[BundleProblem]
+    mesh: Mesh, fixed: Array, interfaces: list[AttachedInterface], problems: list[BundleProblem]
 ) -> None:
-    shared = 0 if section is None else len(np.intersect1d(fixed, section.node_ids))
-    if shared:
-        message = f"{shared} of its nodes are fixed by [supports]; the two must not touch"
-        problems.append(BundleProblem("interface.section", message))
+    for one in interfaces:
+        shared = len(np.intersect1d(fixed, one.section.node_ids))
+        if shared:
+            message = f"{shared} of its nodes are fixed by [supports]; the two must not touch"
+            problems.append(BundleProblem(f"{one.key}.section", message))
+    for one, other in combinations(interfaces, 2):
+        nodes = np.intersect1d(one.section.node_ids, other.section.node_ids)
+        if nodes.size:
+            place = ", ".join(f"{x:.4g}" for x in mesh.points[nodes[0]])
+            message = (
+                f'"{other.name}" shares {nodes.size} nodes with "{one.name}", such as the one at '
+                f"({place}) m; a node can follow one interface only, so take sections apart"
+            )
+            problems.append(BundleProblem(f"{other.key}.section", message))
 
 
 def _spans_a_plane(points: Array) -> bool:

@@ -96,7 +96,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
         displacement=nodes[surface.nodes],
         displacement_slopes=slopes[surface.nodes],
         stress=stress[kept],
-        stress_slopes=changes[kept] if kept.stop is None else np.empty((0, 6, 6)),
+        stress_slopes=changes[kept] if kept.stop is None else changes[:0],
         places=places[kept],
         materials=materials[kept],
         regions=regions,
