@@ -8,7 +8,7 @@ q = (t, L theta) about the mesh's centre with L the mesh's size, and moves a nod
 
 Supports say N q = 0, nodes that two bodies share say N q_1 = N q_2, a rigid coupling says the same
 of section and interface, a distributed one that the interface moves as the section does in the
-mean (least squares), and locked freedoms hold the interface. What satisfies all of this is the
+mean (least squares), and locked freedoms hold the interface; each of several likewise. What satisfies all of this is the
 null space of a small dense matrix.
 """
 
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.component import AttachedInterface, ComponentModel
 from wrenchbook.fea.inspection.bodies import Bodies
 from wrenchbook.fea.spec.schema import FREEDOMS
 
@@ -38,7 +38,8 @@ def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
     equations = _Equations(component, bodies)
     equations.hold_supports()
     equations.join_bodies()
-    equations.tie_interface()
+    for number, interface in enumerate(component.interfaces, start=bodies.count):
+        equations.tie_interface(interface, number)
     free = equations.null_space()
     found = []
     for number in range(bodies.count):
@@ -63,7 +64,7 @@ def describe(motion: Array, centre: Array, extent: float) -> str:
 
 
 class _Equations:
-    """Rows of a matrix over the motions of all bodies, the interface's last."""
+    """Rows of a matrix over the motions of all bodies, the interfaces' last."""
 
     def __init__(self, component: ComponentModel, bodies: Bodies) -> None:
         self.component = component
@@ -91,13 +92,12 @@ class _Equations:
                 moves = _condensed(self._moves(shared[self.owner[shared] == other]))
                 self._add({number: moves, other: -moves})
 
-    def tie_interface(self) -> None:
-        """Tie the interface to the section, and hold its locked freedoms."""
-        interface = self.bodies.count
-        section = self.component.section
+    def tie_interface(self, attached: AttachedInterface, interface: int) -> None:
+        """Tie an interface, the motion of that number, to its section; hold locked freedoms."""
+        section = attached.section
         owner = self.owner[section.node_ids]
         moves_of = {n: self._moves(section.node_ids[owner == n]) for n in np.unique(owner).tolist()}
-        if self.component.coupling == "rigid":
+        if attached.coupling == "rigid":
             for number, moves in moves_of.items():
                 tie = _condensed(moves)
                 self._add({number: tie, interface: -tie})
@@ -106,10 +106,10 @@ class _Equations:
             own = {n: (moves.T * weights[n]) @ moves for n, moves in moves_of.items()}
             whole = np.linalg.inv(sum(own.values(), np.zeros((6, 6))))
             self._add({n: -whole @ one for n, one in own.items()} | {interface: np.eye(6)})
-        at_point = self._moves_of(self.component.point[None])
-        for name in self.component.locked:
+        at_point = self._moves_of(attached.point[None])
+        for name in attached.locked:
             freedom = FREEDOMS.index(name)
-            axis = self.component.axes[freedom % 3]
+            axis = attached.axes[freedom % 3]
             row = axis @ at_point if freedom < 3 else np.concatenate([np.zeros(3), axis])
             self._add({interface: row[None]})
 
@@ -133,7 +133,8 @@ class _Equations:
         return moves.reshape(-1, 6)
 
     def _add(self, parts: dict[int, Array]) -> None:
-        rows = np.zeros((len(next(iter(parts.values()))), 6 * (self.bodies.count + 1)))
+        count = self.bodies.count + len(self.component.interfaces)
+        rows = np.zeros((len(next(iter(parts.values()))), 6 * count))
         for number, part in parts.items():
             rows[:, 6 * number : 6 * number + 6] = part
         self.rows.append(rows)
