@@ -46,8 +46,8 @@ class Solution:
     displacement
         Shape (6 i,), m and rad: translation and rotation vector of each.
     compliance
-        Shape (6 i, 6 i): d displacement / d wrench at this wrench; rows and columns of locked freedoms
-        are zero. NaN where it is unknown: a nonlinear deck.
+        Shape (6 i, 6 i): d displacement / d wrench at this wrench; rows and columns of locked
+        freedoms are zero. NaN where it is unknown: a nonlinear deck.
     strain_energy
         J. NaN where it is unknown: a nonlinear deck.
     work

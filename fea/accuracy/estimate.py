@@ -38,9 +38,10 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``mesh``: shape (6 i, 6 i) as lists, not negative, m/N, m/(N·m), rad/N, rad/(N·m): the bar at a
-        wrench is this times the size of each load. ``mesh_stiffness``: the same shape, the inverse
-        units: what the mesh adds to the stiffness, signed. ``mesh_basis``, in words.
+        ``mesh``: shape (6 i, 6 i) for i interfaces, as lists, not negative, m/N, m/(N·m), rad/N,
+        rad/(N·m): the bar at a wrench is this times the size of each load. ``mesh_stiffness``: the
+        same shape, the inverse units: what the mesh adds to the stiffness, signed.
+        ``mesh_basis``, in words.
         ``cell_size``: the middle one of all edges' lengths, m. ``loads``: the largest of the range,
         six, N and N·m, 0 on locked freedoms: the guide takes these. Of a linear component also
         ``linearity`` (six numbers, m and rad, or None)

@@ -139,15 +139,16 @@ def _sums(corners: Array, nodes: int) -> csr_array:
 
 
 def _energy(piece: _Piece, smooth: Array) -> Array:
-    """Return the strain energies (loads, loads) of the differences of smooth and found fields, twice."""
+    """Return twice the strain energies (loads, loads) of what smooth and found fields differ by."""
     cells, corners = piece.corners.shape
+    loads = piece.fields.shape[1]
     recovered = piece.functions @ smooth[piece.corners].reshape(cells, corners, -1)
-    recovered = recovered.reshape(cells, -1, 2, piece.fields.shape[1], 3, 3).transpose(2, 3, 0, 1, 4, 5)
+    recovered = recovered.reshape(cells, -1, 2, loads, 3, 3).transpose(2, 3, 0, 1, 4, 5)
     strain, stress = recovered - piece.fields
     if piece.projected:
         strain, stress = _deviatoric(strain), _deviatoric(stress)
     strain = strain * piece.weights[:, :, None, None]
-    return strain.reshape(len(strain), -1) @ stress.reshape(len(stress), -1).T
+    return strain.reshape(loads, -1) @ stress.reshape(loads, -1).T
 
 
 def _deviatoric(tensor: Array) -> Array:

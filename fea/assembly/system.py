@@ -97,7 +97,9 @@ class System:
     def balance_at_rest(self) -> Balance:
         """The undeformed, unloaded state."""
         state = self.coupling.start()
-        return self._balance(state, np.zeros_like(state.interface), np.zeros_like(state.nodes), 0.0, 1.0)
+        return self._balance(
+            state, np.zeros_like(state.interface), np.zeros_like(state.nodes), 0.0, 1.0
+        )
 
     def _balance(
         self, state: CoupledState, wrench: Array, forces: Array, energy: float, least: float

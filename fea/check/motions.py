@@ -8,8 +8,8 @@ q = (t, L theta) about the mesh's centre with L the mesh's size, and moves a nod
 
 Supports say N q = 0, nodes that two bodies share say N q_1 = N q_2, a rigid coupling says the same
 of section and interface, a distributed one that the interface moves as the section does in the
-mean (least squares), and locked freedoms hold the interface; each of several likewise. What satisfies all of this is the
-null space of a small dense matrix.
+mean (least squares), and locked freedoms hold the interface; each of several likewise. What
+satisfies all of this is the null space of a small dense matrix.
 """
 
 from __future__ import annotations

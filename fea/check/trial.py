@@ -44,7 +44,8 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     result
         ``size`` (three numbers, m), ``volume`` (m^3), ``mass`` (kg; None where a material tells no
         density), ``deflection``: the largest of each output over the load range by the linear
-        compliance, six numbers an interface, m and rad; None where it was not tried or ``failed`` (then true).
+        compliance, six numbers an interface, m and rad; None where it was not tried or ``failed``
+        (then true).
     problems
         ``mechanism`` and ``ill_conditioned``, in the words of the failure.
     """
@@ -135,8 +136,8 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
     -------
     vibration
         ``mass`` (kg, of the component; None without any density), ``first_frequency`` (Hz),
-        ``motion`` of the interfaces (6 numbers each, m and rad, of length one), ``riding_mass`` (kg);
-        empty where neither the bundle nor the argument tells a mass, or no frequency was found.
+        ``motion`` of the interfaces (6 numbers each, m and rad, of length one), ``riding_mass``
+        (kg); empty where neither the bundle nor the argument tells a mass, or no frequency was found.
     warnings
         Why not, or that some materials count as weightless.
     """

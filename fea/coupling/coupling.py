@@ -161,9 +161,7 @@ class _Seat(NamedTuple):
     def state(self, whole: CoupledState) -> CoupledState:
         """Return the section's part of a state."""
         own = self.freedoms
-        return CoupledState(
-            self.inwards(whole.nodes), whole.interface[own], whole.multipliers[own]
-        )
+        return CoupledState(self.inwards(whole.nodes), whole.interface[own], whole.multipliers[own])
 
 
 class Coupling:

@@ -3,8 +3,8 @@
 ``python -m wrenchbook.fea.export.calculix BUNDLE > plate.inp`` prints it.
 
 The deck is complete: mesh, materials, supports, rigid interfaces and one step that takes the
-wrench from $FX $FY $FZ $MX $MY $MZ, of an interface with a name from $NAME.FX and so on. It is the start of a ``[deck]`` that an expert then goes on
-with (contact, plasticity, bolts), and the example that ``data/components/plate_ccx`` ships.
+wrench from $FX $FY $FZ $MX $MY $MZ, of an interface with a name from $NAME.FX and so on. It
+is the start of a ``[deck]`` that an expert then goes on with (contact, plasticity, bolts), and the example that ``data/components/plate_ccx`` ships.
 """
 
 from __future__ import annotations

@@ -26,11 +26,11 @@ class LinearResponse:
     Attributes
     ----------
     compliance
-        Shape (6 i, 6 i), i interfaces, symmetric: displacement = compliance @ wrench; m/N, rad/N, m/(N·m) and
-        rad/(N·m). Locked freedoms are zero.
+        Shape (6 i, 6 i) for i interfaces, symmetric: displacement = compliance @ wrench; m/N,
+        rad/N, m/(N·m) and rad/(N·m). Locked freedoms are zero.
     energies
-        Shape (6 i, 6 i): twice the strain energies of pairs of unit loads, from the strains: equal to
-        `compliance` but for roundoff, and in its units.
+        Shape (6 i, 6 i): twice the strain energies of pairs of unit loads, from the strains: equal
+        to `compliance` but for roundoff, and in its units.
     fields
         Shape (n, 3, 6 i): nodal displacements per unit of each load, m/N and m/(N·m).
     condition

@@ -181,6 +181,11 @@ class Interface:
         """Whether it does not move: the others' displacements are relative to it."""
         return self.locked == FREEDOMS
 
+    @property
+    def supports(self) -> bool:
+        """Whether it holds the part so that [supports] may be absent: held, and rigid."""
+        return self.held and self.coupling == "rigid"
+
 
 @dataclass(frozen=True)
 class Analysis:
@@ -212,7 +217,7 @@ class DeclaredRange:
             If there are more than 2^18: three interfaces have so many.
         """
         ends = [tuple(dict.fromkeys(pair)) for pair in zip(self.low, self.high, strict=True)]
-        if 2**_MOST_LOADS < math.prod(len(pair) for pair in ends):
+        if math.prod(len(pair) for pair in ends) > 2**_MOST_LOADS:
             raise ValueError(f"a range of more than {_MOST_LOADS} loads has too many corners")
         return np.array(list(product(*ends)))
 
