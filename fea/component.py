@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import combinations
 
 import numpy as np
 
@@ -32,16 +32,35 @@ from wrenchbook.fea.spec.schema import (
 Array = np.ndarray
 
 _ZERO = 1e-9
-"""Of a projection or a singular value, relative: axes are written to about so many digits."""
+"""Of a projection, relative: axes are written to about so many digits."""
 
 
-class Mount(NamedTuple):
-    """A bushing (`fea.spec.schema.Bushing`) with its nodes found; `point` has shape (3,), m."""
+@dataclass(frozen=True, eq=False)
+class AttachedInterface:
+    """An interface with its section found in the mesh.
 
+    Attributes
+    ----------
+    key
+        Where the bundle has it: ``interface``, ``interface[1]`` or ``supports.bushing[0]``.
+    name
+        Empty where it is the component's only one, and of a bushing.
+    section, point, axes, coupling, locked
+        As `ComponentModel` has them of its first interface.
+    """
+
+    key: str
+    name: str
     section: InterfaceSection
     point: Array
-    hold: Interface
-    stiffness: Array
+    axes: Array
+    coupling: str
+    locked: tuple[str, ...]
+
+    @property
+    def where(self) -> str:
+        """The key of its nodes."""
+        return f"{self.key}.{'group' if self.key.startswith('supports') else 'section'}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,17 +78,19 @@ class ComponentModel:
         each cell's material.
     fixed_nodes
         Sorted nodes that do not move, shape (k,), int64.
-    held
-        Nodes that slide, none of them fixed or tied to the interface, sorted, shape (k,), and
-        projectors on the directions in which each is held, in the mesh's axes, shape (k, 3, 3).
-    mounts
-        The bushings; no node is in two of them, in one and the section, or in one and fixed.
     section
-        The interface's nodes with their area weights.
+        The nodes of the interface, or the first of several, with their area weights.
     point
-        The interface's reference point, shape (3,), m.
+        Its reference point, shape (3,), m.
     axes
-        Shape (3, 3), row i is the direction of the interface frame's axis i.
+        Shape (3, 3), row i is the direction of its frame's axis i. The equations are in this frame.
+    sliding
+        Nodes that slide, none of them fixed or tied to an interface, sorted, shape (k,), and
+        projectors on the directions in which each is held, in the mesh's axes, shape (k, 3, 3).
+    bushings
+        Each with its stiffness, shape (6, 6); no node is in two, in a section, or fixed.
+    name, others
+        Its name, empty if it is alone; the other interfaces.
     """
 
     bundle: Bundle
@@ -83,14 +104,29 @@ class ComponentModel:
     coupling: str
     locked: tuple[str, ...]
     analysis: Analysis
-    held: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
-    mounts: tuple[Mount, ...] = ()
+    name: str = ""
+    others: tuple[AttachedInterface, ...] = ()
+    sliding: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
+    bushings: tuple[tuple[AttachedInterface, Array], ...] = ()
 
     @property
     def supported_nodes(self) -> Array:
         """Nodes that any support holds, sorted, shape (k,), int64."""
-        groups = [mount.section.node_ids for mount in self.mounts]
-        return np.unique(np.concatenate([self.fixed_nodes, self.held[0], *groups]))
+        groups = [one.section.node_ids for one, _ in self.bushings]
+        return np.unique(np.concatenate([self.fixed_nodes, self.sliding[0], *groups]))
+
+    @property
+    def interfaces(self) -> tuple[AttachedInterface, ...]:
+        """All interfaces, in the order of their loads and displacements."""
+        key = "interface[0]" if self.others else "interface"
+        own = (self.section, self.point, self.axes, self.coupling, self.locked)
+        return AttachedInterface(key, self.name, *own), *self.others
+
+    @property
+    def active(self) -> Array:
+        """Indices of the freedoms that are not locked, six an interface, shape (k,), int64."""
+        every = [name not in one.locked for one in self.interfaces for name in FREEDOMS]
+        return np.flatnonzero(every)
 
 
 def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
@@ -102,37 +138,42 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         If the bundle has nothing to solve, its mesh cannot be read, a group is not in the mesh, a
         cell has no material or two, or supports or interface cannot hold a body.
     """
-    if bundle.mesh is None or bundle.interface is None or bundle.supports is None:
+    supported = bundle.supports is not None or any(one.supports for one in bundle.interfaces)
+    if bundle.mesh is None or bundle.interface is None or not supported:
         message = "missing; a component without a [mesh] is a table and cannot be solved"
         raise BundleError([BundleProblem("mesh", message)])
     mesh = mesh_of(bundle.mesh) if mesh is None else mesh
     problems = cell_problems(mesh) + first_order_problems(mesh)
     material_of_cells = _materials(mesh, bundle.materials, problems)
-    fixed = _fixed_nodes(mesh, bundle.supports, problems)
-    held = _held(mesh, bundle.supports.sliding, fixed, problems)
-    bushings = {f"supports.bushing[{i}].group": b for i, b in enumerate(bundle.supports.bushings)}
-    holds = {"interface.section": bundle.interface} | {k: b.hold for k, b in bushings.items()}
-    joints = _joints(mesh, holds, problems)
-    _check_apart(fixed, {key: section for key, (section, _, _) in joints.items()}, problems)
+    supports = bundle.supports or Supports()
+    fixed = _fixed_nodes(mesh, supports, problems)
+    sliding = _sliding(mesh, supports.sliding, fixed, problems)
+    first, *others = _attached(mesh, bundle.interfaces, problems)
+    springs = [
+        _attach(mesh, f"supports.bushing[{i}].group", own.hold, problems)
+        for i, own in enumerate(supports.bushings)
+    ]
+    for one in (first, *others, *springs):
+        sliding = _left_sliding(mesh, sliding, one, problems)
+    _check_apart(mesh, fixed, [first, *others, *springs], problems)
     if problems:
         raise BundleError(problems)
-    for key, joint in joints.items():
-        held = _left_sliding(mesh, held, key, *joint)
-    section, point, interface = joints["interface.section"]
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
         materials=bundle.materials,
         material_of_cells=material_of_cells,
         fixed_nodes=fixed,
-        section=section,
-        point=point,
-        axes=interface.axes,
-        coupling=interface.coupling,
-        locked=interface.locked,
+        section=first.section,
+        point=first.point,
+        axes=first.axes,
+        coupling=first.coupling,
+        locked=first.locked,
         analysis=bundle.analysis,
-        held=held,
-        mounts=tuple(Mount(*joints[key], own.stiffness) for key, own in bushings.items()),
+        name=first.name,
+        others=tuple(others),
+        sliding=sliding,
+        bushings=tuple(zip(springs, (own.stiffness for own in supports.bushings), strict=True)),
     )
 
 
@@ -194,9 +235,7 @@ def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) 
     names = [(f"supports.fixed[{i}]", name) for i, name in enumerate(supports.fixed)]
     found = [_group_nodes(mesh, key, name, problems) for key, name in names]
     nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *found]))
-    if (
-        supports.sliding or supports.bushings
-    ):  # then `fea.check.motions` tells whether all hold the part
+    if not found or supports.sliding or supports.bushings:  # `fea.check.motions` looks at all
         return nodes
     if all(len(ids) for ids in found) and not _spans_a_plane(mesh.points[nodes]):
         message = "its nodes lie on one line, about which the component can turn; fix more"
@@ -204,12 +243,31 @@ def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) 
     return nodes
 
 
-def _held(
-    mesh: Mesh, sliding: Iterable[Sliding], fixed: Array, problems: list[BundleProblem]
+def _attached(
+    mesh: Mesh, interfaces: tuple[Interface, ...], problems: list[BundleProblem]
+) -> list[AttachedInterface]:
+    """Return each interface with its section: an empty one, and a problem, if there is none."""
+    keys = [f"interface[{i}]" for i in range(len(interfaces))]
+    keys = ["interface"] if len(keys) == 1 else keys
+    pairs = zip(keys, interfaces, strict=True)
+    return [_attach(mesh, f"{key}.section", own, problems) for key, own in pairs]
+
+
+def _attach(
+    mesh: Mesh, key: str, own: Interface, problems: list[BundleProblem]
+) -> AttachedInterface:
+    section = _section(mesh, key, own, problems)
+    point = section.centre if own.point is None else own.point
+    table = key.rpartition(".")[0]
+    return AttachedInterface(table, own.name, section, point, own.axes, own.coupling, own.locked)
+
+
+def _sliding(
+    mesh: Mesh, groups: Iterable[Sliding], fixed: Array, problems: list[BundleProblem]
 ) -> tuple[Array, Array]:
     """Return the nodes that slide and the projectors on what holds each; fixed ones are none."""
     spans = np.zeros((len(mesh.points), 3, 3))
-    for i, own in enumerate(sliding):
+    for i, own in enumerate(groups):
         nodes = _group_nodes(mesh, f"supports.sliding[{i}].group", own.group, problems)
         spans[nodes] += own.directions.T @ own.directions
     spans[fixed] = 0.0
@@ -218,64 +276,40 @@ def _held(
     return nodes, (axes * (sizes > _ZERO)[:, None]) @ axes.swapaxes(1, 2)
 
 
-def _joints(
-    mesh: Mesh, holds: Mapping[str, Interface], problems: list[BundleProblem]
-) -> dict[str, tuple[InterfaceSection, Array, Interface]]:
-    """Return by key each section with its reference point, shape (3,), m, those found."""
-    joints = {}
-    for key, hold in holds.items():
-        section = _section(mesh, key, hold, problems)
-        if section is not None:
-            point = section.centre if hold.point is None else hold.point
-            joints[key] = section, point, hold
-    return joints
-
-
 def _left_sliding(
-    mesh: Mesh,
-    held: tuple[Array, Array],
-    key: str,
-    section: InterfaceSection,
-    point: Array,
-    own: Interface,
+    mesh: Mesh, sliding: tuple[Array, Array], own: AttachedInterface, problems: list[BundleProblem]
 ) -> tuple[Array, Array]:
     """Return the sliding nodes less those that a rigid coupling ties.
 
-    Raises
-    ------
-    BundleError
-        If locked freedoms do not hold a rigid section's sliding nodes, or all nodes of a
-        distributed one slide, so that their mean is not free.
+    It is a problem if locked freedoms do not hold a rigid section's sliding nodes, or if all nodes
+    of a distributed one slide, so that their mean is not free.
     """
-    nodes, projectors = held
-    shared = np.isin(nodes, section.node_ids)
-    arms = (mesh.points[nodes[shared]] - point) @ own.axes.T
-    if own.coupling == "rigid" and _stay(arms, own.axes @ projectors[shared] @ own.axes.T, own):
-        return nodes[~shared], projectors[~shared]
-    if own.coupling == "distributed" and shared.sum() < len(section.node_ids):
-        return held
-    message = (
-        f"{shared.sum()} of its nodes slide by [supports], but its free motions would move them "
-        "off; name fewer nodes, or lock these motions of a rigid interface (interface.locked)"
-    )
-    raise BundleError([BundleProblem(key, message)])
-
-
-def _stay(arms: Array, held: Array, own: Interface) -> bool:
-    """Return whether motions of an interface leave nodes at `arms`, (s, 3), where `held` says."""
+    nodes, projectors = sliding
+    shared = np.isin(nodes, own.section.node_ids)
+    if not shared.any() or (
+        own.coupling == "distributed" and shared.sum() < len(own.section.node_ids)
+    ):
+        return sliding
+    arms = (mesh.points[nodes[shared]] - own.point) @ own.axes.T
     active = np.array([name not in own.locked for name in FREEDOMS])
     motion = active * np.array([0.3, 0.5, 0.7, 0.2, 0.6, 0.4])  # any: metres, radians
     moved = motion[:3] + arms @ rotation_less_identity(motion[3:]).T
-    off = np.abs(held @ moved[:, :, None]).max(initial=0.0)
-    return bool(off <= _ZERO * max(np.abs(arms).max(initial=0.0), 1.0))
+    off = np.abs(projectors[shared] @ (moved @ own.axes)[:, :, None]).max()
+    if own.coupling == "distributed" or off > _ZERO * max(np.abs(arms).max(), 1.0):
+        message = (
+            f"{shared.sum()} of its nodes slide by [supports], but its free motions would move "
+            "them off; name fewer nodes, or lock these motions of a rigid interface (locked)"
+        )
+        problems.append(BundleProblem(own.where, message))
+    return nodes[~shared], projectors[~shared]
 
 
 def _section(
     mesh: Mesh, key: str, interface: Interface, problems: list[BundleProblem]
-) -> InterfaceSection | None:
+) -> InterfaceSection:
     nodes = _group_nodes(mesh, key, interface.section, problems)
     if not len(nodes):
-        return None
+        return InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     if not _spans_a_plane(mesh.points[nodes]):
         message = f'"{interface.section}" lies on one line, so it has no rotation; take a face'
         problems.append(BundleProblem(key, message))
@@ -312,16 +346,23 @@ def _listed(groups: list[str]) -> str:
 
 
 def _check_apart(
-    fixed: Array, sections: Mapping[str, InterfaceSection], problems: list[BundleProblem]
+    mesh: Mesh, fixed: Array, interfaces: list[AttachedInterface], problems: list[BundleProblem]
 ) -> None:
-    taken = {"fixed by [supports]": fixed}
-    for key, section in sections.items():
-        for what, nodes in taken.items():
-            shared = len(np.intersect1d(nodes, section.node_ids))
-            if shared:
-                message = f"{shared} of its nodes are {what}; the two must not touch"
-                problems.append(BundleProblem(key, message))
-        taken[f"in {key}"] = section.node_ids
+    for one in interfaces:
+        shared = len(np.intersect1d(fixed, one.section.node_ids))
+        if shared:
+            message = f"{shared} of its nodes are fixed by [supports]; the two must not touch"
+            problems.append(BundleProblem(one.where, message))
+    for one, other in combinations(interfaces, 2):
+        nodes = np.intersect1d(one.section.node_ids, other.section.node_ids)
+        if nodes.size:
+            place = ", ".join(f"{x:.4g}" for x in mesh.points[nodes[0]])
+            message = (
+                f'"{other.name or other.key}" shares {nodes.size} nodes with '
+                f'"{one.name or one.key}", such as the one at ({place}) m; a node can follow one '
+                "interface only, so take sections apart"
+            )
+            problems.append(BundleProblem(other.where, message))
 
 
 def _spans_a_plane(points: Array) -> bool:

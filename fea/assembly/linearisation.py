@@ -23,7 +23,7 @@ class Balance:
     state
         The configuration.
     wrench
-        Shape (6,), N and N·m.
+        Shape (6 i,), N and N·m, of i interfaces.
     forces
         Shape (n, 3), N: internal nodal forces.
     energy
@@ -177,30 +177,30 @@ class Linearisation:
 
     @cached_property
     def border_response(self) -> Array:
-        """Change of the border per change of the wrench, shape (border, 6), m/N and its like."""
+        """Change of the border per change of the wrench, shape (border, 6 i), m/N and its like."""
         return self._solve_border(self.wrench_columns)
 
     @property
     def nodal_response(self) -> Array:
-        """Change of all nodes per change of the wrench, shape (n, 3, 6), m/N and m/(N·m)."""
+        """Change of all nodes per change of the wrench, shape (n, 3, 6 i), m/N and m/(N·m)."""
         return (self.border.ties - self._solved) @ self.border_response
 
     @property
     def wrench_columns(self) -> Array:
-        """Change of the border's load per change of the wrench, shape (border, 6), dimensionless.
+        """Change of the border's load per change of the wrench, shape (border, 6 i), dimensionless.
 
         Columns of locked freedoms are zero.
         """
-        coupling = self._coupling
-        columns = np.zeros((coupling.border, 6))
-        columns[:, coupling.active] = coupling.wrench_columns(self.state)[:, coupling.active]
+        active, whole = self._coupling.active, self._coupling.wrench_columns(self.state)
+        columns = np.zeros_like(whole)
+        columns[:, active] = whole[:, active]
         return columns
 
     @property
     def compliance(self) -> Array:
-        """Change of the interface displacement per change of the wrench.
+        """Change of the interface displacements per change of the wrench.
 
-        Shape (6, 6): m/N, rad/N, m/(N·m) and rad/(N·m).
+        Shape (6 i, 6 i): m/N, rad/N, m/(N·m) and rad/(N·m).
         """
         return self._coupling.displacement_rows(self.border_response)
 

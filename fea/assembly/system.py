@@ -42,13 +42,13 @@ class System:
         return self.body.dissection.unknowns + self.coupling.border - self.coupling.multipliers
 
     def balance(self, state: CoupledState, wrench: Array) -> Balance:
-        """Weigh the internal forces of a state against a wrench, shape (6,), N and N·m."""
+        """Weigh the internal forces of a state against a wrench, shape (6 i,), N and N·m."""
         forces, energy, least = self.body.forces(state.nodes)
         energy += self.coupling.spring_energy(state)
         return self._balance(state, wrench, forces, energy, least)
 
     def reload(self, balance: Balance, wrench: Array) -> Balance:
-        """Return the balance of the same state under another wrench, shape (6,), N and N·m."""
+        """Return the balance of the same state under another wrench, shape (6 i,), N and N·m."""
         return self._balance(
             balance.state, wrench, balance.forces, balance.energy, balance.least_stretch
         )
@@ -98,7 +98,9 @@ class System:
     def balance_at_rest(self) -> Balance:
         """The undeformed, unloaded state."""
         state = self.coupling.start()
-        return self._balance(state, np.zeros(6), np.zeros_like(state.nodes), 0.0, 1.0)
+        return self._balance(
+            state, np.zeros_like(state.interface), np.zeros_like(state.nodes), 0.0, 1.0
+        )
 
     def _balance(
         self, state: CoupledState, wrench: Array, forces: Array, energy: float, least: float

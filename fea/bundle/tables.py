@@ -37,6 +37,8 @@ LARGEST_LOAD = 1e100
 _DIRECTIONS = ("x", "y", "z")
 
 _ROUNDING = 1e-9  # of a stiffness, relative to its diagonal
+_NO_LOADS = DeclaredRange(np.zeros(len(FREEDOMS)), np.zeros(len(FREEDOMS)))
+"""Of an interface that is held."""
 
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
@@ -122,13 +124,49 @@ def _stiffness(keys: Keys) -> np.ndarray | None:
     return None
 
 
-def read_interface(keys: Keys | None) -> Interface | None:
-    """Return ``[interface]``."""
-    if keys is None:
-        return None
+def read_interfaces(top: Keys) -> list[tuple[Interface | None, DeclaredRange | None]]:
+    """Return ``[interface]``, without a range, or every ``[[interface]]`` with its own."""
+    if not top.is_array("interface"):
+        keys = top.table("interface", required=False)
+        return [] if keys is None else [(_interface(keys), None)]
+    found = [_named_interface(keys) for keys in top.tables("interface")]
+    if len(found) == 1:
+        top.wrong("interface", "is one alone; write [interface], without a name, or add others")
+    names = [own.name for own, _ in found if own is not None]
+    if len(set(names)) < len(names):
+        top.wrong("interface", "a name is there twice; each interface needs its own")
+    if sum(own is not None and own.held for own, _ in found) > 1:
+        top.wrong("interface", "only one can be held: it is the reference of all displacements")
+    return found
+
+
+def _named_interface(keys: Keys) -> tuple[Interface | None, DeclaredRange | None]:
+    """Return one ``[[interface]]`` and its range."""
+    name = read_name(keys)
+    held = keys.flag("held", required=False) or False
+    loads = keys.table("range", required=not held)
+    if held and ("locked" in keys or loads is not None):
+        keys.wrong("held", "an interface that is held takes neither locked nor range; leave it out")
+    return _interface(keys, name or "", held), _loads(loads) or _NO_LOADS
+
+
+def read_range(
+    top: Keys, interfaces: list[tuple[Interface | None, DeclaredRange | None]]
+) -> DeclaredRange | None:
+    """Return ``[range]``, or the ranges of several interfaces, as `read_interfaces` has them."""
+    own = [one for _, one in interfaces if one is not None]
+    if not own:
+        return _loads(top.table("range"))
+    if top.table("range", required=False) is not None:
+        top.wrong("range", "each [[interface]] has its own; write range = {force, moment} there")
+    low, high = (np.concatenate([getattr(one, end) for one in own]) for end in ("low", "high"))
+    return DeclaredRange(low, high)
+
+
+def _interface(keys: Keys, name: str = "", held: bool = False) -> Interface | None:
     hold, locked = _hold(keys, "section"), _locked(keys)
     keys.close()
-    return None if hold is None else replace(hold, locked=locked)
+    return hold and replace(hold, locked=FREEDOMS if held else locked, name=name)
 
 
 def _hold(keys: Keys, group: str) -> Interface | None:
@@ -162,13 +200,13 @@ def read_analysis(keys: Keys | None) -> Analysis:
     return Analysis(nonlinear is not False, integration or "reduced")
 
 
-def read_range(keys: Keys | None) -> DeclaredRange | None:
-    """Return ``[range]``, the loads expected in N and N·m."""
+def _loads(keys: Keys | None) -> DeclaredRange | None:
+    """Return the loads expected in N and N·m."""
     if keys is None:
         return None
     bounds = _bounds(keys, "force", "N") + _bounds(keys, "moment", "N·m")
     keys.close()
-    if len(bounds) != 6:
+    if len(bounds) != len(FREEDOMS):
         return None
     low, high = np.array(bounds).T
     return DeclaredRange(low, high)

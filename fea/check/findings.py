@@ -63,7 +63,7 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
 
 def _too_few_supports(component: ComponentModel, motions: Array) -> BundleProblem:
     words = f"the part is a mechanism, {_motions_in_words(component, motions)}"
-    if len(component.held[0]) or component.mounts:
+    if len(component.sliding[0]) or component.bushings:
         return BundleProblem("supports", f"{words}; hold these as well")
     message = f"{words}; fix at least three points that are not on one line"
     return BundleProblem("supports.fixed", message)

@@ -2,9 +2,9 @@
 
 ``python -m wrenchbook.fea.export.calculix BUNDLE > plate.inp`` prints it.
 
-The deck is complete: mesh, materials, supports, a rigid interface and one step that takes the
-wrench from $FX $FY $FZ $MX $MY $MZ. It is the start of a ``[deck]`` that an expert then goes on
-with (contact, plasticity, bolts), and the example that ``data/components/plate_ccx`` ships.
+The deck is complete: mesh, materials, supports, rigid interfaces and one step that takes the
+wrench from $FX $FY $FZ $MX $MY $MZ, of an interface with a name from $NAME.FX and so on. It
+is the start of a ``[deck]`` that an expert then goes on with (contact, plasticity, bolts), and the example that ``data/components/plate_ccx`` ships.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
-from wrenchbook.fea.component import ComponentModel, build
+from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.spec.orthotropic import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
@@ -51,7 +51,7 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
 
     Its global axes are the interface frame's, so the wrench and the motion need no turning. The
     printed motion is that of the sets REF (translation) and ROT (rotation vector), as the reader
-    "calculix-dat" takes it.
+    "calculix-dat" takes it; of an interface with a name REF_NAME and ROT_NAME.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
     ------
     BundleError
         If CalculiX has no counterpart: a distributed coupling, whose mean motion it does not
-        report, or cells it has no element for.
+        report, interfaces of different axes, or cells it has no element for.
     """
     _require_counterparts(component)
     lines = [*(f"** {comment}" for comment in comments), *_body(component), *_step(component)]
@@ -73,18 +73,20 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
 
 def _require_counterparts(component: ComponentModel) -> None:
     problems = []
-    if component.coupling != "rigid":
-        message = (
-            f'CalculiX does not report the motion of a "{component.coupling}" coupling; write the '
-            'deck of the component with coupling = "rigid"'
-        )
-        problems.append(BundleProblem("interface.coupling", message))
-    for i, mount in enumerate(component.mounts):
-        if mount.hold.coupling != "rigid":
+    for one in component.interfaces:
+        if one.coupling != "rigid":
             message = (
-                'CalculiX has no spring on a mean motion; write the deck with coupling = "rigid"'
+                f'CalculiX does not report the motion of a "{one.coupling}" coupling; write the '
+                'deck of the component with coupling = "rigid"'
             )
-            problems.append(BundleProblem(f"supports.bushing[{i}].coupling", message))
+            problems.append(BundleProblem(f"{one.key}.coupling", message))
+        if not np.array_equal(one.axes, component.axes):
+            message = "a deck has one frame; give every interface the axes of the first"
+            problems.append(BundleProblem(f"{one.key}.axes", message))
+    for one, _ in component.bushings:
+        if one.coupling != "rigid":
+            message = 'a deck has no spring on a mean motion; write it with coupling = "rigid"'
+            problems.append(BundleProblem(f"{one.key}.coupling", message))
     for block in component.mesh.blocks:
         if block.kind not in _ELEMENTS:
             known = ", ".join(_ELEMENTS)
@@ -97,12 +99,12 @@ def _require_counterparts(component: ComponentModel) -> None:
 def _body(component: ComponentModel) -> Iterator[str]:
     """Yield everything above the step."""
     points = component.mesh.points @ component.axes.T
-    place = _numbers(component.axes @ component.point)
-    ref, rot = len(points) + 1, len(points) + 2
     yield "*NODE, NSET=ALL"
     yield from (f"{i}, {_numbers(point)}" for i, point in enumerate(points, start=1))
-    yield f"*NODE, NSET=REF\n{ref}, {place}"
-    yield f"*NODE, NSET=ROT\n{rot}, {place}"
+    for i, one in enumerate(component.interfaces):
+        place = _numbers(component.axes @ one.point)
+        yield f"*NODE, NSET={_set('REF', one)}\n{len(points) + 2 * i + 1}, {place}"
+        yield f"*NODE, NSET={_set('ROT', one)}\n{len(points) + 2 * i + 2}, {place}"
     yield from _elements(component)
     for i, material in enumerate(component.materials):
         yield f"*MATERIAL, NAME=M{i}"
@@ -115,14 +117,22 @@ def _body(component: ComponentModel) -> Iterator[str]:
     if component.fixed_nodes.size:
         yield "*NSET, NSET=FIXED"
         yield from _rows(component.fixed_nodes + 1)
-        yield "*BOUNDARY\nFIXED, 1, 3"
     yield from _sliding(component)
     yield from _bushings(component)
-    yield "*NSET, NSET=SECTION"
-    yield from _rows(component.section.node_ids + 1)
-    yield f"*RIGID BODY, NSET=SECTION, REF NODE={ref}, ROT NODE={rot}"
-    for name in component.locked:
-        yield f"*BOUNDARY\n{_place(name)}, {_axis(name)}"
+    for i, one in enumerate(component.interfaces):
+        ref = len(points) + 2 * i + 1
+        yield f"*NSET, NSET={_set('SECTION', one)}"
+        yield from _rows(one.section.node_ids + 1)
+        yield f"*RIGID BODY, NSET={_set('SECTION', one)}, REF NODE={ref}, ROT NODE={ref + 1}"
+    yield "*BOUNDARY"
+    if component.fixed_nodes.size:
+        yield "FIXED, 1, 3"
+    for one in component.interfaces:
+        yield from (f"{_place(name, one)}, {_axis(name)}" for name in one.locked)
+
+
+def _set(kind: str, interface: AttachedInterface) -> str:
+    return f"{kind}_{interface.name}".upper() if interface.name else kind
 
 
 def _bushings(component: ComponentModel) -> Iterator[str]:
@@ -130,16 +140,16 @@ def _bushings(component: ComponentModel) -> Iterator[str]:
 
     The spring is on a node of its own, whose displacement is that combination of the six freedoms.
     """
-    node = len(component.mesh.points) + 3
+    node = len(component.mesh.points) + 2 * len(component.interfaces) + 1
     element = sum(len(block) for block in component.mesh.blocks) + 1
-    for i, mount in enumerate(component.mounts):
-        ref, place = node, _numbers(component.axes @ mount.point)
+    for i, (own, stiffness) in enumerate(component.bushings):
+        ref, place = node, _numbers(component.axes @ own.point)
         yield f"*NODE\n{ref}, {place}\n{ref + 1}, {place}\n*NSET, NSET=BUSHING{i}"
-        yield from _rows(mount.section.node_ids + 1)
+        yield from _rows(own.section.node_ids + 1)
         yield f"*RIGID BODY, NSET=BUSHING{i}, REF NODE={ref}, ROT NODE={ref + 1}"
         node += 2
-        turn = np.kron(np.eye(2), mount.hold.axes @ component.axes.T)
-        sizes, motions = np.linalg.eigh(mount.stiffness)
+        turn = np.kron(np.eye(2), own.axes @ component.axes.T)
+        sizes, motions = np.linalg.eigh(stiffness)
         for size, motion in zip(sizes, motions.T, strict=True):
             if size <= 0:
                 continue
@@ -155,7 +165,7 @@ def _bushings(component: ComponentModel) -> Iterator[str]:
 
 def _sliding(component: ComponentModel) -> Iterator[str]:
     """Yield what holds sliding nodes: a boundary condition along an axis, or an equation."""
-    nodes, held = component.held
+    nodes, held = component.sliding
     for node, own in zip(nodes + 1, component.axes @ held @ component.axes.T, strict=True):
         first = np.argsort(-np.diagonal(own))[: round(np.trace(own))]  # a dependent one each
         rows = np.linalg.solve(own[np.ix_(first, first)], own[first])
@@ -207,16 +217,25 @@ def _element(block: CellBlock, component: ComponentModel) -> str:
 def _step(component: ComponentModel) -> Iterator[str]:
     yield from _NONLINEAR if component.analysis.nonlinear else _LINEAR
     yield "*CLOAD"
-    for name, placeholder in zip(FREEDOMS, PLACEHOLDERS, strict=True):
-        if name in component.locked:
-            yield f"** {placeholder} acts on a freedom that is held"
-        else:
-            yield f"{_place(name)}, {_axis(name)}, {placeholder}"
-    yield from ["*NODE PRINT, NSET=REF", "U", "*NODE PRINT, NSET=ROT", "U", "*END STEP"]
+    for one in component.interfaces:
+        for name, placeholder in zip(FREEDOMS, placeholders(one.name), strict=True):
+            if name in one.locked:
+                yield f"** {placeholder} acts on a freedom that is held"
+            else:
+                yield f"{_place(name, one)}, {_axis(name)}, {placeholder}"
+    for one in component.interfaces:
+        for kind in ("REF", "ROT"):
+            yield from [f"*NODE PRINT, NSET={_set(kind, one)}", "U"]
+    yield "*END STEP"
 
 
-def _place(freedom: str) -> str:
-    return "REF" if freedom.startswith("u") else "ROT"
+def placeholders(name: str) -> tuple[str, ...]:
+    """Return where the wrench of an interface goes, its name empty if it is the only one."""
+    return tuple(f"${name}.{word[1:]}" if name else word for word in PLACEHOLDERS)
+
+
+def _place(freedom: str, interface: AttachedInterface) -> str:
+    return _set("REF" if freedom.startswith("u") else "ROT", interface)
 
 
 def _axis(freedom: str) -> int:

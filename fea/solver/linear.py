@@ -1,4 +1,4 @@
-"""Linear analysis: six unit loads, one factorisation, the 6x6 compliance."""
+"""Linear analysis: unit loads at each interface, one factorisation, the compliance."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class LinearResponse:
     Attributes
     ----------
     compliance
-        Shape (6, 6), symmetric: displacement = compliance @ wrench; m/N, rad/N, m/(N·m) and
-        rad/(N·m). Locked freedoms are zero.
+        Shape (6 i, 6 i) for i interfaces, symmetric: displacement = compliance @ wrench; m/N,
+        rad/N, m/(N·m) and rad/(N·m). Locked freedoms are zero.
     energies
-        Shape (6, 6): twice the energies of pairs of unit loads, from the strains: equal to
+        Shape (6 i, 6 i): twice the energies of pairs of unit loads, from the strains: equal to
         `compliance` but for roundoff, and in its units.
     fields
-        Shape (n, 3, 6): nodal displacements per unit of each load, m/N and m/(N·m).
+        Shape (n, 3, 6 i): nodal displacements per unit of each load, m/N and m/(N·m).
     condition
         Estimated condition of the scaled stiffness matrix.
     asymmetry, energy_gap
@@ -49,7 +49,7 @@ class LinearResponse:
 
 
 def linear_response(system: System) -> LinearResponse:
-    """Solve for six unit loads.
+    """Solve for six unit loads at each interface.
 
     Raises
     ------

@@ -11,6 +11,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from wrenchbook.fea.assembly.linearisation import contract
 from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.coupling import PER_INTERFACE
 from wrenchbook.fea.coupling.rotation import skew
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
@@ -85,7 +86,7 @@ class Riding:
     def matrix(self) -> Array:
         """The mass matrix about the interface point, shape (6, 6): kg, kg·m and kg·m^2."""
         arm = skew(self.centre)
-        whole = np.zeros((6, 6))
+        whole = np.zeros((PER_INTERFACE, PER_INTERFACE))
         whole[:3, :3] = self.mass * np.eye(3)
         whole[:3, 3:] = -self.mass * arm
         whole[3:, :3] = self.mass * arm
@@ -104,7 +105,7 @@ class Vibration:
     frequency
         Hz.
     interface
-        Shape (6,): the motion of the interface in it, m and rad, of length one.
+        Shape (6 i,): the motion of the i interfaces in it, m and rad, of length one.
     """
 
     mass: float
@@ -131,13 +132,17 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     Raises
     ------
     ValueError
-        If nothing has a mass, or what has one cannot move: locked freedoms hold it.
+        If nothing has a mass, or what has one cannot move: locked freedoms hold it; or if a mass
+        stands on one of several interfaces.
     SolveFailed
         ``mechanism`` or ``ill_conditioned``.
     """
-    interface_mass = np.zeros((6, 6))
-    active = system.coupling.active
-    interface_mass[np.ix_(active, active)] = riding.matrix[np.ix_(active, active)]
+    active, count = system.coupling.active, system.coupling.freedoms
+    interface_mass = np.zeros((count, count))
+    if count == PER_INTERFACE:
+        interface_mass[np.ix_(active, active)] = riding.matrix[np.ix_(active, active)]
+    elif riding.matrix.any():
+        raise ValueError("a mass on one of several interfaces is not there yet; leave it out")
     inertia = Inertia(system, mass, interface_mass)
     own = float(mass.sum())
     x = _lowest(inertia) if mass.nnz else _massless(inertia)
@@ -165,13 +170,13 @@ class Inertia:
         self.size = self.first + self._freedoms
 
     def fields(self, x: Array) -> tuple[Array, Array]:
-        """Return all nodes' motion (n, 3), m, and the interface's (6,), m and rad."""
+        """Return all nodes' motion (n, 3), m, and the interfaces' (6 i,), m and rad."""
         border = x[self.first :]
         nodes = self._ties @ border
         moved = np.zeros_like(nodes)
         moved[self._free] = x[: self.first].reshape(-1, 3)
         nodes += self._movable.released(moved)
-        interface = np.zeros(6)
+        interface = np.zeros(len(self.interface_mass))
         interface[self.active] = border[: self.active.size]
         return nodes, interface
 

@@ -43,6 +43,11 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
         "analysis": _analysis(parts["analysis"]),
         "deck": _deck(parts["deck"]),
     }
+    if parts["others"]:
+        content["interface"] = [
+            {"name": one.name, "is": _interface(one)}
+            for one in (parts["interface"], *parts["others"])
+        ]
     if parts["analysis"].nonlinear and parts["mesh"] is not None and parts["deck"] is None:
         content["solver"] = NONLINEAR_SOLVER
     # json writes floats by repr, so equal numbers give equal text and different ones do not.

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,8 @@ COUPLINGS = ("rigid", "distributed")
 MOMENTS = ("spatial", "conjugate")
 INTEGRATIONS = ("reduced", "full")
 LAWS = ("isotropic", "orthotropic", "neo-hookean")
+
+_MOST_LOADS = 18  # of three interfaces: 2^18 corners of 18 loads are 38 MB
 
 UNITS: Mapping[str, float] = {
     "m": 1.0,
@@ -151,10 +155,12 @@ class Sliding:
 
 @dataclass(frozen=True, eq=False)
 class Interface:
-    """The section where the rigid side is attached.
+    """A section where a rigid side is attached.
 
     Attributes
     ----------
+    name
+        Empty where it is the component's only one.
     section
         A facet group or node group.
     point
@@ -172,6 +178,17 @@ class Interface:
     axes: Array
     coupling: str
     locked: tuple[str, ...] = ()
+    name: str = ""
+
+    @property
+    def held(self) -> bool:
+        """Whether it does not move: the others' displacements are relative to it."""
+        return self.locked == FREEDOMS
+
+    @property
+    def supports(self) -> bool:
+        """Whether it holds the part so that [supports] may be absent: held, and rigid."""
+        return self.held and self.coupling == "rigid"
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,11 +232,24 @@ class DeclaredRange:
     Attributes
     ----------
     low, high
-        Each of shape (6,), N and N·m.
+        Each of shape (6 i,), N and N·m, of i interfaces; zero for one that is held.
     """
 
     low: Array
     high: Array
+
+    def corners(self) -> Array:
+        """Return the corners of the range, shape (k, 6 i), N and N·m.
+
+        Raises
+        ------
+        ValueError
+            If there are more than 2^18: three interfaces have so many.
+        """
+        ends = [tuple(dict.fromkeys(pair)) for pair in zip(self.low, self.high, strict=True)]
+        if math.prod(len(pair) for pair in ends) > 2**_MOST_LOADS:
+            raise ValueError(f"a range of more than {_MOST_LOADS} loads has too many corners")
+        return np.array(list(product(*ends)))
 
 
 @dataclass(frozen=True)
@@ -272,6 +302,8 @@ class Bundle:
     ----------
     fingerprint
         16 hexadecimal digits over everything that can change an answer.
+    interface, others
+        The interface, or the first of several, and the others in their order.
     """
 
     folder: Path
@@ -286,6 +318,12 @@ class Bundle:
     tolerance: DeclaredTolerance | None
     deck: Deck | None
     fingerprint: str
+    others: tuple[Interface, ...] = ()
+
+    @property
+    def interfaces(self) -> tuple[Interface, ...]:
+        """All interfaces, in the order of their loads and displacements."""
+        return () if self.interface is None else (self.interface, *self.others)
 
     @property
     def has_fea(self) -> bool:

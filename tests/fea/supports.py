@@ -47,13 +47,13 @@ def mistakes(*what, **options):
 
 def turned(one, rotation):
     """The component carried elsewhere with all its mesh; the frame of the interface goes along."""
-    nodes, held = one.held
+    nodes, held = one.sliding
     return replace(
         one,
         mesh=replace(one.mesh, points=one.mesh.points @ rotation.T),
         point=rotation @ one.point,
         axes=one.axes @ rotation.T,
-        held=(nodes, rotation @ held @ rotation.T),
+        sliding=(nodes, rotation @ held @ rotation.T),
     )
 
 
