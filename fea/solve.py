@@ -174,7 +174,7 @@ class Solver:
 
     @property
     def compliance(self) -> Array:
-        """The compliance at no load, shape (6 i, 6 i), symmetric: m/N, rad/N, m/(N·m), rad/(N·m)."""
+        """The compliance at no load, shape (6 i, 6 i), m/N, rad/N and so on; symmetric."""
         return self.linear.compliance
 
     @cached_property

@@ -137,7 +137,7 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
     vibration
         ``mass`` (kg, of the component; None without any density), ``first_frequency`` (Hz),
         ``motion`` of the interfaces (6 numbers each, m and rad, of length one), ``riding_mass``
-        (kg); empty where neither the bundle nor the argument tells a mass, or no frequency was found.
+        (kg); empty where neither bundle nor argument tells a mass, or no frequency was found.
     warnings
         Why not, or that some materials count as weightless.
     """

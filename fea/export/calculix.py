@@ -4,7 +4,8 @@
 
 The deck is complete: mesh, materials, supports, rigid interfaces and one step that takes the
 wrench from $FX $FY $FZ $MX $MY $MZ, of an interface with a name from $NAME.FX and so on. It
-is the start of a ``[deck]`` that an expert then goes on with (contact, plasticity, bolts), and the example that ``data/components/plate_ccx`` ships.
+is the start of a ``[deck]`` that an expert then goes on with (contact, plasticity, bolts), and the
+example that ``data/components/plate_ccx`` ships.
 """
 
 from __future__ import annotations
