@@ -14,10 +14,11 @@ from wrenchbook.fea.mesh.cad import mesh_geometry
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
 from wrenchbook.fea.mesh.facets import facets_within, outer_surface
 from wrenchbook.fea.mesh.generators import GENERATORS
+from wrenchbook.fea.mesh.groups import group_nodes, missing
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.quality import cell_problems
-from wrenchbook.fea.spec.problems import BundleError, BundleProblem, suggest
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import (
     FREEDOMS,
     Analysis,
@@ -149,10 +150,9 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     fixed = _fixed_nodes(mesh, supports, problems)
     sliding = _sliding(mesh, supports.sliding, fixed, problems)
     first, *others = _attached(mesh, bundle.interfaces, problems)
-    springs = [
-        _attach(mesh, f"supports.bushing[{i}].group", own.hold, problems)
-        for i, own in enumerate(supports.bushings)
-    ]
+    keys = (f"supports.bushing[{i}].group" for i in range(len(supports.bushings)))
+    holds = zip(keys, (own.hold for own in supports.bushings), strict=True)
+    springs = [_attach(mesh, *hold, problems) for hold in holds]
     for one in (first, *others, *springs):
         sliding = _left_sliding(mesh, sliding, one, problems)
     _check_apart(mesh, fixed, [first, *others, *springs], problems)
@@ -205,7 +205,7 @@ def _materials(
         key = f"material[{i}].region"
         if material.region not in mesh.regions:
             groups = ["all", *mesh.regions]
-            problems.append(_missing(key, material.region, "cell group", groups))
+            problems.append(missing(key, material.region, "cell group", groups))
             continue
         cells = mesh.regions[material.region]
         if any((block[chosen] >= 0).any() for block, chosen in zip(numbers, cells, strict=True)):
@@ -233,7 +233,7 @@ def _fill_the_rest(
 
 def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) -> Array:
     names = [(f"supports.fixed[{i}]", name) for i, name in enumerate(supports.fixed)]
-    found = [_group_nodes(mesh, key, name, problems) for key, name in names]
+    found = [group_nodes(mesh, key, name, problems) for key, name in names]
     nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *found]))
     if not found or supports.sliding or supports.bushings:  # `fea.check.motions` looks at all
         return nodes
@@ -268,7 +268,7 @@ def _sliding(
     """Return the nodes that slide and the projectors on what holds each; fixed ones are none."""
     spans = np.zeros((len(mesh.points), 3, 3))
     for i, own in enumerate(groups):
-        nodes = _group_nodes(mesh, f"supports.sliding[{i}].group", own.group, problems)
+        nodes = group_nodes(mesh, f"supports.sliding[{i}].group", own.group, problems)
         spans[nodes] += own.directions.T @ own.directions
     spans[fixed] = 0.0
     nodes = np.flatnonzero(spans.any(axis=(1, 2)))
@@ -307,7 +307,7 @@ def _left_sliding(
 def _section(
     mesh: Mesh, key: str, interface: Interface, problems: list[BundleProblem]
 ) -> InterfaceSection:
-    nodes = _group_nodes(mesh, key, interface.section, problems)
+    nodes = group_nodes(mesh, key, interface.section, problems)
     if not len(nodes):
         return InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     if not _spans_a_plane(mesh.points[nodes]):
@@ -319,30 +319,6 @@ def _section(
     if facets.blocks:
         return section_of_facets(mesh.points, facets, nodes)
     return section_of_nodes(mesh.points, nodes)
-
-
-def _group_nodes(mesh: Mesh, key: str, name: str, problems: list[BundleProblem]) -> Array:
-    """Return the nodes of a facet group or node group; none, and a problem, if there is none."""
-    if name in mesh.facet_groups:
-        return mesh.facet_groups[name].node_ids
-    if name in mesh.node_groups:
-        return np.unique(mesh.node_groups[name])
-    groups = [*mesh.facet_groups, *mesh.node_groups]
-    if name in mesh.regions:
-        message = f'"{name}" is a group of cells; name a group of facets or nodes{_listed(groups)}'
-        problems.append(BundleProblem(key, message))
-    else:
-        problems.append(_missing(key, name, "facet or node group", groups))
-    return np.empty(0, dtype=np.int64)
-
-
-def _missing(key: str, name: str, kind: str, groups: list[str]) -> BundleProblem:
-    message = f'the mesh has no {kind} "{name}"{suggest(name, groups)}{_listed(groups)}'
-    return BundleProblem(key, message)
-
-
-def _listed(groups: list[str]) -> str:
-    return f" (it has {', '.join(groups)})" if groups else " (it has none at all)"
 
 
 def _check_apart(

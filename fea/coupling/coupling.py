@@ -117,7 +117,10 @@ class SectionCoupling(ABC):
 
     @abstractmethod
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
-        """Return how the border joins the body's tangent; parameters as of `residual`."""
+        """Return how the border joins the body's tangent.
+
+        Forces have shape (s, 3), N, the wrench shape (6,), N and N·m.
+        """
 
     @abstractmethod
     def wrench_columns(self, state: CoupledState) -> Array:
@@ -236,7 +239,7 @@ class Coupling:
         return float(sum(0.5 * q @ spring @ q for spring, q in parts if spring is not None))
 
     def spring_energies(self, border: Array) -> Array:
-        """Return twice the mutual energies of the springs, (k, k), J, of borders (border, k)."""
+        """Return twice the springs' mutual energies, shape (k, k), J, of borders (border, k)."""
         total = np.zeros((border.shape[1],) * 2)
         for seat in self._seats:
             if seat.spring is not None:
