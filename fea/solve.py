@@ -37,7 +37,7 @@ from wrenchbook.fea.solver.linear import LinearResponse, linear_response
 from wrenchbook.fea.solver.load_steps import LoadPath
 from wrenchbook.fea.solver.vibration import Riding, Vibration, consistent_mass, first_vibration
 from wrenchbook.fea.solver.warm_start import WarmFolder
-from wrenchbook.fea.spec.schema import Bundle
+from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 
 __all__ = ["MOST_DEGREES", "Solver", "solve"]
 
@@ -331,9 +331,8 @@ def _system(component: ComponentModel, active: Array) -> System:
     """Set up the equations in the first interface's frame, its origin at that interface's point."""
     mesh = component.mesh
     mesh = replace(mesh, points=(mesh.points - component.point) @ component.axes.T)
-    coupling = Coupling(
-        len(mesh.points), [_section(component, one) for one in component.interfaces], active
-    )
+    sections = [_section(component, one) for one in component.interfaces]
+    coupling = Coupling(len(mesh.points), sections, active, _anchors(component))
     free = np.ones(len(mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
     free[coupling.tied] = False
@@ -353,6 +352,20 @@ def _section(
     coupling = Rigid(places) if rigid else Distributed(places, own.section.weights)
     same = np.array_equal(own.axes, component.axes)
     return coupling, nodes, None if same else own.axes @ component.axes.T
+
+
+def _anchors(component: ComponentModel) -> Array:
+    """Return three nodes far apart in the section of an interface that alone holds the part."""
+    held = [one for one in component.interfaces if one.locked == FREEDOMS]
+    if component.fixed_nodes.size or any(one.coupling == "rigid" for one in held):
+        return np.empty(0, dtype=np.int64)
+    nodes = held[0].section.node_ids
+    arms = component.mesh.points[nodes] - component.mesh.points[nodes].mean(axis=0)
+    first = int(np.linalg.norm(arms, axis=1).argmax())
+    away = arms - arms[first]
+    second = int(np.linalg.norm(away, axis=1).argmax())
+    third = int(np.linalg.norm(np.cross(away, away[second]), axis=1).argmax())
+    return nodes[[first, second, third]]
 
 
 def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> None:

@@ -117,12 +117,13 @@ class Linearisation:
         nothing else, give the bordered matrix its negative eigenvalues.
         """
         factor, coupling = self.tangent.factor, self._coupling
-        if factor.definite:
+        if factor.definite and coupling.motions == coupling.active.size:
             return self._least_compliance > 0
-        constraints = coupling.border - coupling.active.size
+        constraints = coupling.border - coupling.motions
         if not constraints or not np.isfinite(self.schur).all():
             return False
-        own = np.linalg.eigvalsh(self.schur + self.schur.T)
+        scale = self._border_scale
+        own = np.linalg.eigvalsh((self.schur + self.schur.T) * scale[:, None] * scale)
         return factor.negatives + int((own < 0).sum()) == constraints
 
     @property
@@ -204,15 +205,20 @@ class Linearisation:
 
     def _solve_border(self, loads: Array) -> Array:
         """Solve with S, its rows and columns scaled to one size: they mix m, rad, N and N·m."""
-        scale = np.ones(len(loads))
-        for _ in range(3):
-            largest = np.abs(self.schur * scale[:, None] * scale).max(axis=1, initial=0.0)
-            scale /= np.sqrt(np.where(largest > 0, largest, 1.0))
+        scale = self._border_scale
         try:
             scaled = np.linalg.solve(self.schur * scale[:, None] * scale, scale[:, None] * loads)
         except np.linalg.LinAlgError:
             raise mechanism("The interface can move without any resistance.") from None
         return scale[:, None] * scaled
+
+    @cached_property
+    def _border_scale(self) -> Array:
+        scale = np.ones(len(self.schur))
+        for _ in range(3):
+            largest = np.abs(self.schur * scale[:, None] * scale).max(axis=1, initial=0.0)
+            scale /= np.sqrt(np.where(largest > 0, largest, 1.0))
+        return scale
 
 
 def contract(first: Array, second: Array) -> Array:

@@ -39,7 +39,7 @@ class System:
     @property
     def unknowns(self) -> int:
         """Free nodal unknowns and interface freedoms."""
-        return self.body.dissection.unknowns + len(self.coupling.active)
+        return self.body.dissection.unknowns + self.coupling.motions
 
     def balance(self, state: CoupledState, wrench: Array) -> Balance:
         """Weigh the internal forces of a state against a wrench, shape (6 i,), N and N·m."""

@@ -165,9 +165,11 @@ class _Seat(NamedTuple):
 
 
 class Coupling:
-    """All interfaces of a body: one border for their freedoms, then for their multipliers.
+    """All interfaces of a body: one border of their freedoms, of anchors, and of multipliers.
 
     Nodes and forces are in the body's frame, each interface's displacement and wrench in its own.
+    A body that only multipliers hold has no definite stiffness. Three anchors, nodes of which the
+    border moves all components, leave one that has.
 
     Parameters
     ----------
@@ -178,6 +180,17 @@ class Coupling:
         the body, shape (3, 3), a row each; None where they are the same. No two share a node.
     active
         Shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
+    anchors
+        Shape (a,), int64: nodes that are in no rigid section.
+
+    Attributes
+    ----------
+    freedoms
+        6 i of i interfaces.
+    motions
+        Unknowns of the border that move something; multipliers come after these.
+    border
+        All its unknowns.
     """
 
     def __init__(
@@ -185,13 +198,17 @@ class Coupling:
         size: int,
         sections: Sequence[tuple[SectionCoupling, Array, Array | None]],
         active: Array,
+        anchors: Array,
     ) -> None:
         self.active = active
         self.freedoms = PER_INTERFACE * len(sections)
+        self.motions = len(active) + 3 * len(anchors)
+        self._anchors = anchors
+        self._anchored = np.arange(len(active), self.motions)
         self._size = size
         self._seats: list[_Seat] = []
         forced = [np.empty(0, dtype=int)]
-        self.border = len(active)
+        self.border = self.motions
         for number, (section, nodes, turn) in enumerate(sections):
             first = PER_INTERFACE * number
             own = np.flatnonzero((active >= first) & (active < first + PER_INTERFACE))
@@ -209,7 +226,7 @@ class Coupling:
         """Nodes that follow an interface and are no unknowns, shape (k,), int64, indices."""
         still = np.zeros(PER_INTERFACE)
         found = [seat.nodes for seat in self._seats if seat.section.placed(still) is not None]
-        return np.concatenate([np.empty(0, dtype=np.int64), *found])
+        return np.concatenate([self._anchors, *found])
 
     def start(self) -> CoupledState:
         """Return the undeformed state."""
@@ -231,8 +248,9 @@ class Coupling:
         """
         interface, multipliers = state.interface.copy(), state.multipliers.copy()
         interface[self.active] += border[: len(self.active)]
-        multipliers[self._forced] += border[len(self.active) :]
+        multipliers[self._forced] += border[self.motions :]
         placed = state.nodes + nodes
+        placed[self._anchors] += border[self._anchored].reshape(-1, 3)
         for seat in self._seats:
             own = seat.section.placed(interface[seat.freedoms])
             if own is not None:
@@ -263,6 +281,7 @@ class Coupling:
             added, rest = seat.section.residual(own, seat.inwards(forces), wrench[seat.freedoms])
             nodal[seat.nodes] += seat.outwards(added)
             border[seat.border] = rest[seat.chosen]
+        border[self._anchored] = nodal[self._anchors].ravel()
         return nodal, border
 
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
@@ -286,6 +305,10 @@ class Coupling:
             ties[at] = seat.outwards(found.ties[:, :, seat.chosen])
             columns[at] = seat.outwards(found.columns[:, :, seat.chosen])
             block[np.ix_(seat.border, seat.border)] = found.block[np.ix_(seat.chosen, seat.chosen)]
+        pushed = columns[self._anchors].reshape(-1, self.border)
+        block[self._anchored] += pushed
+        block[:, self._anchored] += pushed.T
+        ties[self._anchors[:, None], np.arange(3), self._anchored.reshape(-1, 3)] = 1.0
         return Border(ties, columns, block)
 
     def wrench_columns(self, state: CoupledState) -> Array:

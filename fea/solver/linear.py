@@ -93,7 +93,7 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
         fields = nodes + border.ties @ moved
         forces = system.body.small_strain_forces(fields)
         nodal = (forces + border.columns @ moved) * system.body.free[:, None, None]
-        rest = contract(border.ties, forces) + contract(border.columns, fields)
+        rest = contract(border.ties, forces) + contract(border.columns, nodes)
         rest += border.block @ moved - loads
         more_nodes, more = start.solve(nodal, rest)
         nodes, moved = nodes - more_nodes, moved - more

@@ -153,7 +153,10 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
 
 
 class Inertia:
-    """The mass matrix over free nodes and active interface freedoms, and K^-1."""
+    """The mass matrix over free nodes, active interface freedoms and anchors, and K^-1.
+
+    `first` is where the interface freedoms begin among the `size` unknowns.
+    """
 
     def __init__(self, system: System, mass: csr_array, interface_mass: Array) -> None:
         self._mass, self.interface_mass = mass, interface_mass
@@ -161,17 +164,19 @@ class Inertia:
         self.active = system.coupling.active
         self._free = np.flatnonzero(system.body.free)
         self._nodes = system.body.size
-        self._ties = self._start.border.ties[:, :, : self.active.size]
-        self._multipliers = system.coupling.border - self.active.size
-        self.size = 3 * self._free.size + self.active.size
+        self._motions = system.coupling.motions
+        self._ties = self._start.border.ties[:, :, : self._motions]
+        self._multipliers = system.coupling.border - self._motions
+        self.first = 3 * self._free.size
+        self.size = self.first + self._motions
 
     def fields(self, x: Array) -> tuple[Array, Array]:
         """Return all nodes' motion (n, 3), m, and the interfaces' (6 i,), m and rad."""
-        border = x[3 * self._free.size :]
+        border = x[self.first :]
         nodes = self._ties @ border
-        nodes[self._free] += x[: 3 * self._free.size].reshape(-1, 3)
+        nodes[self._free] += x[: self.first].reshape(-1, 3)
         interface = np.zeros(len(self.interface_mass))
-        interface[self.active] = border
+        interface[self.active] = border[: self.active.size]
         return nodes, interface
 
     def times(self, x: Array) -> Array:
@@ -179,17 +184,17 @@ class Inertia:
         nodes, interface = self.fields(np.asarray(x).reshape(-1))
         forces = np.asarray(self._mass @ nodes)
         border = contract(self._ties, forces[:, :, None])[:, 0]
-        border += (self.interface_mass @ interface)[self.active]
+        border[: self.active.size] += (self.interface_mass @ interface)[self.active]
         return np.concatenate([forces[self._free].ravel(), border])
 
     def solved(self, loads: Array) -> Array:
         """Return K^-1 times loads: shape (size,), N and N·m, to (size,), m and rad."""
         loads = np.asarray(loads).reshape(-1)
         nodal = np.zeros((self._nodes, 3, 1))
-        nodal[self._free, :, 0] = loads[: 3 * self._free.size].reshape(-1, 3)
-        border = np.append(loads[3 * self._free.size :], np.zeros(self._multipliers))
+        nodal[self._free, :, 0] = loads[: self.first].reshape(-1, 3)
+        border = np.append(loads[self.first :], np.zeros(self._multipliers))
         nodes, moved = self._start.solve(nodal, border[:, None])
-        return np.concatenate([nodes[self._free, :, 0].ravel(), moved[: self.active.size, 0]])
+        return np.concatenate([nodes[self._free, :, 0].ravel(), moved[: self._motions, 0]])
 
 
 class _Applied(LinearOperator):
@@ -218,10 +223,11 @@ def _massless(inertia: Inertia) -> Array:
     With C = L L^T the largest eigenvalue of L^T M L is 1 / omega^2.
     """
     count = inertia.active.size
+    own = slice(inertia.first, inertia.first + count)
     units = np.zeros((count, inertia.size))
-    units[:, -count:] = np.eye(count)
+    units[:, own] = np.eye(count)
     moved = np.stack([inertia.solved(unit) for unit in units], axis=1)
-    compliance = moved[-count:]
+    compliance = moved[own]
     lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
     carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]
     values, motions = np.linalg.eigh(lower.T @ carried @ lower)
