@@ -139,7 +139,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         If the bundle has nothing to solve, its mesh cannot be read, a group is not in the mesh, a
         cell has no material or two, or supports or interface cannot hold a body.
     """
-    supported = bundle.supports is not None or any(one.supports for one in bundle.interfaces)
+    supported = bundle.supports is not None or any(one.held for one in bundle.interfaces)
     if bundle.mesh is None or bundle.interface is None or not supported:
         message = "missing; a component without a [mesh] is a table and cannot be solved"
         raise BundleError([BundleProblem("mesh", message)])

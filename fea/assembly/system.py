@@ -38,8 +38,8 @@ class System:
 
     @property
     def unknowns(self) -> int:
-        """Free nodal unknowns and freedoms of interface and bushings."""
-        return self.body.dissection.unknowns + self.coupling.border - self.coupling.multipliers
+        """Free nodal unknowns and freedoms of interfaces and bushings."""
+        return self.body.dissection.unknowns + self.coupling.motions
 
     def balance(self, state: CoupledState, wrench: Array) -> Balance:
         """Weigh the internal forces of a state against a wrench, shape (6 i,), N and N·m."""

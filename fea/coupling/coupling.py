@@ -16,8 +16,6 @@ Array = np.ndarray
 PER_INTERFACE = len(FREEDOMS)
 """Freedoms of one interface: three translations, then a rotation vector."""
 
-_NONE = np.empty(0, dtype=np.int64)
-
 
 def each_interface(vector: Array) -> Array:
     """Return displacements or wrenches, shape (6 i,), by interface: (i, 6), in their units."""
@@ -168,11 +166,13 @@ class _Seat(NamedTuple):
 
 
 class Coupling:
-    """All interfaces and bushings of a body: one border for their freedoms, then multipliers.
+    """Interfaces and bushings: one border of their freedoms, of anchors, and of multipliers.
 
     Nodes and forces are in the body's frame, each interface's displacement and wrench in its own.
     A bushing moves by q, translation and rotation vector, and stores q^T K q / 2: its force, and
     the moment that works on the rotation vector, are K q, and K is its tangent at any rotation.
+    A body that only multipliers hold has no definite stiffness. Three anchors, nodes of which the
+    border moves all components, leave one that has.
 
     Parameters
     ----------
@@ -183,11 +183,19 @@ class Coupling:
         the body, shape (3, 3), a row each; None where they are the same. No two share a node.
     active
         Shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
+    anchors
+        Shape (a,), int64: nodes that are in no rigid section.
     springs
         The last sections are bushings: their stiffnesses, (6, 6), N/m, N/rad and N·m/rad.
-    anchors
-        Shape (a,): nodes eliminated with the border, so that what is eliminated before them is
-        held where nothing but means of sections hold the body.
+
+    Attributes
+    ----------
+    freedoms
+        6 i of i interfaces.
+    motions
+        Unknowns of the border that move something; multipliers come after these.
+    border
+        All its unknowns.
     """
 
     def __init__(
@@ -195,18 +203,21 @@ class Coupling:
         size: int,
         sections: Sequence[tuple[SectionCoupling, Array, Array | None]],
         active: Array,
+        anchors: Array,
         springs: Sequence[Array] = (),
-        anchors: Array = _NONE,
     ) -> None:
         self.active = active
-        self.freedoms = PER_INTERFACE * (len(sections) - len(springs))
         self._sprung = PER_INTERFACE * len(springs)
-        self._size, self._anchors = size, anchors
+        self.freedoms = PER_INTERFACE * len(sections) - self._sprung
         self._moving = active = np.append(active, self.freedoms + np.arange(self._sprung))
-        self._anchored = len(active) + np.arange(3 * len(anchors))
+        self.motions = len(active) + 3 * len(anchors)
+        self._anchors = anchors
+        self._anchored = np.arange(len(active), self.motions)
+        self._size = size
         self._seats: list[_Seat] = []
-        forced, spring_of = [_NONE], [*[None] * (len(sections) - len(springs)), *springs]
-        first_multiplier = self.border = len(active) + 3 * len(anchors)
+        forced = [np.empty(0, dtype=int)]
+        self.border = self.motions
+        spring_of = [*[None] * (len(sections) - len(springs)), *springs]
         for number, (section, nodes, turn) in enumerate(sections):
             first = PER_INTERFACE * number
             own = np.flatnonzero((active >= first) & (active < first + PER_INTERFACE))
@@ -219,11 +230,10 @@ class Coupling:
             forced.append(first + more)
             self.border += len(more)
         self._forced = np.concatenate(forced)
-        self.multipliers = self.border - first_multiplier
 
     @property
     def tied(self) -> Array:
-        """Nodes of rigid sections, and anchors: no unknowns, shape (k,), int64, indices."""
+        """Nodes that follow an interface and are no unknowns, shape (k,), int64, indices."""
         still = np.zeros(PER_INTERFACE)
         found = [seat.nodes for seat in self._seats if seat.section.placed(still) is not None]
         return np.concatenate([self._anchors, *found])
@@ -259,9 +269,9 @@ class Coupling:
         border
             Shape (border,): that of the interface freedoms, m and rad, and multipliers, N and N/m.
         """
-        motions, multipliers = (part.copy() for part in self._unknowns(state))
+        motions, multipliers = self._unknowns(state)
         motions[self._moving] += border[: len(self._moving)]
-        multipliers[self._forced] += border[self.border - self.multipliers :]
+        multipliers[self._forced] += border[self.motions :]
         placed = state.nodes + nodes
         placed[self._anchors] += border[self._anchored].reshape(-1, 3)
         for seat in self._seats:
@@ -328,7 +338,7 @@ class Coupling:
         pushed = columns[self._anchors].reshape(len(self._anchored), self.border)
         block[self._anchored] += pushed
         block[:, self._anchored] += pushed.T
-        ties[np.repeat(self._anchors, 3), np.arange(len(pushed)) % 3, self._anchored] = 1.0
+        ties[self._anchors[:, None], np.arange(3), self._anchored.reshape(-1, 3)] = 1.0
         return Border(ties, columns, block)
 
     def wrench_columns(self, state: CoupledState) -> Array:
@@ -358,6 +368,6 @@ class Coupling:
             yield seat, CoupledState(seat.inwards(state.nodes), motions[own], multipliers[own])
 
     def _unknowns(self, state: CoupledState) -> tuple[Array, Array]:
-        """Return motions and multipliers of interfaces and bushings, six of each."""
+        """Return copies of the motions and multipliers of interfaces and bushings, six of each."""
         multipliers, sprung = np.split(state.multipliers, [self.freedoms + self._sprung])
-        return np.append(state.interface, sprung), multipliers
+        return np.append(state.interface, sprung), multipliers.copy()

@@ -29,8 +29,8 @@ class LinearResponse:
         Shape (6 i, 6 i) for i interfaces, symmetric: displacement = compliance @ wrench; m/N,
         rad/N, m/(N·m) and rad/(N·m). Locked freedoms are zero.
     energies
-        Shape (6 i, 6 i): twice the energies of pairs of unit loads, from the strains: equal to
-        `compliance` but for roundoff, and in its units.
+        Shape (6 i, 6 i): twice the energies of pairs of unit loads, from the strains: equal
+        to `compliance` but for roundoff, and in its units.
     fields
         Shape (n, 3, 6 i): nodal displacements per unit of each load, m/N and m/(N·m).
     condition
@@ -87,14 +87,13 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
     """
     loads = start.wrench_columns
     border = start.border
-    columns = system.body.movable.released(border.columns)
     nodes, moved = start.solve(np.zeros((system.body.size, 3, loads.shape[1])), loads)
     size = 0.0
     for _ in range(_MOST_CORRECTIONS):
         fields = nodes + border.ties @ moved
         forces = system.body.small_strain_forces(fields)
         nodal = system.body.movable.released(forces + border.columns @ moved)
-        rest = contract(border.ties, forces) + contract(columns, fields)
+        rest = contract(border.ties, forces) + contract(border.columns, nodes)
         rest += border.block @ moved - loads
         more_nodes, more = start.solve(nodal, rest)
         nodes, moved = nodes - more_nodes, moved - more

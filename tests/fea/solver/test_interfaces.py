@@ -9,7 +9,8 @@ from tests.fea.boxes import box
 from tests.fea.calculix import require_ccx
 from tests.fea.components import component
 from tests.fea.two_interfaces import column, with_second
-from wrenchbook.fea.coupling.rotation import rotation
+from wrenchbook.fea import solve as solve_module
+from wrenchbook.fea.coupling.rotation import rotation, skew
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
@@ -89,6 +90,66 @@ def test_a_link_held_rigidly_is_the_same_link_clamped_there(nonlinear):
     scale = np.sqrt(np.outer(*(2 * [np.diagonal(right.compliance)])))
     np.testing.assert_allclose(held.compliance[6:, 6:] / scale, right.compliance / scale, atol=1e-9)
     assert not held.compliance[:6].any()
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS)
+def test_holding_the_other_end_of_a_link_gives_the_same_relative_motion(coupling):
+    left = link(first=coupling, coupling="distributed")
+    right = replace(left, locked=(), others=(replace(left.others[0], locked=FREEDOMS),))
+    if coupling == "rigid":
+        right = replace(right, others=(replace(right.others[0], coupling="rigid"),))
+        left = replace(left, others=(replace(left.others[0], coupling="rigid"),))
+    arm = np.eye(6)
+    arm[:3, 3:] = skew(left.others[0].point - left.point)
+    relative = arm @ Solver(left).compliance[6:, 6:] @ arm.T
+    found = Solver(right).compliance[:6, :6]
+    np.testing.assert_allclose(found, relative, atol=1e-11 * np.abs(relative).max())
+
+
+@pytest.mark.parametrize("nonlinear", [False, True])
+def test_a_link_held_in_the_mean_stands_still_there_and_its_tangent_is_that_of_its_answers(
+    nonlinear,
+):
+    solver = Solver(link(first="distributed", nonlinear=nonlinear))
+    wrench = np.array([900.0, -500.0, 2e4, 40.0, 60.0, 50.0])
+    found = solver.solve({"right": wrench})
+    section = solver.component.section
+    mean = section.weights @ found.nodes[section.node_ids] / section.area
+    assert not found.displacement[:6].any()
+    np.testing.assert_allclose(mean, 0.0, atol=1e-15)
+    assert np.abs(found.nodes[section.node_ids]).max() > 1e-7
+    step = np.array([10.0, 20, 30, 1, 2, 3])
+    ahead, behind = (
+        solver.solve({"right": wrench + s * step}, start=found.state).displacement
+        for s in (0.1, -0.1)
+    )
+    slope = (ahead - behind) / 0.2
+    np.testing.assert_allclose(
+        found.compliance[:, 6:] @ step, slope, atol=1e-7 * np.abs(slope).max()
+    )
+    energy = found.work / (1 if nonlinear else 2)
+    assert energy == pytest.approx(found.strain_energy, rel=1e-3)
+
+
+def test_the_nodes_that_anchor_a_link_held_in_the_mean_change_no_answer(monkeypatch):
+    part = link(first="distributed", nonlinear=True)
+    wrench = {"right": [900.0, -500.0, 2e4, 40.0, 60.0, 50.0]}
+    found = Solver(part).solve(wrench)
+    nodes = part.section.node_ids[[0, 1, -2]]
+    assert set(nodes) != set(solve_module._anchors(part))
+    monkeypatch.setattr(solve_module, "_anchors", lambda _: nodes)
+    other = Solver(part).solve(wrench)
+    np.testing.assert_allclose(other.displacement, found.displacement, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(other.nodes, found.nodes, atol=1e-13)
+
+
+def test_a_link_held_in_the_mean_swings_and_buckles_about_as_one_held_rigidly():
+    soft, stiff = link(first="distributed"), link()
+    dense = (replace(soft.materials[0], density=2700.0),)
+    swings = [Solver(replace(p, materials=dense)).vibration(Riding.of()) for p in (soft, stiff)]
+    assert swings[0].frequency == pytest.approx(swings[1].frequency, rel=2e-2)
+    loads = [Solver(p).buckling({"right": [0, 0, -1, 0, 0, 0]})[0] for p in (soft, stiff)]
+    assert loads[0] == pytest.approx(loads[1], rel=2e-2)
 
 
 def test_loads_on_a_held_interface_do_nothing():
