@@ -115,8 +115,9 @@ def _set_up(report: Mapping[str, Any]) -> list[str]:
 
 
 def _supports(supports: Mapping[str, Any]) -> str:
-    words = {"nodes": "nodes fixed", "sliding_nodes": "sliding", "bushings": "bushings"}
-    return ", ".join(f"{supports[key]} {word}" for key, word in words.items() if key in supports)
+    sliding = f", {supports['sliding_nodes']} sliding" if "sliding_nodes" in supports else ""
+    bushings = f"; bushings: {supports['bushings']}" if "bushings" in supports else ""
+    return f"{supports['nodes']} nodes fixed{sliding}{bushings}"
 
 
 def _interface(section: Mapping[str, Any]) -> str:
