@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -15,8 +15,15 @@ from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.assembly.condition import ROUNDOFF
 from wrenchbook.fea.assembly.linearisation import Balance
 from wrenchbook.fea.assembly.system import System
-from wrenchbook.fea.component import ComponentModel, build
-from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
+from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
+from wrenchbook.fea.coupling import (
+    CoupledState,
+    Coupling,
+    Distributed,
+    Rigid,
+    largest_rotation,
+)
+from wrenchbook.fea.coupling.coupling import SectionCoupling
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.pressure_projection import pressure_notes
 from wrenchbook.fea.export.failure_record import keep
@@ -24,7 +31,7 @@ from wrenchbook.fea.failure import SolveFailed, rotation_too_large
 from wrenchbook.fea.inspection.warnings import warnings_of
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
 from wrenchbook.fea.recovery.stress import places_of, small_stress, stress_of
-from wrenchbook.fea.solution import Progress, Solution, checked_wrench
+from wrenchbook.fea.solution import Loads, Progress, Solution, checked_wrench
 from wrenchbook.fea.solver.buckling import buckling_factors
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
 from wrenchbook.fea.solver.load_steps import LoadPath
@@ -44,7 +51,7 @@ MOST_DEGREES = 20.0
 
 def solve(
     bundle: Bundle | ComponentModel | Solver,
-    wrench: Sequence[float] | Array,
+    wrench: Loads,
     progress: Progress | None = None,
     folder: Path | None = None,
     warm: Path | None = None,
@@ -57,7 +64,7 @@ def solve(
     bundle
         A bundle, the component built from it, or the solver made ready for that.
     wrench
-        Shape (6,), N and N·m: at the interface point, in the undeformed interface frame.
+        As of `Solver.solve`.
     progress
         Called with the fraction done and a message.
     folder
@@ -74,12 +81,12 @@ def solve(
         As `Solver` does.
     """
     if isinstance(bundle, Bundle) and bundle.deck is not None:
-        return solve_deck(bundle, wrench, progress, folder, _require_small_rotation)
+        return solve_deck(bundle, checked_wrench(wrench), progress, folder, _require_small_rotation)
     ready = build(bundle) if isinstance(bundle, Bundle) else bundle
     component = ready.component if isinstance(ready, Solver) else ready
     try:
         solver = ready if isinstance(ready, Solver) else Solver(component)
-        solution = _solve_near(solver, wrench, progress, warm)
+        solution = _solve_near(solver, checked_wrench(wrench, solver.names), progress, warm)
     except SolveFailed as failure:
         if folder is not None:
             keep(folder, failure, component)
@@ -91,7 +98,7 @@ def solve(
 
 def _solve_near(
     solver: Solver,
-    wrench: Sequence[float] | Array,
+    wrench: Array,
     progress: Progress | None,
     warm: Path | None,
 ) -> Solution:
@@ -101,7 +108,7 @@ def _solve_near(
     loads = component.bundle.range
     scale = np.maximum(np.abs(loads.low), np.abs(loads.high))
     states = WarmFolder(warm, component.bundle.fingerprint, scale)
-    start = states.nearest(np.array(wrench, dtype=float), len(component.mesh.points))
+    start = states.nearest(wrench, len(component.mesh.points))
     solution = solver.solve(wrench, progress, start)
     states.keep(solution)
     return solution
@@ -125,10 +132,13 @@ class Solver:
 
     def __init__(self, bundle: Bundle | ComponentModel) -> None:
         self.component = bundle if isinstance(bundle, ComponentModel) else build(bundle)
-        self._active = np.array(
-            [i for i, name in enumerate(FREEDOMS) if name not in self.component.locked], dtype=int
-        )
+        self._active = self.component.active
         self._system = _system(self.component, self._active)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the interfaces; an empty one where there is one."""
+        return tuple(one.name for one in self.component.interfaces)
 
     @property
     def unknowns(self) -> int:
@@ -137,7 +147,7 @@ class Solver:
 
     @property
     def body(self) -> ElasticBody:
-        """The cells and their materials, in the interface frame."""
+        """The cells and their materials, in the first interface's frame."""
         return self._system.body
 
     @property
@@ -164,7 +174,7 @@ class Solver:
 
     @property
     def compliance(self) -> Array:
-        """The compliance at no load, shape (6, 6), m/N, rad/N, m/(N·m), rad/(N·m); symmetric."""
+        """The compliance at no load, shape (6 i, 6 i), m/N, rad/N and so on; symmetric."""
         return self.linear.compliance
 
     @cached_property
@@ -197,7 +207,7 @@ class Solver:
         return first_vibration(self._system, mass, riding)
 
     def unit_stresses(self) -> Array:
-        """Return the small-strain stresses of the six unit loads, shape (p, 6, 6), Pa/N, Pa/(N·m).
+        """Return the small-strain stresses of the unit loads, shape (p, 6, 6 i), Pa/N, Pa/(N·m).
 
         Raises
         ------
@@ -210,18 +220,19 @@ class Solver:
         """Return a solution's stresses at the integration points, shape (p, 6), Pa."""
         return stress_of(self.component, self._system.body, solution)
 
-    def buckling(self, wrench: Sequence[float] | Array) -> tuple[float, float]:
+    def buckling(self, wrench: Loads) -> tuple[float, float]:
         """Return how many times a wrench, and its opposite, the part carries before it buckles.
 
-        The wrench has shape (6,), N and N·m. As linear buckling has it (`fea.solver.buckling`);
+        The wrench is as of `solve`. As linear buckling has it (`fea.solver.buckling`);
         infinite where it does not.
 
         Raises
         ------
         ValueError, SolveFailed
-            If the wrench is not six finite numbers, or as `linear` does.
+            As `solve` and `linear` do.
         """
-        return buckling_factors(self._system, self.linear.fields @ checked_wrench(wrench))
+        fields = self.linear.fields @ checked_wrench(wrench, self.names)
+        return buckling_factors(self._system, fields)
 
     def fields(self, solution: Solution) -> SolveFields:
         """Return the surface and the stresses of a solution of this component."""
@@ -229,7 +240,7 @@ class Solver:
 
     def solve(
         self,
-        wrench: Sequence[float] | Array,
+        wrench: Loads,
         progress: Progress | None = None,
         start: CoupledState | None = None,
     ) -> Solution:
@@ -238,8 +249,9 @@ class Solver:
         Parameters
         ----------
         wrench
-            Force and moment on the component at the interface point, in the undeformed interface
-            frame, shape (6,), N and N·m. What acts on locked freedoms does nothing.
+            Force and moment on the component at each interface's point, in its undeformed frame,
+            shape (6 i,) for i interfaces, or six numbers by name, N and N·m. What acts on locked
+            freedoms, and so on an interface that is held, does nothing.
         progress
             Called with the fraction done and a message.
         start
@@ -250,13 +262,13 @@ class Solver:
         Raises
         ------
         ValueError
-            If the wrench is not six finite numbers.
+            If the wrench is not six finite numbers an interface, or names an unknown one.
         SolveFailed
             If there is no answer that can be trusted; its `kind` says why, its `remedy` what to do.
         """
         started = time.perf_counter()
-        whole = checked_wrench(wrench)
-        acting = np.zeros(6)
+        whole = checked_wrench(wrench, self.names)
+        acting = np.zeros_like(whole)
         acting[self._active] = whole[self._active]
         if not self.component.analysis.nonlinear or not acting.any():
             found = self._solve_linear(whole, acting)
@@ -316,26 +328,55 @@ class Solver:
 
 
 def _system(component: ComponentModel, active: Array) -> System:
-    """Set up the equations in the interface frame, its origin at the interface point."""
+    """Set up the equations in the first interface's frame, its origin at that interface's point."""
     mesh = component.mesh
     mesh = replace(mesh, points=(mesh.points - component.point) @ component.axes.T)
-    section = component.section
-    coupling: Coupling
-    if component.coupling == "rigid":
-        coupling = Rigid(mesh.points, section.node_ids, active)
-    else:
-        coupling = Distributed(mesh.points, section.node_ids, section.weights, active)
+    every = [*component.interfaces, *(one for one, _ in component.bushings)]
+    sections = [_section(component, one) for one in every]
+    springs = [stiffness for _, stiffness in component.bushings]
+    coupling = Coupling(len(mesh.points), sections, active, _anchors(component), springs)
     free = np.ones(len(mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
     free[coupling.tied] = False
     materials, numbers = component.materials, component.material_of_cells
     integration = component.analysis.integration
     filled = filled_cells(mesh, materials, numbers, integration, component.axes)
-    return System(ElasticBody(mesh, filled, free), coupling, component.mesh.points)
+    nodes, held = component.sliding
+    body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
+    return System(body, coupling, component.mesh.points)
+
+
+def _section(
+    component: ComponentModel, own: AttachedInterface
+) -> tuple[SectionCoupling, Array, Array | None]:
+    """Return an interface's coupling, its nodes, and its axes in the body's if they differ."""
+    nodes = own.section.node_ids
+    places = ((component.mesh.points - own.point) @ own.axes.T)[nodes]
+    rigid = own.coupling == "rigid"
+    coupling = Rigid(places) if rigid else Distributed(places, own.section.weights)
+    same = np.array_equal(own.axes, component.axes)
+    return coupling, nodes, None if same else own.axes @ component.axes.T
+
+
+def _anchors(component: ComponentModel) -> Array:
+    """Return three nodes far apart of each section whose mean alone may hold the part."""
+    found = [np.empty(0, dtype=np.int64)]
+    held = [one for one in component.interfaces if one.locked == FREEDOMS]
+    held = [] if component.fixed_nodes.size else held
+    for own in (*held, *(one for one, _ in component.bushings)):
+        if own.coupling == "distributed":
+            nodes = np.setdiff1d(own.section.node_ids, component.sliding[0])
+            arms = component.mesh.points[nodes] - component.mesh.points[nodes].mean(axis=0)
+            first = int(np.linalg.norm(arms, axis=1).argmax())
+            away = arms - arms[first]
+            second = int(np.linalg.norm(away, axis=1).argmax())
+            third = int(np.linalg.norm(np.cross(away, away[second]), axis=1).argmax())
+            found.append(nodes[[first, second, third]])
+    return np.concatenate(found)
 
 
 def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> None:
-    degrees = float(np.degrees(np.linalg.norm(displacement[3:])))
+    degrees = float(np.degrees(largest_rotation(displacement)))
     if degrees > MOST_DEGREES:
         raise rotation_too_large(degrees, MOST_DEGREES, load_factor)
 

@@ -38,16 +38,17 @@ class System:
 
     @property
     def unknowns(self) -> int:
-        """Free nodal unknowns and interface freedoms."""
-        return self.body.dissection.unknowns + len(self.coupling.active)
+        """Free nodal unknowns and freedoms of interfaces and bushings."""
+        return self.body.dissection.unknowns + self.coupling.motions
 
     def balance(self, state: CoupledState, wrench: Array) -> Balance:
-        """Weigh the internal forces of a state against a wrench, shape (6,), N and N·m."""
+        """Weigh the internal forces of a state against a wrench, shape (6 i,), N and N·m."""
         forces, energy, least = self.body.forces(state.nodes)
+        energy += self.coupling.spring_energy(state)
         return self._balance(state, wrench, forces, energy, least)
 
     def reload(self, balance: Balance, wrench: Array) -> Balance:
-        """Return the balance of the same state under another wrench, shape (6,), N and N·m."""
+        """Return the balance of the same state under another wrench, shape (6 i,), N and N·m."""
         return self._balance(
             balance.state, wrench, balance.forces, balance.energy, balance.least_stretch
         )
@@ -97,13 +98,15 @@ class System:
     def balance_at_rest(self) -> Balance:
         """The undeformed, unloaded state."""
         state = self.coupling.start()
-        return self._balance(state, np.zeros(6), np.zeros_like(state.nodes), 0.0, 1.0)
+        return self._balance(
+            state, np.zeros_like(state.interface), np.zeros_like(state.nodes), 0.0, 1.0
+        )
 
     def _balance(
         self, state: CoupledState, wrench: Array, forces: Array, energy: float, least: float
     ) -> Balance:
         nodal, border = self.coupling.residual(state, forces, wrench)
-        nodal = np.where(self.body.free[:, None], nodal, 0.0)
+        nodal = self.body.movable.released(nodal)
         return Balance(state, wrench, forces, energy, least, nodal, border)
 
     def _require_supported(self, start: Linearisation) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
     """Return the largest stress of each material under the load range, and what to know of it.
 
     To first order stresses are linear in the wrench, and the von Mises stress is a norm of them:
-    no wrench of the range has a larger one than the worst of its 64 corners.
+    no wrench of the range has a larger one than the worst of its corners.
 
     Parameters
     ----------
@@ -45,6 +44,8 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
         found = _first_order(component, solver)
     except SolveFailed as error:
         return [], [BundleProblem("material", f"no stresses: {error}")]
+    except ValueError as error:
+        return [], [BundleProblem("material", f"no largest stress: {error}")]
     warnings: list[BundleProblem] = []
     if nonlinear and component.analysis.nonlinear:
         warnings += _at_large(component, solver, found)
@@ -53,8 +54,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
 
 def _first_order(component: ComponentModel, solver: Solver) -> list[dict[str, Any]]:
     """Return the worst corner of the range for each material that has cells."""
-    loads = component.bundle.range
-    corners = np.array(list(product(*zip(loads.low, loads.high, strict=True))))
+    corners = component.bundle.range.corners()
     unit = solver.unit_stresses()
     equivalent = np.stack([von_mises(unit @ corner) for corner in corners])
     places, numbers = places_of(component, component.mesh.points)

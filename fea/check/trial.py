@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.coupling import each_interface, largest_rotation
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import MOST_DEGREES, Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleProblem
-from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 
@@ -44,7 +44,8 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     result
         ``size`` (three numbers, m), ``volume`` (m^3), ``mass`` (kg; None where a material tells no
         density), ``deflection``: the largest of each output over the load range by the linear
-        compliance, six numbers, m and rad; None where it was not tried or ``failed`` (then true).
+        compliance, six numbers an interface, m and rad; None where it was not tried or ``failed``
+        (then true).
     problems
         ``mechanism`` and ``ill_conditioned``, in the words of the failure.
     """
@@ -63,7 +64,7 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
 
 
 def largest(compliance: Array, low: Array, high: Array) -> Array:
-    """Return max |C w| over a box of wrenches, each output's own, shape (6,), m and rad."""
+    """Return max |C w| over a box of wrenches, each output's own, shape (6 i,), m and rad."""
     ends = np.stack([compliance * low, compliance * high])
     most, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
     return np.maximum(np.abs(most), np.abs(least))
@@ -76,7 +77,7 @@ def deflection_warnings(
     if deflection is None:
         return []
     moved, problems = np.array(deflection), []
-    degrees = float(np.degrees(np.linalg.norm(moved[3:])))
+    degrees = float(np.degrees(largest_rotation(moved)))
     if degrees > MOST_DEGREES:
         message = (
             f"turns the interface by {degrees:.3g} degrees at the full range, linearly: more than "
@@ -86,11 +87,12 @@ def deflection_warnings(
     limit = component.bundle.tolerance
     if limit is None:
         return problems
+    both = each_interface(moved)
     allowed = np.repeat([limit.translation, limit.rotation], 3)
-    free = np.array([name not in component.locked for name in FREEDOMS])
-    if free.any() and (moved <= allowed)[free].all():
+    free = component.active
+    if free.size and (both <= allowed).ravel()[free].all():
         message = (
-            f"moves the interface by {moved[:3].max():.2g} m and {moved[3:].max():.2g} rad at "
+            f"moves the interface by {both[:, :3].max():.2g} m and {both[:, 3:].max():.2g} rad at "
             f"most, less than the tolerance: the part is rigid for its users. {_UNITS}"
         )
         problems.append(BundleProblem("range", message))
@@ -134,8 +136,8 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
     -------
     vibration
         ``mass`` (kg, of the component; None without any density), ``first_frequency`` (Hz),
-        ``motion`` of the interface (6 numbers, m and rad, of length one), ``riding_mass`` (kg);
-        empty where neither the bundle nor the argument tells a mass, or no frequency was found.
+        ``motion`` of the interfaces (6 numbers each, m and rad, of length one), ``riding_mass``
+        (kg); empty where neither bundle nor argument tells a mass, or no frequency was found.
     warnings
         Why not, or that some materials count as weightless.
     """

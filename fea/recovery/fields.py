@@ -21,7 +21,7 @@ MOST_POINTS = 20_000
 
 @dataclass(frozen=True, eq=False)
 class SolveFields:
-    """Surface and stresses of one solve, in the undeformed interface frame from its point.
+    """Surface and stresses of one solve, in the undeformed frame of the first interface.
 
     Attributes
     ----------
@@ -32,9 +32,9 @@ class SolveFields:
     whole_vertices
         Of the outer surface before it was simplified.
     displacement, displacement_slopes
-        Shapes (v, 3), m, and (v, 3, 6), m/N and m/(N·m): its change with the wrench.
+        Shapes (v, 3), m, and (v, 3, 6 i), m/N and m/(N·m): its change with the wrench.
     stress, stress_slopes
-        Shapes (p, 6), Pa (Cauchy's: xx, yy, zz, xy, xz, yz), and (p, 6, 6), Pa/N and Pa/(N·m);
+        Shapes (p, 6), Pa (Cauchy's: xx, yy, zz, xy, xz, yz), and (p, 6, 6 i), Pa/N and Pa/(N·m);
         p = 0 where there are more points than `MOST_POINTS`.
     places, materials
         Shapes (p, 3), m, undeformed, and (p,), int32, index into `regions`.
@@ -96,7 +96,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
         displacement=nodes[surface.nodes],
         displacement_slopes=slopes[surface.nodes],
         stress=stress[kept],
-        stress_slopes=changes[kept] if kept.stop is None else np.empty((0, 6, 6)),
+        stress_slopes=changes[kept] if kept.stop is None else changes[:0],
         places=places[kept],
         materials=materials[kept],
         regions=regions,

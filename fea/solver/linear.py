@@ -1,4 +1,4 @@
-"""Linear analysis: six unit loads, one factorisation, the 6x6 compliance."""
+"""Linear analysis: unit loads at each interface, one factorisation, the compliance."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class LinearResponse:
     Attributes
     ----------
     compliance
-        Shape (6, 6), symmetric: displacement = compliance @ wrench; m/N, rad/N, m/(N·m) and
-        rad/(N·m). Locked freedoms are zero.
+        Shape (6 i, 6 i) for i interfaces, symmetric: displacement = compliance @ wrench; m/N,
+        rad/N, m/(N·m) and rad/(N·m). Locked freedoms are zero.
     energies
-        Shape (6, 6): twice the strain energies of pairs of unit loads, from the strains: equal to
-        `compliance` but for roundoff, and in its units.
+        Shape (6 i, 6 i): twice the energies of pairs of unit loads, from the strains: equal
+        to `compliance` but for roundoff, and in its units.
     fields
-        Shape (n, 3, 6): nodal displacements per unit of each load, m/N and m/(N·m).
+        Shape (n, 3, 6 i): nodal displacements per unit of each load, m/N and m/(N·m).
     condition
         Estimated condition of the scaled stiffness matrix.
     asymmetry, energy_gap
@@ -49,7 +49,7 @@ class LinearResponse:
 
 
 def linear_response(system: System) -> LinearResponse:
-    """Solve for six unit loads.
+    """Solve for six unit loads at each interface.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def linear_response(system: System) -> LinearResponse:
     scale = np.sqrt(np.abs(np.diagonal(compliance)))
     scale = np.where(scale > 0, scale, 1.0)
     unit = 1.0 / np.outer(scale, scale)
-    energies = system.body.strain_energy_products(fields)
+    energies = system.body.strain_energy_products(fields) + system.coupling.spring_energies(border)
     asymmetry = float(np.abs((compliance - compliance.T) * unit).max())
     energy_gap = float(np.abs((compliance - energies) * unit).max())
     if not max(asymmetry, energy_gap, condition * ROUNDOFF * correction) < _ROUNDOFF:
@@ -92,8 +92,8 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
     for _ in range(_MOST_CORRECTIONS):
         fields = nodes + border.ties @ moved
         forces = system.body.small_strain_forces(fields)
-        nodal = (forces + border.columns @ moved) * system.body.free[:, None, None]
-        rest = contract(border.ties, forces) + contract(border.columns, fields)
+        nodal = system.body.movable.released(forces + border.columns @ moved)
+        rest = contract(border.ties, forces) + contract(border.columns, nodes)
         rest += border.block @ moved - loads
         more_nodes, more = start.solve(nodal, rest)
         nodes, moved = nodes - more_nodes, moved - more

@@ -8,7 +8,7 @@ import numpy as np
 
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import System
-from wrenchbook.fea.coupling import CoupledState
+from wrenchbook.fea.coupling import CoupledState, each_interface
 from wrenchbook.fea.coupling.rotation import rotation, rotation_vector
 from wrenchbook.fea.failure import (
     SolveFailed,
@@ -62,7 +62,7 @@ class LoadPath:
     system
         The equations.
     wrench
-        Shape (6,), N and N·m; not zero.
+        Shape (6 i,), N and N·m, of i interfaces; not zero.
     progress
         Called with the fraction done and a message.
 
@@ -240,9 +240,12 @@ class LoadPath:
 
     def _advance(self, found: Equilibrium) -> float:
         """Advance in a step, conjugate to the wrench: translation and spin along its direction."""
-        before, after = self._balance.state.interface, found.balance.state.interface
-        spin = rotation_vector(rotation(after[3:]) @ rotation(before[3:]).T)
-        return float(self._direction @ np.concatenate([(after - before)[:3], spin]))
+        ends = (self._balance.state.interface, found.balance.state.interface)
+        advance: list[Array] = []
+        for before, after in zip(*(each_interface(end) for end in ends), strict=True):
+            spin = rotation_vector(rotation(after[3:]) @ rotation(before[3:]).T)
+            advance += [(after - before)[:3], spin]
+        return float(self._direction @ np.concatenate(advance))
 
     def _reporter(self, target: float) -> Report:
         def report(iteration: int, norm: float) -> None:

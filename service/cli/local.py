@@ -216,7 +216,7 @@ def validate(
     topic: Annotated[
         str,
         typer.Argument(
-            help="patch, bar, plate, curved_beam, spring, material, all; paper; or, with --with, "
+            help="patch, support, bar, plate, curved_beam, spring, material, all; paper; or, with --with, "
             "a component or a bundle's folder"
         ),
     ] = "all",
