@@ -31,16 +31,9 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class AttachedInterface:
-    """An interface with its section found in the mesh.
+    """An interface with its section found in the mesh, as `ComponentModel` has its first one.
 
-    Attributes
-    ----------
-    key
-        Where the bundle has it: ``interface`` or ``interface[1]``.
-    name
-        Empty where it is the component's only one.
-    section, point, axes, coupling, locked
-        As `ComponentModel` has them of its first interface.
+    `key` is where the bundle has it, ``interface`` or ``interface[1]``.
     """
 
     key: str

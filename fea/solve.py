@@ -16,14 +16,8 @@ from wrenchbook.fea.assembly.condition import ROUNDOFF
 from wrenchbook.fea.assembly.linearisation import Balance
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
-from wrenchbook.fea.coupling import (
-    CoupledState,
-    Coupling,
-    Distributed,
-    Rigid,
-    largest_rotation,
-)
-from wrenchbook.fea.coupling.coupling import SectionCoupling
+from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
+from wrenchbook.fea.coupling.coupling import SectionCoupling, largest_rotation
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.pressure_projection import pressure_notes
 from wrenchbook.fea.export.failure_record import keep
@@ -357,7 +351,7 @@ def _section(
 def _anchors(component: ComponentModel) -> Array:
     """Return three nodes far apart in the section of an interface that alone holds the part."""
     held = [one for one in component.interfaces if one.locked == FREEDOMS]
-    if component.fixed_nodes.size or any(one.coupling == "rigid" for one in held):
+    if component.fixed_nodes.size or not held or any(one.coupling == "rigid" for one in held):
         return np.empty(0, dtype=np.int64)
     nodes = held[0].section.node_ids
     arms = component.mesh.points[nodes] - component.mesh.points[nodes].mean(axis=0)

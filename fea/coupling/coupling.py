@@ -73,17 +73,12 @@ class Border(NamedTuple):
 class SectionCoupling(ABC):
     """How one interface holds its section: the base class of `Rigid` and `Distributed`.
 
-    All is in the interface's own frame, from its point. States, forces and fields are those of the
-    section's nodes alone; the border is six freedoms, locked ones too, and the multipliers.
-
-    Parameters
-    ----------
-    places
-        Shape (s, 3), m: the section's nodes, undeformed.
+    All is in the interface's own frame, from its point: `places` of the section's nodes, (s, 3), m,
+    undeformed. States, forces and fields are those of these nodes alone; the border is six
+    freedoms, locked ones too, and the `multipliers`.
     """
 
     multipliers = 0
-    """Number of multipliers."""
 
     def __init__(self, places: Array) -> None:
         self.places = places
@@ -96,26 +91,16 @@ class SectionCoupling(ABC):
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return what the coupling adds to the nodes, and what is out of balance in the border.
 
-        Parameters
-        ----------
-        state
-            The configuration.
-        forces
-            Shape (s, 3), N: internal nodal forces in it.
-        wrench
-            Shape (6,), N and N·m.
-
-        Returns
-        -------
-        nodal
-            Shape (s, 3), N.
-        border
-            Shape (6 + multipliers,): N and N·m for interface freedoms, m and m^2 for constraints.
+        Internal forces have shape (s, 3), N, the wrench (6,), N and N·m; the results (s, 3), N, and
+        (6 + multipliers,): N and N·m for interface freedoms, m and m^2 for constraints.
         """
 
     @abstractmethod
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
-        """Return how the border joins the body's tangent; parameters as of `residual`."""
+        """Return how the border joins the body's tangent.
+
+        Internal forces have shape (s, 3), N, the wrench (6,), N and N·m.
+        """
 
     @abstractmethod
     def wrench_columns(self, state: CoupledState) -> Array:
@@ -128,16 +113,9 @@ class SectionCoupling(ABC):
 class _Seat(NamedTuple):
     """One section's place in the body and in the border.
 
-    Attributes
-    ----------
-    section, nodes
-        The coupling, and which nodes are its section's, shape (s,).
-    turn
-        Shape (3, 3): a vector of the body times its transpose is the interface's; None if equal.
-    freedoms
-        Of this interface among all, a slice.
-    chosen, border
-        Unknowns among the section's own border, and where they are in the whole one.
+    `turn` times a vector of the body is the interface's, None if equal; `freedoms` are those of
+    this interface among all; `chosen` are the unknowns among the section's own border, and `border`
+    where they are in the whole one.
     """
 
     section: SectionCoupling
@@ -157,11 +135,6 @@ class _Seat(NamedTuple):
         if self.turn is None:
             return field
         return np.einsum("ji,sj...->si...", self.turn, field)
-
-    def state(self, whole: CoupledState) -> CoupledState:
-        """Return the section's part of a state."""
-        own = self.freedoms
-        return CoupledState(self.inwards(whole.nodes), whole.interface[own], whole.multipliers[own])
 
 
 class Coupling:
@@ -185,12 +158,9 @@ class Coupling:
 
     Attributes
     ----------
-    freedoms
-        6 i of i interfaces.
-    motions
-        Unknowns of the border that move something; multipliers come after these.
-    border
-        All its unknowns.
+    freedoms, motions, border
+        How many: 6 i of i interfaces; unknowns of the border that move something; all of them, the
+        multipliers last.
     """
 
     def __init__(
@@ -230,9 +200,7 @@ class Coupling:
 
     def start(self) -> CoupledState:
         """Return the undeformed state."""
-        return CoupledState(
-            np.zeros((self._size, 3)), np.zeros(self.freedoms), np.zeros(self.freedoms)
-        )
+        return CoupledState(np.zeros((self._size, 3)), *np.zeros((2, self.freedoms)))
 
     def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
         """Return the state after a correction; rigid sections are placed exactly.
@@ -305,7 +273,7 @@ class Coupling:
             ties[at] = seat.outwards(found.ties[:, :, seat.chosen])
             columns[at] = seat.outwards(found.columns[:, :, seat.chosen])
             block[np.ix_(seat.border, seat.border)] = found.block[np.ix_(seat.chosen, seat.chosen)]
-        pushed = columns[self._anchors].reshape(-1, self.border)
+        pushed = columns[self._anchors].reshape(len(self._anchored), self.border)
         block[self._anchored] += pushed
         block[:, self._anchored] += pushed.T
         ties[self._anchors[:, None], np.arange(3), self._anchored.reshape(-1, 3)] = 1.0
@@ -331,5 +299,9 @@ class Coupling:
         return rows
 
     def _parts(self, state: CoupledState) -> Iterator[tuple[_Seat, CoupledState]]:
+        """Yield each seat with its section's part of a state."""
         for seat in self._seats:
-            yield seat, seat.state(state)
+            interface, multipliers = (
+                v[seat.freedoms] for v in (state.interface, state.multipliers)
+            )
+            yield seat, CoupledState(seat.inwards(state.nodes), interface, multipliers)
