@@ -38,7 +38,7 @@ _ZERO = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class AttachedInterface:
-    """An interface with its section found in the mesh.
+    """An interface with its section found in the mesh, as `ComponentModel` has its first one.
 
     Attributes
     ----------
