@@ -67,6 +67,7 @@ class Workspace:
             settings.folder / "components",
             allow_decks=settings.allow_decks,
             on_added=self._on_added,
+            on_checked=self._on_checked,
             on_copy=self._on_copy,
         )
         self.catalogue = Catalogue(settings.folder / "library.json")
@@ -340,13 +341,15 @@ class Workspace:
             )
         return Tables(self.ledger, self.library, folder, self.errors, self.settings.table_memory)
 
-    def _on_added(self, component: Component) -> None:
+    def _on_checked(self, component: Component) -> None:
+        """Keep the estimate of an upload's check before another process can build its table."""
         estimate = solver_error_of(component.folder, component.fingerprint)
         known = self.errors.read(component.name, component.fingerprint)
-        # Its check estimated it already: the first solve need not. A copy has its original's, which
-        # a later solve may have refined.
+        # A later solve of an earlier component of this name and setup may have refined it.
         if estimate is not None and (known is None or not known.can_grow):
             self.errors.settle(component.name, component.fingerprint, estimate)
+
+    def _on_added(self, component: Component) -> None:
         try:
             self.surrogate(component.name)
         except TableBehindError:

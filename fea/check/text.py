@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from wrenchbook.fea.spec.schema import FREEDOMS
@@ -28,9 +28,15 @@ def as_text(report: Mapping[str, Any]) -> str:
         lines += write(report)
     lines += _complaints("warning", report["warnings"])
     lines += _complaints("error", report["problems"])
-    count = len(report["problems"])
-    lines.append("ready to solve" if report["ok"] else f"{count} error{'s'[: count != 1]}")
+    warnings = _counted(report["warnings"], "warning")
+    ready = ", ".join(filter(None, ("ready to solve", warnings)))
+    lines.append(ready if report["ok"] else _counted(report["problems"], "error"))
     return "\n".join(lines)
+
+
+def _counted(found: Sequence[Any], word: str) -> str:
+    """Return a number of things in words, nothing of none."""
+    return f"{len(found)} {word}{'s'[: len(found) != 1]}" if found else ""
 
 
 def _deck(report: Mapping[str, Any]) -> list[str]:

@@ -317,11 +317,15 @@ def main() -> None:
         app(prog_name="wrenchbook")
     except ProblemError as error:
         err = Screen(stderr=True)
+        if "--json" in sys.argv:
+            print_json({"error": error.body or {"title": error.title, "detail": error.detail}})
         render.plain(err, error.title, style="red")
         render.plain(err, render.in_cli_words(error.detail))
         render.body_errors(err, error)
         sys.exit(1)
     except (ServerUnreachable, OSError, RuntimeError, ValueError) as error:
+        if "--json" in sys.argv:
+            print_json({"error": {"title": type(error).__name__, "detail": str(error)}})
         render.plain(Screen(stderr=True), str(error), style="red")
         sys.exit(1)
 

@@ -173,6 +173,9 @@ _CLI_WORDS = {
     r"displacements=FILE": "--displacements FILE",
     r"lag \(time_offset_s\)": "--lag SECONDS",
     r"\b(tare|decimal|lag)=": r"--\1 ",
+    r"\bon_thin '(\w+)'": r"--on-thin \1",
+    r"\bunless beyond_range\b": "without --beyond-range",
+    r"\bbeyond_range true\b": "--beyond-range",
     r"\bsheet=NAME": "--sheet NAME",
     r"\bignore_extra\b": "--ignore-extra",
     r"\bname it in ignore\b": "name it with --ignore",
@@ -300,6 +303,7 @@ def fill(
         If a round does not end in time.
     """
     spent, failures, pace, order = 0, 0, Pace(budget), None
+    plain(out, f"choosing wrenches for {name}")
     while spent < budget:
         order = client.fill(name, budget=min(round_size, budget - spent), **options)
         with cancelled_on_interrupt(client, order.jobs):
@@ -316,16 +320,14 @@ def fill(
         for job in failed:
             plain(out, f"job {job.id} failed: {_state(job)}", style="red")
         if len(failed) == len(ended):
-            raise RuntimeError(
-                "every solve of this round failed; the causes: wrenchbook jobs --status failed"
-            )
+            raise RuntimeError("every solve of this round failed: wrenchbook jobs --status failed")
     now = client.component(name)
     out.print(f"{spent} solves; {name} has {now['rows']} rows.")
     for line in own_error_lines(now):
         plain(out, f"warning: {line}", style="yellow")
     assert order is not None  # a budget is positive
-    counts = {"component": name, "spent": spent, "failed": failures, "rows": now["rows"]}
-    return {**counts, "stage": order.stage, "reason": order.reason}
+    about = {"component": name, "stage": order.stage, "reason": order.reason}
+    return {**about, "spent": spent, "failed": failures, "rows": now["rows"]}
 
 
 __all__ = [

@@ -28,7 +28,7 @@ _ENDINGS = {
     ".wbt": "packed",
 }
 # The content decides how a file is read; these endings are of other kinds of file.
-_NOT_READ = frozenset({".mat", ".fmu", ".wbt", ".pdf", ".xls"})
+_NOT_READ = frozenset({".fmu", ".wbt", ".pdf", ".xls"})
 
 
 def table_format(file: str | Path) -> str:

@@ -300,8 +300,9 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
     absent = [name for name in WRENCH if name not in named]
     may_miss = options.missing_loads == "zero" or options.role == "displacements"
     if absent and len(absent) < 6 and not may_miss:
+        out = f" (left out: {', '.join(header.ignored)})" if header.ignored else ""
         yield (
-            f"there is no column for {', '.join(absent)}; if these loads were zero, say "
+            f"there is no column for {', '.join(absent)}{out}; if these loads were zero, say "
             "missing_loads=zero"
         )
     if options.role != "table" and TIME_COLUMN not in named and header.sequence is None:

@@ -17,7 +17,7 @@ from wrenchbook.service.files.lock import take
 from wrenchbook.service.ledger import rows
 from wrenchbook.service.ledger.connections import Database
 from wrenchbook.service.ledger.packing import PackedRow
-from wrenchbook.service.ledger.records import Change, ImportRunningError, UnknownRowError
+from wrenchbook.service.ledger.records import Change, ImportRunningError, UnknownImportError
 from wrenchbook.service.ledger.schema import Connection, sequences
 
 HOLD_SECONDS = 0.03
@@ -183,17 +183,23 @@ class ImportTable(Database):
 
         Raises
         ------
-        UnknownRowError
+        UnknownImportError
             If the component has no such import, or the import no such finding.
         """
         select = f"SELECT findings FROM imports WHERE id = ? AND component = ? AND {_ENDED}"
         with self.writing() as db:
             found = db.execute(select, (number, component)).fetchone()
             if found is None:
-                raise UnknownRowError(f"{component!r} has no import {number}")
+                listed = "SELECT id FROM imports WHERE component = ? ORDER BY id DESC LIMIT 10"
+                last = ", ".join(str(one) for (one,) in db.execute(listed, (component,)))
+                raise UnknownImportError(
+                    f"{component!r} has no import {number}; its last are {last or 'none yet'}"
+                )
             lists = [one["keys"] for one in _stored(found[0]) if one.get("cause") == cause]
             if cause is not None and not lists:
-                raise UnknownRowError(f"import {number} of {component!r} has no finding {cause!r}")
+                raise UnknownImportError(
+                    f"import {number} of {component!r} has no finding {cause!r}"
+                )
             keys = [key for one in lists for key in one] if all(lists) else []
             seqs = _chosen(db, component, number, keys, withdrawn=not withdrawn)
             rows.edit_many(db, component, seqs, withdrawn=withdrawn, now=time.time())

@@ -227,6 +227,10 @@ class UnknownRowError(LedgerError, LookupError):
     """There is no row with this seq."""
 
 
+class UnknownImportError(LedgerError, LookupError):
+    """The component has no import of this number, or the import no such finding."""
+
+
 class InvalidTransitionError(LedgerError):
     """The job's status does not allow this; see the table in ``service.ledger.states``."""
 

@@ -62,6 +62,8 @@ class Library:
 
     on_added:
         Called with each component that has been added.
+    on_checked:
+        Called with an uploaded component before anything can see it.
     on_copy:
         Called with a component and the name of its copy before anything can see the copy; an
         OSError adds nothing.
@@ -76,10 +78,11 @@ class Library:
         *,
         allow_decks: bool = False,
         on_added: Callable[[Component], None] = lambda _: None,
+        on_checked: Callable[[Component], None] = lambda _: None,
         on_copy: Callable[[Component, str], None] = lambda *_: None,
     ) -> None:
         self._own, self._shipped = own, shipped
-        self._on_added, self._on_copy = on_added, on_copy
+        self._on_added, self._on_checked, self._on_copy = on_added, on_checked, on_copy
         self._allow_decks = allow_decks
         self._lock = threading.Lock()
         self._version, self._next_look, self._own_stamp = 0, 0.0, 0
@@ -193,7 +196,8 @@ class Library:
                 raise one_problem("deck", _NOT_BY_THIS_KEY if self._allow_decks else _DECKS_REFUSED)
             report = check_mesh(folder)
             (folder / CHECK_FILE).write_text(json.dumps(report), encoding="utf-8")
-            component = self._adopt(folder)
+            checked = component_of(read_bundle(folder), shipped=False)
+            component = self._adopt(folder, lambda _: self._on_checked(checked))
         self._on_added(component)
         return component
 

@@ -183,7 +183,7 @@ def _over(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     unit = output["unit"]
     axis = "" if reason.axis < 0 else f"axis {'xyz'[reason.axis]}: "
     return (
-        f"{axis}the error bar of {output['name']}, {reason.value:.2g} {unit}, "
+        f"{axis}the interpolation error of {output['name']}, {reason.value:.2g} {unit}, "
         f"is over the tolerance, {reason.limit:.2g} {unit}"
     )
 

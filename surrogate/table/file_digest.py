@@ -33,6 +33,16 @@ def is_as_written(path: Path) -> bool:
     return head.startswith(_HDF5_MARK)
 
 
+def may_be_foreign(path: Path) -> bool:
+    """Return whether an HDF5 file may be of another program, which no digest of ours precedes.
+
+    It begins with HDF5's mark, or MATLAB's. HDF5 never sees a file that a digest should precede
+    without one: a damaged file can keep its library busy without end.
+    """
+    with path.open("rb") as file:
+        return file.read(USER_BLOCK).startswith((_HDF5_MARK, b"MATLAB 7.3"))
+
+
 def sync(path: Path) -> None:
     """Flush a file, or the names in a folder, to the disk."""
     handle = os.open(path, os.O_RDONLY)

@@ -22,7 +22,7 @@ import numpy as np
 from h5py import h5l  # pyright: ignore[reportAttributeAccessIssue] (compiled, not described)
 
 from .axes import OffAxis
-from .file_digest import USER_BLOCK, is_as_written, sync, write_digest
+from .file_digest import USER_BLOCK, is_as_written, may_be_foreign, sync, write_digest
 from .meta import SCHEMA_VERSION, TableMeta
 from .rows import LoadRange, Rows, Tolerance, unknown_column
 from .space import DEFAULT, LOAD_UNITS, OUTPUT_UNITS, Space
@@ -330,6 +330,8 @@ def _check_contained(file: h5py.File) -> None:
 
 def is_table(path: Path) -> bool:
     """Return whether an HDF5 file says that it is a table of wrenchbook."""
+    if not may_be_foreign(path):
+        return True
     try:
         with h5py.File(path, "r") as file:
             return file.attrs.get("format") == FORMAT

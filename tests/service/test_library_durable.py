@@ -9,6 +9,7 @@ import pytest
 
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.service.library.component import (
+    Component,
     ComponentExistsError,
     LibraryUnavailableError,
     UnknownComponentError,
@@ -52,6 +53,19 @@ def test_every_file_of_a_bundle_is_synced_before_it_is_moved_in(library, tmp_pat
     before = events[: events.index("moved")]
     assert {"component.toml", "notes", "read.me", "rig"} <= set(before)
     assert events[events.index("moved") + 1 :] == ["components"]
+
+
+def test_an_upload_is_seen_only_once_its_check_is_kept(tmp_path, monkeypatch):
+    """Another process built its table without the check's estimate: answers were refused."""
+    seen: list[bool] = []
+
+    def checked(component: Component) -> None:
+        seen.append((tmp_path / "components" / component.name).exists())
+
+    library = Library(tmp_path / "components", tmp_path / "none", on_checked=checked)
+    monkeypatch.setattr("wrenchbook.service.library.library.check_mesh", lambda folder: {})
+    assert library.add_zip(rig_zip()).name == "rig"
+    assert seen == [False]
 
 
 @pytest.mark.parametrize("write", ["unpack", "sync_tree", "Path.rename"])

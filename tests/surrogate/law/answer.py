@@ -65,7 +65,7 @@ def over_tolerance(error: Sequence[float], allowed: Sequence[float]) -> str:
             worst = error[output] / allowed[output]
             unit = OUTPUT_UNITS[output]
             name = (
-                f"the error bar of {OUTPUTS[output]}, {error[output]:.2g} {unit}, "
+                f"the interpolation error of {OUTPUTS[output]}, {error[output]:.2g} {unit}, "
                 f"is over the tolerance, {allowed[output]:.2g} {unit}"
             )
     return name
