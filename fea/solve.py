@@ -16,14 +16,8 @@ from wrenchbook.fea.assembly.condition import ROUNDOFF
 from wrenchbook.fea.assembly.linearisation import Balance
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
-from wrenchbook.fea.coupling import (
-    CoupledState,
-    Coupling,
-    Distributed,
-    Rigid,
-    largest_rotation,
-)
-from wrenchbook.fea.coupling.coupling import SectionCoupling
+from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
+from wrenchbook.fea.coupling.coupling import SectionCoupling, largest_rotation
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.pressure_projection import pressure_notes
 from wrenchbook.fea.export.failure_record import keep

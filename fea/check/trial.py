@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.coupling import each_interface, largest_rotation
+from wrenchbook.fea.coupling.coupling import each_interface, largest_rotation
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import MOST_DEGREES, Solver
 from wrenchbook.fea.solver.vibration import Riding

@@ -73,17 +73,12 @@ class Border(NamedTuple):
 class SectionCoupling(ABC):
     """How one interface holds its section: the base class of `Rigid` and `Distributed`.
 
-    All is in the interface's own frame, from its point. States, forces and fields are those of the
-    section's nodes alone; the border is six freedoms, locked ones too, and the multipliers.
-
-    Parameters
-    ----------
-    places
-        Shape (s, 3), m: the section's nodes, undeformed.
+    All is in the interface's own frame, from its point: `places` of the section's nodes, (s, 3), m,
+    undeformed. States, forces and fields are those of these nodes alone; the border is six
+    freedoms, locked ones too, and the `multipliers`.
     """
 
     multipliers = 0
-    """Number of multipliers."""
 
     def __init__(self, places: Array) -> None:
         self.places = places
@@ -96,28 +91,15 @@ class SectionCoupling(ABC):
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return what the coupling adds to the nodes, and what is out of balance in the border.
 
-        Parameters
-        ----------
-        state
-            The configuration.
-        forces
-            Shape (s, 3), N: internal nodal forces in it.
-        wrench
-            Shape (6,), N and N·m.
-
-        Returns
-        -------
-        nodal
-            Shape (s, 3), N.
-        border
-            Shape (6 + multipliers,): N and N·m for interface freedoms, m and m^2 for constraints.
+        Internal forces have shape (s, 3), N, the wrench (6,), N and N·m; the results (s, 3), N, and
+        (6 + multipliers,): N and N·m for interface freedoms, m and m^2 for constraints.
         """
 
     @abstractmethod
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
         """Return how the border joins the body's tangent.
 
-        Forces have shape (s, 3), N, the wrench shape (6,), N and N·m.
+        Internal forces have shape (s, 3), N, the wrench (6,), N and N·m.
         """
 
     @abstractmethod
@@ -131,18 +113,9 @@ class SectionCoupling(ABC):
 class _Seat(NamedTuple):
     """One section's place in the body and in the border.
 
-    Attributes
-    ----------
-    section, nodes
-        The coupling, and which nodes are its section's, shape (s,).
-    turn
-        Shape (3, 3): a vector of the body times its transpose is the interface's; None if equal.
-    freedoms
-        Of this interface among all, a slice.
-    chosen, border
-        Unknowns among the section's own border, and where they are in the whole one.
-    spring
-        Of a bushing, which has no wrench: its stiffness, shape (6, 6).
+    `turn` times a vector of the body is the interface's, None if equal; `freedoms` are those of
+    this interface among all; `chosen` are the unknowns among the section's own border, and `border`
+    where they are in the whole one. `spring` is a bushing's stiffness, (6, 6); it has no wrench.
     """
 
     section: SectionCoupling
@@ -190,12 +163,9 @@ class Coupling:
 
     Attributes
     ----------
-    freedoms
-        6 i of i interfaces.
-    motions
-        Unknowns of the border that move something; multipliers come after these.
-    border
-        All its unknowns.
+    freedoms, motions, border
+        How many: 6 i of i interfaces; unknowns of the border that move something; all of them, the
+        multipliers last.
     """
 
     def __init__(

@@ -13,6 +13,7 @@ from wrenchbook.fea import solve as solve_module
 from wrenchbook.fea.coupling.rotation import rotation, skew
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.solver.load_steps import LoadPath
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.solver.warm_start import WarmFolder
 from wrenchbook.fea.spec.schema import FREEDOMS
@@ -210,7 +211,7 @@ def test_the_second_interface_answers_in_its_own_axes(nonlinear):
 def test_calculix_finds_the_same_on_the_same_mesh(nonlinear):
     require_ccx()
     solver = Solver(rod(side=(0.02, 0.02), poisson=0.33, nonlinear=nonlinear))
-    wrench = np.array([300, -200, 900, 30, -40, 25, -250, 400, -700, 50, 20, -35.0])
+    wrench = 3 * np.array([300, -200, 900, 30, -40, 25, -250, 400, -700, 50, 20, -35.0])
     found = solver.solve(wrench)
     turns = found.displacement.reshape(2, 6)[:, 3:] if nonlinear else None
     reply = calculix.solve_rigid(solver.component, wrench, turns)
@@ -228,6 +229,31 @@ def test_calculix_finds_the_same_of_a_link_that_is_held(nonlinear):
     reply = calculix.solve_rigid(solver.component, wrench, turns)
     limit = calculix.NONLINEAR if nonlinear else calculix.LINEAR
     assert calculix.worst_gap(found.displacement, reply.displacement) < limit
+
+
+@pytest.mark.parametrize(("first", "second"), PAIRS)
+def test_the_length_of_the_path_leads_two_interfaces_to_the_same_answer(first, second, monkeypatch):
+    solver = Solver(column(first, second, nonlinear=True, axes=TURN))
+    expected = solver.solve(WRENCH)
+    monkeypatch.setattr(LoadPath, "_explained", lambda path, found, target: False)
+    found = solver.solve(WRENCH)
+    assert len({step.load_factor for step in found.history}) > 5
+    np.testing.assert_allclose(found.displacement, expected.displacement, rtol=1e-6, atol=1e-9)
+    assert found.work == pytest.approx(found.strain_energy, rel=1e-4)
+
+
+def test_a_rod_squeezed_from_both_ends_gives_way_at_the_closed_form_of_its_material():
+    """F = E A l (1 - l^2)/2 has its maximum, E A / sqrt(27), at l = 1/sqrt(3)."""
+    mesh = box("hex20", (2, 2, 4), (1.0, 1.0, 1.0))
+    guide = ("ux", "uy", "rx", "ry", "rz")
+    part = component(mesh, section="z0", young=1e9, poisson=0.0, nonlinear=True, locked=guide)
+    middle = np.flatnonzero(np.abs(mesh.points[:, 2] - 0.5) < 1e-9)
+    solver = Solver(with_second(replace(part, fixed_nodes=middle), "z1", locked=guide))
+    load = 1.2e9 / np.sqrt(27)
+    with pytest.raises(SolveFailed) as caught:
+        solver.solve({"left": [0, 0, load, 0, 0, 0], "right": [0, 0, -load, 0, 0, 0]})
+    assert caught.value.kind == "snap_through"
+    assert caught.value.load_factor == pytest.approx(1 / 1.2, rel=2e-3)
 
 
 def test_a_column_between_two_pushing_interfaces_buckles_by_euler_s_load():
