@@ -40,14 +40,7 @@ _ZERO = 1e-9
 class AttachedInterface:
     """An interface with its section found in the mesh, as `ComponentModel` has its first one.
 
-    Attributes
-    ----------
-    key
-        Where the bundle has it: ``interface``, ``interface[1]`` or ``supports.bushing[0]``.
-    name
-        Empty where it is the component's only one, and of a bushing.
-    section, point, axes, coupling, locked
-        As `ComponentModel` has them of its first interface.
+    `key` is where the bundle has it: ``interface``, ``interface[1]`` or ``supports.bushing[0]``.
     """
 
     key: str

@@ -99,7 +99,7 @@ class SectionCoupling(ABC):
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
         """Return how the border joins the body's tangent.
 
-        Forces have shape (s, 3), N, the wrench shape (6,), N and N·m.
+        Internal forces have shape (s, 3), N, the wrench (6,), N and N·m.
         """
 
     @abstractmethod
@@ -113,18 +113,9 @@ class SectionCoupling(ABC):
 class _Seat(NamedTuple):
     """One section's place in the body and in the border.
 
-    Attributes
-    ----------
-    section, nodes
-        The coupling, and which nodes are its section's, shape (s,).
-    turn
-        Shape (3, 3): a vector of the body times its transpose is the interface's; None if equal.
-    freedoms
-        Of this interface among all, a slice.
-    chosen, border
-        Unknowns among the section's own border, and where they are in the whole one.
-    spring
-        Of a bushing, which has no wrench: its stiffness, shape (6, 6).
+    `turn` times a vector of the body is the interface's, None if equal; `freedoms` are those of
+    this interface among all; `chosen` are the unknowns among the section's own border, and `border`
+    where they are in the whole one. `spring` is a bushing's stiffness, (6, 6); it has no wrench.
     """
 
     section: SectionCoupling

@@ -188,6 +188,9 @@ def test_calculix_finds_the_same_on_bushings(tmp_path, stiffness, nonlinear):
 def test_calculix_has_no_distributed_bushing(tmp_path):
     with pytest.raises(BundleError, match=r"supports.bushing\[0\].coupling"):
         deck_of(on_bushings(tmp_path, bushing(coupling="distributed")))
+    require_ccx()
+    solver = Solver(on_bushings(tmp_path, bushing(coupling="distributed")))
+    assert "no spring on a mean" in second_opinion.second_opinion(solver, WRENCH.tolist()).failed
 
 
 @pytest.mark.parametrize("coupling", COUPLINGS)
