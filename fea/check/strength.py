@@ -10,7 +10,7 @@ import numpy as np
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.recovery.stress import places_of
+from wrenchbook.fea.recovery.stress import places_of, small_stress
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleProblem
 
@@ -56,7 +56,8 @@ def _first_order(component: ComponentModel, solver: Solver) -> list[dict[str, An
     loads = component.bundle.range
     corners = np.array(list(product(*zip(loads.low, loads.high, strict=True))))
     unit = solver.unit_stresses()
-    equivalent = np.stack([von_mises(unit @ corner) for corner in corners])
+    sag = small_stress(solver.body, solver.linear.sag[:, :, None])[:, :, 0]
+    equivalent = np.stack([von_mises(unit @ corner + sag) for corner in corners])
     places, numbers = places_of(component, component.mesh.points)
     found = []
     for number in np.unique(numbers):

@@ -144,6 +144,13 @@ def _trial(report: Mapping[str, Any]) -> list[str]:
     if one["deflection"] is None:
         return [*lines, "at full range: not tried, a solve takes too long for a check"]
     moved = [f"{x:.3g}" for x in one["deflection"]]
+    if "sag" in one:
+        sag = [f"{x:.3g}" for x in one["sag"]]
+        lines.append(
+            f"own weight moves it by ({', '.join(sag[:3])}) m and turns it by "
+            f"({', '.join(sag[3:])}) rad, linearly, in the interface frame: the answer at zero "
+            "load. Displacements are relative to the part of the mesh without its weight"
+        )
     return [
         *lines,
         f"at full range, linearly, it moves by ({', '.join(moved[:3])}) m and turns by "

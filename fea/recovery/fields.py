@@ -40,6 +40,8 @@ class SolveFields:
         Shapes (p, 3), m, undeformed, and (p,), int32, index into `regions`.
     regions
         The materials' regions.
+    weight
+        Whether the component's own weight acts.
     largest, largest_at, largest_region
         The largest von Mises stress over all integration points, Pa, its place, m, and region.
     """
@@ -58,6 +60,7 @@ class SolveFields:
     largest: float
     largest_at: tuple[float, float, float]
     largest_region: str
+    weight: bool = False
 
 
 def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> SolveFields:
@@ -80,6 +83,8 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     if linear:
         changes = small_stress(body, slopes)
         stress = changes @ solution.wrench
+        if component.analysis.gravity is not None:
+            stress = small_stress(body, nodes[:, :, None])[:, :, 0]
     else:
         # Changes that nobody keeps are not made: they take six times the stresses.
         fields = slopes if kept.stop is None else slopes[:, :, :0]
@@ -103,4 +108,5 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
         largest=float(equivalent[worst]),
         largest_at=(float(places[worst, 0]), float(places[worst, 1]), float(places[worst, 2])),
         largest_region=regions[int(materials[worst])],
+        weight=component.analysis.gravity is not None,
     )
