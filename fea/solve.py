@@ -10,28 +10,29 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.assembly.blocks import filled_cells
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.assembly.condition import ROUNDOFF
 from wrenchbook.fea.assembly.linearisation import Balance
-from wrenchbook.fea.assembly.system import System
-from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
-from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
-from wrenchbook.fea.coupling.coupling import SectionCoupling, largest_rotation
+from wrenchbook.fea.component import ComponentModel, build
+from wrenchbook.fea.coupling import CoupledState
+from wrenchbook.fea.coupling.coupling import largest_rotation
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.pressure_projection import pressure_notes
+from wrenchbook.fea.equations import system_of
 from wrenchbook.fea.export.failure_record import keep
 from wrenchbook.fea.failure import SolveFailed, rotation_too_large
 from wrenchbook.fea.inspection.warnings import warnings_of
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
-from wrenchbook.fea.recovery.stress import places_of, small_stress, stress_of
-from wrenchbook.fea.solution import Loads, Progress, Solution, checked_wrench
+from wrenchbook.fea.recovery.stress import small_stress, stress_of
+from wrenchbook.fea.recovery.weight import material_of_parts
+from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checked_wrench
 from wrenchbook.fea.solver.buckling import buckling_factors
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
-from wrenchbook.fea.solver.load_steps import LoadPath
+from wrenchbook.fea.solver.load_steps import LoadPath, hang
+from wrenchbook.fea.solver.newton import Equilibrium
 from wrenchbook.fea.solver.vibration import Riding, Vibration, consistent_mass, first_vibration
 from wrenchbook.fea.solver.warm_start import WarmFolder
-from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
+from wrenchbook.fea.spec.schema import Bundle
 
 __all__ = ["MOST_DEGREES", "Solver", "solve"]
 
@@ -127,7 +128,7 @@ class Solver:
     def __init__(self, bundle: Bundle | ComponentModel) -> None:
         self.component = bundle if isinstance(bundle, ComponentModel) else build(bundle)
         self._active = self.component.active
-        self._system = _system(self.component, self._active)
+        self._system = system_of(self.component, self._active)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -147,13 +148,8 @@ class Solver:
     @property
     def volumes(self) -> list[tuple[Array, Array]]:
         """For each sort of cells their materials' numbers and volumes, (cells,) each, m^3."""
-        materials, first, found = places_of(self.component, self.body.points)[1], 0, []
-        for part in self.body.parts:
-            weights = part.gradients.weights
-            numbers = materials[first : first + weights.size : weights.shape[1]]
-            found.append((numbers, weights.sum(axis=1)))
-            first += weights.size
-        return found
+        volumes = [part.gradients.weights.sum(axis=1) for part in self.body.parts]
+        return list(zip(material_of_parts(self.component, self.body), volumes, strict=True))
 
     @cached_property
     def linear(self) -> LinearResponse:
@@ -165,6 +161,13 @@ class Solver:
             ``mechanism`` or ``ill_conditioned``.
         """
         return linear_response(self._system)
+
+    @cached_property
+    def rest(self) -> Equilibrium:
+        """The nonlinear equilibrium under own weight alone; raises SolveFailed as `solve` does."""
+        found = hang(self._system)
+        _require_small_rotation(found.balance.state.interface)
+        return found
 
     @property
     def compliance(self) -> Array:
@@ -264,7 +267,8 @@ class Solver:
         whole = checked_wrench(wrench, self.names)
         acting = np.zeros_like(whole)
         acting[self._active] = whole[self._active]
-        if not self.component.analysis.nonlinear or not acting.any():
+        analysis = self.component.analysis
+        if not analysis.nonlinear or not (acting.any() or analysis.gravity):
             found = self._solve_linear(whole, acting)
         else:
             found = self._solve_nonlinear(whole, acting, progress, start)
@@ -274,18 +278,23 @@ class Solver:
 
     def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
         linear = self.linear
-        displacement = linear.compliance @ acting
+        displacement, nodes = linear.compliance @ acting, linear.fields @ acting
+        energy, work = 0.5 * acting @ linear.energies @ acting, acting @ displacement
+        if (weight := self._system.weight) is not None:
+            displacement, nodes = displacement + linear.sag_displacement, nodes + linear.sag
+            energy = 0.5 * self.body.strain_energy_products(nodes[:, :, None])[0, 0]
+            work = acting @ displacement + np.vdot(weight, nodes)
         _require_small_rotation(displacement)
         return Solution(
             wrench=wrench,
             displacement=displacement,
             compliance=linear.compliance,
-            strain_energy=float(0.5 * acting @ linear.energies @ acting),
-            work=float(acting @ displacement),
+            strain_energy=float(energy),
+            work=float(work),
             unknowns=self.unknowns,
             seconds=0.0,
             history=(),
-            nodes=linear.fields @ acting @ self.component.axes,
+            nodes=nodes @ self.component.axes,
             notes=self.notes,
             tangents=self._in_mesh_axes(linear.fields),
         )
@@ -293,7 +302,11 @@ class Solver:
     def _solve_nonlinear(
         self, wrench: Array, acting: Array, progress: Progress | None, start: CoupledState | None
     ) -> Solution:
-        path = LoadPath(self._system, acting, progress)
+        weight = self._system.weight
+        rest = None if weight is None else self.rest
+        if rest is not None and not acting.any():
+            return self._solution(wrench, rest, rest.balance.energy, ())
+        path = LoadPath(self._system, acting, progress, rest)
         try:
             found = path.follow(lambda balance: _require_small_state(balance, acting), start)
         except SolveFailed as failure:
@@ -301,16 +314,25 @@ class Solver:
             factor, nodes = path.last_state()
             failure.last = factor, nodes @ self.component.axes
             raise
-        balance: Balance = found.balance
+        work = path.work
+        if weight is not None and rest is not None:
+            sunk = found.balance.state.nodes - rest.balance.state.nodes
+            work += rest.balance.energy + float(np.vdot(weight, sunk))
+        return self._solution(wrench, found, work, tuple(path.history))
+
+    def _solution(
+        self, wrench: Array, found: Equilibrium, work: float, history: tuple[Iteration, ...]
+    ) -> Solution:
+        balance = found.balance
         return Solution(
             wrench=wrench,
             displacement=balance.state.interface,
             compliance=found.tangent.compliance,
             strain_energy=balance.energy,
-            work=path.work,
+            work=work,
             unknowns=self.unknowns,
             seconds=0.0,
-            history=tuple(path.history),
+            history=history,
             nodes=balance.state.nodes @ self.component.axes,
             notes=self.notes,
             tangents=self._in_mesh_axes(found.tangent.nodal_response),
@@ -319,54 +341,6 @@ class Solver:
 
     def _in_mesh_axes(self, fields: Array) -> Array:
         return np.einsum("ji,njk->nik", self.component.axes, fields)
-
-
-def _system(component: ComponentModel, active: Array) -> System:
-    """Set up the equations in the first interface's frame, its origin at that interface's point."""
-    mesh = component.mesh
-    mesh = replace(mesh, points=(mesh.points - component.point) @ component.axes.T)
-    every = [*component.interfaces, *(one for one, _ in component.bushings)]
-    sections = [_section(component, one) for one in every]
-    springs = [stiffness for _, stiffness in component.bushings]
-    coupling = Coupling(len(mesh.points), sections, active, _anchors(component), springs)
-    free = np.ones(len(mesh.points), dtype=bool)
-    free[component.fixed_nodes] = False
-    free[coupling.tied] = False
-    materials, numbers = component.materials, component.material_of_cells
-    integration = component.analysis.integration
-    filled = filled_cells(mesh, materials, numbers, integration, component.axes)
-    nodes, held = component.sliding
-    body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
-    return System(body, coupling, component.mesh.points)
-
-
-def _section(
-    component: ComponentModel, own: AttachedInterface
-) -> tuple[SectionCoupling, Array, Array | None]:
-    """Return an interface's coupling, its nodes, and its axes in the body's if they differ."""
-    nodes = own.section.node_ids
-    places = ((component.mesh.points - own.point) @ own.axes.T)[nodes]
-    rigid = own.coupling == "rigid"
-    coupling = Rigid(places) if rigid else Distributed(places, own.section.weights)
-    same = np.array_equal(own.axes, component.axes)
-    return coupling, nodes, None if same else own.axes @ component.axes.T
-
-
-def _anchors(component: ComponentModel) -> Array:
-    """Return three nodes far apart of each section whose mean alone may hold the part."""
-    found = [np.empty(0, dtype=np.int64)]
-    held = [one for one in component.interfaces if one.locked == FREEDOMS]
-    held = [] if component.fixed_nodes.size else held
-    for own in (*held, *(one for one, _ in component.bushings)):
-        if own.coupling == "distributed":
-            nodes = np.setdiff1d(own.section.node_ids, component.sliding[0])
-            arms = component.mesh.points[nodes] - component.mesh.points[nodes].mean(axis=0)
-            first = int(np.linalg.norm(arms, axis=1).argmax())
-            away = arms - arms[first]
-            second = int(np.linalg.norm(away, axis=1).argmax())
-            third = int(np.linalg.norm(np.cross(away, away[second]), axis=1).argmax())
-            found.append(nodes[[first, second, third]])
-    return np.concatenate(found)
 
 
 def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.solver.linear import LinearResponse
 from wrenchbook.fea.spec.schema import DeclaredRange
 
 Array = np.ndarray
@@ -77,7 +78,7 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     factors: list[float] = []
     for corner in _corners(compliance, loads):
         factors.append(solver.buckling(corner)[0])
-        found = _Corner(other, compliance, corner, factors[-1])
+        found = _Corner(other, solver.linear, corner, factors[-1])
         deviation = np.fmax(deviation, found.deviation)
         factors += found.factors
         why = why or found.why
@@ -101,8 +102,10 @@ def _corners(compliance: Array, loads: DeclaredRange) -> list[Array]:
 class _Corner:
     """The nonlinear answer at one corner of the range, or at a part of it."""
 
-    def __init__(self, solver: Solver, compliance: Array, wrench: Array, buckling: float) -> None:
-        self.deviation = np.full(len(compliance), np.nan)
+    def __init__(
+        self, solver: Solver, linear: LinearResponse, wrench: Array, buckling: float
+    ) -> None:
+        self.deviation = np.full(len(linear.compliance), np.nan)
         self.factors: list[float] = []
         self.why = ""
         most = 1.0
@@ -116,6 +119,7 @@ class _Corner:
                 if failure.load_factor is not None:
                     self.factors.append(part * failure.load_factor)
                 continue
-            missed = np.abs(found.displacement - compliance @ (part * wrench)) / part**2
+            expected = linear.compliance @ (part * wrench) + linear.sag_displacement
+            missed = np.abs(found.displacement - expected) / part**2
             self.deviation = np.repeat(missed.reshape(-1, 3).max(axis=1), 3)
             return

@@ -29,12 +29,22 @@ class System:
         How the wrench gets in.
     places
         Shape (n, 3), m: where the nodes are in the mesh's own axes, for messages.
+    weight
+        Shape (n, 3), N: the nodal forces of the body's own weight; None for none. They keep their
+        size and direction, so `Balance.forces` are the internal ones less these.
     """
 
-    def __init__(self, body: ElasticBody, coupling: Coupling, places: Array | None = None) -> None:
+    def __init__(
+        self,
+        body: ElasticBody,
+        coupling: Coupling,
+        places: Array | None = None,
+        weight: Array | None = None,
+    ) -> None:
         self._places = body.points if places is None else places
         self.body = body
         self.coupling = coupling
+        self.weight = weight
 
     @property
     def unknowns(self) -> int:
@@ -43,9 +53,15 @@ class System:
 
     def balance(self, state: CoupledState, wrench: Array) -> Balance:
         """Weigh the internal forces of a state against a wrench, shape (6 i,), N and N·m."""
-        forces, energy, least = self.body.forces(state.nodes)
+        forces, energy, least = self._forces(state.nodes)
         energy += self.coupling.spring_energy(state)
         return self._balance(state, wrench, forces, energy, least)
+
+    def _forces(
+        self, nodes: Array, step: tuple[Array, Array] | None = None
+    ) -> tuple[Array, float, float]:
+        forces, energy, least = self.body.forces(nodes, step)
+        return (forces if self.weight is None else forces - self.weight), energy, least
 
     def reload(self, balance: Balance, wrench: Array) -> Balance:
         """Return the balance of the same state under another wrench, shape (6 i,), N and N·m."""
@@ -69,7 +85,7 @@ class System:
             `ElasticBody.tangent`.
         """
         if step is not None:
-            balance = replace(balance, forces=self.body.forces(balance.state.nodes, step)[0])
+            balance = replace(balance, forces=self._forces(balance.state.nodes, step)[0])
         tangent = self.body.tangent(balance.state.nodes, step)
         return Linearisation(self.body, self.coupling, balance, tangent)
 

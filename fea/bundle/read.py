@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +114,7 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
     }
     _check_whole(top, any(one is not None and one.held for one in interfaces))
     _check_frame(top, parts["deck"], interfaces)
+    _check_weight(top, parts["deck"], parts["materials"], parts["analysis"])
     top.close()
     if top.problems:
         raise BundleError(top.problems)
@@ -184,3 +185,18 @@ def _check_frame(top: Keys, deck: Deck | None, interfaces: list[Interface | None
     if interface.locked:
         message = "a [deck] is not changed; hold these freedoms in the deck and leave locked out"
         top.wrong("interface.locked", message)
+
+
+def _check_weight(
+    top: Keys, deck: Deck | None, materials: Sequence[Material | None], analysis: Analysis
+) -> None:
+    """Note what the component's own weight lacks."""
+    if analysis.gravity is None:
+        return
+    if deck is not None:
+        message = "a [deck] is not changed; write *DLOAD with GRAV in the deck, leave gravity out"
+        top.wrong("analysis.gravity", message)
+    for i, material in enumerate(materials):
+        if material is not None and material.density is None:
+            message = "missing; [analysis] gravity needs each material's density, in kg/m^3"
+            top.wrong(f"material[{i}].density", message)

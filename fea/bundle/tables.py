@@ -196,8 +196,10 @@ def read_analysis(keys: Keys | None) -> Analysis:
         return Analysis()
     nonlinear = keys.flag("nonlinear")
     integration = keys.choice("integration", INTEGRATIONS, required=False)
+    gravity = keys.numbers("gravity", 3, "m/s^2", required=False)
     keys.close()
-    return Analysis(nonlinear is not False, integration or "reduced")
+    weight = (gravity[0], gravity[1], gravity[2]) if gravity and any(gravity) else None
+    return Analysis(nonlinear is not False, integration or "reduced", weight)
 
 
 def _loads(keys: Keys | None) -> DeclaredRange | None:

@@ -17,7 +17,13 @@ from wrenchbook.fea.check import findings
 from wrenchbook.fea.check.cost import estimate
 from wrenchbook.fea.check.strength import strength
 from wrenchbook.fea.check.text import as_text
-from wrenchbook.fea.check.trial import deflection_warnings, frequency, solver_of, trial
+from wrenchbook.fea.check.trial import (
+    deflection_warnings,
+    frequency,
+    solver_of,
+    trial,
+    weight_warnings,
+)
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build, mesh_of
 from wrenchbook.fea.deck.checking import deck_report
 from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
@@ -141,6 +147,8 @@ def _try_out(
     if problems:
         raise BundleError(problems)
     _warn(summary, deflection_warnings(component, summary["trial"]["deflection"]))
+    if summary["trial"]["deflection"] is not None:
+        _warn(summary, weight_warnings(solver))
     summary["vibration"], warnings = frequency(solver, riding)
     _warn(summary, warnings)
     summary["strength"], warnings = strength(solver, nonlinear)

@@ -9,7 +9,7 @@ import numpy as np
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.recovery.stress import places_of
+from wrenchbook.fea.recovery.stress import places_of, small_stress
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleProblem
 
@@ -61,11 +61,16 @@ def _first_order(component: ComponentModel, solver: Solver) -> list[dict[str, An
     if len(corners) > _MOST_CORNERS:
         raise ValueError("the range of more than two interfaces has too many corners")
     unit = solver.unit_stresses()
+    loads = corners
+    if component.analysis.gravity:  # one more load, which is always there
+        sag = small_stress(solver.body, solver.linear.sag[:, :, None])
+        unit = np.concatenate((unit, sag), axis=2)
+        loads = np.column_stack((corners, np.ones(len(corners))))
     places, numbers = places_of(component, component.mesh.points)
     found = []
     for number in np.unique(numbers):
         own = np.flatnonzero(numbers == number)
-        largest, corner, point = _worst(unit[own], corners)
+        largest, corner, point = _worst(unit[own], loads)
         material = component.materials[number]
         found.append(
             {

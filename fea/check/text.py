@@ -165,6 +165,13 @@ def _trial(report: Mapping[str, Any]) -> list[str]:
         return lines
     if one["deflection"] is None:
         return [*lines, "at full range: not tried, a solve takes too long for a check"]
+    for name, own in _by_interface(report, one.get("sag", [])):
+        sag = [f"{x:.3g}" for x in own]
+        lines.append(
+            f"own weight moves {name or 'it'} by ({', '.join(sag[:3])}) m and turns it by "
+            f"({', '.join(sag[3:])}) rad, linearly, in the interface frame: the answer at zero "
+            "load. Displacements are relative to the part of the mesh without its weight"
+        )
     for name, own in _by_interface(report, one["deflection"]):
         moved = [f"{x:.3g}" for x in own]
         lines.append(

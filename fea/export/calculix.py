@@ -110,6 +110,8 @@ def _body(component: ComponentModel) -> Iterator[str]:
     for i, material in enumerate(component.materials):
         yield f"*MATERIAL, NAME=M{i}"
         yield from _elasticity(material, component.analysis.nonlinear)
+        if component.analysis.gravity is not None and material.density is not None:
+            yield f"*DENSITY\n{_numbers([material.density])}"
         place = ""
         if material.orthotropic is not None:
             yield from _orientation(i, material.orthotropic, component.axes)
@@ -217,6 +219,12 @@ def _element(block: CellBlock, component: ComponentModel) -> str:
 
 def _step(component: ComponentModel) -> Iterator[str]:
     yield from _NONLINEAR if component.analysis.nonlinear else _LINEAR
+    if component.analysis.gravity is not None:
+        yield "*DLOAD"
+        pull = component.axes @ np.array(component.analysis.gravity)
+        size = float(np.linalg.norm(pull))
+        used = {int(i) for block in component.material_of_cells for i in np.unique(block)}
+        yield from (f"E{i}, GRAV, {_numbers([size, *(pull / size)])}" for i in sorted(used))
     yield "*CLOAD"
     for one in component.interfaces:
         for name, placeholder in zip(FREEDOMS, placeholders(one.name), strict=True):

@@ -9,7 +9,7 @@ import numpy as np
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.equivalent_stress import von_mises
-from wrenchbook.fea.recovery.stress import cauchy_stress, places_of, small_stress
+from wrenchbook.fea.recovery.stress import cauchy_stress, places_of, small_stress, stress_of
 from wrenchbook.fea.recovery.surface import surface_of
 from wrenchbook.fea.solution import Solution
 
@@ -40,6 +40,8 @@ class SolveFields:
         Shapes (p, 3), m, undeformed, and (p,), int32, index into `regions`.
     regions
         The materials' regions.
+    weight
+        Whether the component's own weight acts.
     largest, largest_at, largest_region
         The largest von Mises stress over all integration points, Pa, its place, m, and region.
     """
@@ -58,6 +60,7 @@ class SolveFields:
     largest: float
     largest_at: tuple[float, float, float]
     largest_region: str
+    weight: bool = False
 
 
 def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> SolveFields:
@@ -70,8 +73,8 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     solution
         With its `tangents`.
     """
-    linear = not component.analysis.nonlinear
-    axes = component.axes
+    linear, axes = not component.analysis.nonlinear, component.axes
+    hangs = component.analysis.gravity is not None
     nodes = solution.nodes @ axes.T
     assert solution.tangents is not None
     slopes = np.einsum("ij,njk->nik", axes, solution.tangents)
@@ -79,7 +82,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     kept = slice(None) if len(places) <= MOST_POINTS else slice(0)
     if linear:
         changes = small_stress(body, slopes)
-        stress = changes @ solution.wrench
+        stress = stress_of(component, body, solution) if hangs else changes @ solution.wrench
     else:
         # Changes that nobody keeps are not made: they take six times the stresses.
         fields = slopes if kept.stop is None else slopes[:, :, :0]
@@ -103,4 +106,5 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
         largest=float(equivalent[worst]),
         largest_at=(float(places[worst, 0]), float(places[worst, 1]), float(places[worst, 2])),
         largest_region=regions[int(materials[worst])],
+        weight=hangs,
     )

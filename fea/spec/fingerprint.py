@@ -56,6 +56,9 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
             {"name": one.name, "is": _interface(one)}
             for one in (parts["interface"], *parts["others"])
         ]
+    if parts["analysis"].gravity is not None:
+        densities = sorted((one.region, one.density) for one in parts["materials"])
+        content["weight"] = {"gravity": parts["analysis"].gravity, "densities": densities}
     if parts["analysis"].nonlinear and parts["mesh"] is not None and parts["deck"] is None:
         content["solver"] = NONLINEAR_SOLVER
     # json writes floats by repr, so equal numbers give equal text and different ones do not.
@@ -77,7 +80,7 @@ def _mesh(source: MeshSource | None) -> object:
 
 
 def _material(material: Material) -> list[object]:
-    # Neither density nor yield strength: no static displacement depends on them.
+    # No yield strength: no displacement depends on it. Densities: with the gravity only.
     content: list[object] = [material.region, material.youngs_modulus, material.poisson_ratio]
     if material.law != "isotropic":
         content.append(material.law)

@@ -124,7 +124,7 @@ class Material:
         Between -1 and 0.5, both excluded; of an orthotropic material that of the nearest isotropic
         one, which tells cells that would lock.
     density
-        kg/m^3; None where the bundle does not give it. It changes no static answer.
+        kg/m^3; None where the bundle does not give it. Static answers depend on it under gravity.
     yield_strength
         Pa, compared with the von Mises stress; None where the bundle does not give it.
     law
@@ -214,10 +214,14 @@ class Supports:
 
 @dataclass(frozen=True)
 class Analysis:
-    """How to solve: geometrically nonlinear or not, and the integration of hex20 cells."""
+    """How to solve: geometrically nonlinear or not, the integration of hex20 cells, own weight.
+
+    `gravity` is the acceleration of gravity in the mesh's axes, m/s^2; None for no weight.
+    """
 
     nonlinear: bool = True
     integration: str = "reduced"
+    gravity: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,6 +118,10 @@ static void by_linear(const wb_table *t, const wb_group *g, wb_work *work, const
             size += fabs(w[k]) * fabs(row[k]);
             most += t->scale[k] * fabs(row[k]);
         }
+        if (g->fit.offset) {
+            a->outputs[q] += g->fit.offset[q];
+            size += fabs(g->fit.offset[q]);
+        }
         a->error[q] = g->fit.bar[q] + ROUNDING * size;
         a->solved |= (uint64_t)(g->exact_fit && g->fit.bar[q] <= ROUNDING * most) << q;
     }

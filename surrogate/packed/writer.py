@@ -229,6 +229,8 @@ def _group_arrays(
     yield "near/moved", group.used.displacement
     yield "fit/matrix", group.fit.matrix
     yield "fit/bar", group.fit.error
+    if group.fit.offset.any():
+        yield "fit/offset", group.fit.offset
     yield "fit/known", group.fit.known.astype(np.int32)
     yield "fit/rows", np.array(_linear_rows(group), dtype=np.int64)
     yield from _row_arrays(group, sources)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from .rows import Floats, LoadRange, Rows
 RANK = 1e-9  # relative singular value below which the rows do not tell a load
 LONE = 1e-6  # of a row's own weight in its prediction: with less to spare the others do not tell it
 LEAST = 1e-15  # of the largest displacement of its kind: rounding, the least bar of any answer
+SAME_LINE = 1e-5  # a linear deck's gap to its compliance: fea/deck/solving.py refuses more
 SMALLEST = 1e-30  # m and rad: where nothing moves at all; its square is still a number
 
 
@@ -30,12 +31,16 @@ class ComplianceFit:
         95 % error bar of `matrix @ wrench` on the rows.
     origin : str
         "stored" (mean of the rows' own compliances), "fitted" or "none".
+    offset : ndarray, shape (6,), m and rad
+        The displacement at zero load: that of the component's own weight, if a linear solve
+        stored it; else zero.
     """
 
     matrix: Floats
     known: NDArray[np.bool_]
     error: Floats
     origin: str
+    offset: Floats = field(default_factory=lambda: np.zeros(6))
 
     @property
     def complete(self) -> bool:
@@ -62,9 +67,11 @@ def fit_compliance(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compli
 
 
 def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
-    stored = rows.compliance[np.isfinite(rows.compliance).all(axis=(1, 2))]
+    known = np.isfinite(rows.compliance).all(axis=(1, 2))
+    stored = rows.compliance[known]
     if linear and len(stored):
-        return _from_stored(stored, load_range)
+        offset = _offset(rows.wrench[known], rows.displacement[known], stored)
+        return replace(_from_stored(stored, load_range), offset=offset)
     fit = _from_rows(rows, load_range, linear=linear)
     if len(stored) and not fit.complete:
         matrix = np.where(fit.known, fit.matrix, stored.mean(axis=0))
@@ -72,6 +79,19 @@ def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
             matrix, np.ones(len(load_range.low), dtype=bool), fit.error, fit.origin
         )
     return fit
+
+
+def _offset(wrench: Floats, displacement: Floats, stored: Floats) -> Floats:
+    """Return the displacement at zero load, (6,), of the row whose loads move it least.
+
+    What is within `SAME_LINE` of the row's motion is its rounding.
+    """
+    moved = (stored @ wrench[:, :, None])[:, :, 0]
+    sizes = (np.abs(stored) @ np.abs(wrench)[:, :, None])[:, :, 0].reshape(-1, 2, 3).max(axis=2)
+    least = int(sizes.max(axis=1).argmin())
+    offset = displacement[least] - moved[least]
+    same = np.abs(offset).reshape(2, 3).max(axis=1) <= SAME_LINE * sizes[least]
+    return np.zeros(6) if same.all() else offset
 
 
 def _from_stored(stored: Floats, load_range: LoadRange) -> ComplianceFit:

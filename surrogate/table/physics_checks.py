@@ -142,7 +142,7 @@ def _linear(rows: Rows, fit: ComplianceFit) -> dict[str, Any]:
     known = ((rows.wrench == 0) | fit.known).all(axis=1)
     if not known.any() or fit.origin == "none":
         return {"ok": None, "reason": "the rows tell no compliance", "rows": []}
-    missed = np.abs(rows.displacement - rows.wrench @ fit.matrix.T) / _sizes(rows)
+    missed = np.abs(rows.displacement - rows.wrench @ fit.matrix.T - fit.offset) / _sizes(rows)
     missed = np.where(known[:, None], missed, 0.0)
     index = float(missed.max())
     farthest = np.argsort(-missed.max(axis=1))[:5]
