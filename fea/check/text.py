@@ -165,7 +165,7 @@ def _trial(report: Mapping[str, Any]) -> list[str]:
         return lines
     if one["deflection"] is None:
         return [*lines, "at full range: not tried, a solve takes too long for a check"]
-    for name, own in _by_interface(report, one.get("sag", [])):
+    for name, own in _by_interface(report, one["sag"]) if "sag" in one else ():
         sag = [f"{x:.3g}" for x in own]
         lines.append(
             f"own weight moves {name or 'it'} by ({', '.join(sag[:3])}) m and turns it by "

@@ -87,11 +87,12 @@ def _offset(wrench: Floats, displacement: Floats, stored: Floats) -> Floats:
     What is within `SAME_LINE` of the row's motion is its rounding.
     """
     moved = (stored @ wrench[:, :, None])[:, :, 0]
-    sizes = (np.abs(stored) @ np.abs(wrench)[:, :, None])[:, :, 0].reshape(-1, 2, 3).max(axis=2)
+    sizes = (np.abs(stored) @ np.abs(wrench)[:, :, None])[:, :, 0]
     least = int(sizes.max(axis=1).argmin())
     offset = displacement[least] - moved[least]
-    same = np.abs(offset).reshape(2, 3).max(axis=1) <= SAME_LINE * sizes[least]
-    return np.zeros(6) if same.all() else offset
+    kinds = offset.reshape(-1, 3), sizes[least].reshape(-1, 3)  # translation and rotation of each
+    same = np.abs(kinds[0]).max(axis=1) <= SAME_LINE * kinds[1].max(axis=1)
+    return np.zeros_like(offset) if same.all() else offset
 
 
 def _from_stored(stored: Floats, load_range: LoadRange) -> ComplianceFit:
