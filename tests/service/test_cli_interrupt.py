@@ -28,6 +28,7 @@ def test_ctrl_c_cancels_the_solves_of_a_fill_and_no_others(tmp_path: Path):
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         ) as command:
             assert command.stdout is not None
+            assert command.stdout.readline() == "choosing wrenches for plate\n"
             assert command.stdout.readline()  # the round: its solves are queued
             command.send_signal(signal.SIGINT)
             _, errors = command.communicate(timeout=60)
