@@ -110,7 +110,7 @@ def summarise(
         "used_rows": len(used),
         "compliance": {
             "origin": fit.origin,
-            "loads": [LOADS[load] for load in np.flatnonzero(fit.known)],
+            "loads": [rows.space.input_names[load] for load in np.flatnonzero(fit.known)],
             "error": fit.error.tolist(),
         },
         **row_conflicts(rows, load_range),

@@ -168,6 +168,21 @@ def choose(
     return MethodChoice("kriging", f"its error at left-out rows is {compared}", scores)
 
 
+def choose_without_axes(
+    rows: Rows, fit: ComplianceFit, kriging: Callable[[], Kriging | None], linear: bool
+) -> MethodChoice:
+    """Return the default of a table of several interfaces or further inputs."""
+    if linear and fit.complete:
+        return MethodChoice("linear", "the component is linear: its compliance is exact", {})
+    made = None if linear else kriging()
+    if made is None:
+        reason = "there are too few rows for kriging: the compliance that fits them answers"
+        return MethodChoice("linear", reason, {})
+    size = np.where(made.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
+    scores = {"kriging": _score(made.left_out(), size)}
+    return MethodChoice("kriging", "griddata and additive are of one interface alone", scores)
+
+
 def without_kriging(
     rows: Rows, load_range: LoadRange, composition: Composition, detail: str
 ) -> MethodChoice:

@@ -235,7 +235,8 @@ void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, 
     wb_composed c;
     a->method = wb_method_of(g, o), a->reasons = 0, a->solved = 0;
     if (!g->used) {
-        wb_add_reason(a, g->rows.count ? WB_REASON_ONLY_BEYOND : WB_REASON_EMPTY);
+        int rows = g->rows.count ? WB_REASON_ONLY_BEYOND : WB_REASON_EMPTY;
+        wb_add_reason(a, g->near ? WB_REASON_FEW_ROWS : rows);
         for (int q = 0; q < t->outputs; q++) a->outputs[q] = a->error[q] = NAN;
         a->coverage = WB_OUTSIDE, a->method = WB_ESTIMATE;
         wb_finish(t, g, o, work, w, with_reasons, a);

@@ -56,7 +56,7 @@ def fit_compliance(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compli
     # Rounding errs too: no bar is 0.
     full = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
     moved = np.maximum(np.abs(rows.displacement).max(axis=0), np.abs(fit.matrix) @ full)
-    kinds = np.repeat([moved[:3].max(), moved[3:].max()], 3)
+    kinds = load_range.space.largest_of_kind(moved)
     least = np.maximum(LEAST * kinds, SMALLEST)
     return replace(fit, error=np.maximum(fit.error, least))
 
@@ -68,7 +68,9 @@ def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
     fit = _from_rows(rows, load_range, linear=linear)
     if len(stored) and not fit.complete:
         matrix = np.where(fit.known, fit.matrix, stored.mean(axis=0))
-        return ComplianceFit(matrix, np.ones(6, dtype=bool), fit.error, fit.origin)
+        return ComplianceFit(
+            matrix, np.ones(len(load_range.low), dtype=bool), fit.error, fit.origin
+        )
     return fit
 
 
@@ -76,14 +78,18 @@ def _from_stored(stored: Floats, load_range: LoadRange) -> ComplianceFit:
     """Return the mean of stored compliances; their spread, times the full loads, is the bar."""
     spread = np.ptp(stored, axis=0) / 2
     loads = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
-    return ComplianceFit(stored.mean(axis=0), np.ones(6, dtype=bool), spread @ loads, "stored")
+    return ComplianceFit(
+        stored.mean(axis=0), np.ones(len(load_range.low), dtype=bool), spread @ loads, "stored"
+    )
 
 
 def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
     """Fit the columns that the rows tell, by least squares on scaled loads."""
     scaled = rows.wrench / load_range.scale
     if not scaled.any():
-        return ComplianceFit(np.zeros((6, 6)), np.zeros(6, dtype=bool), np.zeros(6), "none")
+        shape = rows.compliance.shape[1:]
+        none = np.zeros(shape[1], dtype=bool)
+        return ComplianceFit(np.zeros(shape), none, np.zeros(shape[0]), "none")
     _, sizes, directions = np.linalg.svd(scaled, full_matrices=False)
     spanned = directions[sizes > RANK * sizes[0]]
     # A load is determined if its unit vector lies in the span of the rows' wrenches.
